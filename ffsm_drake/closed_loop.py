@@ -1,0 +1,126 @@
+"""The closed loop: reference, controller, disturbance, plant and sensing wired into one Diagram."""
+
+import dataclasses
+
+from pydrake.common import RandomGenerator
+from pydrake.geometry import Meshcat, MeshcatVisualizer
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
+from pydrake.systems.primitives import Adder
+
+from ffsm_drake.controllers import make_controller
+from ffsm_drake.coordinates import Coordinates
+from ffsm_drake.disturbance import make_disturbance
+from ffsm_drake.plant import add_combined_plant, configuration, coordinates_of, make_nominal_plant, set_payload
+from ffsm_drake.reference import QuinticReference
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.sensing import make_sensing
+
+# Outputs of the diagram that every closed loop has; a controller's optional outputs come on top.
+SIGNALS = (
+    "state",
+    "estimated_state",
+    "measurement_noise",
+    "desired_state",
+    "desired_acceleration",
+    "generalized_force",
+    "disturbance_force",
+)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ClosedLoop:
+    """The closed loop's diagram and handles to its parts.
+
+    The diagram's outputs are ``SIGNALS``, then those of the controller's optional outputs that it has.
+    """
+
+    scenario: Scenario
+    diagram: Diagram
+    plant: MultibodyPlant
+    coordinates: Coordinates
+    reference: QuinticReference
+    controller: LeafSystem
+    disturbance: Diagram
+    sensing: Diagram
+
+    def initialize(self, root: System, root_context: Context) -> None:
+        """Seed the noise, give the plant its payload and put it, at rest, into the initial posture.
+
+        Args:
+          root: this diagram, or the diagram that holds it.
+          root_context: a context of ``root``.
+        """
+        scenario = self.scenario
+        # First, because it resets every state and parameter of the diagram.
+        root.SetRandomContext(root_context, RandomGenerator(scenario.random_seed))
+        context = self.plant.GetMyMutableContextFromRoot(root_context)
+        set_payload(self.plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
+        self.plant.SetPositions(context, configuration(self.plant, scenario.initial_posture, key="initial_posture"))
+        self.plant.SetVelocities(context, [0.0] * self.plant.num_velocities())
+
+
+def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> ClosedLoop:
+    """Build the closed loop of a scenario; with ``meshcat``, its visualizer is part of the diagram.
+
+    Raises:
+      ModelError: the model does not load.
+      ScenarioError: a coordinate named in the scenario does not exist, or one lacks a gain.
+    """
+    builder = DiagramBuilder()
+    plant = add_combined_plant(builder, scenario.model)
+    coordinates = coordinates_of(plant)
+    for name in ("initial_posture", "target_posture"):
+        configuration(plant, getattr(scenario, name), key=name)
+    reference = builder.AddNamedSystem(
+        "reference",
+        QuinticReference(
+            coordinates=coordinates,
+            start=scenario.initial_posture,
+            target=scenario.target_posture,
+            duration=scenario.reference.duration,
+        ),
+    )
+    controller = builder.AddSystem(make_controller(scenario, make_nominal_plant(scenario)))
+    disturbance = builder.AddSystem(make_disturbance(scenario.disturbance, coordinates))
+    sensing = builder.AddSystem(make_sensing(scenario.sensing, coordinates, sample_time=scenario.sample_time))
+    total_force = builder.AddNamedSystem("total_force", Adder(2, len(coordinates.names)))
+
+    builder.Connect(plant.get_state_output_port(), sensing.GetInputPort("state"))
+    builder.Connect(sensing.GetOutputPort("estimated_state"), controller.GetInputPort("estimated_state"))
+    for name in ("desired_state", "desired_acceleration"):
+        builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
+    # tau_d acts on the plant from outside: H q'' + C = tau + tau_d.
+    builder.Connect(controller.GetOutputPort("generalized_force"), total_force.get_input_port(0))
+    builder.Connect(disturbance.GetOutputPort("generalized_force"), total_force.get_input_port(1))
+    builder.Connect(total_force.get_output_port(), plant.get_applied_generalized_force_input_port())
+    if meshcat is not None:
+        visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), meshcat)
+        visualizer.set_name("meshcat_visualizer")
+
+    sources = (
+        plant.get_state_output_port(),
+        sensing.GetOutputPort("estimated_state"),
+        sensing.GetOutputPort("noise"),
+        reference.GetOutputPort("desired_state"),
+        reference.GetOutputPort("desired_acceleration"),
+        controller.GetOutputPort("generalized_force"),
+        disturbance.GetOutputPort("generalized_force"),
+    )
+    for name, port in zip(SIGNALS, sources, strict=True):
+        builder.ExportOutput(port, name)
+    for name in controller.OPTIONAL_OUTPUTS:
+        if controller.HasOutputPort(name):
+            builder.ExportOutput(controller.GetOutputPort(name), name)
+    diagram = builder.Build()
+    diagram.set_name("closed_loop")
+    return ClosedLoop(
+        scenario=scenario,
+        diagram=diagram,
+        plant=plant,
+        coordinates=coordinates,
+        reference=reference,
+        controller=controller,
+        disturbance=disturbance,
+        sensing=sensing,
+    )

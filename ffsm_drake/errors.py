@@ -1,0 +1,32 @@
+"""The errors a user can meet: each is one line that says where, what is wrong and what would be right."""
+
+
+class FfsmError(Exception):
+    """Base of every error that bad input can cause; its text is one line."""
+
+
+class ScenarioError(FfsmError):
+    """A scenario file, key or override that cannot be used."""
+
+    def __init__(self, key: str, problem: str, *, source: str = "") -> None:
+        self.key = key
+        self.problem = problem
+        self.source = source
+        super().__init__(": ".join(part for part in (source, key, problem) if part))
+
+    def located(self, source: str) -> "ScenarioError":
+        """The same error, with the file it came from in front."""
+        return self if self.source else ScenarioError(self.key, self.problem, source=source)
+
+
+class ModelError(FfsmError):
+    """A URDF or model directive that does not give a usable spacecraft."""
+
+
+class RecordError(FfsmError):
+    """A run directory that cannot be written or read."""
+
+
+def one_line(error: BaseException) -> str:
+    """The text of any exception on a single line."""
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,95 @@
+"""Figures of merit of a run, computed from its recorded time series.
+
+Sums run over the control samples t_k = k L that begin a recorded period, with tau_k the value held over [t_k, t_{k+1}).
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
+    """All metrics of a run's dataset (see RunRecord.dataset), as plain numbers.
+
+    Keys:
+      itae: sum of t |e|_1 L (equation (22)).
+      isv: sum of |tau|_2^2 L (equation (23)).
+      peak_error, final_error, peak_effort: by group, the largest |e| of the run, the largest |e| of the last sample
+        (rad or m), the largest |tau| (N m or N), each over the group's coordinates.
+      momentum_residual: largest norm over the run of the momentum's change minus the impulse of the external forces,
+        ``linear`` (N s) and ``angular`` (N m s, about the world's origin): what the integrator got wrong.
+    """
+    period = float(dataset.attrs["sample_time"])
+    time = dataset["time"].values
+    error = dataset["error"].values
+    effort = dataset["generalized_force"].values
+    group = dataset["group"].values
+    groups = list(dict.fromkeys(group.tolist()))
+
+    def by_group(magnitude: np.ndarray) -> dict[str, float]:
+        return {name: float(magnitude[..., group == name].max()) for name in groups}
+
+    return {
+        "itae": itae(time[:-1], error[:-1], period),
+        "isv": isv(effort[:-1], period),
+        "peak_error": by_group(np.abs(error)),
+        "final_error": by_group(np.abs(error[-1])),
+        "peak_effort": by_group(np.abs(effort)),
+        "momentum_residual": {
+            name: float(np.linalg.norm(residual, axis=1).max()) for name, residual in momentum_residual(dataset).items()
+        },
+    }
+
+
+def itae(time: np.ndarray, error: np.ndarray, period: float) -> float:
+    """Integral of t |e|_1 over the samples (equation (22)); time (n,), error (n, nv)."""
+    return float(np.sum(time * np.abs(error).sum(axis=1)) * period)
+
+
+def isv(effort: np.ndarray, period: float) -> float:
+    """Integral of |tau|_2^2 over the samples (equation (23)); effort (n, nv)."""
+    return float(np.sum(effort * effort) * period)
+
+
+def momentum_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
+    """Change of ``linear`` and ``angular`` momentum minus the impulse of the external forces, each (n, 3), world frame.
+
+    Only the base's force and torque are external; joint torques act between bodies. The control force is constant over
+    each period, the disturbance smooth over all of them, and the base's path is a cubic through recorded positions and
+    velocities, so that for an exact integrator the residual is small against every force's impulse.
+    """
+    from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+    time = dataset["time"].values
+    names = {part: [f"base_{part}_{axis}" for axis in "xyz"] for part in ("rotation", "position")}
+    change = {
+        "linear": dataset["linear_momentum"].values - dataset["linear_momentum"].values[0],
+        "angular": dataset["angular_momentum"].values - dataset["angular_momentum"].values[0],
+    }
+    if time.size < 4:  # too short for a spline, and no impulse to speak of
+        return change
+    held = dataset["generalized_force"].sel(coordinate=names["position"]).values[:-1]
+    held_torque = dataset["generalized_force"].sel(coordinate=names["rotation"]).values[:-1]
+    smooth = dataset["disturbance_force"].sel(coordinate=names["position"]).values
+    smooth_torque = dataset["disturbance_force"].sel(coordinate=names["rotation"]).values
+    position = dataset["position"].sel(position_name=names["position"]).values
+    velocity = dataset["velocity"].sel(coordinate=names["position"]).values
+
+    period = np.diff(time)[:, None]
+    path = CubicHermiteSpline(time, position, velocity).antiderivative()(time)
+
+    def impulse(of_held: np.ndarray, of_smooth: np.ndarray) -> np.ndarray:
+        accumulated = np.vstack([np.zeros(3), np.cumsum(of_held, axis=0)])
+        return accumulated + CubicSpline(time, of_smooth).antiderivative()(time)
+
+    return {
+        "linear": change["linear"] - impulse(held * period, smooth),
+        "angular": change["angular"]
+        - impulse(
+            held_torque * period + np.cross(np.diff(path, axis=0), held),
+            smooth_torque + np.cross(position, smooth),
+        ),
+    }
