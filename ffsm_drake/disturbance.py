@@ -1,6 +1,5 @@
 """The external disturbance: one harmonic and one constant per coordinate (Table 1), all in C++ systems."""
 
-import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Adder, ConstantVectorSource, Sine
 

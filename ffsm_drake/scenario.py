@@ -2,8 +2,8 @@
 
 A scenario is resolved in three layers, later ones winning: the defaults written here, the YAML file, the overrides
 (``key=value``). Values given per coordinate (gains, disturbances, joint angles) are mappings whose keys are ``all``, a
-group (``base_rotation``, ``base_position``, ``joints``) or one coordinate's name; the more specific key wins, and a bare
-number stands for ``{all: number}``.
+group (``base_rotation``, ``base_position``, ``joints``) or one coordinate's name; the more specific key wins, and a
+bare number stands for ``{all: number}``.
 """
 
 # Drake's typed YAML loader reads these annotations at run time, so they must stay real types.

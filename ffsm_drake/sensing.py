@@ -7,14 +7,16 @@ from pydrake.systems.primitives import Adder, Gain, RandomSource
 
 from ffsm_drake import scenario as schema
 from ffsm_drake.coordinates import Coordinates
+from ffsm_drake.errors import ScenarioError
 
 
 def make_sensing(settings: schema.Sensing, coordinates: Coordinates, *, sample_time: float) -> Diagram:
     """A diagram from ``state`` to ``estimated_state``, both [q; v] (nq + nv), with ``noise`` (nq + nv) to log.
 
     One independent Gaussian sample per coordinate and control period, held in between. Rotation noise of standard
-    deviation sigma is added to the quaternion of the base as sigma/2 per component: along the quaternion it only changes
-    the norm, which no reader of the state looks at; across it, it is a rotation of sigma about each axis to first order.
+    deviation sigma is added to the quaternion of the base as sigma/2 per component: along the quaternion it changes
+    only the norm, which no reader of the state looks at; across it, it is a rotation of sigma about each axis to first
+    order.
 
     Raises:
       ScenarioError: noise is given for an unknown coordinate.
@@ -25,7 +27,7 @@ def make_sensing(settings: schema.Sensing, coordinates: Coordinates, *, sample_t
     )
     rotation = coordinates.groups["base_rotation"]
     if len(set(position[rotation])) > 1:
-        raise schema.ScenarioError("sensing.position_noise", "must be the same for the three base_rotation coordinates")
+        raise ScenarioError("sensing.position_noise", "must be the same for the three base_rotation coordinates")
     sigma = np.concatenate([np.full(4, 0.5 * position[0]), position[3:], velocity])
     builder = DiagramBuilder()
     white = builder.AddNamedSystem("white", RandomSource(RandomDistribution.kGaussian, sigma.size, sample_time))

@@ -60,7 +60,8 @@ class TimeDelayController(LeafSystem):
       desired_acceleration: (nv).
     Outputs, all read straight from the state so that no integrator stage runs Python:
       generalized_force: tau (nv), held over the period: base torque and force in world axes, joint torques.
-      sliding_variable: s at the last update; reaching_gain, switching_gain: K_s and G for the next (where the law has them).
+      sliding_variable: s at the last update; reaching_gain, switching_gain: K_s and G for the next. Only where the law
+        has them.
     Discrete state, updated every ``sample_time``:
       delayed_force (tau of the last sample), delayed_velocity (measured), has_previous (0 before the first update, when
       the acceleration is taken as zero), then the law's own.

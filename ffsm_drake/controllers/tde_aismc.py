@@ -27,7 +27,8 @@ def switching_gain_rate(s: np.ndarray, g: np.ndarray, *, phi: np.ndarray, epsilo
 class TdeAismcLaw:
     """u = a_d + K_D e' + K_P e + K_s s + G sgn s with s = e' + K_D e + K_P int e (equation (6)).
 
-    Gains are diagonals (nv). The surface is the one that (7) needs; (3) prints it with the factors of e and e' exchanged.
+    Gains are diagonals (nv). The surface is the one that (7) needs; (3) prints it with the factors of e and e'
+    exchanged.
     """
 
     sample_time: float
