@@ -34,7 +34,7 @@ def controller_dot(scenario: Scenario) -> str:
 
 
 def system_dot(system: System, *, max_depth: int | None = None) -> str:
-    """Any system's wiring as Graphviz text, its node names free of the numbers Drake counts up per process.
+    """Any system's wiring as Graphviz text, the same text in every process.
 
     Args:
       system: a diagram or a leaf system.
@@ -46,7 +46,10 @@ def system_dot(system: System, *, max_depth: int | None = None) -> str:
     def renumber(found: re.Match[str]) -> str:
         return f"{found[1]}{numbers.setdefault(found[2], len(numbers))}"
 
-    return re.sub(r"\b(_|s|cluster|clusters)(\d+)(?=in\b|out\b|diagram\b|subsystems\b|\b)", renumber, text)
+    text = re.sub(r"\b(_|s|cluster|clusters)(\d+)(?=in\b|out\b|diagram\b|subsystems\b|\b)", renumber, text)
+    # Drake lists the connections by memory address.
+    edges = re.compile(r"(?:^s\d+\w*:\w+:\w+ -> .*\n)+", re.MULTILINE)
+    return edges.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), text)
 
 
 def _without_idle_ports(dot: str, name: str) -> str:

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ffsm_drake.errors import RecordError, one_line
@@ -22,7 +22,8 @@ def written_whole(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise RecordError(f"{path}: cannot be written: {one_line(error)}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
 
 
 def write_text(path: Path, text: str) -> None:

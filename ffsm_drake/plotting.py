@@ -61,7 +61,7 @@ def plot_trajectories(record: RunRecord) -> Figure:
     space.tick_params(labelsize=8)
     space.view_init(elev=22.0, azim=-125.0)
     space.set_box_aspect(None, zoom=0.92)
-    space.legend(fontsize=8, loc="upper left")
+    space.legend(fontsize=8, loc="upper right")
 
     joints = data["group"].values == "joints"
     joint_names = data["coordinate"].values[joints]

@@ -72,8 +72,8 @@ def simulate(
     except KeyboardInterrupt:
         interrupted = True
     except RuntimeError:
-        # Something in the diagram refused a state that is no longer finite; anything else is a fault of ours.
-        if monitor.check(context):
+        # Drake refuses numbers that are no longer finite; any other refusal is a fault to be seen.
+        if monitor.check(context) and monitor.check_force(context):
             raise
     advanced = time.perf_counter()
 
@@ -127,13 +127,28 @@ class _Monitor:
             return True
         # The first that is not finite, else the fastest.
         worst = int(np.argmax(np.where(np.isfinite(velocity), np.abs(velocity), np.inf)))
-        coordinates, scenario = self.loop.coordinates, self.loop.scenario
-        self.coordinate = coordinates.names[worst]
-        self.message = (
-            f"{scenario.controller} diverged at t = {context.get_time():.2f} s: {self.coordinate} moves at "
-            f"{velocity[worst]:.3g} {coordinates.units[worst]}/s, beyond divergence_speed = {self._bound:g}"
+        coordinates = self.loop.coordinates
+        self._note(
+            context,
+            worst,
+            f"{coordinates.names[worst]} moves at {velocity[worst]:.3g} {coordinates.units[worst]}/s, "
+            f"beyond divergence_speed = {self._bound:g}",
         )
         return False
+
+    def check_force(self, context: Context) -> bool:
+        """Whether the controller's force is finite; otherwise as ``check``."""
+        diagram = self.loop.diagram
+        force = diagram.GetOutputPort("generalized_force").Eval(diagram.GetMyContextFromRoot(context))
+        if np.isfinite(force).all():
+            return True
+        worst = int(np.argmin(np.isfinite(force)))
+        self._note(context, worst, f"the force on {self.loop.coordinates.names[worst]} is {force[worst]:g}")
+        return False
+
+    def _note(self, context: Context, worst: int, what: str) -> None:
+        self.coordinate = self.loop.coordinates.names[worst]
+        self.message = f"{self.loop.scenario.controller} diverged at t = {context.get_time():.2f} s: {what}"
 
 
 def _make_dataset(loop: ClosedLoop, loggers: dict[str, VectorLogSink], context: Context) -> "xr.Dataset":

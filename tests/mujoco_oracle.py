@@ -1,10 +1,10 @@
 """The combined spacecraft in MuJoCo, written from the numbers of the paper rather than from our URDF.
 
-Coordinates here are the paper's: position first. A configuration is (p_WB, quaternion wxyz of R_WB, joint angles), which
-is MuJoCo's qpos; rates are (v_WB, w_WB, joint rates) with both base vectors in world axes, forces are dual to them.
-MuJoCo's qvel differs from the rates in the angular velocity alone, which it takes in body axes. Because the time
-derivative of R w_B is R (time derivative of w_B), the two accelerations are related by that same rotation, without a
-further term. Drake's order is a permutation: quaternion before position, rotation before position.
+Coordinates here are the paper's: position first. A configuration is (p_WB, quaternion wxyz of R_WB, joint angles),
+which is MuJoCo's qpos; rates are (v_WB, w_WB, joint rates) with both base vectors in world axes, forces are dual to
+them. MuJoCo's qvel differs from the rates in the angular velocity alone, which it takes in body axes. Because the time
+derivative of R w_B is R times that of w_B, the two accelerations are related by that same rotation, without a further
+term. Drake's order is a permutation: quaternion before position, rotation before position.
 """
 
 import dataclasses

@@ -12,7 +12,7 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RevoluteJoint
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Sine
 from scipy.spatial.transform import Rotation
 
@@ -248,7 +248,7 @@ def test_bias_term_is_that_of_christoffel_symbols(plant: MultibodyPlant, context
 def simulate_tightly(system: Any, context: Context, duration: float) -> None:
     simulator = Simulator(system, context)
     config = SimulatorConfig(
-        integration_scheme="runge_kutta5", max_step_size=0.1, accuracy=1e-11, use_error_control=True
+        integration_scheme="runge_kutta5", max_step_size=0.1, accuracy=1e-14, use_error_control=True
     )
     ApplySimulatorConfig(config, simulator)
     simulator.Initialize()
@@ -278,7 +278,7 @@ def test_free_motion_conserves_momentum_and_energy(plant: MultibodyPlant, contex
 
 
 class WorkMeter(LeafSystem):
-    """Integrates the power of a force: inputs ``velocity`` and ``force`` (both nv, or a state ending in nv)."""
+    """Integrates the power of forces: inputs ``state`` (it ends in the velocities) and ``force_0``, ``force_1``..."""
 
     def __init__(self, state_size: int, num_forces: int) -> None:
         super().__init__()
@@ -318,7 +318,7 @@ def test_work_of_a_sine_force_is_the_gain_of_kinetic_energy() -> None:
 
 
 def test_work_of_control_and_disturbance_is_the_gain_of_kinetic_energy() -> None:
-    """In the shipped closed loop, as integrated there: the control's work and the disturbance's, both positive."""
+    """In the shipped closed loop, as integrated there: the control's work and the disturbance's, both signed plus."""
     loop = make_closed_loop(load_scenario("postcapture"))
     builder = DiagramBuilder()
     builder.AddSystem(loop.diagram)

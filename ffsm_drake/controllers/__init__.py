@@ -14,7 +14,10 @@ LAWS: dict[str, Any] = {"tdc": TdcLaw, "asmc": AsmcLaw, "aismc": AismcLaw, "tde_
 
 
 def make_controller(scenario: Scenario, nominal: NominalPlant) -> TimeDelayController:
-    """The scenario's controller as a LeafSystem of that name. Raises ScenarioError for gains of unknown or missing coordinates."""
+    """The scenario's controller as a LeafSystem of that name.
+
+    Raises ScenarioError for gains of unknown or missing coordinates.
+    """
     name = scenario.controller
     law = LAWS[name].from_gains(getattr(scenario.controllers, name), nominal.coordinates, scenario.sample_time)
     controller = TimeDelayController(nominal=nominal, law=law, sample_time=scenario.sample_time)

@@ -1,0 +1,37 @@
+"""A room imports only rooms before it in this list: data flows one way."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "ffsm_drake"
+ROOMS = (
+    "errors", "files", "scenario", "coordinates", "plant", "reference", "controllers", "disturbance", "sensing",
+    "closed_loop", "metrics", "record", "simulation", "visualization", "plotting", "block_diagram",
+)  # fmt: skip
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_go_one_way(path):
+    room = room_of(path)
+    if room == "__init__":
+        return
+    assert room in ROOMS, "a new room: give it its place in the list"
+    for node in ast.walk(ast.parse(path.read_text())):
+        modules = []
+        if isinstance(node, ast.Import):
+            modules = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            modules = [node.module or ""]
+            if node.module == "ffsm_drake":
+                modules = [f"ffsm_drake.{alias.name}" for alias in node.names]
+        for module in modules:
+            parts = module.split(".")
+            assert parts[:2] != ["pydrake", "all"], path
+            if parts[0] == "ffsm_drake" and len(parts) > 1 and parts[1] != room:
+                assert ROOMS.index(parts[1]) < ROOMS.index(room), f"{path.name} imports {module}"
