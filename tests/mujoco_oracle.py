@@ -11,6 +11,7 @@ import dataclasses
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 # Table 1 of the paper.
 BASE_MASS = 400.0  # kg
@@ -44,6 +45,12 @@ TRUE_TARGET = Target(100.0, inertia=(16.7, 16.7, 16.7, 0.0, 0.0, 0.0))
 BELIEVED_TARGET = Target(80.0, inertia=(12.0, 12.0, 12.0, 0.0, 0.0, 0.0))
 
 
+def inertia_matrix(target: Target) -> np.ndarray:
+    """Inertia about the centre of mass (3, 3)."""
+    ixx, iyy, izz, ixy, ixz, iyz = target.inertia
+    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+
+
 def rod_inertia(mass: float, length: float) -> tuple[float, float, float]:
     """Central moments of a link along z: m l^2/12 across, m r^2/2 along, kg m^2."""
     across = mass * length**2 / 12
@@ -56,9 +63,13 @@ def mjcf(target: Target) -> str:
     def text(*numbers: float) -> str:
         return " ".join(repr(float(number)) for number in numbers)
 
+    # Principal axes from here: MuJoCo 3.2 finds those of a fullinertia only to about 1e-9 kg m^2.
+    moments, axes = np.linalg.eigh(inertia_matrix(target))
+    x, y, z, w = Rotation.from_matrix(axes * np.sign(np.linalg.det(axes))).as_quat()
     body = f"""
         <body name="target" pos="{text(0, 0, LINK_LENGTHS[-1] + TARGET_OFFSET)}">
-          <inertial pos="{text(*target.center_of_mass)}" mass="{target.mass}" fullinertia="{text(*target.inertia)}"/>
+          <inertial pos="{text(*target.center_of_mass)}" quat="{text(w, x, y, z)}" mass="{target.mass}"
+            diaginertia="{text(*moments)}"/>
         </body>"""
     mounts = (ARM_MOUNT, *LINK_LENGTHS[:-1])
     for i in reversed(range(5)):
@@ -82,29 +93,24 @@ def mjcf(target: Target) -> str:
     </mujoco>"""
 
 
-def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
-    """R (3, 3) of a quaternion (w, x, y, z) of any norm."""
-    w, x, y, z = (quaternion / np.linalg.norm(quaternion)).tolist()
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+def rotation_matrix(configuration: np.ndarray) -> np.ndarray:
+    """R_WB (3, 3); the quaternion may have any norm."""
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, configuration[3:7] / np.linalg.norm(configuration[3:7]))
+    return rotation.reshape(3, 3)
 
 
 def rates_to_qvel(configuration: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """MuJoCo's qvel (11): the angular velocity turned into body axes. Accelerations turn alike."""
     qvel = np.array(rates)
-    qvel[3:6] = rotation_matrix(configuration[3:7]).T @ rates[3:6]
+    qvel[3:6] = rotation_matrix(configuration).T @ rates[3:6]
     return qvel
 
 
 def qvel_to_rates(configuration: np.ndarray, qvel: np.ndarray) -> np.ndarray:
     """Rates (11): the angular velocity turned into world axes. Accelerations and forces turn alike."""
     rates = np.array(qvel)
-    rates[3:6] = rotation_matrix(configuration[3:7]) @ qvel[3:6]
+    rates[3:6] = rotation_matrix(configuration) @ qvel[3:6]
     return rates
 
 
