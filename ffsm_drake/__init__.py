@@ -2,7 +2,7 @@
 
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
 from ffsm_drake.errors import FfsmError, ModelError, RecordError, ScenarioError
-from ffsm_drake.plant import NominalPlant, make_nominal_plant
+from ffsm_drake.plant import PlantModel, make_nominal_plant, make_true_plant
 from ffsm_drake.record import Outcome, RunRecord
 from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
 from ffsm_drake.simulation import simulate
@@ -11,7 +11,7 @@ __all__ = [
     "ClosedLoop",
     "FfsmError",
     "ModelError",
-    "NominalPlant",
+    "PlantModel",
     "Outcome",
     "RecordError",
     "RunRecord",
@@ -20,6 +20,7 @@ __all__ = [
     "load_scenario",
     "make_closed_loop",
     "make_nominal_plant",
+    "make_true_plant",
     "override_scenario",
     "simulate",
 ]

@@ -152,8 +152,8 @@ def set_payload(plant: MultibodyPlant, context: Context, *, body: str, propertie
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class NominalPlant:
-    """The plant as the controller believes it: the same model with the believed payload.
+class PlantModel:
+    """A plant with a payload, for computations outside any simulation.
 
     ``context`` is a scratch pad owned by this object; every method sets what it reads.
     """
@@ -163,14 +163,29 @@ class NominalPlant:
     coordinates: Coordinates
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """The nominal mass matrix (nv, nv) in configuration q (nq): the paper's H with a hat."""
+        """The mass matrix H (nv, nv) in configuration q (nq)."""
         self.plant.SetPositions(self.context, q)
         return self.plant.CalcMassMatrix(self.context)
 
+    def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The Coriolis and centrifugal term C (nv) of H dv/dt + C = tau + tau_d, N m and N."""
+        self.plant.SetPositions(self.context, q)
+        self.plant.SetVelocities(self.context, v)
+        return self.plant.CalcBiasTerm(self.context)
 
-def make_nominal_plant(scenario: Scenario) -> NominalPlant:
-    """The nominal plant of a scenario: its model, with ``payload.belief`` in place of the truth."""
+
+def make_nominal_plant(scenario: Scenario) -> PlantModel:
+    """The plant as the controller believes it (``payload.belief``): its mass matrix is the paper's H with a hat."""
+    return _make_plant_model(scenario, scenario.payload.belief)
+
+
+def make_true_plant(scenario: Scenario) -> PlantModel:
+    """The plant as it is (``payload.truth``)."""
+    return _make_plant_model(scenario, scenario.payload.truth)
+
+
+def _make_plant_model(scenario: Scenario, payload: MassProperties) -> PlantModel:
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
-    set_payload(plant, context, body=scenario.payload.body, properties=scenario.payload.belief)
-    return NominalPlant(plant=plant, context=context, coordinates=coordinates_of(plant))
+    set_payload(plant, context, body=scenario.payload.body, properties=payload)
+    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))

@@ -13,7 +13,7 @@ from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
 from ffsm_drake.coordinates import position_error
-from ffsm_drake.plant import base_rpy, find_frame, set_payload
+from ffsm_drake.plant import PlantModel, base_rpy, find_frame, make_true_plant
 from ffsm_drake.record import Outcome, RunRecord, software_versions
 from ffsm_drake.scenario import Scenario
 
@@ -171,8 +171,9 @@ def _make_dataset(loop: ClosedLoop, loggers: dict[str, VectorLogSink], context: 
     measured_position, measured_velocity = np.split(
         series["state"] + series["measurement_noise"], [num_positions], axis=1
     )
-    derived = _derive(loop, position, velocity)
-    desired_derived = _derive(loop, desired_position, desired_velocity)
+    model = make_true_plant(scenario)
+    derived = _derive(model, scenario, position, velocity)
+    desired_derived = _derive(model, scenario, desired_position, desired_velocity)
     unit = "rad (rotations) or m (translations)"
     force = "N m (rotations) or N (translations)"
     by_coordinate, by_position, by_axis = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
@@ -234,11 +235,9 @@ def _make_dataset(loop: ClosedLoop, loggers: dict[str, VectorLogSink], context: 
     )
 
 
-def _derive(loop: ClosedLoop, position: np.ndarray, velocity: np.ndarray) -> dict[str, np.ndarray]:
+def _derive(model: PlantModel, scenario: Scenario, position: np.ndarray, velocity: np.ndarray) -> dict[str, np.ndarray]:
     """What follows from the state at every sample: end effector, base angles, momentum, energy."""
-    plant, scenario = loop.plant, loop.scenario
-    context = plant.CreateDefaultContext()
-    set_payload(plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
+    plant, context = model.plant, model.context
     frame = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
     rows: dict[str, list[np.ndarray]] = {
         name: [] for name in ("end_effector", "rpy", "linear_momentum", "angular_momentum", "kinetic_energy")

@@ -7,13 +7,13 @@ from ffsm_drake.controllers.asmc import AsmcLaw
 from ffsm_drake.controllers.tdc import TdcLaw
 from ffsm_drake.controllers.tde import TimeDelayController
 from ffsm_drake.controllers.tde_aismc import TdeAismcLaw
-from ffsm_drake.plant import NominalPlant
+from ffsm_drake.plant import PlantModel
 from ffsm_drake.scenario import Scenario
 
 LAWS: dict[str, Any] = {"tdc": TdcLaw, "asmc": AsmcLaw, "aismc": AismcLaw, "tde_aismc": TdeAismcLaw}
 
 
-def make_controller(scenario: Scenario, nominal: NominalPlant) -> TimeDelayController:
+def make_controller(scenario: Scenario, nominal: PlantModel) -> TimeDelayController:
     """The scenario's controller as a LeafSystem of that name.
 
     Raises ScenarioError for gains of unknown or missing coordinates.

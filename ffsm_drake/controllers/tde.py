@@ -15,7 +15,7 @@ import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort
 
 from ffsm_drake.coordinates import position_error
-from ffsm_drake.plant import NominalPlant
+from ffsm_drake.plant import PlantModel
 
 Arrays = tuple[np.ndarray, ...]
 
@@ -69,7 +69,7 @@ class TimeDelayController(LeafSystem):
 
     OPTIONAL_OUTPUTS = ("sliding_variable", "reaching_gain", "switching_gain")
 
-    def __init__(self, *, nominal: NominalPlant, law: InjectedDynamics, sample_time: float) -> None:
+    def __init__(self, *, nominal: PlantModel, law: InjectedDynamics, sample_time: float) -> None:
         super().__init__()
         self._nominal = nominal
         self._law = law
