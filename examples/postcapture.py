@@ -13,6 +13,7 @@ from pathlib import Path
 
 from ffsm_drake import FfsmError, RunRecord, Scenario, load_scenario, override_scenario, simulate
 from ffsm_drake.block_diagram import closed_loop_dot, write_diagram
+from ffsm_drake.errors import warnings_as_lines
 from ffsm_drake.plotting import save_figures
 from ffsm_drake.scenario import CONTROLLER_NAMES
 from ffsm_drake.visualization import set_stage, start_meshcat, write_recording
@@ -38,7 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the example; returns the exit code."""
     options = parse_arguments(arguments)
     try:
-        return run(options)
+        with warnings_as_lines():
+            return run(options)
     except FfsmError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT

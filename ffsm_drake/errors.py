@@ -1,5 +1,11 @@
 """The errors a user can meet: each is one line that says where, what is wrong and what would be right."""
 
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
 
 class FfsmError(Exception):
     """Base of every error that bad input can cause; its text is one line."""
@@ -30,3 +36,15 @@ class RecordError(FfsmError):
 def one_line(error: BaseException) -> str:
     """The text of any exception on a single line."""
     return " ".join(str(error).split()) or type(error).__name__
+
+
+@contextmanager
+def warnings_as_lines() -> Iterator[None]:
+    """Print warnings as single lines on the standard error stream, without the place in the source."""
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield

@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,7 @@ def simulate(
     *,
     meshcat: Meshcat | None = None,
     progress: Callable[[float, float], None] | None = None,
+    check_stability: bool = True,
 ) -> RunRecord:
     """Run a scenario to its end and return the record.
 
@@ -41,11 +43,17 @@ def simulate(
       scenario: what to run.
       meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate`` to pace it).
       progress: called with (simulated time, duration) in s, once per simulated second.
+      check_stability: warn (StabilityWarning) when the sampled loop starts unstable or its adaptation may become so.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
     """
     start = time.perf_counter()
+    if check_stability:
+        from ffsm_drake.stability import StabilityWarning, stability_warning  # SciPy is slow to import
+
+        if remark := stability_warning(scenario):
+            warnings.warn(remark, StabilityWarning, stacklevel=2)
     loop = make_closed_loop(scenario, meshcat=meshcat)
     builder = DiagramBuilder()
     builder.AddSystem(loop.diagram)

@@ -8,7 +8,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "ffsm_drake"
 ROOMS = (
     "errors", "files", "scenario", "coordinates", "plant", "reference", "controllers", "disturbance", "sensing",
-    "closed_loop", "metrics", "record", "simulation", "visualization", "plotting", "block_diagram",
+    "closed_loop", "stability", "metrics", "record", "simulation", "visualization", "plotting", "block_diagram", "cli",
 )  # fmt: skip
 
 

@@ -1,0 +1,318 @@
+"""How far a scenario is from instability: sampled-loop margins along its planned motion, and where adaptation leads."""
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+from scipy.special import erf
+
+from ffsm_drake.controllers import make_controller
+from ffsm_drake.coordinates import Coordinates
+from ffsm_drake.disturbance import make_disturbance
+from ffsm_drake.plant import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.reference import QuinticReference
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.stability.sampled_loop import (
+    LawGains,
+    LoopGains,
+    coupled_loop,
+    inertia_ratios,
+    largest_sample_time,
+    largest_stable_k_s,
+    law_gains,
+    tolerated_eta,
+)
+
+
+class StabilityWarning(UserWarning):
+    """A scenario whose sampled loop is unstable, or whose adaptation may make it so."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Margins:
+    """Sampled-loop margins of a scenario, without a simulation.
+
+    Limits hold for the worst eta met along the planned motion; ``euler`` says that the plant is the one that explicit
+    Euler at the control period makes of it, as in the paper.
+    """
+
+    scenario: Scenario
+    coordinates: Coordinates
+    euler: bool
+    law: LawGains
+    times: np.ndarray  # (m,) s, the postures looked at
+    eta: np.ndarray  # (m, nv) eigenvalues of H^-1 Hhat there
+    spectral_radius: np.ndarray  # (m,) of the coupled loop at the starting gains
+    spectral_radius_expected: np.ndarray  # (m,) with every K_s at its largest expected value
+    k_s_limit: np.ndarray  # (nv,) 1/s, NaN for a law without K_s
+    sample_time_limit: np.ndarray  # (nv,) s
+    eta_tolerated: np.ndarray  # (nv, 2) at the starting gains
+    forecast_times: np.ndarray  # (p,) s
+    forecast_k_s: np.ndarray  # (p, nv) 1/s, where adaptation is expected to take K_s
+
+    @property
+    def starts_stable(self) -> bool:
+        """Whether the coupled loop contracts at the starting gains at every posture looked at."""
+        return bool(self.spectral_radius.max() < 1.0)
+
+    @property
+    def forecast_leaves(self) -> np.ndarray:
+        """(nv,) whether adaptation is expected to take K_s out of its stable range within the run."""
+        return np.nanmax(self.forecast_k_s, axis=0) > np.nan_to_num(self.k_s_limit, nan=np.inf)
+
+    @property
+    def may_leave(self) -> np.ndarray:
+        """(nv,) whether nothing stops adaptation before the limit."""
+        return self.law.k_s_max > np.nan_to_num(self.k_s_limit, nan=np.inf)
+
+    @property
+    def verdict(self) -> str:
+        """One line: "stable", or what is wrong."""
+        if not self.starts_stable:
+            worst = int(np.argmax(self.spectral_radius))
+            return (
+                f"unstable: the sampled loop of {self.scenario.controller} has spectral radius "
+                f"{self.spectral_radius[worst]:.4f} at the posture of t = {self.times[worst]:g} s"
+            )
+        if self.forecast_leaves.any():
+            i = int(np.argmax(self.forecast_leaves))
+            time = self.forecast_times[int(np.argmax(self.forecast_k_s[:, i] > self.k_s_limit[i]))]
+            return (
+                f"unstable: adaptation is expected to take K_s of {self.coordinates.names[i]} past its limit of "
+                f"{self.k_s_limit[i]:.1f} 1/s at t = {time:.1f} s"
+            )
+        if self.may_leave.any():
+            i = int(np.argmax(self.may_leave))
+            return (
+                f"stable as far as can be foreseen, but nothing stops K_s before its limit "
+                f"({self.k_s_limit[i]:.1f} 1/s for {self.coordinates.names[i]}); set k_s_max"
+            )
+        return "stable"
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the run starts inside its margin and is expected to stay there."""
+        return self.starts_stable and not bool(self.forecast_leaves.any())
+
+
+def assess(scenario: Scenario, *, postures: int = 21) -> Margins:
+    """Margins of a scenario along its planned motion. Takes about a second.
+
+    Raises:
+      ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
+    """
+    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    make_controller(scenario, nominal)  # judges the gains' names once more
+    coordinates = nominal.coordinates
+    law = law_gains(scenario, coordinates)
+    euler = steps_as_euler(scenario)
+    reference = _reference(scenario, coordinates)
+    times = np.linspace(0.0, scenario.reference.duration, postures)
+    pairs = [_mass_matrices(true, nominal, reference, time) for time in times]
+    eta = np.array([inertia_ratios(h, h_hat) for h, h_hat in pairs])
+    radius = np.array([_radius(law.at(), h, h_hat, scenario) for h, h_hat in pairs])
+
+    # Coordinates with the same gains have the same limits.
+    @functools.cache
+    def limits(k_d: float, k_p: float, k_s: float) -> tuple[float, float, float, float]:
+        axis = next(i for i in range(law.k_d.size) if (law.k_d[i], law.k_p[i], law.k_s[i]) == (k_d, k_p, k_s))
+        etas = np.linspace(eta.min(), eta.max(), 9)
+        step = scenario.sample_time
+        k_s_limit = (
+            math.nan
+            if scenario.controller == "tdc"
+            else min(largest_stable_k_s(law, axis, eta=x, sample_time=step, euler=euler) for x in etas)
+        )
+        period = min(largest_sample_time(law, axis, eta=x, euler=euler) for x in etas)
+        return k_s_limit, period, *tolerated_eta(law, axis, sample_time=step, euler=euler)
+
+    table = np.array([limits(*gains) for gains in zip(law.k_d, law.k_p, law.k_s, strict=True)])
+    forecast_times, forecast_k_s = forecast_reaching_gain(scenario, law, true, nominal)
+    expected = np.array([_radius(law.at(forecast_k_s.max(axis=0)), h, h_hat, scenario) for h, h_hat in pairs])
+    return Margins(
+        scenario=scenario,
+        coordinates=coordinates,
+        euler=euler,
+        law=law,
+        times=times,
+        eta=eta,
+        spectral_radius=radius,
+        spectral_radius_expected=expected,
+        k_s_limit=table[:, 0],
+        sample_time_limit=table[:, 1],
+        eta_tolerated=table[:, 2:],
+        forecast_times=forecast_times,
+        forecast_k_s=forecast_k_s,
+    )
+
+
+def stability_warning(scenario: Scenario) -> str:
+    """One line when a scenario starts outside its margin or its adaptation may leave it; empty otherwise.
+
+    A cheap look at three postures, for ``simulate`` to make before every run.
+    """
+    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    law = law_gains(scenario, nominal.coordinates)
+    reference = _reference(scenario, nominal.coordinates)
+    pairs = [_mass_matrices(true, nominal, reference, f * scenario.reference.duration) for f in (0.0, 0.5, 1.0)]
+    radius = max(_radius(law.at(), h, h_hat, scenario) for h, h_hat in pairs)
+    remedy = f"see 'ffsm stability' for the margins of {scenario.controller}"
+    if radius >= 1.0:
+        return f"the sampled loop is unstable at the starting gains (spectral radius {radius:.4f}); {remedy}"
+    if np.array_equal(law.k_s_max, law.k_s):
+        return ""
+    unbounded = ~np.isfinite(law.k_s_max)
+    if not unbounded.any() and max(_radius(law.at(law.k_s_max), h, h_hat, scenario) for h, h_hat in pairs) < 1.0:
+        return ""
+    eta = max(inertia_ratios(h, h_hat)[-1] for h, h_hat in pairs)
+    euler = steps_as_euler(scenario)
+    axis = int(np.argmax(law.k_s_max))
+    limit = largest_stable_k_s(law, axis, eta=eta, sample_time=scenario.sample_time, euler=euler)
+    bound = "is not bounded" if unbounded.any() else f"may grow to {law.k_s_max.max():g} 1/s"
+    return f"K_s {bound}, but the sampled loop is stable only below about {limit:.0f} 1/s; set k_s_max, or {remedy}"
+
+
+def steps_as_euler(scenario: Scenario) -> bool:
+    """Whether the scenario's integrator turns the plant into explicit Euler at the control period."""
+    config = scenario.simulator_config
+    return config.integration_scheme == "explicit_euler" and config.max_step_size >= 0.999 * scenario.sample_time
+
+
+def forecast_reaching_gain(
+    scenario: Scenario, law: LawGains, true: PlantModel, nominal: PlantModel, *, points: int = 101
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where laws (9) and (21) are expected to take K_s: times (p,) in s, K_s (p, nv) in 1/s.
+
+    The laws see |s|. Its steady part follows the planned motion, s = -Ntilde / K_s with Ntilde the change of the lumped
+    uncertainty N over one sample; the noise part is Gaussian with the one-axis loop's deviation at eta = 1; the sign
+    term adds its own oscillation at half the sampling rate. The mean of the law over that distribution is integrated.
+    """
+    times = np.linspace(0.0, scenario.num_control_periods * scenario.sample_time, points)
+    gains = getattr(scenario.controllers, scenario.controller)
+    if not hasattr(gains, "alpha"):
+        return times, np.tile(law.k_s, (points, 1))
+    coordinates = nominal.coordinates
+    key = f"controllers.{scenario.controller}"
+    alpha, beta = (coordinates.vector(getattr(gains, name), key=f"{key}.{name}") for name in ("alpha", "beta"))
+    switching = coordinates.vector(getattr(gains, "g_initial", {}), key=key, default=0.0)
+    noise = [
+        coordinates.vector(getattr(scenario.sensing, f"{name}_noise"), key=f"sensing.{name}_noise", default=0.0)
+        for name in ("position", "velocity")
+    ]
+    drift = _lumped_uncertainty_drift(scenario, true, nominal, times) * scenario.sample_time
+    square = scenario.controller == "aismc"
+    euler = steps_as_euler(scenario)
+
+    # Per coordinate, the deviation of s and the sign term's amplitude against K_s, on a grid.
+    grid = np.linspace(1.0, 2.0 / scenario.sample_time, 80)
+    response = _sliding_response(law, grid, noise, scenario.sample_time, euler)
+
+    k_s = np.empty((points, law.k_s.size))
+    k_s[0] = law.k_s
+    for j in range(points - 1):
+        for i in range(law.k_s.size):
+            now = k_s[j, i]
+            sigma = np.interp(now, grid, response["deviation"][:, i])
+            chatter = switching[i] * np.interp(now, grid, response["sign_amplitude"][:, i])
+            mean = math.hypot(drift[j, i] / max(now, 1.0), chatter)
+            threshold = now * now / beta[i] if square else now / beta[i]
+            rate = alpha[i] * _mean_signed_magnitude(mean, sigma, threshold)
+            k_s[j + 1, i] = min(max(now + rate * (times[j + 1] - times[j]), 0.0), law.k_s_max[i], grid[-1])
+    return times, k_s
+
+
+def _mean_signed_magnitude(mean: float, sigma: float, threshold: float) -> float:
+    """E[|s| sgn(|s| - threshold)] for a Gaussian s."""
+    if sigma <= 0.0:
+        return abs(mean) * math.copysign(1.0, abs(mean) - threshold)
+
+    def partial(a: float, b: float) -> float:
+        """Integral of s times the density from a to b."""
+        za, zb = (a - mean) / (sigma * math.sqrt(2.0)), (b - mean) / (sigma * math.sqrt(2.0))
+        density = sigma / math.sqrt(2.0 * math.pi) * (math.exp(-za * za) - math.exp(-zb * zb))
+        return density + 0.5 * mean * float(erf(zb) - erf(za))
+
+    inside = partial(0.0, threshold) - partial(-threshold, 0.0)
+    far = abs(mean) + 12.0 * sigma + threshold
+    outside = partial(threshold, far) - partial(-far, -threshold)
+    return outside - inside
+
+
+def _sliding_response(
+    law: LawGains, grid: np.ndarray, noise: list[np.ndarray], sample_time: float, euler: bool
+) -> dict[str, np.ndarray]:
+    """Of the measured s, per K_s of the grid and coordinate: noise ``deviation``, and ``sign_amplitude`` per unit of G.
+
+    The sign term's oscillation alternates every sample, so its amplitude is the loop's gain from u to s at z = -1.
+    """
+    shape = (grid.size, law.k_d.size)
+    result = {"deviation": np.empty(shape), "sign_amplitude": np.empty(shape)}
+
+    @functools.cache
+    def at(k_s: float, k_d: float, k_p: float, position: float, velocity: float) -> tuple[float, float]:
+        one = np.ones((1, 1))
+        single = LawGains(k_d=k_d * one[0], k_p=k_p * one[0], integral=True, k_s=one[0], k_s_max=one[0])
+        gains = single.at(k_s)
+        loop = coupled_loop(gains, true_mass_matrix=one, nominal_mass_matrix=one, sample_time=sample_time, euler=euler)
+        if loop.spectral_radius > 1.0 - 1e-9:
+            return math.nan, math.nan
+        # Measured s = (v - w) + K_D (e - p) + K_P I; a unit of u enters the acceleration with the opposite sign.
+        read = np.array([k_d, 1.0, k_p, 0.0, 0.0])
+        covariance = loop.covariance(position_noise=position * one[0], velocity_noise=velocity * one[0])
+        variance = float(read @ covariance @ read) + (k_d * position) ** 2 + velocity**2
+        enter = np.array([0.0 if euler else -0.5 * sample_time**2, -sample_time, 0.0, -1.0, 0.0])
+        gain = float(read @ np.linalg.solve(-np.eye(5) - loop.a, enter))
+        return math.sqrt(max(variance, 0.0)), abs(gain)
+
+    for j, k_s in enumerate(grid):
+        for i in range(law.k_d.size):
+            key = (float(k_s), float(law.k_d[i]), float(law.k_p[i]), float(noise[0][i]), float(noise[1][i]))
+            result["deviation"][j, i], result["sign_amplitude"][j, i] = at(*key)
+    for values in result.values():
+        # Past the limit s grows without bound: far beyond any threshold is all that the law needs to know.
+        largest = np.nanmax(values, axis=0)
+        values[:] = np.where(np.isnan(values), 10.0 * largest, values)
+    return result
+
+
+def _lumped_uncertainty_drift(
+    scenario: Scenario, true: PlantModel, nominal: PlantModel, times: np.ndarray
+) -> np.ndarray:
+    """dN/dt (p, nv) along the planned motion under perfect tracking, N = a_d - Hhat^-1 tau (equation (2))."""
+    reference = _reference(scenario, nominal.coordinates)
+    disturbance = make_disturbance(scenario.disturbance, nominal.coordinates)
+    port, context = disturbance.GetOutputPort("generalized_force"), disturbance.CreateDefaultContext()
+    lumped = []
+    for time in times:
+        q, v, a = reference.evaluate(time)
+        context.SetTime(time)
+        tau = true.calc_mass_matrix(q) @ a + true.calc_bias(q, v) - port.Eval(context)
+        lumped.append(a - np.linalg.solve(nominal.calc_mass_matrix(q), tau))
+    return np.gradient(np.array(lumped), times, axis=0)
+
+
+def _reference(scenario: Scenario, coordinates: Coordinates) -> QuinticReference:
+    return QuinticReference(
+        coordinates=coordinates,
+        start=scenario.initial_posture,
+        target=scenario.target_posture,
+        duration=scenario.reference.duration,
+    )
+
+
+def _mass_matrices(
+    true: PlantModel, nominal: PlantModel, reference: QuinticReference, time: float
+) -> tuple[np.ndarray, np.ndarray]:
+    q, _, _ = reference.evaluate(time)
+    return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
+
+
+def _radius(gains: LoopGains, h: np.ndarray, h_hat: np.ndarray, scenario: Scenario) -> float:
+    return coupled_loop(
+        gains,
+        true_mass_matrix=h,
+        nominal_mass_matrix=h_hat,
+        sample_time=scenario.sample_time,
+        euler=steps_as_euler(scenario),
+    ).spectral_radius
