@@ -1,5 +1,6 @@
 """The command line ``ffsm``: parses, calls, prints."""
 
+import dataclasses
 import functools
 import sys
 from collections.abc import Callable
@@ -9,7 +10,8 @@ from typing import Any
 import click
 
 from ffsm_drake.errors import FfsmError, warnings_as_lines
-from ffsm_drake.files import written_whole
+from ffsm_drake.files import write_text, written_whole
+from ffsm_drake.record import RunRecord, to_json
 from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario, load_scenario
 
 EXIT_BAD_INPUT, EXIT_UNSTABLE = 2, 3
@@ -81,3 +83,32 @@ def stability(scenario: Scenario, out: Path | None) -> None:
             plot_margins(margins).savefig(temporary, dpi=130)
         click.echo(f"Written to {path}")
     sys.exit(0 if margins.is_stable else EXIT_UNSTABLE)
+
+
+@main.command()
+@_reports_errors
+@click.argument("run", type=click.Path(path_type=Path), metavar="RUN_DIR")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Where analysis.png and analysis.json go (default: RUN_DIR)."
+)
+def analyze(run: Path, out: Path | None) -> None:
+    """What the paper proves and claims, checked on a recorded run.
+
+    RUN_DIR is a folder that holds record.nc and manifest.json. Prints each finding, and draws them.
+
+    \b
+    Example:
+      python examples/postcapture.py --out out/mine
+      ffsm analyze out/mine
+    """
+    from ffsm_drake.analysis import analyze as analyze_record
+    from ffsm_drake.analysis import plot_analysis
+
+    analysis = analyze_record(RunRecord.load(run))
+    click.echo(str(analysis))
+    directory = out or run
+    findings = {finding.key: dataclasses.asdict(finding) for finding in analysis.findings}
+    write_text(directory / "analysis.json", to_json(findings))
+    with written_whole(directory / "analysis.png") as temporary:
+        plot_analysis(analysis).savefig(temporary, dpi=130)
+    click.echo(f"Written to {directory}: analysis.json, analysis.png")

@@ -1,0 +1,54 @@
+"""How much the control force chatters: its spectrum, its reversals, its total variation.
+
+Forces are arrays (n, nv), N m or N, one row per sample.
+"""
+
+import numpy as np
+from scipy.signal import detrend, periodogram, welch
+
+SEGMENT = 256  # samples of one segment of the smoothed spectrum
+FEWEST_SAMPLES = 16
+
+
+def split_frequency(period: float) -> float:
+    """Frequency from which on a force counts as chattering, Hz: 10 Hz, but at most a fifth of the Nyquist frequency.
+
+    The planned motion and the disturbances lie below 1 Hz, the sampled loop's oscillation at half the sampling rate.
+    """
+    return min(10.0, 0.1 / period)
+
+
+def effort_spectrum(effort: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (m), Hz, and power spectral density (m, nv), squared force per Hz: smooth, to look at.
+
+    Welch's mean over half-overlapping Hann windows, each with its linear trend (the planned motion) taken out.
+    """
+    frequency, density = welch(
+        effort.T, fs=1.0 / period, nperseg=min(SEGMENT, len(effort)), detrend=detrend, scaling="density"
+    )
+    return frequency, density.T
+
+
+def split_variance(effort: np.ndarray, period: float, *, split: float) -> tuple[np.ndarray, np.ndarray]:
+    """Variance of each coordinate's force, its linear trend taken out: the parts (below, from ``split`` on).
+
+    Both (nv), squared force, over the whole record, from the periodogram without a window: it counts every sample
+    alike, and by Parseval's theorem the two parts sum to the variance itself.
+    """
+    frequency, power = periodogram(detrend(effort, axis=0), fs=1.0 / period, detrend=False, scaling="spectrum", axis=0)
+    high = frequency >= split
+    return power[~high].sum(axis=0), power[high].sum(axis=0)
+
+
+def total_variation(effort: np.ndarray) -> np.ndarray:
+    """Sum of |tau_{k+1} - tau_k| (nv)."""
+    return np.abs(np.diff(effort, axis=0)).sum(axis=0)
+
+
+def reversals(effort: np.ndarray) -> np.ndarray:
+    """How often the force turns round (nv): sign changes of tau_{k+1} - tau_k, standing still not counted."""
+    counts = []
+    for change in np.diff(effort, axis=0).T:
+        direction = np.sign(change[change != 0.0])
+        counts.append(np.count_nonzero(np.diff(direction)))
+    return np.array(counts, dtype=float)

@@ -1,0 +1,151 @@
+"""A run prepared for analysis."""
+
+import functools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ffsm_drake.analysis import chattering, estimation
+from ffsm_drake.controllers import LAWS
+from ffsm_drake.coordinates import Coordinates
+from ffsm_drake.plant import make_nominal_plant, make_true_plant
+from ffsm_drake.record import RunRecord
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Numbers = dict[str, float | str]
+
+
+class Evidence:
+    """A record cut to its finite part, what several findings need of it, and the place where series gather."""
+
+    def __init__(self, record: RunRecord) -> None:
+        self.record = record
+        self.scenario = record.scenario
+        self.data = finite_part(record.dataset)
+        self.time = self.data["time"].values
+        self.period = float(record.dataset.attrs["sample_time"])
+        self.nominal = make_nominal_plant(self.scenario)
+        self.true = make_true_plant(self.scenario)
+        self.after_start_up = self.time >= estimation.start_up_time(self.period) - 1e-9
+        self.series: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
+        self.axes: dict[str, np.ndarray] = {"time": self.time, "period": self.time[:-1]}
+
+    @property
+    def coordinates(self) -> Coordinates:
+        return self.nominal.coordinates
+
+    @property
+    def groups(self) -> dict[str, slice]:
+        """The groups that have coordinates (an arm may have no joints)."""
+        size = len(self.coordinates.names)
+        return {name: part for name, part in self.coordinates.groups.items() if len(range(*part.indices(size)))}
+
+    @functools.cached_property
+    def law(self) -> Any:
+        """The control law with its gains; None for a controller that is not one of the four."""
+        name = self.scenario.controller
+        if name not in LAWS:
+            return None
+        return LAWS[name].from_gains(getattr(self.scenario.controllers, name), self.coordinates, self.period)
+
+    @property
+    def too_short(self) -> str:
+        """Why nothing can be said of periods; empty where there is at least one."""
+        return "" if len(self.time) >= 2 else f"the record has {len(self.time)} finite samples, less than one period"
+
+    def values(self, name: str) -> np.ndarray:
+        values: np.ndarray = self.data[name].values
+        return values
+
+    def add(self, name: str, dims: str | tuple[str, ...], values: np.ndarray, *, units: str, meaning: str) -> None:
+        dims = (dims,) if isinstance(dims, str) else dims
+        self.series[name] = (dims, np.asarray(values), {"long_name": meaning, "units": units})
+
+    @functools.cached_property
+    def tde_error(self) -> np.ndarray:
+        """Ntilde (n - 1, nv)."""
+        commanded = estimation.commanded_acceleration(
+            effort=self.values("generalized_force"),
+            measured_velocity=self.values("measured_velocity"),
+            nominal_mass_matrix=estimation.mass_matrices(self.nominal, self.values("measured_position")),
+            period=self.period,
+        )
+        return estimation.estimation_error(velocity=self.values("velocity"), commanded=commanded, period=self.period)
+
+    @functools.cached_property
+    def bound(self) -> np.ndarray:
+        """N* of each coordinate over the whole run (nv)."""
+        return largest(self.tde_error)
+
+    @functools.cached_property
+    def late_bound(self) -> np.ndarray:
+        """N* of each coordinate from the end of the start-up on (nv); NaN where the run ends before."""
+        return largest(self.tde_error[self.after_start_up[:-1]])
+
+    @functools.cached_property
+    def gains(self) -> tuple[np.ndarray, np.ndarray]:
+        """K_s and G at every sample, both (n, nv); constant ones from the scenario, zero where the law has none."""
+        shape = self.values("velocity").shape
+        constant = getattr(self.law, "k_s", None)
+        k_s = (
+            self.values("reaching_gain")
+            if "reaching_gain" in self.data
+            else np.broadcast_to(np.zeros(shape[1]) if constant is None else constant, shape)
+        )
+        g = self.values("switching_gain") if "switching_gain" in self.data else np.zeros(shape)
+        return k_s, g
+
+    def named(self, prefix: str, values: np.ndarray) -> Numbers:
+        """``prefix.coordinate`` -> value, for values (nv)."""
+        return {f"{prefix}.{name}": float(x) for name, x in zip(self.coordinates.names, values, strict=True)}
+
+    def grouped(self, prefix: str, values: np.ndarray) -> Numbers:
+        """``prefix.group`` -> the largest of the group's coordinates, for values (nv)."""
+        return {f"{prefix}.{name}": float(values[part].max()) for name, part in self.groups.items()}
+
+    def dataset(self) -> "xr.Dataset":
+        import xarray as xr
+
+        coordinates = self.coordinates
+        return xr.Dataset(
+            self.series,
+            coords={
+                **{name: (name, values) for name, values in self.axes.items()},
+                "coordinate": list(coordinates.names),
+                "group": ("coordinate", list(coordinates.group_of)),
+                "unit": ("coordinate", list(coordinates.units)),
+            },
+            attrs={
+                **self.record.dataset.attrs,
+                "outcome": self.record.outcome.message,
+                "start_up_time": estimation.start_up_time(self.period),
+                "split_frequency": chattering.split_frequency(self.period),
+            },
+        )
+
+
+def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
+    """The samples before the first at which anything recorded is not finite: a run may end in such numbers."""
+    finite = np.ones(dataset.sizes["time"], dtype=bool)
+    for variable in dataset.data_vars.values():
+        finite &= np.isfinite(variable.values).reshape(finite.size, -1).all(axis=1)
+    return dataset.isel(time=slice(0, finite.size if finite.all() else int(np.argmin(finite))))
+
+
+def largest(values: np.ndarray) -> np.ndarray:
+    """Largest magnitude along the first axis (m, nv) -> (nv); NaN where there is none."""
+    return np.abs(values).max(axis=0) if len(values) else np.full(values.shape[1], np.nan)
+
+
+def ratio(part: float, whole: float) -> float:
+    """part / whole; 0 for nothing of nothing, infinite for something of nothing."""
+    if whole != 0.0:
+        return part / whole
+    return 0.0 if part == 0.0 else np.inf
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square of all values; NaN where there are none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else np.nan

@@ -1,0 +1,266 @@
+"""One page of pictures of an analysis: what the proof speaks of, over time, beside its bounds."""
+
+import textwrap
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from ffsm_drake.analysis.findings import Analysis
+
+# Okabe and Ito's palette: told apart by the colour-blind; the line styles also in grey print.
+_VERMILION, _BLUE, _GREEN, _PURPLE, _SKY, _ORANGE = "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
+_GROUPS: dict[str, tuple[str, str, Any]] = {
+    "base_rotation": ("base attitude", _BLUE, "-"),
+    "base_position": ("base position", _VERMILION, (0, (4, 1))),
+    "joints": ("joints", _GREEN, "-"),
+}
+_GREY = "#666666"
+_VERDICT_COLORS = {"does not hold": "#B34700", "holds": "#00775A", "not applicable": _GREY}
+_DASHED: Any = (0, (5, 3))
+# Noisy magnitudes are drawn as the largest of each stretch of time: what a bound is about, and legible.
+_STRETCHES = 200
+
+
+def plot_analysis(analysis: Analysis) -> Figure:
+    """TDE error, condition (8), sliding variable, Lyapunov function, gains and spectrum of a run, six panels.
+
+    At the right of a panel's title stand the verdicts of its findings; a panel that does not apply says why.
+    """
+    figure = Figure(figsize=(13.0, 12.5), layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.07))
+    attributes = analysis.series.attrs
+    subtitle = f"{attributes['title']}. Controller {attributes['controller']}; {attributes['outcome']}"
+    figure.suptitle("The paper's claims on this run\n" + textwrap.fill(subtitle, 140), fontsize=11)
+    grid = figure.add_gridspec(3, 2)
+    panels: tuple[tuple[str, str, dict[str, str], Callable[[SubFigure, Analysis], Axes]], ...] = (
+        ("(a) TDE error and its bound N*", "tde_error", {"tde_error_bound": "N*"}, _plot_tde_error),
+        ("(b) Match of inertias", "eta", {"condition_8": "condition (8)"}, _plot_condition_8),
+        ("(c) Sliding variable", "sliding_variable",
+         {"direct_bound": "bound from (7)", "ultimate_bound": "(16)"}, _plot_sliding_variable),
+        ("(d) Lyapunov function", "lyapunov", {"lyapunov_derivative": "dV/dt ≤ 0 outside"}, _plot_lyapunov),
+        ("(e) Gains against N*", "reaching_gain",
+         {"lemma_1_premise": "β‖s‖ < N*", "lemma_1_conclusion": "K$_s$ < N*", "switching_gain_bound": "G ≤ N*"},
+         _plot_gains),
+        ("(f) Spectrum of the control force", "effort_spectrum", {"chattering": "chattering"}, _plot_spectrum),
+    )  # fmt: skip
+    for number, (title, needed, keys, draw) in enumerate(panels):
+        part = figure.add_subfigure(grid[number // 2, number % 2])
+        findings = {label: analysis.finding(key) for key, label in keys.items()}
+        if needed in analysis.series:
+            axes = draw(part, analysis)
+            judged: dict[str, list[str]] = {}
+            for label, item in findings.items():
+                if item.verdict != "measured":
+                    judged.setdefault(item.verdict, []).append(label)
+            verdicts = "; ".join(f"{verdict}: {', '.join(labels)}" for verdict, labels in judged.items())
+            # The least favourable verdict colours them all.
+            color = next((shade for verdict, shade in _VERDICT_COLORS.items() if verdict in judged), _GREY)
+            axes.set_title(verdicts, fontsize=9, loc="right", color=color)
+        else:
+            axes = part.subplots()
+            axes.set_axis_off()
+            reason = next(iter(findings.values())).statement
+            axes.text(0.5, 0.5, textwrap.fill(reason, 60), ha="center", va="center", fontsize=10, color=_GREY)
+        axes.set_title(title, fontsize=10, loc="left", fontweight="bold")
+    return figure
+
+
+def _plot_tde_error(part: SubFigure, analysis: Analysis) -> Axes:
+    axes = _axes(part, "largest |Ñ$_i$| [rad/s$^2$, m/s$^2$]")
+    series, group = analysis.series, analysis.series["group"].values
+    _plot_groups(axes, analysis, "tde_error", "period")
+    bound, late = (series[name].values for name in ("tde_error_bound", "tde_error_bound_late"))
+    for name, (_, color, _) in _groups(analysis).items():
+        if np.isfinite(late[group == name]).all():
+            axes.axhline(late[group == name].max(), color=color, linewidth=1.1, linestyle=_DASHED)
+    axes.axhline(bound.max(), color="black", linewidth=1.1, linestyle=_DASHED)
+    _note(axes, bound.max(), f"N* = {bound.max():.3g}")
+    axes.set_yscale("log")
+    start_up = float(series.attrs["start_up_time"])
+    if np.isfinite(late).all():
+        _note(
+            axes, late.max(), f"{late.max():.3g} without the first {start_up:g} s", below=late.max() > 0.3 * bound.max()
+        )
+        axes.plot([], [], color=_GREY, linewidth=1.1, linestyle=_DASHED, label="N*, without start-up by group")
+    _legend(part, axes)
+    return axes
+
+
+def _plot_condition_8(part: SubFigure, analysis: Analysis) -> Axes:
+    axes = _axes(part, "eigenvalue, norm")
+    time, eta = analysis.series["posture_time"].values, analysis.series["eta"].values
+    marker = "." if len(time) < 5 else ""
+    for k, curve in enumerate(eta.T):
+        axes.plot(
+            time, curve, color=_SKY, linewidth=1.0, marker=marker, label="" if k else "eigenvalues η of $H^{-1}Ĥ$"
+        )
+    axes.plot(
+        time, analysis.series["condition_8"], color=_VERMILION, linewidth=1.8, marker=marker,
+        label="‖E - $H^{-1}Ĥ$‖$_2$ of (8), in m and rad",
+    )  # fmt: skip
+    axes.plot(
+        time, analysis.series["condition_8_in_h"], color=_GREEN, linewidth=1.8, linestyle=(0, (4, 1)), marker=marker,
+        label="the same in the metric of $H$: max |1 - η|",
+    )  # fmt: skip
+    axes.axhline(1.0, color="black", linewidth=1.0, linestyle=_DASHED, label="limit of (8); η of a true belief")
+    axes.set_ylim(0.0, 1.05 * max(1.05, float(eta.max()), float(analysis.series["condition_8"].max())))
+    _legend(part, axes, columns=2)
+    return axes
+
+
+def _plot_sliding_variable(part: SubFigure, analysis: Analysis) -> Axes:
+    axes = _axes(part, "largest |s$_i$| [rad/s, m/s]")
+    _plot_groups(axes, analysis, "sliding_variable", "time")
+    axes.set_yscale("log")
+    series, group = analysis.series, analysis.series["group"].values
+    if "direct_bound" in series:
+        for name, (_, color, _) in _groups(analysis).items():
+            value = series["direct_bound"].values[group == name].max()
+            if np.isfinite(value) and value > 0.0:
+                axes.axhline(value, color=color, linewidth=1.1, linestyle=_DASHED)
+        axes.plot([], [], color=_GREY, linewidth=1.1, linestyle=_DASHED, label="bound from (7), by group")
+    lines = {
+        "(16): ‖s‖$_2$ ≤ {:.3g}": analysis.finding("ultimate_bound").numbers.get("ultimate_bound"),
+        "ε = {:.3g}": analysis.finding("lyapunov_derivative").numbers.get("epsilon"),
+    }
+    for text, line in lines.items():
+        if isinstance(line, float) and np.isfinite(line):
+            axes.axhline(line, color="black", linewidth=1.1, linestyle=_DASHED if "16" in text else (0, (1, 2)))
+            _note(axes, line, text.format(line))
+    _legend(part, axes, columns=4)
+    return axes
+
+
+def _plot_lyapunov(part: SubFigure, analysis: Analysis) -> Axes:
+    upper, lower = part.subplots(2, 1, sharex=True, height_ratios=(1.0, 1.6))
+    series = analysis.series
+    upper.plot(series["time"], series["lyapunov"], color="black", linewidth=1.4)
+    upper.set_ylabel("V of (12)", fontsize=9)
+    upper.ticklabel_format(axis="y", useOffset=False)
+    time, rate = series["period"].values, series["lyapunov_rate"].values
+    outside = series["outside"].values[:-1] > 0
+    for color, marker, label, picked in (
+        (_VERMILION, "o", "dV/dt > 0", rate > 0.0),
+        (_BLUE, "s", "dV/dt ≤ 0", rate <= 0.0),
+    ):
+        for name, where, size, alpha in (("outside", outside, 16.0, 1.0), ("inside", ~outside, 5.0, 0.4)):
+            chosen = picked & where
+            lower.scatter(
+                time[chosen], np.where(rate[chosen] != 0.0, np.abs(rate[chosen]), np.nan), s=size, marker=marker,
+                color=color, alpha=alpha, linewidths=0, zorder=3 if name == "outside" else 2,
+                label=f"{label}, {name}: {chosen.sum()} samples",
+            )  # fmt: skip
+    lower.set_yscale("log")
+    lower.set_ylabel("|dV/dt| of (13) [1/s]", fontsize=9)
+    lower.set_xlabel("time [s]", fontsize=9)
+    # Shade the samples outside, each as wide as its period but never too narrow to be seen.
+    width = max(float(series.attrs["sample_time"]), 0.003 * float(time[-1] - time[0]))
+    for axes in (upper, lower):
+        _tidy(axes)
+        axes.broken_barh(
+            [(start, width) for start in time[outside].tolist()], (0.0, 1.0), transform=axes.get_xaxis_transform(),
+            color="#F7DFB0", linewidth=0, zorder=0,
+        )  # fmt: skip
+    lower.plot([], [], color="#F7DFB0", linewidth=6, label="outside is some |s$_i$| > max(K$_{si}$/β$_i$, ε)")
+    _legend(part, lower, columns=2)
+    return upper
+
+
+def _plot_gains(part: SubFigure, analysis: Analysis) -> Axes:
+    axes = _axes(part, "gain [1/s; rad/s$^2$, m/s$^2$]")
+    axes.set_yscale("log")
+    series, time = analysis.series, analysis.series["time"].values
+    if "scaled_sliding_variable" in series:
+        when, most = _stretches(time, series["scaled_sliding_variable"].values)
+        axes.plot(when, most, color=_PURPLE, linewidth=0.9, label="premise: max β$_i$ ‖s‖$_∞$")
+    for name, label, color in (("reaching_gain", "K$_{si}$", _VERMILION), ("switching_gain", "G$_i$", _BLUE)):
+        values = np.where(series[name].values > 0.0, series[name].values, np.nan)
+        if np.isnan(values).all():
+            continue
+        lines = axes.plot(time, values, color=color, linewidth=0.9)
+        lines[0].set_label(f"{label}, every coordinate")
+    bound, late = (float(series[name].max()) for name in ("tde_error_bound", "tde_error_bound_late"))
+    axes.axhline(bound, color="black", linewidth=1.1, linestyle=_DASHED)
+    _note(axes, bound, f"N* = {bound:.3g}")
+    if np.isfinite(late):
+        axes.axhline(late, color=_GREY, linewidth=1.1, linestyle=(0, (1, 2)))
+        text = f"{late:.3g} without the first {series.attrs['start_up_time']:g} s"
+        _note(axes, late, text, below=late > 0.05 * bound)
+    _legend(part, axes)
+    return axes
+
+
+def _plot_spectrum(part: SubFigure, analysis: Analysis) -> Axes:
+    axes = _axes(part, "power density [(N m)$^2$/Hz, N$^2$/Hz]", "frequency [Hz]")
+    series, group = analysis.series, analysis.series["group"].values
+    numbers = analysis.finding("chattering").numbers
+    # The zero frequency was taken out with the trend.
+    frequency, density = series["frequency"].values[1:], series["effort_spectrum"].values[1:]
+    for name, (label, color, style) in _groups(analysis).items():
+        axes.plot(
+            frequency, density[:, group == name].sum(axis=1), color=color, linestyle=style, linewidth=1.4,
+            label=f"{label}: {100.0 * float(numbers[f'share.{name}']):.3g} % of its variance is shaded, "
+            f"{numbers[f'reversals_per_second.{name}']:.0f} reversals/s",
+        )  # fmt: skip
+    split = float(series.attrs["split_frequency"])
+    axes.axvline(split, color="black", linewidth=1.1, linestyle=_DASHED)
+    axes.axvspan(split, frequency[-1], color=_ORANGE, alpha=0.12, linewidth=0, zorder=0)
+    axes.set(xscale="log", yscale="log")
+    axes.annotate(
+        f"from {split:g} Hz on", (split, 0.02), xycoords=axes.get_xaxis_transform(), xytext=(4, 0),
+        textcoords="offset points", fontsize=8,
+    )  # fmt: skip
+    _legend(part, axes, columns=1)
+    return axes
+
+
+def _axes(part: SubFigure, ylabel: str, xlabel: str = "time [s]") -> Axes:
+    axes = part.subplots()
+    axes.set_ylabel(ylabel, fontsize=9)
+    axes.set_xlabel(xlabel, fontsize=9)
+    _tidy(axes)
+    return axes
+
+
+def _tidy(axes: Axes) -> None:
+    axes.grid(True, color="#DDDDDD", linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=8)
+    axes.margins(x=0.01, y=0.1)
+
+
+def _legend(part: SubFigure, axes: Axes, columns: int = 3) -> None:
+    """The legend below the panel, where it hides no curve."""
+    part.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=columns, frameon=False)
+
+
+def _stretches(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The largest of each of at most _STRETCHES runs of samples, at the run's first time; zero becomes NaN."""
+    starts = np.unique(np.linspace(0, len(values), _STRETCHES, endpoint=False, dtype=int))
+    most = np.maximum.reduceat(values, starts)
+    return time[starts], np.where(most > 0.0, most, np.nan)
+
+
+def _groups(analysis: Analysis) -> dict[str, tuple[str, str, Any]]:
+    """Label, colour and line style of the groups that have coordinates."""
+    return {name: style for name, style in _GROUPS.items() if name in analysis.series["group"].values}
+
+
+def _plot_groups(axes: Axes, analysis: Analysis, name: str, time: str) -> None:
+    """The largest magnitude of every group's coordinates over time."""
+    series, group = analysis.series, analysis.series["group"].values
+    for key, (label, color, style) in _groups(analysis).items():
+        when, most = _stretches(series[time].values, np.abs(series[name].values[:, group == key]).max(axis=1))
+        marker = "." if len(when) < 20 else ""
+        axes.plot(when, most, color=color, linestyle=style, linewidth=1.1, label=label, marker=marker)
+
+
+def _note(axes: Axes, y: float, text: str, *, below: bool = False) -> None:
+    """A small text at the right end of a horizontal line at y."""
+    axes.annotate(
+        text, (0.99, y), xycoords=axes.get_yaxis_transform(), xytext=(0, -2 if below else 2),
+        textcoords="offset points", ha="right", va="top" if below else "bottom", fontsize=8,
+    )  # fmt: skip
