@@ -14,7 +14,7 @@ from ffsm_drake.files import write_text, written_whole
 from ffsm_drake.record import RunRecord, to_json
 from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario, load_scenario
 
-EXIT_BAD_INPUT, EXIT_UNSTABLE = 2, 3
+EXIT_BAD_INPUT, EXIT_UNSTABLE, EXIT_INTERRUPTED = 2, 3, 130
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -112,3 +112,36 @@ def analyze(run: Path, out: Path | None) -> None:
     with written_whole(directory / "analysis.png") as temporary:
         plot_analysis(analysis).savefig(temporary, dpi=130)
     click.echo(f"Written to {directory}: analysis.json, analysis.png")
+
+
+@main.command()
+@_reports_errors
+@click.argument("what", type=click.Choice(("table2", "fig3", "fig4", "fig5", "all")), default="all")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("out/reproduction"), show_default=True)
+@click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Seeds of the noise per cell.")
+def reproduce(what: str, out: Path, seeds: int) -> None:
+    """Compute the paper's table and figures anew, and judge its claims.
+
+    \b
+    Examples:
+      ffsm reproduce                 everything, gathered in out/reproduction/reproduction.html
+      ffsm reproduce table2 --seeds 5
+    """
+    from ffsm_drake.reproduction import reproduce as reproduce_paper
+
+    terminal = sys.stdout.isatty()
+
+    def progress(done: int, total: int, following: str) -> None:
+        line = f"{done:3d} of {total} runs; next: {following}"
+        if terminal:
+            click.echo(f"\r{line:<100}", nl=False)
+        elif done % 20 == 0 or done == total:
+            click.echo(line)
+
+    main_file = reproduce_paper(what, out, seeds=seeds, workers=2, progress=progress)
+    if terminal:
+        click.echo()
+    if main_file is None:
+        click.echo("interrupted; nothing was written", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+    click.echo(f"Written to {out}; open {main_file}")

@@ -37,7 +37,7 @@ class Outcome:
         return self.status == "completed"
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class RunRecord:
     """All that a run leaves behind.
 

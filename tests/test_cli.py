@@ -28,7 +28,7 @@ def test_analyze_needs_a_record(tmp_path):
     assert result.output.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", [[], ["stability"], ["analyze"]])
+@pytest.mark.parametrize("command", [[], ["stability"], ["analyze"], ["reproduce"]])
 def test_help(command):
     result = CliRunner().invoke(main, [*command, "--help"])
     assert result.exit_code == 0
