@@ -35,3 +35,16 @@ def test_help(command):
     assert "Usage:" in result.output
     if command:
         assert "Example" in result.output
+
+
+def test_reproduce_a_figure(tmp_path):
+    result = CliRunner().invoke(main, ["reproduce", "fig3", "--out", str(tmp_path / "new")])
+    assert result.exit_code == 0, result.output
+    assert "next: tables, figures, page" in result.output
+    assert (tmp_path / "new" / "figures" / "fig3_euler.png").stat().st_size > 50_000
+
+
+def test_reproduce_refuses_what_the_paper_has_not(tmp_path):
+    result = CliRunner().invoke(main, ["reproduce", "fig9", "--out", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "'fig9' is not one of" in result.output
