@@ -20,12 +20,18 @@ from ffsm_drake.reproduction.figures import FigureFile
 from ffsm_drake.reproduction.robustness import belief_table
 from ffsm_drake.reproduction.runs import PROPOSED, SETTINGS, Case, Results
 from ffsm_drake.reproduction.table import HEADER, Row, markdown_rows, table_csv, table_notes
-from ffsm_drake.reproduction.verdict import Verdict, comparisons, ranking
+from ffsm_drake.reproduction.verdict import Kind, Verdict, comparisons, ranking
 from ffsm_drake.reproduction.wording import listed, span, times_span
 
 TEMPLATE = "reproduction.html.j2"
 TITLE = "How far the paper holds"
-_SYMBOL = re.compile(r"\b(K|τ|q)_(d\d|[sDPd])\b")
+_SYMBOL = re.compile(r"\b(K|τ|q|s|G|β|beta|N\*)_(d\d|si|[sDPdi])\b")
+_TALLY: dict[Kind, str] = {
+    "holds": "hold",
+    "holds only": "hold only under a condition",
+    "does not hold": "do not hold",
+    "not reproduced": "not reproduced",
+}
 # What a figure is embedded as: vectors where they are small.
 _PIXELS = ("fig4", "fig5")
 
@@ -135,7 +141,7 @@ def _render(
         "runs_made": runs_made(results),
         "provenance": provenance(results, "all" if verdicts else "table2"),
         "verdicts": by_topic(list(verdicts)),
-        "counts": counts(list(verdicts)),
+        "tally": [(kind, number, _TALLY[kind]) for kind, number in counts(list(verdicts)).items()],
         "figures": {figure.key: {"file": figure, "source": _data_address(figure)} for figure in figures},
         "beliefs": belief_table(results) if verdicts else None,
     }
@@ -157,7 +163,7 @@ def _data_address(figure: FigureFile) -> str:
 
 
 def _markdown(results: Results, rows: list[Row], figures: Sequence[FigureFile], verdicts: list[Verdict]) -> str:
-    tally = ", ".join(f"{number} {kind}" for kind, number in counts(verdicts).items())
+    tally = ", ".join(f"{number} {_TALLY[kind]}" for kind, number in counts(verdicts).items())
     lines = [f"# {TITLE}", "", paper.CITATION, "", *_paragraphs(summary(results, rows)), f"Claims: {tally}.", ""]
     lines += ["## The claims, one by one", ""]
     for topic, group in by_topic(verdicts):
