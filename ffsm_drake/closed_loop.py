@@ -2,17 +2,19 @@
 
 import dataclasses
 
+import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
 from pydrake.systems.primitives import Adder
 
+from ffsm_drake.actuation import make_actuation
 from ffsm_drake.controllers import make_controller
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.disturbance import make_disturbance
 from ffsm_drake.plant import add_combined_plant, configuration, coordinates_of, make_nominal_plant, set_payload
-from ffsm_drake.reference import QuinticReference
+from ffsm_drake.reference import QuinticReference, make_reference
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.sensing import make_sensing
 
@@ -20,10 +22,11 @@ from ffsm_drake.sensing import make_sensing
 SIGNALS = (
     "state",
     "estimated_state",
-    "measurement_noise",
+    "measurement",
     "desired_state",
     "desired_acceleration",
     "generalized_force",
+    "applied_force",
     "disturbance_force",
 )
 
@@ -41,6 +44,7 @@ class ClosedLoop:
     coordinates: Coordinates
     reference: QuinticReference
     controller: LeafSystem
+    actuation: Diagram
     disturbance: Diagram
     sensing: Diagram
 
@@ -58,6 +62,12 @@ class ClosedLoop:
         set_payload(self.plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
         self.plant.SetPositions(context, configuration(self.plant, scenario.initial_posture, key="initial_posture"))
         self.plant.SetVelocities(context, [0.0] * self.plant.num_velocities())
+        if self.sensing.HasSubsystemNamed("delay"):
+            # Before the start, the spacecraft was where it is now.
+            delay = self.sensing.GetSubsystemByName("delay")
+            state = self.plant.GetPositionsAndVelocities(context)
+            delay_context = delay.GetMyMutableContextFromRoot(root_context)
+            delay_context.SetDiscreteState(np.tile(state, self.scenario.sensing.delay))
 
 
 def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> ClosedLoop:
@@ -72,18 +82,11 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> C
     coordinates = coordinates_of(plant)
     for name in ("initial_posture", "target_posture"):
         configuration(plant, getattr(scenario, name), key=name)
-    reference = builder.AddNamedSystem(
-        "reference",
-        QuinticReference(
-            coordinates=coordinates,
-            start=scenario.initial_posture,
-            target=scenario.target_posture,
-            duration=scenario.reference.duration,
-        ),
-    )
+    reference = builder.AddNamedSystem("reference", make_reference(scenario, coordinates))
     controller = builder.AddSystem(make_controller(scenario, make_nominal_plant(scenario)))
     disturbance = builder.AddSystem(make_disturbance(scenario.disturbance, coordinates))
     sensing = builder.AddSystem(make_sensing(scenario.sensing, coordinates, sample_time=scenario.sample_time))
+    actuation = builder.AddSystem(make_actuation(scenario.actuation, coordinates, sample_time=scenario.sample_time))
     total_force = builder.AddNamedSystem("total_force", Adder(2, len(coordinates.names)))
 
     builder.Connect(plant.get_state_output_port(), sensing.GetInputPort("state"))
@@ -91,7 +94,10 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> C
     for name in ("desired_state", "desired_acceleration"):
         builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
     # tau_d acts on the plant from outside: H q'' + C = tau + tau_d.
-    builder.Connect(controller.GetOutputPort("generalized_force"), total_force.get_input_port(0))
+    builder.Connect(controller.GetOutputPort("generalized_force"), actuation.get_input_port())
+    applied_force = actuation.GetOutputPort("applied_force")
+    builder.Connect(applied_force, total_force.get_input_port(0))
+    builder.Connect(applied_force, controller.GetInputPort("applied_force"))
     builder.Connect(disturbance.GetOutputPort("generalized_force"), total_force.get_input_port(1))
     builder.Connect(total_force.get_output_port(), plant.get_applied_generalized_force_input_port())
     if meshcat is not None:
@@ -101,10 +107,11 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> C
     sources = (
         plant.get_state_output_port(),
         sensing.GetOutputPort("estimated_state"),
-        sensing.GetOutputPort("noise"),
+        sensing.GetOutputPort("measurement"),
         reference.GetOutputPort("desired_state"),
         reference.GetOutputPort("desired_acceleration"),
         controller.GetOutputPort("generalized_force"),
+        applied_force,
         disturbance.GetOutputPort("generalized_force"),
     )
     for name, port in zip(SIGNALS, sources, strict=True):
@@ -121,6 +128,7 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> C
         coordinates=coordinates,
         reference=reference,
         controller=controller,
+        actuation=actuation,
         disturbance=disturbance,
         sensing=sensing,
     )

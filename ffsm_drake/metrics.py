@@ -71,8 +71,8 @@ def momentum_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
     }
     if time.size < 4:  # too short for a spline, and no impulse to speak of
         return change
-    held = dataset["generalized_force"].sel(coordinate=names["position"]).values[:-1]
-    held_torque = dataset["generalized_force"].sel(coordinate=names["rotation"]).values[:-1]
+    held = dataset["applied_force"].sel(coordinate=names["position"]).values[:-1]
+    held_torque = dataset["applied_force"].sel(coordinate=names["rotation"]).values[:-1]
     smooth = dataset["disturbance_force"].sel(coordinate=names["position"]).values
     smooth_torque = dataset["disturbance_force"].sel(coordinate=names["rotation"]).values
     position = dataset["position"].sel(position_name=names["position"]).values

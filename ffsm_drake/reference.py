@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, OutputPort
 
 from ffsm_drake.coordinates import Coordinates
-from ffsm_drake.scenario import Posture
+from ffsm_drake.scenario import Posture, Scenario
 
 Triple = tuple[float, float, float]
 
@@ -118,3 +118,13 @@ class QuinticReference(LeafSystem):
 
     def _calc_acceleration(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._acceleration(context.get_time()))
+
+
+def make_reference(scenario: Scenario, coordinates: Coordinates) -> QuinticReference:
+    """The planned motion of a scenario."""
+    return QuinticReference(
+        coordinates=coordinates,
+        start=scenario.initial_posture,
+        target=scenario.target_posture,
+        duration=scenario.reference.duration,
+    )

@@ -22,6 +22,7 @@ from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
 from ffsm_drake.errors import ScenarioError, one_line
 
 PerCoordinate = dict[str, float]
+ESTIMATOR_KINDS = ("one_sample", "kalman")
 CONTROLLER_NAMES = ("tdc", "asmc", "aismc", "tde_aismc")
 
 
@@ -131,6 +132,18 @@ class Controllers:
 
 
 @dataclasses.dataclass
+class Estimator:
+    """How the controller estimates the lumped uncertainty N of equation (2)."""
+
+    kind: str = "one_sample"  # the paper's (5), or "kalman"
+    # Kalman only: N's random walk, its standard deviation after one second, rad/s^2 or m/s^2 per sqrt(s).
+    walk: PerCoordinate = _published(base_position=1e-3, base_rotation=1e-3, joints=1e-2)
+    # Kalman only: standard deviations it assumes of the measurements; null: those of ``sensing``.
+    position_noise: PerCoordinate | None = None  # rad or m
+    velocity_noise: PerCoordinate | None = None  # rad/s or m/s
+
+
+@dataclasses.dataclass
 class Harmonic:
     """One coordinate's disturbance, ``amplitude * sin(frequency * t + phase) + bias``."""
 
@@ -151,10 +164,25 @@ class Disturbance:
 
 @dataclasses.dataclass
 class Sensing:
-    """White measurement noise, one independent sample per coordinate and control sample."""
+    """What the sensors add to the true state: bias, white noise, quantisation, delay, in that order."""
 
-    velocity_noise: PerCoordinate = _published(all=1e-6)  # standard deviation, rad/s or m/s
-    position_noise: PerCoordinate = _published(all=0.0)  # standard deviation, rad or m
+    # Standard deviation, one independent sample per coordinate and control sample.
+    velocity_noise: PerCoordinate = _published(all=1e-6)  # rad/s or m/s
+    position_noise: PerCoordinate = _published(all=0.0)  # rad or m; the same for the three base rotations
+    velocity_bias: PerCoordinate = _published(all=0.0)  # rad/s or m/s
+    position_bias: PerCoordinate = _published(all=0.0)  # rad or m; base rotations: a rotation vector in the world frame
+    velocity_quantization: PerCoordinate = _published(all=0.0)  # rad/s or m/s; 0: none
+    position_quantization: PerCoordinate = _published(all=0.0)  # rad or m, not for base rotations; 0: none
+    delay: int = 0  # control samples
+
+
+@dataclasses.dataclass
+class Actuation:
+    """What the actuators make of the commanded force: saturation, quantisation, delay, in that order."""
+
+    limit: PerCoordinate | None = None  # N m or N, either way; null: unlimited
+    quantization: PerCoordinate = _published(all=0.0)  # N m or N; 0: none
+    delay: int = 0  # control samples
 
 
 def _default_simulator_config() -> SimulatorConfig:
@@ -181,8 +209,10 @@ class Scenario:
     reference: Reference = dataclasses.field(default_factory=Reference)
     controller: str = "tde_aismc"
     controllers: Controllers = dataclasses.field(default_factory=Controllers)
+    estimator: Estimator = dataclasses.field(default_factory=Estimator)
     disturbance: Disturbance = dataclasses.field(default_factory=Disturbance)
     sensing: Sensing = dataclasses.field(default_factory=Sensing)
+    actuation: Actuation = dataclasses.field(default_factory=Actuation)
 
     @property
     def num_control_periods(self) -> int:
@@ -249,6 +279,12 @@ def scenario_to_dict(scenario: Scenario) -> dict[str, typing.Any]:
     return data
 
 
+def scenario_to_yaml(scenario: Scenario) -> str:
+    """The whole scenario as YAML text: what ``load_scenario`` reads back from a file."""
+    text: str = yaml.safe_dump(scenario_to_dict(scenario), sort_keys=False)
+    return text
+
+
 def override_scenario(scenario: Scenario, overrides: Iterable[str]) -> Scenario:
     """A new scenario with ``key=value`` overrides applied; the given one is left as it is."""
     return scenario_from_dict(scenario_to_dict(scenario), overrides)
@@ -267,6 +303,16 @@ def validate(scenario: Scenario) -> None:
         "controller",
         f"'{scenario.controller}' is unknown; choose one of {', '.join(CONTROLLER_NAMES)}",
     )
+    _require(
+        scenario.estimator.kind in ESTIMATOR_KINDS,
+        "estimator.kind",
+        f"'{scenario.estimator.kind}' is unknown; choose one of {', '.join(ESTIMATOR_KINDS)}",
+    )
+    for key, number in scenario.estimator.walk.items():
+        _require(number > 0, f"estimator.walk.{key}", f"must be > 0, not {number}")
+    for name in ("position_noise", "velocity_noise"):
+        for key, number in (getattr(scenario.estimator, name) or {}).items():
+            _require(number >= 0, f"estimator.{name}.{key}", f"a standard deviation must be >= 0, not {number}")
     _require(
         scenario.simulator_config.integration_scheme in GetIntegrationSchemes(),
         "simulator_config.integration_scheme",
@@ -293,6 +339,15 @@ def validate(scenario: Scenario) -> None:
     for name in ("velocity_noise", "position_noise"):
         for key, number in getattr(scenario.sensing, name).items():
             _require(number >= 0, f"sensing.{name}.{key}", f"a standard deviation must be >= 0, not {number}")
+    for name in ("velocity_quantization", "position_quantization"):
+        for key, number in getattr(scenario.sensing, name).items():
+            _require(number >= 0, f"sensing.{name}.{key}", f"must be >= 0 (0: none), not {number}")
+    for key, number in (scenario.actuation.limit or {}).items():
+        _require(number > 0, f"actuation.limit.{key}", f"must be > 0, not {number}")
+    for key, number in scenario.actuation.quantization.items():
+        _require(number >= 0, f"actuation.quantization.{key}", f"must be >= 0 (0: none), not {number}")
+    for place, delay in (("sensing", scenario.sensing.delay), ("actuation", scenario.actuation.delay)):
+        _require(0 <= delay <= 1000, f"{place}.delay", f"must be from 0 to 1000 control samples, not {delay}")
 
 
 def _validate_mass_properties(body: MassProperties, key: str) -> None:

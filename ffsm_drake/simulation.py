@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
-_HELD = ("measurement_noise", "generalized_force", "sliding_variable")
+_HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable")
 # ... while these show what the update at t_k is about to use.
 _CURRENT = ("state", "desired_state", "desired_acceleration", "disturbance_force", "reaching_gain", "switching_gain")
 
@@ -176,9 +176,7 @@ def _make_dataset(loop: ClosedLoop, loggers: dict[str, VectorLogSink], context: 
     num_positions = len(coordinates.position_names)
     position, velocity = np.split(series["state"], [num_positions], axis=1)
     desired_position, desired_velocity = np.split(series["desired_state"], [num_positions], axis=1)
-    measured_position, measured_velocity = np.split(
-        series["state"] + series["measurement_noise"], [num_positions], axis=1
-    )
+    measured_position, measured_velocity = np.split(series["measurement"], [num_positions], axis=1)
     model = make_true_plant(scenario)
     derived = _derive(model, scenario, position, velocity)
     desired_derived = _derive(model, scenario, desired_position, desired_velocity)
@@ -200,6 +198,9 @@ def _make_dataset(loop: ClosedLoop, loggers: dict[str, VectorLogSink], context: 
         "error_rate": (by_coordinate, desired_velocity - velocity, "true error rate v_d - v", f"{unit} per s"),
         "generalized_force": (
             by_coordinate, series["generalized_force"], "control tau, held from this sample to the next", force,
+        ),
+        "applied_force": (
+            by_coordinate, series["applied_force"], "what the actuators make of tau, held likewise", force,
         ),
         "disturbance_force": (
             by_coordinate, series["disturbance_force"], "external disturbance tau_d at this instant", force,

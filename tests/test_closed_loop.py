@@ -16,7 +16,9 @@ DIAGRAMS = Path(__file__).parents[1] / "diagrams"
 def test_systems_and_signals_have_names():
     loop = make_closed_loop(load_scenario("postcapture"))
     names = {system.get_name() for system in loop.diagram.GetSystems()}
-    assert names == {"plant", "scene_graph", "reference", "tde_aismc", "disturbance", "sensing", "total_force"}
+    assert names == {
+        "plant", "scene_graph", "reference", "tde_aismc", "actuation", "disturbance", "sensing", "total_force",
+    }  # fmt: skip
     outputs = [loop.diagram.get_output_port(i).get_name() for i in range(loop.diagram.num_output_ports())]
     assert outputs == [*SIGNALS, "sliding_variable", "reaching_gain", "switching_gain"]
 
@@ -36,7 +38,10 @@ def test_initialize_sets_posture_payload_and_seed():
     for _ in range(2):
         context = loop.diagram.CreateDefaultContext()
         loop.initialize(loop.diagram, context)
-        noise.append(loop.diagram.GetOutputPort("measurement_noise").Eval(context).copy())
+        noise.append(
+            loop.diagram.GetOutputPort("estimated_state").Eval(context)
+            - loop.diagram.GetOutputPort("state").Eval(context)
+        )
     assert np.array_equal(noise[0], noise[1])
     assert noise[0][12:].any()
     assert not noise[0][:12].any()

@@ -26,7 +26,8 @@ def test_dataset_is_labelled_and_complete(run):
     assert data["coordinate"].values[0] == "base_rotation_x"
     assert set(data.data_vars) == {
         "position", "velocity", "measured_position", "measured_velocity", "desired_position", "desired_velocity",
-        "desired_acceleration", "error", "error_rate", "generalized_force", "disturbance_force", "sliding_variable",
+        "desired_acceleration", "error", "error_rate", "generalized_force", "applied_force",
+        "disturbance_force", "sliding_variable",
         "reaching_gain", "switching_gain", "end_effector_position", "desired_end_effector_position", "base_rpy",
         "desired_base_rpy", "linear_momentum", "angular_momentum", "kinetic_energy",
     }  # fmt: skip

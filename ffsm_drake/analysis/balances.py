@@ -32,7 +32,7 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
     """
     period = float(dataset.attrs["sample_time"])
     velocity = dataset["velocity"].values
-    held = dataset["generalized_force"].values[:-1]
+    held = dataset["applied_force"].values[:-1]
     smooth = dataset["disturbance_force"].values
     energy = dataset["kinetic_energy"].values
     mean = held + 0.5 * (smooth[1:] + smooth[:-1])
@@ -61,7 +61,7 @@ def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
     The measure that a momentum residual is compared with, N s and N m s.
     """
     period = float(dataset.attrs["sample_time"])
-    total = dataset["generalized_force"] + dataset["disturbance_force"]
+    total = dataset["applied_force"] + dataset["disturbance_force"]
     force, torque = (total.sel(coordinate=list(names)).values for names in (BASE_POSITION, BASE_ROTATION))
     arm = dataset["position"].sel(position_name=list(BASE_POSITION)).values
     about_origin = torque + np.cross(arm, force)

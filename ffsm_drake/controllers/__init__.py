@@ -4,6 +4,7 @@ from typing import Any
 
 from ffsm_drake.controllers.aismc import AismcLaw
 from ffsm_drake.controllers.asmc import AsmcLaw
+from ffsm_drake.controllers.estimators import make_estimator
 from ffsm_drake.controllers.tdc import TdcLaw
 from ffsm_drake.controllers.tde import TimeDelayController
 from ffsm_drake.controllers.tde_aismc import TdeAismcLaw
@@ -20,6 +21,11 @@ def make_controller(scenario: Scenario, nominal: PlantModel) -> TimeDelayControl
     """
     name = scenario.controller
     law = LAWS[name].from_gains(getattr(scenario.controllers, name), nominal.coordinates, scenario.sample_time)
-    controller = TimeDelayController(nominal=nominal, law=law, sample_time=scenario.sample_time)
+    controller = TimeDelayController(
+        nominal=nominal,
+        estimator=make_estimator(scenario, nominal.coordinates),
+        law=law,
+        sample_time=scenario.sample_time,
+    )
     controller.set_name(name)
     return controller

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ffsm_drake.controllers.tde import Arrays
+from ffsm_drake.controllers.estimators import Arrays
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.scenario import AismcGains
 

@@ -14,10 +14,9 @@ from typing import Protocol
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort
 
+from ffsm_drake.controllers.estimators import Arrays, Estimator, Measurement
 from ffsm_drake.coordinates import position_error
 from ffsm_drake.plant import PlantModel
-
-Arrays = tuple[np.ndarray, ...]
 
 _ONE = np.ones(1)
 
@@ -52,36 +51,44 @@ def time_delay_force(
 
 
 class TimeDelayController(LeafSystem):
-    """A sampled controller: time-delay estimation around given injected dynamics.
+    """A sampled controller: an estimate of the lumped uncertainty, and injected dynamics on top of it.
 
     Inputs:
       estimated_state: measured [q; v] (nq + nv).
       desired_state: [q_d; v_d] (nq + nv).
       desired_acceleration: (nv).
+      applied_force: optional (nv), the force that really acted over the last period (saturated, quantised); without it
+        the commanded force is taken to have acted.
     Outputs, all read straight from the state so that no integrator stage runs Python:
       generalized_force: tau (nv), held over the period: base torque and force in world axes, joint torques.
       sliding_variable: s at the last update; reaching_gain, switching_gain: K_s and G for the next. Only where the law
         has them.
     Discrete state, updated every ``sample_time``:
-      delayed_force (tau of the last sample), delayed_velocity (measured), has_previous (0 before the first update, when
-      the acceleration is taken as zero), then the law's own.
+      delayed_force (tau of the last sample), has_previous (0 before the first update, when the acceleration is taken
+      as zero), then the estimator's own (delayed_velocity for the published one), then the law's.
     """
 
     OPTIONAL_OUTPUTS = ("sliding_variable", "reaching_gain", "switching_gain")
 
-    def __init__(self, *, nominal: PlantModel, law: InjectedDynamics, sample_time: float) -> None:
+    def __init__(self, *, nominal: PlantModel, estimator: Estimator, law: InjectedDynamics, sample_time: float) -> None:
         super().__init__()
         self._nominal = nominal
+        self._estimator = estimator
         self._law = law
-        self._sample_time = sample_time
         num_velocities = len(nominal.coordinates.names)
         self._num_positions = num_velocities + 1
         num_states = self._num_positions + num_velocities
         self._estimated_state = self.DeclareVectorInputPort("estimated_state", num_states)
         self._desired_state = self.DeclareVectorInputPort("desired_state", num_states)
         self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", num_velocities)
-        zeros = np.zeros(num_velocities)
-        groups = {"delayed_force": zeros, "delayed_velocity": zeros, "has_previous": np.zeros(1), **law.initial_state()}
+        self._applied_force = self.DeclareVectorInputPort("applied_force", num_velocities)
+        self._num_estimator_states = len(estimator.initial_state())
+        groups = {
+            "delayed_force": np.zeros(num_velocities),
+            "has_previous": np.zeros(1),
+            **estimator.initial_state(),
+            **law.initial_state(),
+        }
         self._state_index = {name: self.DeclareDiscreteState(value) for name, value in groups.items()}
         self.DeclareStateOutputPort("generalized_force", self._state_index["delayed_force"])
         for name in self.OPTIONAL_OUTPUTS:
@@ -111,16 +118,27 @@ class TimeDelayController(LeafSystem):
         q, v = estimated[: self._num_positions], estimated[self._num_positions :]
         q_d, v_d = desired[: self._num_positions], desired[self._num_positions :]
         old = context.get_discrete_state()
-        delayed_force, delayed_velocity, has_previous, *law_state = map(old.value, range(old.num_groups()))
-        u, next_law_state = self._law.step(
-            position_error(q_d, q), v_d - v, self._desired_acceleration.Eval(context), law_state
+        delayed_force, has_previous, *state = map(old.value, range(old.num_groups()))
+        split = self._num_estimator_states
+        mass_matrix = self._nominal.calc_mass_matrix(q)
+        measured = Measurement(
+            e=position_error(q_d, q),
+            e_dot=v_d - v,
+            v=v,
+            v_d=v_d,
+            applied_force=self._applied_force.Eval(context) if self._applied_force.HasValue(context) else delayed_force,
+            nominal_mass_matrix=mass_matrix,
+            has_previous=has_previous[0],
         )
-        acceleration = (v - delayed_velocity) * (has_previous[0] / self._sample_time)
+        estimate, next_estimator_state = self._estimator.step(measured, state[:split])
+        u, next_law_state = self._law.step(
+            estimate.e, estimate.e_dot, self._desired_acceleration.Eval(context), state[split:]
+        )
         force = time_delay_force(
-            delayed_force=delayed_force,
-            nominal_mass_matrix=self._nominal.calc_mass_matrix(q),
-            delayed_acceleration=acceleration,
+            delayed_force=estimate.base_force,
+            nominal_mass_matrix=mass_matrix,
+            delayed_acceleration=estimate.base_acceleration,
             u=u,
         )
-        for index, value in enumerate((force, v, _ONE, *next_law_state)):
+        for index, value in enumerate((force, _ONE, *next_estimator_state, *next_law_state)):
             discrete_values.set_value(index, value)
