@@ -12,7 +12,7 @@ import click
 from ffsm_drake.errors import FfsmError, warnings_as_lines
 from ffsm_drake.files import write_text, written_whole
 from ffsm_drake.record import RunRecord, to_json
-from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario, load_scenario
+from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario, load_scenario, scenario_to_yaml
 
 EXIT_BAD_INPUT, EXIT_UNSTABLE, EXIT_INTERRUPTED = 2, 3, 130
 
@@ -37,6 +37,9 @@ def _reports_errors(command: Callable[..., Any]) -> Callable[..., Any]:
             except FfsmError as error:
                 click.echo(f"error: {error}", err=True)
                 sys.exit(EXIT_BAD_INPUT)
+            except KeyboardInterrupt:
+                click.echo("interrupted", err=True)
+                sys.exit(EXIT_INTERRUPTED)
 
     return wrapped
 
@@ -129,19 +132,85 @@ def reproduce(what: str, out: Path, seeds: int) -> None:
     """
     from ffsm_drake.reproduction import reproduce as reproduce_paper
 
-    terminal = sys.stdout.isatty()
-
-    def progress(done: int, total: int, following: str) -> None:
-        line = f"{done:3d} of {total} runs; next: {following}"
-        if terminal:
-            click.echo(f"\r{line:<100}", nl=False)
-        elif done % 20 == 0 or done == total:
-            click.echo(line)
-
-    main_file = reproduce_paper(what, out, seeds=seeds, workers=2, progress=progress)
-    if terminal:
-        click.echo()
+    main_file = reproduce_paper(what, out, seeds=seeds, workers=2, progress=_run_progress)
+    _end_progress()
     if main_file is None:
         click.echo("interrupted; nothing was written", err=True)
         sys.exit(EXIT_INTERRUPTED)
     click.echo(f"Written to {out}; open {main_file}")
+
+
+@main.command()
+@_reports_errors
+@click.option("--out", type=click.Path(path_type=Path), default=Path("out/noise"), show_default=True)
+@click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds of the noise per point.")
+def noise(out: Path, seeds: int) -> None:
+    """What the published gains cost with real sensors: error and effort against noise, all controllers, both estimates.
+
+    Writes noise.md, noise.csv, noise.png and noise.svg.
+
+    \b
+    Example:
+      ffsm noise --seeds 3
+    """
+    from ffsm_drake.noise_study import study_markdown, study_noise, write_study
+
+    study = study_noise(seeds=seeds, workers=2, progress=_run_progress)
+    _end_progress()
+    click.echo(study_markdown(study))
+    click.echo(f"Written to {out}; open {write_study(study, out).with_suffix('.png')}")
+
+
+@main.command()
+@_reports_errors
+@_scenario_options
+@click.option("--budget", type=float, help="Largest ISV (default: 1.1 times that of perfect tracking).")
+@click.option("--payload-range", type=float, nargs=2, metavar="LOW HIGH", help="True masses to be stable for, kg.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("out/design"), show_default=True)
+def design(scenario: Scenario, budget: float | None, payload_range: tuple[float, float] | None, out: Path) -> None:
+    """Choose gains and estimator for a scenario's sensors, period and payload range, without simulating it.
+
+    Writes design.yaml, a scenario to run, and design.png, accuracy against effort. Exits with 3 when the chosen gains
+    are unstable for some payload of the range.
+
+    \b
+    Examples:
+      ffsm design flight_sensors
+      ffsm design flight_sensors --controller tde_aismc --budget 410 --out out/mine
+      python examples/postcapture.py --scenario out/mine/design.yaml
+    """
+    from ffsm_drake.design import design as design_gains
+    from ffsm_drake.design import design_table, plot_design
+
+    found = design_gains(scenario, budget=budget, payload_range=payload_range, progress=_progress_line("prices"))
+    click.echo(design_table(found))
+    write_text(out / "design.yaml", scenario_to_yaml(found.chosen.scenario))
+    with written_whole(out / "design.png") as temporary:
+        plot_design(found).savefig(temporary, dpi=130)
+    click.echo(f"\nWritten to {out}: design.yaml, design.png")
+    stable = all(prediction.spectral_radius < 1.0 for prediction in found.robustness.values())
+    sys.exit(0 if stable else EXIT_UNSTABLE)
+
+
+def _progress_line(what: str) -> Callable[[int, int], None]:
+    """Progress on one line of a terminal; nothing elsewhere, for work of a few seconds."""
+
+    def show(done: int, total: int) -> None:
+        if sys.stderr.isatty():
+            click.echo(f"\r{done} of {total} {what}" + ("\n" if done == total else ""), nl=False, err=True)
+
+    return show
+
+
+def _run_progress(done: int, total: int, following: str) -> None:
+    """One line that fills up on a terminal; a plain line every twenty runs elsewhere."""
+    line = f"{done:3d} of {total} runs: {following}"
+    if sys.stdout.isatty():
+        click.echo(f"\r{line:<100}", nl=False)
+    elif done % 20 == 0 or done == total:
+        click.echo(line)
+
+
+def _end_progress() -> None:
+    if sys.stdout.isatty():
+        click.echo()

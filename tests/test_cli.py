@@ -28,7 +28,7 @@ def test_analyze_needs_a_record(tmp_path):
     assert result.output.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", [[], ["stability"], ["analyze"], ["reproduce"]])
+@pytest.mark.parametrize("command", [[], ["stability"], ["analyze"], ["reproduce"], ["design"], ["noise"]])
 def test_help(command):
     result = CliRunner().invoke(main, [*command, "--help"])
     assert result.exit_code == 0
@@ -40,7 +40,7 @@ def test_help(command):
 def test_reproduce_a_figure(tmp_path):
     result = CliRunner().invoke(main, ["reproduce", "fig3", "--out", str(tmp_path / "new")])
     assert result.exit_code == 0, result.output
-    assert "next: tables, figures, page" in result.output
+    assert "runs: tables, figures, page" in result.output
     assert (tmp_path / "new" / "figures" / "fig3_euler.png").stat().st_size > 50_000
 
 

@@ -12,6 +12,7 @@ from ffsm_drake.stability import StabilityWarning, assess, stability_warning
 from ffsm_drake.stability.sampled_loop import (
     LawGains,
     LoopGains,
+    Sampling,
     axis_poles,
     coupled_loop,
     inertia_ratios,
@@ -22,6 +23,7 @@ from ffsm_drake.stability.sampled_loop import (
 )
 
 L = 0.01
+SAMPLED = Sampling(sample_time=L)
 ONE = np.ones(1)
 PUBLISHED = LawGains(k_d=100 * ONE, k_p=200 * ONE, integral=True, k_s=80 * ONE, k_s_max=80 * ONE)
 
@@ -36,7 +38,7 @@ PUBLISHED = LawGains(k_d=100 * ONE, k_p=200 * ONE, integral=True, k_s=80 * ONE, 
     ],
 )
 def test_poles_at_eta_1(gains, expected):
-    poles = axis_poles(gains, eta=1.0, sample_time=L)
+    poles = axis_poles(gains, eta=1.0, sampling=SAMPLED)
     assert poles[: len(expected)] == pytest.approx(expected, abs=1e-5)
     assert poles[len(expected) :] == pytest.approx(0.0, abs=1e-9)  # the delayed acceleration, cancelled exactly
 
@@ -46,21 +48,23 @@ def test_poles_at_eta_1(gains, expected):
     [(0.3, 51), (0.5, 197), (0.7, 271), (0.8, 199), (0.9, 144), (1.0, 99.5), (1.05, 80.5), (1.1, 63.5), (1.2, 33)],
 )
 def test_largest_stable_k_s(eta, expected):
-    limit = largest_stable_k_s(PUBLISHED, 0, eta=eta, sample_time=L)
+    limit = largest_stable_k_s(PUBLISHED, 0, eta=eta, sampling=SAMPLED)
     assert limit == pytest.approx(expected, rel=0.0102)
     if eta > 0.6:  # there the pole at z = -1 decides
         assert (100.0 + limit) * L == pytest.approx(2 * (2 - eta) / eta, rel=1e-6)
 
 
 def test_other_limits_follow_from_the_pole_at_minus_one():
-    assert largest_sample_time(PUBLISHED, 0, eta=1.0) == pytest.approx(2.0 / 180.0, rel=1e-5)
-    low, high = tolerated_eta(PUBLISHED, 0, sample_time=L)
+    assert largest_sample_time(PUBLISHED, 0, eta=1.0, sampling=SAMPLED) == pytest.approx(2.0 / 180.0, rel=1e-5)
+    low, high = tolerated_eta(PUBLISHED, 0, sampling=SAMPLED)
     assert high == pytest.approx(4.0 / (2.0 + 180.0 * L), rel=1e-6)
     for eta, stable in ((low - 1e-4, False), (low + 1e-4, True), (high - 1e-4, True), (high + 1e-4, False)):
         gains = LoopGains(k_v=180.0, k_p=8200.0, k_i=16000.0)
-        assert (np.abs(axis_poles(gains, eta=eta, sample_time=L)).max() < 1.0) == stable
+        assert (np.abs(axis_poles(gains, eta=eta, sampling=SAMPLED)).max() < 1.0) == stable
     # Explicit Euler doubles the room: the limit of the paper's own simulation.
-    assert largest_stable_k_s(PUBLISHED, 0, eta=1.0, sample_time=L, euler=True) == pytest.approx(200.0, rel=1e-6)
+    assert largest_stable_k_s(PUBLISHED, 0, eta=1.0, sampling=Sampling(sample_time=L, euler=True)) == pytest.approx(
+        200.0, rel=1e-6
+    )
 
 
 def at_start(*overrides):
@@ -73,9 +77,10 @@ def at_start(*overrides):
 
 def test_coupled_loop_without_coupling_is_the_axis_loop():
     _, law, h, _ = at_start("controller=aismc")
-    coupled = coupled_loop(law.at(), true_mass_matrix=h, nominal_mass_matrix=0.8 * h, sample_time=L)
+    coupled = coupled_loop(law.at(), true_mass_matrix=h, nominal_mass_matrix=0.8 * h, sampling=SAMPLED)
     single = [
-        axis_poles(LoopGains(k_v=180.0, k_p=k_p + 8000.0, k_i=80.0 * k_p), eta=0.8, sample_time=L) for k_p in (100, 200)
+        axis_poles(LoopGains(k_v=180.0, k_p=k_p + 8000.0, k_i=80.0 * k_p), eta=0.8, sampling=SAMPLED)
+        for k_p in (100, 200)
     ]
     expected = np.sort(np.abs(np.concatenate([single[0]] * 8 + [single[1]] * 3)))[::-1]
     found = np.sort(np.abs(np.linalg.eigvals(coupled.a)))[::-1]
@@ -116,7 +121,7 @@ def test_predicted_boundary_against_the_simulated_plant(belief):
     _, law, h, h_hat = at_start(*frozen)
 
     def excess(k_s):
-        loop = coupled_loop(law.at(k_s), true_mass_matrix=h, nominal_mass_matrix=h_hat, sample_time=L)
+        loop = coupled_loop(law.at(k_s), true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=SAMPLED)
         return loop.spectral_radius - 1.0
 
     boundary = brentq(excess, 30.0, 300.0)
@@ -137,7 +142,7 @@ def test_noise_amplification_against_the_simulated_plant(controller, noise):
     overrides = [f"controller={controller}", *HOLD, "duration=120", "disturbance.amplitude_scale=0",
                  "controllers.aismc.alpha=0", f"sensing.{noise}_noise={sigma}", f"sensing.{quiet}_noise=0"]  # fmt: skip
     scenario, law, h, h_hat = at_start(*overrides)
-    loop = coupled_loop(law.at(), true_mass_matrix=h, nominal_mass_matrix=h_hat, sample_time=L)
+    loop = coupled_loop(law.at(), true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=SAMPLED)
     level = {f"{name}_noise": np.full(11, sigma if name == noise else 0.0) for name in (noise, quiet)}
     predicted = loop.noise_response(**level)
     data = simulate(scenario).dataset.isel(time=slice(1000, -1))
@@ -152,7 +157,7 @@ def test_noise_figures_of_the_published_gains():
     """White velocity noise sigma costs an rms acceleration command of about 375 sigma (TDC), 1325 sigma (AISMC)."""
     one = np.eye(1)
     for gains, expected in ((LoopGains(k_v=100.0, k_p=100.0, k_i=0.0), 375), (PUBLISHED.at(), 1325)):
-        loop = coupled_loop(gains, true_mass_matrix=one, nominal_mass_matrix=one, sample_time=L)
+        loop = coupled_loop(gains, true_mass_matrix=one, nominal_mass_matrix=one, sampling=SAMPLED)
         response = loop.noise_response(position_noise=0 * ONE, velocity_noise=ONE)
         assert response["force"][0] == pytest.approx(expected, rel=0.1)
 

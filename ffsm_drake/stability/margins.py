@@ -8,14 +8,16 @@ import numpy as np
 from scipy.special import erf
 
 from ffsm_drake.controllers import make_controller
+from ffsm_drake.controllers.estimators import KalmanEstimator, make_estimator
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.disturbance import make_disturbance
 from ffsm_drake.plant import PlantModel, make_nominal_plant, make_true_plant
-from ffsm_drake.reference import QuinticReference
+from ffsm_drake.reference import QuinticReference, make_reference
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.stability.sampled_loop import (
     LawGains,
     LoopGains,
+    Sampling,
     coupled_loop,
     inertia_ratios,
     largest_sample_time,
@@ -33,13 +35,12 @@ class StabilityWarning(UserWarning):
 class Margins:
     """Sampled-loop margins of a scenario, without a simulation.
 
-    Limits hold for the worst eta met along the planned motion; ``euler`` says that the plant is the one that explicit
-    Euler at the control period makes of it, as in the paper.
+    Limits hold for the worst eta met along the planned motion.
     """
 
     scenario: Scenario
     coordinates: Coordinates
-    euler: bool
+    sampling: Sampling
     law: LawGains
     times: np.ndarray  # (m,) s, the postures looked at
     eta: np.ndarray  # (m, nv) eigenvalues of H^-1 Hhat there
@@ -106,34 +107,35 @@ def assess(scenario: Scenario, *, postures: int = 21) -> Margins:
     make_controller(scenario, nominal)  # judges the gains' names once more
     coordinates = nominal.coordinates
     law = law_gains(scenario, coordinates)
-    euler = steps_as_euler(scenario)
-    reference = _reference(scenario, coordinates)
+    reference = make_reference(scenario, coordinates)
+    sampling = sampling_of(scenario, coordinates)
     times = np.linspace(0.0, scenario.reference.duration, postures)
     pairs = [_mass_matrices(true, nominal, reference, time) for time in times]
     eta = np.array([inertia_ratios(h, h_hat) for h, h_hat in pairs])
-    radius = np.array([_radius(law.at(), h, h_hat, scenario) for h, h_hat in pairs])
+    radius = np.array([_radius(law.at(), h, h_hat, sampling) for h, h_hat in pairs])
 
     # Coordinates with the same gains have the same limits.
     @functools.cache
-    def limits(k_d: float, k_p: float, k_s: float) -> tuple[float, float, float, float]:
-        axis = next(i for i in range(law.k_d.size) if (law.k_d[i], law.k_p[i], law.k_s[i]) == (k_d, k_p, k_s))
+    def limits(*gains: float) -> tuple[float, float, float, float]:
+        axis = kinds.index(gains)
         etas = np.linspace(eta.min(), eta.max(), 9)
-        step = scenario.sample_time
         k_s_limit = (
             math.nan
             if scenario.controller == "tdc"
-            else min(largest_stable_k_s(law, axis, eta=x, sample_time=step, euler=euler) for x in etas)
+            else min(largest_stable_k_s(law, axis, eta=x, sampling=sampling) for x in etas)
         )
-        period = min(largest_sample_time(law, axis, eta=x, euler=euler) for x in etas)
-        return k_s_limit, period, *tolerated_eta(law, axis, sample_time=step, euler=euler)
+        period = min(largest_sample_time(law, axis, eta=x, sampling=sampling) for x in etas)
+        return k_s_limit, period, *tolerated_eta(law, axis, sampling=sampling)
 
-    table = np.array([limits(*gains) for gains in zip(law.k_d, law.k_p, law.k_s, strict=True)])
-    forecast_times, forecast_k_s = forecast_reaching_gain(scenario, law, true, nominal)
-    expected = np.array([_radius(law.at(forecast_k_s.max(axis=0)), h, h_hat, scenario) for h, h_hat in pairs])
+    filters = () if sampling.kalman_gain is None else sampling.kalman_gain.reshape(law.k_d.size, -1).T
+    kinds = list(zip(*(column.tolist() for column in (law.k_d, law.k_p, law.k_s, *filters)), strict=True))
+    table = np.array([limits(*gains) for gains in kinds])
+    forecast_times, forecast_k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal)
+    expected = np.array([_radius(law.at(forecast_k_s.max(axis=0)), h, h_hat, sampling) for h, h_hat in pairs])
     return Margins(
         scenario=scenario,
         coordinates=coordinates,
-        euler=euler,
+        sampling=sampling,
         law=law,
         times=times,
         eta=eta,
@@ -154,39 +156,40 @@ def stability_warning(scenario: Scenario) -> str:
     """
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     law = law_gains(scenario, nominal.coordinates)
-    reference = _reference(scenario, nominal.coordinates)
+    reference = make_reference(scenario, nominal.coordinates)
+    sampling = sampling_of(scenario, nominal.coordinates)
     pairs = [_mass_matrices(true, nominal, reference, f * scenario.reference.duration) for f in (0.0, 0.5, 1.0)]
-    radius = max(_radius(law.at(), h, h_hat, scenario) for h, h_hat in pairs)
+    radius = max(_radius(law.at(), h, h_hat, sampling) for h, h_hat in pairs)
     remedy = f"see 'ffsm stability' for the margins of {scenario.controller}"
     if radius >= 1.0:
         return f"the sampled loop is unstable at the starting gains (spectral radius {radius:.4f}); {remedy}"
     if np.array_equal(law.k_s_max, law.k_s):
         return ""
     unbounded = ~np.isfinite(law.k_s_max)
-    if not unbounded.any() and max(_radius(law.at(law.k_s_max), h, h_hat, scenario) for h, h_hat in pairs) < 1.0:
+    if not unbounded.any() and max(_radius(law.at(law.k_s_max), h, h_hat, sampling) for h, h_hat in pairs) < 1.0:
         return ""
     eta = max(inertia_ratios(h, h_hat)[-1] for h, h_hat in pairs)
-    euler = steps_as_euler(scenario)
     axis = int(np.argmax(law.k_s_max))
-    limit = largest_stable_k_s(law, axis, eta=eta, sample_time=scenario.sample_time, euler=euler)
+    limit = largest_stable_k_s(law, axis, eta=eta, sampling=sampling)
     bound = "is not bounded" if unbounded.any() else f"may grow to {law.k_s_max.max():g} 1/s"
     return f"K_s {bound}, but the sampled loop is stable only below about {limit:.0f} 1/s; set k_s_max, or {remedy}"
 
 
-def steps_as_euler(scenario: Scenario) -> bool:
-    """Whether the scenario's integrator turns the plant into explicit Euler at the control period."""
-    config = scenario.simulator_config
-    return config.integration_scheme == "explicit_euler" and config.max_step_size >= 0.999 * scenario.sample_time
-
-
 def forecast_reaching_gain(
-    scenario: Scenario, law: LawGains, true: PlantModel, nominal: PlantModel, *, points: int = 101
+    scenario: Scenario,
+    law: LawGains,
+    sampling: Sampling,
+    true: PlantModel,
+    nominal: PlantModel,
+    *,
+    points: int = 101,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where laws (9) and (21) are expected to take K_s: times (p,) in s, K_s (p, nv) in 1/s.
 
-    The laws see |s|. Its steady part follows the planned motion, s = -Ntilde / K_s with Ntilde the change of the lumped
-    uncertainty N over one sample; the noise part is Gaussian with the one-axis loop's deviation at eta = 1; the sign
-    term adds its own oscillation at half the sampling rate. The mean of the law over that distribution is integrated.
+    The laws see |s|. Its steady part follows the planned motion: what a steadily changing N leaves of s (-Ntilde / K_s
+    for the one-sample estimate, with Ntilde the change of N over one sample). The noise part is Gaussian with the
+    one-axis loop's deviation at eta = 1; the sign term adds its own oscillation at half the sampling rate. The mean of
+    the law over that distribution is integrated.
     """
     times = np.linspace(0.0, scenario.num_control_periods * scenario.sample_time, points)
     gains = getattr(scenario.controllers, scenario.controller)
@@ -200,13 +203,12 @@ def forecast_reaching_gain(
         coordinates.vector(getattr(scenario.sensing, f"{name}_noise"), key=f"sensing.{name}_noise", default=0.0)
         for name in ("position", "velocity")
     ]
-    drift = _lumped_uncertainty_drift(scenario, true, nominal, times) * scenario.sample_time
+    drift = _lumped_uncertainty_drift(scenario, true, nominal, times)
     square = scenario.controller == "aismc"
-    euler = steps_as_euler(scenario)
 
     # Per coordinate, the deviation of s and the sign term's amplitude against K_s, on a grid.
     grid = np.linspace(1.0, 2.0 / scenario.sample_time, 80)
-    response = _sliding_response(law, grid, noise, scenario.sample_time, euler)
+    response = _sliding_response(law, grid, noise, sampling)
 
     k_s = np.empty((points, law.k_s.size))
     k_s[0] = law.k_s
@@ -215,7 +217,7 @@ def forecast_reaching_gain(
             now = k_s[j, i]
             sigma = np.interp(now, grid, response["deviation"][:, i])
             chatter = switching[i] * np.interp(now, grid, response["sign_amplitude"][:, i])
-            mean = math.hypot(drift[j, i] / max(now, 1.0), chatter)
+            mean = math.hypot(drift[j, i] * np.interp(now, grid, response["drift_gain"][:, i]), chatter)
             threshold = now * now / beta[i] if square else now / beta[i]
             rate = alpha[i] * _mean_signed_magnitude(mean, sigma, threshold)
             k_s[j + 1, i] = min(max(now + rate * (times[j + 1] - times[j]), 0.0), law.k_s_max[i], grid[-1])
@@ -240,39 +242,55 @@ def _mean_signed_magnitude(mean: float, sigma: float, threshold: float) -> float
 
 
 def _sliding_response(
-    law: LawGains, grid: np.ndarray, noise: list[np.ndarray], sample_time: float, euler: bool
+    law: LawGains, grid: np.ndarray, noise: list[np.ndarray], sampling: Sampling
 ) -> dict[str, np.ndarray]:
-    """Of the measured s, per K_s of the grid and coordinate: noise ``deviation``, and ``sign_amplitude`` per unit of G.
+    """What s of one axis makes of its inputs, per K_s of the grid and coordinate.
 
-    The sign term's oscillation alternates every sample, so its amplitude is the loop's gain from u to s at z = -1.
+    ``deviation`` under the noise; ``drift_gain``, |s| per unit of dN/dt; ``sign_amplitude``, per unit of G: the sign
+    term's oscillation alternates every sample, so its amplitude is the loop's gain from u to s at z = -1.
     """
-    shape = (grid.size, law.k_d.size)
-    result = {"deviation": np.empty(shape), "sign_amplitude": np.empty(shape)}
+    names = ("deviation", "drift_gain", "sign_amplitude")
+    result = {name: np.empty((grid.size, law.k_d.size)) for name in names}
+    one = np.ones(1)
 
-    @functools.cache
-    def at(k_s: float, k_d: float, k_p: float, position: float, velocity: float) -> tuple[float, float]:
-        one = np.ones((1, 1))
-        single = LawGains(k_d=k_d * one[0], k_p=k_p * one[0], integral=True, k_s=one[0], k_s_max=one[0])
-        gains = single.at(k_s)
-        loop = coupled_loop(gains, true_mass_matrix=one, nominal_mass_matrix=one, sample_time=sample_time, euler=euler)
+    def at(k_s: float, i: int) -> tuple[float, float, float]:
+        k_d, k_p, position, velocity = (float(values[i]) for values in (law.k_d, law.k_p, *noise))
+        single = LawGains(k_d=k_d * one, k_p=k_p * one, integral=True, k_s=one, k_s_max=one)
+        loop = coupled_loop(
+            single.at(k_s), true_mass_matrix=one[:, None], nominal_mass_matrix=one[:, None], sampling=sampling.axis(i)
+        )
         if loop.spectral_radius > 1.0 - 1e-9:
-            return math.nan, math.nan
-        # Measured s = (v - w) + K_D (e - p) + K_P I; a unit of u enters the acceleration with the opposite sign.
-        read = np.array([k_d, 1.0, k_p, 0.0, 0.0])
-        covariance = loop.covariance(position_noise=position * one[0], velocity_noise=velocity * one[0])
-        variance = float(read @ covariance @ read) + (k_d * position) ** 2 + velocity**2
-        enter = np.array([0.0 if euler else -0.5 * sample_time**2, -sample_time, 0.0, -1.0, 0.0])
-        gain = float(read @ np.linalg.solve(-np.eye(5) - loop.a, enter))
-        return math.sqrt(max(variance, 0.0)), abs(gain)
+            return math.nan, math.nan, math.nan
+        covariance = loop.covariance(position_noise=position * one, velocity_noise=velocity * one)
+        # s = v + K_D e + K_P I of what the law works on, and where a unit of u enters.
+        step = sampling.sample_time
+        enter = np.zeros(loop.a.shape[0])
+        enter[[0, 1, 3]] = 0.0 if sampling.euler else -0.5 * step**2, -step, 1.0
+        if sampling.kalman_gain is None:  # measured values
+            read = np.array([k_d, 1.0, k_p, 0.0, 0.0])
+            direct = (k_d * position) ** 2 + velocity**2
+        else:  # estimates, as the state holds them after the update
+            read = np.array([0.0, 0.0, k_p, 0.0, k_d - step * k_p, 1.0, 0.0])
+            direct = 0.0
+        variance = float(read @ covariance @ read) + direct
+        eye = np.eye(loop.a.shape[0])
+        ramp = np.linalg.solve(eye - loop.a, loop.f[:, 0] * step)
+        drift = float(read @ np.linalg.solve(eye - loop.a, ramp))
+        alternating = float(read @ np.linalg.solve(-eye - loop.a, enter))
+        return math.sqrt(max(variance, 0.0)), abs(drift), abs(alternating)
 
+    # Coordinates that look the same need looking at once.
+    kinds = [law.k_d, law.k_p, *noise]
+    if sampling.kalman_gain is not None:
+        kinds += list(sampling.kalman_gain.reshape(law.k_d.size, -1).T)
+    _, first, inverse = np.unique(np.array(kinds).T, axis=0, return_index=True, return_inverse=True)
     for j, k_s in enumerate(grid):
-        for i in range(law.k_d.size):
-            key = (float(k_s), float(law.k_d[i]), float(law.k_p[i]), float(noise[0][i]), float(noise[1][i]))
-            result["deviation"][j, i], result["sign_amplitude"][j, i] = at(*key)
+        values = np.array([at(float(k_s), int(i)) for i in first])[inverse.ravel()]
+        for name, column in zip(names, values.T, strict=True):
+            result[name][j] = column
     for values in result.values():
         # Past the limit s grows without bound: far beyond any threshold is all that the law needs to know.
-        largest = np.nanmax(values, axis=0)
-        values[:] = np.where(np.isnan(values), 10.0 * largest, values)
+        values[:] = np.where(np.isnan(values), 10.0 * np.nanmax(values, axis=0), values)
     return result
 
 
@@ -280,7 +298,7 @@ def _lumped_uncertainty_drift(
     scenario: Scenario, true: PlantModel, nominal: PlantModel, times: np.ndarray
 ) -> np.ndarray:
     """dN/dt (p, nv) along the planned motion under perfect tracking, N = a_d - Hhat^-1 tau (equation (2))."""
-    reference = _reference(scenario, nominal.coordinates)
+    reference = make_reference(scenario, nominal.coordinates)
     disturbance = make_disturbance(scenario.disturbance, nominal.coordinates)
     port, context = disturbance.GetOutputPort("generalized_force"), disturbance.CreateDefaultContext()
     lumped = []
@@ -292,15 +310,6 @@ def _lumped_uncertainty_drift(
     return np.gradient(np.array(lumped), times, axis=0)
 
 
-def _reference(scenario: Scenario, coordinates: Coordinates) -> QuinticReference:
-    return QuinticReference(
-        coordinates=coordinates,
-        start=scenario.initial_posture,
-        target=scenario.target_posture,
-        duration=scenario.reference.duration,
-    )
-
-
 def _mass_matrices(
     true: PlantModel, nominal: PlantModel, reference: QuinticReference, time: float
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -308,11 +317,17 @@ def _mass_matrices(
     return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
 
 
-def _radius(gains: LoopGains, h: np.ndarray, h_hat: np.ndarray, scenario: Scenario) -> float:
-    return coupled_loop(
-        gains,
-        true_mass_matrix=h,
-        nominal_mass_matrix=h_hat,
+def sampling_of(scenario: Scenario, coordinates: Coordinates) -> Sampling:
+    """How a scenario's loop is sampled, its estimator included."""
+    config = scenario.simulator_config
+    estimator = make_estimator(scenario, coordinates)
+    return Sampling(
         sample_time=scenario.sample_time,
-        euler=steps_as_euler(scenario),
-    ).spectral_radius
+        # Explicit Euler at the control period is a plant of its own; with smaller steps it is just inexact.
+        euler=config.integration_scheme == "explicit_euler" and config.max_step_size >= 0.999 * scenario.sample_time,
+        kalman_gain=estimator.gain if isinstance(estimator, KalmanEstimator) else None,
+    )
+
+
+def _radius(gains: LoopGains, h: np.ndarray, h_hat: np.ndarray, sampling: Sampling) -> float:
+    return coupled_loop(gains, true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=sampling).spectral_radius

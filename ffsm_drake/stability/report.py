@@ -1,5 +1,7 @@
 """Margins for the eye: a table and a picture."""
 
+import dataclasses
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -15,7 +17,7 @@ def margins_table(margins: Margins) -> str:
     """Plain text: per coordinate the limits against what the scenario uses, then what holds for all of them."""
     scenario, law = margins.scenario, margins.law
     has_k_s = scenario.controller != "tdc"
-    plant = "explicit Euler at the control period" if margins.euler else "exactly integrated"
+    plant = "explicit Euler at the control period" if margins.sampling.euler else "exactly integrated"
     lines = [
         f"{scenario.description or 'scenario'}: {scenario.controller}, L = {scenario.sample_time:g} s, plant {plant}",
         f"eigenvalues eta of H^-1 Hhat along the planned motion: {margins.eta.min():.3f} to {margins.eta.max():.3f}",
@@ -74,11 +76,11 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins) -> None:
 
     def poles(x: float, y: float) -> np.ndarray:
         if has_k_s:
-            changed, step = law.at(y), scenario.sample_time
+            changed, sampling = law.at(y), margins.sampling.axis(0)
         else:
-            changed, step = gains, 1e-3 * y
+            changed, sampling = gains, dataclasses.replace(margins.sampling.axis(0), sample_time=1e-3 * y)
         single = LoopGains(k_v=changed.k_v[0], k_p=changed.k_p[0], k_i=changed.k_i[0])
-        return axis_poles(single, eta=x, sample_time=step, euler=margins.euler)
+        return axis_poles(single, eta=x, sampling=sampling)
 
     values = [[poles(x, y) for x in eta] for y in vertical]
     largest = np.array([[np.abs(entry).max() for entry in row] for row in values])

@@ -14,6 +14,7 @@ input; the covariance of its response solves a discrete Lyapunov equation.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -72,32 +73,42 @@ def law_gains(scenario: Scenario, coordinates: Coordinates) -> LawGains:
     return LawGains(k_d=k_d, k_p=vector("k_p"), integral=True, k_s=k_s, k_s_max=k_s_max)
 
 
-def axis_matrix(gains: LoopGains, *, eta: float, sample_time: float, euler: bool = False) -> np.ndarray:
-    """One-sample map (4, 4) of [e, v, I, a_{k-1}] for scalar gains; without I where k_i is zero.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sampling:
+    """How the loop is sampled and how N is estimated: all of a linear loop but its gains and inertia."""
 
-    ``euler``: the plant steps as explicit Euler at the control period does.
-    """
+    sample_time: float  # L, s
+    euler: bool = False  # the plant steps as explicit Euler at the control period does, as in the paper
+    kalman_gain: np.ndarray | None = None  # (nv, 3, 2) of a KalmanEstimator; None: the published one-sample estimate
+
+    def axis(self, i: int) -> "Sampling":
+        """The same for one coordinate."""
+        return self if self.kalman_gain is None else dataclasses.replace(self, kalman_gain=self.kalman_gain[i : i + 1])
+
+
+def axis_poles(gains: LoopGains, *, eta: float, sampling: Sampling) -> np.ndarray:
+    """Poles of the one-axis loop for scalar gains, largest magnitude first."""
+    if sampling.kalman_gain is not None:
+        one = np.ones((1, 1))
+        matrix = coupled_loop(gains, true_mass_matrix=one, nominal_mass_matrix=eta * one, sampling=sampling).a
+    else:
+        matrix = _axis_matrix(gains, eta=eta, sampling=sampling)
+    poles = np.linalg.eigvals(matrix)
+    return poles[np.argsort(-np.abs(poles))]
+
+
+def _axis_matrix(gains: LoopGains, *, eta: float, sampling: Sampling) -> np.ndarray:
+    """One-sample map (4, 4) of [e, v, I, a_{k-1}] for the one-sample estimate; without I where k_i is zero."""
     row = np.array([-eta * gains.k_p, -eta * gains.k_v, -eta * gains.k_i, 1.0 - eta], dtype=float)
-    step = sample_time
+    step = sampling.sample_time
     matrix = np.zeros((4, 4))
-    matrix[0] = np.array([1.0, step, 0.0, 0.0]) + (0.0 if euler else 0.5 * step**2) * row
+    matrix[0] = np.array([1.0, step, 0.0, 0.0]) + (0.0 if sampling.euler else 0.5 * step**2) * row
     matrix[1] = np.array([0.0, 1.0, 0.0, 0.0]) + step * row
     matrix[2] = [step, 0.0, 1.0, 0.0]
     matrix[3] = row
     if gains.k_i == 0.0:  # the sum of errors feeds nothing back; its pole at 1 is no part of the loop
         return np.delete(np.delete(matrix, 2, axis=0), 2, axis=1)
     return matrix
-
-
-def axis_poles(gains: LoopGains, *, eta: float, sample_time: float, euler: bool = False) -> np.ndarray:
-    """Poles of the one-axis loop, largest magnitude first."""
-    poles = np.linalg.eigvals(axis_matrix(gains, eta=eta, sample_time=sample_time, euler=euler))
-    return poles[np.argsort(-np.abs(poles))]
-
-
-def is_stable(gains: LoopGains, *, eta: float, sample_time: float, euler: bool = False) -> bool:
-    """Whether every pole of the one-axis loop lies inside the unit circle."""
-    return bool(np.abs(axis_poles(gains, eta=eta, sample_time=sample_time, euler=euler)[0]) < 1.0)
 
 
 def _scalar(law: LawGains, axis: int, k_s: float) -> LoopGains:
@@ -121,41 +132,37 @@ def largest_stable(radius: Callable[[float], float], low: float, high: float, *,
     return float(brentq(lambda x: radius(x) - 1.0, grid[last], grid[last + 1], xtol=1e-9 * high))
 
 
-def largest_stable_k_s(
-    law: LawGains, axis: int, *, eta: float, sample_time: float, euler: bool = False, ceiling: float = 1000.0
-) -> float:
+def largest_stable_k_s(law: LawGains, axis: int, *, eta: float, sampling: Sampling, ceiling: float = 1000.0) -> float:
     """Largest K_s (1/s) that keeps one axis stable; NaN where none does. Not meaningful for TDC, which has no K_s."""
 
     def radius(k_s: float) -> float:
-        poles = axis_poles(_scalar(law, axis, k_s), eta=eta, sample_time=sample_time, euler=euler)
-        return float(np.abs(poles[0]))
+        return float(np.abs(axis_poles(_scalar(law, axis, k_s), eta=eta, sampling=sampling.axis(axis))[0]))
 
     return largest_stable(radius, 0.01, ceiling)
 
 
-def largest_sample_time(law: LawGains, axis: int, *, eta: float, euler: bool = False, ceiling: float = 0.2) -> float:
-    """Largest L (s) that keeps one axis stable at its starting gains."""
+def largest_sample_time(law: LawGains, axis: int, *, eta: float, sampling: Sampling, ceiling: float = 0.2) -> float:
+    """Largest L (s) that keeps one axis stable at its starting gains (a Kalman gain stays what it is)."""
     gains = _scalar(law, axis, float(law.k_s[axis]))
 
     def radius(step: float) -> float:
-        return float(np.abs(axis_poles(gains, eta=eta, sample_time=step, euler=euler)[0]))
+        changed = dataclasses.replace(sampling.axis(axis), sample_time=step)
+        return float(np.abs(axis_poles(gains, eta=eta, sampling=changed)[0]))
 
     return largest_stable(radius, 1e-5, ceiling)
 
 
-def tolerated_eta(
-    law: LawGains, axis: int, *, sample_time: float, k_s: float | None = None, euler: bool = False
-) -> tuple[float, float]:
-    """The interval of eta around 1 (or below it, where 1 is unstable) that keeps one axis stable.
+def tolerated_eta(law: LawGains, axis: int, *, sampling: Sampling, k_s: float | None = None) -> tuple[float, float]:
+    """The interval of eta around 1 (or nearest to it, where 1 is unstable) that keeps one axis stable.
 
-    eta > 1 is an over-estimated inertia, eta < 1 an under-estimated one. (NaN, NaN) where no eta in (0, 2) is stable.
+    eta > 1 is an over-estimated inertia, eta < 1 an under-estimated one. (NaN, NaN) where no eta in (0, 4) is stable.
     """
     gains = _scalar(law, axis, float(law.k_s[axis]) if k_s is None else k_s)
 
     def excess(eta: float) -> float:
-        return float(np.abs(axis_poles(gains, eta=eta, sample_time=sample_time, euler=euler)[0])) - 1.0
+        return float(np.abs(axis_poles(gains, eta=eta, sampling=sampling.axis(axis))[0])) - 1.0
 
-    grid = np.linspace(0.005, 2.0, 400)
+    grid = np.linspace(0.005, 4.0, 800)
     stable = np.array([excess(eta) < 0.0 for eta in grid])
     if not stable.any():
         return float("nan"), float("nan")
@@ -178,19 +185,23 @@ def inertia_ratios(true_mass_matrix: np.ndarray, nominal_mass_matrix: np.ndarray
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CoupledLoop:
-    """All coordinates at one posture: x+ = A x + B [position noise; velocity noise].
+    """All coordinates near one posture, one control sample to the next:
 
-    x = [e, v, I, a_{k-1}, w_{k-1}] with e, v the true error and its rate, w the velocity noise of the last sample
-    (which the differentiated velocity still holds); force is tau_k = H a_k.
+    x+ = A x + B [position noise; velocity noise] + F d,     tau_k - Hhat a_d = force @ x_{k+1}.
+
+    x begins with the true error e and its rate v (nv each), the sum of errors and t = Hhat^-1 tau - a_d; the rest is
+    what the estimator remembers: the delayed measured rate, or [e, v, d] as estimated. The input d (nv) is what the
+    controller has to find out, -N under perfect tracking, constant over the sample.
     """
 
     a: np.ndarray
     b: np.ndarray
-    force: np.ndarray  # tau_k = force @ x_{k+1}
+    f: np.ndarray
+    force: np.ndarray
     scale: np.ndarray  # what each entry of x gains per unit of acceleration and sample
     num_velocities: int
 
-    @property
+    @functools.cached_property
     def spectral_radius(self) -> float:
         """Largest pole magnitude; the loop is stable below 1."""
         return float(np.abs(np.linalg.eigvals(self.a)).max())
@@ -225,34 +236,64 @@ def coupled_loop(
     *,
     true_mass_matrix: np.ndarray,
     nominal_mass_matrix: np.ndarray,
-    sample_time: float,
-    euler: bool = False,
+    sampling: Sampling,
 ) -> CoupledLoop:
-    """The linear loop of all coordinates at rest in one posture (mass matrices (nv, nv) there)."""
-    n, step = true_mass_matrix.shape[0], sample_time
-    eye, zero = np.eye(n), np.zeros((n, n))
+    """The linear loop of all coordinates at rest in one posture.
+
+    Args:
+      gains: of the law, floats or (nv).
+      true_mass_matrix, nominal_mass_matrix: H and Hhat (nv, nv) in that posture.
+      sampling: period, plant and estimator.
+    """
+    n, step, kalman_gain = true_mass_matrix.shape[0], sampling.sample_time, sampling.kalman_gain
     m = np.linalg.solve(true_mass_matrix, nominal_mass_matrix)
-    k_v, k_p, k_i = (np.diag(k * np.ones(n)) for k in (gains.k_v, gains.k_p, gains.k_i))
-    # In error coordinates, a = d^2 e / dt^2. Measured: e - p and v - w, so that the measured acceleration of the last
-    # period is a_{k-1} - (w_k - w_{k-1}) / L, and
-    # a_k = (1 - M) a_{k-1} + M (w_k - w_{k-1}) / L - M (k_v (v - w) + k_p (e - p) + k_i I).
-    row = np.hstack([-m @ k_p, -m @ k_v, -m @ k_i, eye - m, -m / step])
-    row_noise = np.hstack([m @ k_p, m @ k_v + m / step])
-    a = np.zeros((5 * n, 5 * n))
-    b = np.zeros((5 * n, 2 * n))
-    half = 0.0 if euler else 0.5 * step**2
-    a[:n] = np.hstack([eye, step * eye, zero, zero, zero]) + half * row
-    b[:n] = half * row_noise
-    a[n : 2 * n] = np.hstack([zero, eye, zero, zero, zero]) + step * row
-    b[n : 2 * n] = step * row_noise
-    a[2 * n : 3 * n] = np.hstack([step * eye, zero, eye, zero, zero])
-    b[2 * n : 3 * n] = np.hstack([-step * eye, zero])
-    a[3 * n : 4 * n] = row
-    b[3 * n : 4 * n] = row_noise
-    b[4 * n :] = np.hstack([zero, eye])
-    keep = np.ones(5 * n, dtype=bool)
+    k_v, k_p, k_i = ((k * np.ones(n))[:, None] for k in (gains.k_v, gains.k_p, gains.k_i))
+    half = 0.0 if sampling.euler else 0.5 * step**2
+
+    # One sample as a function of columns of states, noises and d; its matrices are its values on unit columns. In error
+    # coordinates d^2e/dt^2 = -M (t - d), where tau = Hhat (a_d + t).
+    def one_sample(x: np.ndarray, noise: np.ndarray, d: np.ndarray) -> np.ndarray:
+        e, v, total, delayed_t, delayed_v = np.split(x, 5)
+        e_m, v_m = e - noise[:n], v - noise[n:]
+        u = k_v * v_m + k_p * e_m + k_i * total
+        # N(t - L): the measured acceleration of the last period, less what the force of that period should have given.
+        t = u + (v_m - delayed_v) / step + delayed_t
+        a = m @ (d - t)
+        return np.concatenate([e + step * v + half * a, v + step * a, total + step * e_m, t, v_m])
+
+    def kalman(x: np.ndarray, noise: np.ndarray, d: np.ndarray) -> np.ndarray:
+        assert kalman_gain is not None
+        e, v, total, delayed_t, e_hat, v_hat, d_hat = np.split(x, 7)
+        known = d_hat - delayed_t
+        e_hat, v_hat = e_hat + step * v_hat + 0.5 * step**2 * known, v_hat + step * known
+        r = (e - noise[:n] - e_hat, v - noise[n:] - v_hat)
+        e_hat, v_hat, d_hat = (
+            old + kalman_gain[:, i, :1] * r[0] + kalman_gain[:, i, 1:] * r[1]
+            for i, old in enumerate((e_hat, v_hat, d_hat))
+        )
+        t = k_v * v_hat + k_p * e_hat + k_i * total + d_hat
+        a = m @ (d - t)
+        return np.concatenate([e + step * v + half * a, v + step * a, total + step * e_hat, t, e_hat, v_hat, d_hat])
+
+    sample, blocks = (one_sample, 5) if kalman_gain is None else (kalman, 7)
+    size = blocks * n
+    sizes = (size, 2 * n, n)
+    a, b, f = (
+        sample(*(np.eye(rows) if i == j else np.zeros((rows, sizes[j])) for i, rows in enumerate(sizes)))
+        for j in range(3)
+    )
+    keep = np.ones(size, dtype=bool)
     # Where nothing reads the sum of errors, its pole at 1 is no part of the loop.
-    keep[2 * n : 3 * n] = np.diagonal(k_i) > 0.0
-    force = np.hstack([zero, zero, zero, true_mass_matrix, zero])
-    scale = np.repeat([step**2, step, step**3, 1.0, step], n)
-    return CoupledLoop(a=a[np.ix_(keep, keep)], b=b[keep], force=force[:, keep], scale=scale[keep], num_velocities=n)
+    keep[2 * n : 3 * n] = k_i[:, 0] > 0.0
+    scale = np.repeat([step**2, step, 0.0, 1.0, *((step,) if blocks == 5 else (step**2, step, 1.0))], n)
+    scale[2 * n : 3 * n] = 1.0 / np.where(k_i[:, 0] > 0.0, k_i[:, 0], 1.0)
+    force = np.zeros((n, size))
+    force[:, 3 * n : 4 * n] = nominal_mass_matrix
+    return CoupledLoop(
+        a=a[np.ix_(keep, keep)],
+        b=b[keep],
+        f=f[keep],
+        force=force[:, keep],
+        scale=scale[keep],
+        num_velocities=n,
+    )
