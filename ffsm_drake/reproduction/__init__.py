@@ -70,5 +70,6 @@ def reproduce(
         figures.write_divergence(results, directory),
         figures.write_figure_2(directory),
         *[figure for write in drawing.values() for figure in write(results, directory)],
+        *([] if overrides else [figures.write_noise(directory, workers=workers, progress=progress)]),
     ]
     return page.write_page(results, rows, drawn, claims.judge(results), directory)
