@@ -87,6 +87,8 @@ def design(
     budget = 1.1 * plan.ideal_isv if budget is None else budget
     belief = scenario.payload.belief.mass
     low, high = payload_range or (0.6 * belief, 2.5 * belief)
+    if not 0.0 < low < high:
+        raise ScenarioError("payload range", f"must be two masses 0 < LOW < HIGH in kg, not {low:g} and {high:g}")
     masses = np.linspace(low, high, 5)
     plans = {float(mass): make_plan(_with_true_mass(scenario, float(mass)), postures=3) for mass in masses}
     spread = [

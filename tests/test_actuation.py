@@ -1,5 +1,6 @@
 """What the actuators make of the commanded force, what the plant gets of it, and that the estimate knows."""
 
+import flight_settings
 import numpy as np
 import pytest
 
@@ -9,17 +10,8 @@ from ffsm_drake.coordinates import position_error
 from ffsm_drake.metrics import momentum_residual
 from ffsm_drake.sensing import quantize
 
-# Gains and filter of our own choice: the shipped ones may be tuned without these tests having to follow.
 FLIGHT = (
-    "flight_sensors",
-    "controller=tdc",
-    "controllers.tdc.k_d={base_position: 4, base_rotation: 10, joints: 20}",
-    "controllers.tdc.k_p={base_position: 4, base_rotation: 25, joints: 100}",
-    "estimator.kind=kalman",
-    "estimator.walk={base_position: 1e-3, base_rotation: 1e-3, joints: 1e-2}",
-    "estimator.position_noise={base_position: 1e-3, base_rotation: 5e-5, joints: 1e-5}",
-    "estimator.velocity_noise={base_position: 1e-3, base_rotation: 1.5e-5, joints: 1e-4}",
-    "actuation.limit=null",
+    *flight_settings.FLIGHT,
     "sensing.position_noise={base_position: 1e-3, base_rotation: 5e-5, joints: 1e-5}",
     "sensing.velocity_noise={base_position: 1e-3, base_rotation: 1.5e-5, joints: 1e-4}",
 )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from flight_settings import FLIGHT, NO_NOISE
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.controllers.estimators import (
@@ -19,19 +20,6 @@ SIZE = 11
 LIMIT = {"position_noise": 10.0, "velocity_noise": 1e-4, "walk": 1e4, "sample_time": PERIOD}
 # In units of acceleration all six entries are of order one.
 SCALE = np.array([1.0, PERIOD, PERIOD**2])[:, None] / np.array([1.0, PERIOD])
-# Gains and filter of our own choice: the shipped ones may be tuned without these tests having to follow.
-FLIGHT = (
-    "flight_sensors",
-    "controller=tdc",
-    "controllers.tdc.k_d={base_position: 4, base_rotation: 10, joints: 20}",
-    "controllers.tdc.k_p={base_position: 4, base_rotation: 25, joints: 100}",
-    "estimator.kind=kalman",
-    "estimator.walk={base_position: 1e-3, base_rotation: 1e-3, joints: 1e-2}",
-    "estimator.position_noise={base_position: 1e-3, base_rotation: 5e-5, joints: 1e-5}",
-    "estimator.velocity_noise={base_position: 1e-3, base_rotation: 1.5e-5, joints: 1e-4}",
-    "actuation.limit=null",
-)
-NO_NOISE = ("sensing.position_noise=0", "sensing.velocity_noise=0")
 FLIGHT_GAINS, FLIGHT_FILTER = FLIGHT[1:4], FLIGHT[4:8]
 
 

@@ -150,3 +150,11 @@ def test_margins_know_the_estimator():
     assert kalman.is_stable
     assert kalman.eta_tolerated[:, 1].min() > 1.6 > one_sample.eta_tolerated[:, 1].max()
     assert kalman.sample_time_limit.min() > 0.015
+
+
+@pytest.mark.parametrize("payload_range", [("150", "60"), ("-5", "60"), ("60", "60")])
+def test_design_refuses_a_payload_range_that_is_none(tmp_path, payload_range):
+    arguments = ["design", "flight_sensors", "--out", str(tmp_path), "--payload-range", *payload_range]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2
+    assert "error: payload range: must be two masses 0 < LOW < HIGH in kg" in result.output

@@ -4,6 +4,7 @@ Plant, nominal model, reference, disturbance, the four laws and the integrator a
 first as in the paper; only the gains are read from the scenario. See mujoco_oracle for the coordinates.
 """
 
+import abc
 import functools
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -87,7 +88,7 @@ def attitude(configuration: np.ndarray) -> Rotation:
     return Rotation.from_quat([x, y, z, w])
 
 
-class Law:
+class Law(abc.ABC):
     """The injected dynamics u of a controller; subclasses hold K_s, G and the error's integral."""
 
     def __init__(self, scenario: Scenario) -> None:
@@ -105,8 +106,9 @@ class Law:
             ]
         )
 
+    @abc.abstractmethod
     def u(self, e: np.ndarray, de: np.ndarray, ddq_d: np.ndarray) -> np.ndarray:
-        raise NotImplementedError
+        """The commanded acceleration; advances the law's own state."""
 
 
 class Tdc(Law):
