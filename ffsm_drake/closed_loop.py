@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSyst
 from pydrake.systems.primitives import Adder
 
 from ffsm_drake.actuation import make_actuation
-from ffsm_drake.controllers import make_controller
+from ffsm_drake.controllers import OPTIONAL_OUTPUTS, make_controller
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.disturbance import make_disturbance
 from ffsm_drake.plant import add_combined_plant, configuration, coordinates_of, make_nominal_plant, set_payload
@@ -97,7 +97,8 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> C
     builder.Connect(controller.GetOutputPort("generalized_force"), actuation.get_input_port())
     applied_force = actuation.GetOutputPort("applied_force")
     builder.Connect(applied_force, total_force.get_input_port(0))
-    builder.Connect(applied_force, controller.GetInputPort("applied_force"))
+    if controller.HasInputPort("applied_force"):
+        builder.Connect(applied_force, controller.GetInputPort("applied_force"))
     builder.Connect(disturbance.GetOutputPort("generalized_force"), total_force.get_input_port(1))
     builder.Connect(total_force.get_output_port(), plant.get_applied_generalized_force_input_port())
     if meshcat is not None:
@@ -116,7 +117,7 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> C
     )
     for name, port in zip(SIGNALS, sources, strict=True):
         builder.ExportOutput(port, name)
-    for name in controller.OPTIONAL_OUTPUTS:
+    for name in OPTIONAL_OUTPUTS:
         if controller.HasOutputPort(name):
             builder.ExportOutput(controller.GetOutputPort(name), name)
     diagram = builder.Build()

@@ -29,6 +29,10 @@ class ModelError(FfsmError):
     """A URDF or model directive that does not give a usable spacecraft."""
 
 
+class ControllerError(FfsmError):
+    """A controller from elsewhere that cannot be loaded, wired or run."""
+
+
 class RecordError(FfsmError):
     """A run directory that cannot be written or read."""
 

@@ -46,22 +46,50 @@ def make_plant(model: Model) -> MultibodyPlant:
 def _load(plant: MultibodyPlant, model: Model) -> None:
     parser = Parser(plant)
     parser.SetStrictParsing()  # otherwise Drake replaces a non-physical inertia by a solid sphere
-    parser.package_map().Add("ffsm_drake", str(models_dir()))
-    try:
-        if "://" in model.directives:
-            parser.AddModels(url=model.directives)
-        else:
-            parser.AddModels(model.directives)
-    except RuntimeError as error:
-        raise ModelError(f"model.directives: {model.directives}: {one_line(error)}") from error
-    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
-    plant.Finalize()
-    if not plant.GetFloatingBaseBodies():
-        raise ModelError(
-            f"model.directives: {model.directives}: no floating base; the base must not be welded to world"
+    packages = parser.package_map()
+    packages.PopulateFromRosPackagePath()
+    for name, folder in {"ffsm_drake": str(models_dir()), **model.packages}.items():
+        if not Path(folder).is_dir():
+            raise ModelError(f"model.packages.{name}: no such folder: {folder}")
+        if packages.Contains(name):
+            packages.Remove(name)
+        packages.Add(name, folder)
+    if model.servicer is None:
+        source = f"model.directives: {model.directives}"
+        _add_models(parser, model.directives or "", source)
+    else:
+        source = f"model.servicer: {model.servicer}"
+        for name, file in (("servicer", model.servicer), ("debris", model.debris)):
+            instances = _add_models(parser, file, f"model.{name}: {file}")
+            if len(instances) != 1:
+                raise ModelError(f"model.{name}: {file}: must hold one model, not {len(instances)}")
+            plant.RenameModelInstance(instances[0], name)
+        plant.WeldFrames(
+            find_frame(plant, model.end_effector, key="model.end_effector"),
+            find_frame(plant, model.grasp, key="model.grasp"),
         )
+    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+    try:
+        plant.Finalize()
+    except RuntimeError as error:
+        raise ModelError(f"{source}: {one_line(error)}") from error
+    if not plant.GetFloatingBaseBodies():
+        raise ModelError(f"{source}: no floating base; the base must not be welded to world")
     coordinates_of(plant)
     find_frame(plant, model.end_effector, key="model.end_effector")
+
+
+def _add_models(parser: Parser, file: str, place: str) -> list[ModelInstanceIndex]:
+    """Parse a file or package:// address; whatever Drake objects to becomes a ModelError."""
+    if "://" not in file and not Path(file).is_file():
+        raise ModelError(f"{place}: no such file")
+    try:
+        instances: list[ModelInstanceIndex] = (
+            parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
+        )
+    except RuntimeError as error:
+        raise ModelError(f"{place}: {one_line(error)}") from error
+    return instances
 
 
 def base_body(plant: MultibodyPlant) -> RigidBody:

@@ -6,24 +6,27 @@ group (``base_rotation``, ``base_position``, ``joints``) or one coordinate's nam
 bare number stands for ``{all: number}``.
 """
 
-# Drake's typed YAML loader reads these annotations at run time, so they must stay real types.
 import dataclasses
 import math
+import re
 import types
 import typing
 from collections.abc import Iterable, Mapping
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
 import yaml
-from pydrake.common.yaml import yaml_dump, yaml_load_data, yaml_load_typed
+from pydrake.common.yaml import yaml_load_data
 from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
 
 from ffsm_drake.errors import ScenarioError, one_line
 
+_MODULE_AND_ATTRIBUTE = re.compile(r"[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")
 PerCoordinate = dict[str, float]
 ESTIMATOR_KINDS = ("one_sample", "kalman")
 CONTROLLER_NAMES = ("tdc", "asmc", "aismc", "tde_aismc")
+ENTRY_POINT_GROUP = "ffsm_drake.controllers"  # where installed packages offer further controllers
 
 
 def _published(**values: float) -> PerCoordinate:
@@ -34,10 +37,13 @@ def _published(**values: float) -> PerCoordinate:
 class Model:
     """What flies: the models, and the frames that the reports speak of."""
 
-    # Model directives: a package:// address, or a path (relative paths start at the scenario file's folder).
-    directives: str = "package://ffsm_drake/postcapture.dmd.yaml"
-    # Frame whose origin is reported as the end effector's position.
-    end_effector: str = "servicer::end_effector"
+    # Files are package:// addresses or paths; relative paths start at the scenario file's folder.
+    directives: str | None = "package://ffsm_drake/postcapture.dmd.yaml"  # model directives, or the two URDFs below
+    servicer: str | None = None  # URDF of base and arm, model instance "servicer"; instead of directives
+    debris: str = "package://ffsm_drake/urdf/debris.urdf"  # with servicer: URDF of the target, instance "debris"
+    end_effector: str = "servicer::end_effector"  # frame that holds the target; its origin is reported
+    grasp: str = "debris::grasp"  # with servicer: the target's frame that is welded to end_effector
+    packages: dict[str, str] = dataclasses.field(default_factory=dict)  # package:// name -> folder, for meshes
 
 
 @dataclasses.dataclass
@@ -125,6 +131,8 @@ class TdeAismcGains(AismcGains):
 class Controllers:
     """The settings of every controller; ``Scenario.controller`` names the one in use."""
 
+    # Gains of controllers that come from elsewhere: name (its part after the colon) -> gain -> by coordinate.
+    own: dict[str, dict[str, PerCoordinate]] = dataclasses.field(default_factory=dict)
     tdc: TdcGains = dataclasses.field(default_factory=TdcGains)
     asmc: AsmcGains = dataclasses.field(default_factory=AsmcGains)
     aismc: AismcGains = dataclasses.field(default_factory=AismcGains)
@@ -256,16 +264,17 @@ def scenario_from_dict(data: Mapping[str, typing.Any], overrides: Iterable[str] 
     """Build a scenario from plain data (as read from YAML or JSON)."""
     try:
         resolved = _resolve(Scenario, _as_dict(Scenario()), data, "")
+        _choose_model_source(resolved["model"], data.get("model") or {})
     except ScenarioError as error:
         raise error.located(source) from None
-    _anchor_relative_paths(resolved, source)
+    _anchor_relative_paths(resolved["model"], Path(source).parent if source else None)
     overridden = []
     for override in overrides:
         try:
             overridden.append(_apply_override(resolved, override))
         except ScenarioError as error:
             raise error.located("override") from None
-    scenario: Scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(resolved), retain_map_defaults=False)
+    scenario: Scenario = _build(Scenario, resolved)
     try:
         validate(scenario)
     except ScenarioError as error:
@@ -298,11 +307,13 @@ def validate(scenario: Scenario) -> None:
     _require(scenario.num_control_periods >= 1, "sample_time", f"must be at most duration ({scenario.duration} s)")
     _require(scenario.divergence_speed > 0, "divergence_speed", "must be > 0")
     _require(scenario.reference.duration > 0, "reference.duration", "must be > 0 s")
-    _require(
-        scenario.controller in CONTROLLER_NAMES,
-        "controller",
-        f"'{scenario.controller}' is unknown; choose one of {', '.join(CONTROLLER_NAMES)}",
-    )
+    if scenario.controller not in CONTROLLER_NAMES and not _MODULE_AND_ATTRIBUTE.fullmatch(scenario.controller):
+        known = CONTROLLER_NAMES + tuple(sorted(entry_points(group=ENTRY_POINT_GROUP).names))
+        _require(
+            scenario.controller in known,
+            "controller",
+            f"'{scenario.controller}' is unknown; choose one of {', '.join(known)}, or give module:Class",
+        )
     _require(
         scenario.estimator.kind in ESTIMATOR_KINDS,
         "estimator.kind",
@@ -368,6 +379,11 @@ def _validate_mass_properties(body: MassProperties, key: str) -> None:
     )
 
 
+def own_controller_name(controller: str) -> str:
+    """The key in ``controllers.own`` of a controller: its name, or what follows the colon of ``module:Class``."""
+    return controller.rpartition(":")[2]
+
+
 def inertia_matrix(body: MassProperties) -> np.ndarray:
     """Inertia about the centre of mass as a symmetric (3, 3) matrix, kg m^2."""
     ixx, iyy, izz, ixy, ixz, iyz = (*body.inertia, 0.0, 0.0, 0.0)[:6]
@@ -391,15 +407,29 @@ def _find(name: str) -> Path:
     raise ScenarioError("", f"no such scenario; choose one of {', '.join(shipped)}, or give a YAML file", source=name)
 
 
-def _anchor_relative_paths(resolved: dict[str, typing.Any], source: str) -> None:
-    directives = resolved["model"]["directives"]
-    if source and "://" not in directives:
-        resolved["model"]["directives"] = str((Path(source).parent / directives).resolve())
+def _choose_model_source(model: dict[str, typing.Any], given: Mapping[str, typing.Any]) -> None:
+    """Of directives and servicer keep the one that was given."""
+    if model["servicer"] is not None and given.get("directives") is None:
+        model["directives"] = None
+    _require(
+        (model["servicer"] is None) != (model["directives"] is None),
+        "model",
+        "give either directives or servicer (a URDF), not both and not neither",
+    )
+
+
+def _anchor_relative_paths(model: dict[str, typing.Any], folder: Path | None) -> None:
+    def anchored(path: str | None) -> str | None:
+        return path if path is None or folder is None or "://" in path else str((folder / path).resolve())
+
+    for key in ("directives", "servicer", "debris"):
+        model[key] = anchored(model[key])
+    model["packages"] = {name: anchored(path) for name, path in model["packages"].items()}
 
 
 def _as_dict(value: typing.Any) -> typing.Any:
     """Plain data (mappings, lists, leaves) of a dataclass, one of Drake's parameter structs, or a container of them."""
-    fields = _schema_fields(type(value))
+    fields = schema_fields(type(value))
     if fields is not None:
         return {key: _as_dict(getattr(value, key)) for key in fields}
     if isinstance(value, Mapping):
@@ -409,7 +439,7 @@ def _as_dict(value: typing.Any) -> typing.Any:
     return value
 
 
-def _schema_fields(schema: typing.Any) -> dict[str, typing.Any] | None:
+def schema_fields(schema: typing.Any) -> dict[str, typing.Any] | None:
     """Field name -> type of a dataclass or of one of Drake's parameter structs; None for anything else."""
     if dataclasses.is_dataclass(schema):
         return {field.name: field.type for field in dataclasses.fields(schema)}
@@ -417,9 +447,22 @@ def _schema_fields(schema: typing.Any) -> dict[str, typing.Any] | None:
     return None if fields is None else {field.name: field.type for field in fields}
 
 
+def _build(schema: typing.Any, data: typing.Any) -> typing.Any:
+    """The typed object that plain data, complete and checked, stands for."""
+    fields = schema_fields(schema)
+    if fields is not None:
+        return schema(**{key: _build(kind, data[key]) for key, kind in fields.items()})
+    origin, args = typing.get_origin(schema), typing.get_args(schema)
+    if origin in (typing.Union, types.UnionType):
+        return None if data is None else _build(args[0], data)
+    if origin is dict:
+        return {key: _build(args[1], item) for key, item in data.items()}
+    return list(data) if origin is list else data
+
+
 def _resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: str) -> typing.Any:
     """Plain data for ``schema``: ``default`` (plain data, complete) overlaid with ``data``, each leaf checked."""
-    fields = _schema_fields(schema)
+    fields = schema_fields(schema)
     if fields is not None:
         if not isinstance(data, Mapping):
             raise ScenarioError(path, f"must be a mapping with keys {', '.join(fields)}, not {_shown(data)}")
@@ -437,8 +480,8 @@ def _resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: st
         if args[1] is float and not isinstance(data, Mapping):
             data = {"all": data}
         if not isinstance(data, Mapping):
-            raise ScenarioError(path, f"must be a mapping by coordinate or group, not {_shown(data)}")
-        blank = None if _schema_fields(args[1]) is None else _as_dict(args[1]())
+            raise ScenarioError(path, f"must be a mapping, not {_shown(data)}")
+        blank = None if schema_fields(args[1]) is None else _as_dict(args[1]())
         return {str(key): _resolve(args[1], blank, item, _join(path, key)) for key, item in data.items()}
     if origin is list:
         if not isinstance(data, (list, tuple)):
@@ -482,20 +525,22 @@ def _apply_override(resolved: dict[str, typing.Any], override: str) -> str:
         if typing.get_origin(schema) in (typing.Union, types.UnionType):
             schema = typing.get_args(schema)[0]
         if target.get(part) is None:
-            target[part] = {} if _schema_fields(schema) is None else _as_dict(schema())
+            target[part] = {} if schema_fields(schema) is None else _as_dict(schema())
         target = target[part]
     schema = _child_schema(schema, last, ".".join(parents))
-    fields = _schema_fields(schema)
+    fields = schema_fields(schema)
     if fields is not None and not isinstance(value, Mapping):
         raise ScenarioError(key, f"is a group of settings; set one of them: {', '.join(fields)}")
     default = target.get(last) or _as_dict(schema()) if fields is not None else None
     target[last] = _resolve(schema, default, value, key)
+    if key in ("model.directives", "model.servicer") and value is not None:
+        target["servicer" if last == "directives" else "directives"] = None
     return key
 
 
 def _child_schema(schema: typing.Any, part: str, path: str) -> typing.Any:
     """The type of one step down a dotted key."""
-    fields = _schema_fields(schema)
+    fields = schema_fields(schema)
     if fields is not None:
         if part not in fields:
             raise ScenarioError(_join(path, part), f"unknown key; valid here: {', '.join(fields)}")

@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+import traceback
 import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -14,9 +15,10 @@ from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
 from ffsm_drake.coordinates import position_error
+from ffsm_drake.errors import ControllerError, FfsmError, one_line
 from ffsm_drake.plant import PlantModel, base_rpy, find_frame, make_true_plant
 from ffsm_drake.record import Outcome, RunRecord, software_versions
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -79,10 +81,18 @@ def simulate(
         simulator.AdvancePendingEvents()  # the control update of the last sample
     except KeyboardInterrupt:
         interrupted = True
-    except RuntimeError:
+    except FfsmError:
+        raise
+    except Exception as error:
         # Drake refuses numbers that are no longer finite; any other refusal is a fault to be seen.
-        if monitor.check(context) and monitor.check_force(context):
-            raise
+        if not isinstance(error, RuntimeError) or (monitor.check(context) and monitor.check_force(context)):
+            if scenario.controller in CONTROLLER_NAMES:
+                raise
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            raise ControllerError(
+                f"controller '{scenario.controller}' failed at t = {context.get_time():.2f} s: "
+                f"{type(error).__name__}: {one_line(error)} ({place.filename}, line {place.lineno})"
+            ) from error
     advanced = time.perf_counter()
 
     dataset = _make_dataset(loop, loggers, context)

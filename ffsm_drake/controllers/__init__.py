@@ -1,25 +1,43 @@
-"""The four controllers of the paper. Each is time-delay estimation (tde.py) around its own injected dynamics."""
+"""The controllers: the paper's four, each time-delay estimation (tde.py) around its own law, and the door for others."""
 
 from typing import Any
 
+from pydrake.systems.framework import LeafSystem
+
 from ffsm_drake.controllers.aismc import AismcLaw
 from ffsm_drake.controllers.asmc import AsmcLaw
+from ffsm_drake.controllers.base import OPTIONAL_OUTPUTS, ControllerSetup, Sample, SampledController
 from ffsm_drake.controllers.estimators import make_estimator
+from ffsm_drake.controllers.registry import build_controller, controller_names, find_factory, setup_for
 from ffsm_drake.controllers.tdc import TdcLaw
 from ffsm_drake.controllers.tde import TimeDelayController
 from ffsm_drake.controllers.tde_aismc import TdeAismcLaw
 from ffsm_drake.plant import PlantModel
 from ffsm_drake.scenario import Scenario
 
+__all__ = [
+    "LAWS",
+    "OPTIONAL_OUTPUTS",
+    "ControllerSetup",
+    "Sample",
+    "SampledController",
+    "controller_names",
+    "make_controller",
+]
+
 LAWS: dict[str, Any] = {"tdc": TdcLaw, "asmc": AsmcLaw, "aismc": AismcLaw, "tde_aismc": TdeAismcLaw}
 
 
-def make_controller(scenario: Scenario, nominal: PlantModel) -> TimeDelayController:
-    """The scenario's controller as a LeafSystem of that name.
+def make_controller(scenario: Scenario, nominal: PlantModel) -> LeafSystem:
+    """The scenario's controller as a LeafSystem of that name (its part after the colon).
 
-    Raises ScenarioError for gains of unknown or missing coordinates.
+    Raises:
+      ScenarioError: gains of unknown or missing coordinates.
+      ControllerError: a controller from elsewhere cannot be loaded, built or wired.
     """
     name = scenario.controller
+    if name not in LAWS:
+        return build_controller(find_factory(name), setup_for(scenario, nominal))
     law = LAWS[name].from_gains(getattr(scenario.controllers, name), nominal.coordinates, scenario.sample_time)
     controller = TimeDelayController(
         nominal=nominal,

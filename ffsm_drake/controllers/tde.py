@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort
 
+from ffsm_drake.controllers.base import OPTIONAL_OUTPUTS
 from ffsm_drake.controllers.estimators import Arrays, Estimator, Measurement
 from ffsm_drake.coordinates import position_error
 from ffsm_drake.plant import PlantModel
@@ -68,8 +69,6 @@ class TimeDelayController(LeafSystem):
       as zero), then the estimator's own (delayed_velocity for the published one), then the law's.
     """
 
-    OPTIONAL_OUTPUTS = ("sliding_variable", "reaching_gain", "switching_gain")
-
     def __init__(self, *, nominal: PlantModel, estimator: Estimator, law: InjectedDynamics, sample_time: float) -> None:
         super().__init__()
         self._nominal = nominal
@@ -91,7 +90,7 @@ class TimeDelayController(LeafSystem):
         }
         self._state_index = {name: self.DeclareDiscreteState(value) for name, value in groups.items()}
         self.DeclareStateOutputPort("generalized_force", self._state_index["delayed_force"])
-        for name in self.OPTIONAL_OUTPUTS:
+        for name in OPTIONAL_OUTPUTS:
             if name in self._state_index:
                 self.DeclareStateOutputPort(name, self._state_index[name])
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, self._update)

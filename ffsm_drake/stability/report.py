@@ -1,6 +1,7 @@
 """Margins for the eye: a table and a picture."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -43,6 +44,29 @@ def margins_table(margins: Margins) -> str:
         margins.verdict,
     ]
     return "\n".join(lines)
+
+
+def margins_data(margins: Margins) -> dict[str, Any]:
+    """The table's figures as plain data, by coordinate where they differ (1/s, s)."""
+    by_coordinate = {
+        name: {
+            "k_s_start": float(margins.law.k_s[i]),
+            "k_s_expected": float(margins.forecast_k_s[:, i].max()),
+            "k_s_bound": float(margins.law.k_s_max[i]),
+            "k_s_limit": float(margins.k_s_limit[i]),
+            "sample_time_limit": float(margins.sample_time_limit[i]),
+            "eta_tolerated": margins.eta_tolerated[i].tolist(),
+        }
+        for i, name in enumerate(margins.coordinates.names)
+    }
+    return {
+        "controller": margins.scenario.controller,
+        "verdict": margins.verdict,
+        "stable": margins.is_stable,
+        "spectral_radius": float(margins.spectral_radius.max()),
+        "eta": [float(margins.eta.min()), float(margins.eta.max())],
+        "coordinates": by_coordinate,
+    }
 
 
 def plot_margins(margins: Margins) -> Figure:

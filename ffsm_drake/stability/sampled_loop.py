@@ -22,7 +22,8 @@ from scipy.linalg import eigh, solve_discrete_lyapunov
 from scipy.optimize import brentq
 
 from ffsm_drake.coordinates import Coordinates
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.errors import ScenarioError
+from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -55,8 +56,15 @@ class LawGains:
 
 
 def law_gains(scenario: Scenario, coordinates: Coordinates) -> LawGains:
-    """The gains of the scenario's controller. Raises ScenarioError for unknown or missing coordinates."""
+    """The gains of the scenario's controller.
+
+    Raises ScenarioError for unknown or missing coordinates, and for a controller that is not one of the paper's.
+    """
     name = scenario.controller
+    if name not in CONTROLLER_NAMES:
+        raise ScenarioError(
+            "controller", f"the sampled-loop margins are those of {', '.join(CONTROLLER_NAMES)}; '{name}' is another"
+        )
     gains = getattr(scenario.controllers, name)
 
     def vector(field: str, default: float | None = None) -> np.ndarray:

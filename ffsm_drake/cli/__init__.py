@@ -1,0 +1,39 @@
+"""The command line ``ffsm``: parses, calls, prints. Nothing heavy is imported before a command runs."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from ffsm_drake.cli.common import OrderedGroup
+from ffsm_drake.cli.judge import analyze, design, stability
+from ffsm_drake.cli.paper import noise, reproduce
+from ffsm_drake.cli.run import compare, run
+from ffsm_drake.cli.setup import completion, doctor, scenarios, schema, validate
+from ffsm_drake.cli.show import diagram, plot
+
+
+@click.group(
+    cls=OrderedGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110}
+)
+@click.version_option(package_name="ffsm-drake")
+def main() -> None:
+    """Simulate and judge controllers of a free-flying space manipulator after debris capture.
+
+    \b
+    Examples:
+      ffsm run                             the main job; open out/postcapture/report.html
+      ffsm compare paper                   the paper's four controllers, overlaid and ranked
+      ffsm run mine.yaml --controller my_module:MyController --set payload.truth.mass=120
+
+    Exit codes: 0 good, 2 bad input, 3 diverged or unstable, 130 interrupted.
+    """
+    if str(Path.cwd()) not in sys.path:  # for controllers given as module:Class; last, so that it shadows nothing
+        sys.path.append(str(Path.cwd()))
+
+
+for command in (
+    run, compare, analyze, stability, design, plot, diagram,
+    scenarios, validate, schema, reproduce, noise, doctor, completion,
+):  # fmt: skip
+    main.add_command(command)

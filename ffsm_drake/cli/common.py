@@ -1,0 +1,150 @@
+"""What the commands share: options, errors as one line, progress."""
+
+import functools
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ffsm_drake.errors import FfsmError, warnings_as_lines
+
+if TYPE_CHECKING:
+    from ffsm_drake.record import RunRecord
+
+EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE, EXIT_INTERRUPTED = 0, 2, 3, 130
+
+
+class OrderedGroup(click.Group):
+    """Lists its commands in the order in which they were added, which is the order of use."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+
+def reports_errors(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Turn the package's errors into one line and exit code 2, and its warnings into one line each."""
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, **kwargs: Any) -> Any:
+        with warnings_as_lines():
+            try:
+                return command(*args, **kwargs)
+            except FfsmError as error:
+                click.echo(f"error: {error}", err=True)
+                sys.exit(EXIT_BAD_INPUT)
+            except KeyboardInterrupt:
+                click.echo("interrupted", err=True)
+                sys.exit(EXIT_INTERRUPTED)
+            except BrokenPipeError:  # the reader of our output has gone, as ``| head`` does
+                sys.stderr.close()
+                sys.exit(EXIT_GOOD)
+
+    return wrapped
+
+
+def complete_scenario(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Shipped names, then files."""
+    from click.shell_completion import CompletionItem
+
+    from ffsm_drake.scenario import shipped_scenarios
+
+    names = [CompletionItem(name) for name in shipped_scenarios() if name.startswith(incomplete)]
+    return names or [CompletionItem(incomplete, type="file")]
+
+
+def complete_controller(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    from ffsm_drake.controllers import controller_names
+
+    return [name for name in controller_names() if name.startswith(incomplete)]
+
+
+scenario_argument = click.argument(
+    "scenario", default="postcapture", metavar="[SCENARIO]", shell_complete=complete_scenario
+)
+overrides_option = click.option(
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override a scenario value; repeatable."
+)
+seed_option = click.option("--seed", type=int, help="Seed of the noise; short for --set random_seed=N.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of text.")
+run_argument = click.argument("run", type=click.Path(path_type=Path), metavar="RUN_DIR")
+
+
+def controller_option(*, multiple: bool = False, **settings: Any) -> Callable[..., Any]:
+    return click.option(
+        "--controller", "-c", multiple=multiple, metavar="NAME", shell_complete=complete_controller, **settings
+    )
+
+
+def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """SCENARIO, --controller, --set and --seed, handed on as one loaded ``scenario``."""
+
+    @scenario_argument
+    @controller_option(help="One of 'ffsm doctor's list, or module:Class. Default: the one that the scenario names.")
+    @overrides_option
+    @seed_option
+    @functools.wraps(command)
+    def wrapped(
+        scenario: str, controller: str | None, overrides: tuple[str, ...], seed: int | None, **rest: Any
+    ) -> Any:
+        from ffsm_drake.scenario import load_scenario
+
+        chosen = [f"controller={controller}"] if controller else []
+        if seed is not None:
+            chosen.append(f"random_seed={seed}")
+        return command(scenario=load_scenario(scenario, [*overrides, *chosen]), **rest)
+
+    return wrapped
+
+
+def scenario_stem() -> str:
+    """The running command's SCENARIO as a name for a folder."""
+    return Path(click.get_current_context().params["scenario"]).stem
+
+
+def print_json(data: Any) -> None:
+    from ffsm_drake.record import to_json
+
+    click.echo(to_json(data), nl=False)
+
+
+class RunProgress:
+    """Progress of one run: a line that fills up on a terminal, a plain line every five simulated seconds elsewhere."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._terminal = sys.stderr.isatty()
+
+    def __call__(self, time: float, duration: float) -> None:
+        text = f"{self._name}: {time:4.0f} of {duration:g} s"
+        if self._terminal:
+            click.echo(f"\r{text}", nl=False, err=True)
+        elif round(time) % 5 == 0:
+            click.echo(text, err=True)
+
+    def close(self, record: "RunRecord") -> None:
+        """The run's last line."""
+        wall = record.wall_time["advance_to"]
+        start = "\r" if self._terminal else ""
+        rate = f"simulated in {wall:.2f} s, {record.realtime_factor:.0f} times real time"
+        click.echo(f"{start}{self._name}: {record.outcome.message}; {rate}", err=True)
+
+
+def count_progress(what: str) -> Callable[[int, int], None]:
+    """Progress on one line of a terminal; nothing elsewhere, for work of a few seconds."""
+
+    def show(done: int, total: int) -> None:
+        if sys.stderr.isatty():
+            click.echo(f"\r{done} of {total} {what}" + ("\n" if done == total else ""), nl=False, err=True)
+
+    return show
+
+
+def batch_progress(done: int, total: int, following: str) -> None:
+    """Progress of many runs: one line that fills up on a terminal, a plain line every twenty runs elsewhere."""
+    line = f"{done:3d} of {total} runs: {following}"
+    if sys.stderr.isatty():
+        click.echo(f"\r{line:<100}" + ("\n" if done == total else ""), nl=False, err=True)
+    elif done % 20 == 0 or done == total:
+        click.echo(line, err=True)

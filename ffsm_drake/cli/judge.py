@@ -1,0 +1,127 @@
+"""Commands that judge without or after a run: stability, analyze, design."""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ffsm_drake.cli.common import (
+    EXIT_UNSTABLE,
+    count_progress,
+    json_option,
+    print_json,
+    reports_errors,
+    run_argument,
+    scenario_options,
+)
+
+if TYPE_CHECKING:
+    from ffsm_drake.scenario import Scenario
+
+
+@click.command()
+@reports_errors
+@scenario_options
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Write stability.png here.")
+@json_option
+def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
+    """Margins of the sampled loop along the planned motion, without a simulation.
+
+    SCENARIO is a shipped name or a YAML file (default: postcapture). Exits with 3 when the scenario is unstable.
+
+    \b
+    Examples:
+      ffsm stability
+      ffsm stability paper --set simulator_config.integration_scheme=runge_kutta3
+      ffsm stability --set payload.belief.mass=125 --out out/stability
+    """
+    from ffsm_drake.files import written_whole
+    from ffsm_drake.stability import assess
+    from ffsm_drake.stability.report import margins_data, margins_table, plot_margins
+
+    margins = assess(scenario)
+    if as_json:
+        print_json(margins_data(margins))
+    else:
+        click.echo(margins_table(margins))
+    if out is not None:
+        path = out / "stability.png"
+        with written_whole(path) as temporary:
+            plot_margins(margins).savefig(temporary, dpi=130)
+        click.echo(f"Written to {path}", err=as_json)
+    sys.exit(0 if margins.is_stable else EXIT_UNSTABLE)
+
+
+@click.command()
+@reports_errors
+@run_argument
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Where analysis.png and analysis.json go (default: RUN_DIR).",
+)
+@json_option
+def analyze(run: Path, out: Path | None, as_json: bool) -> None:
+    """What the paper proves and claims, checked on a recorded run.
+
+    RUN_DIR is a folder that holds record.nc and manifest.json. Prints each finding, and draws them.
+
+    \b
+    Example:
+      ffsm run --out out/mine
+      ffsm analyze out/mine
+    """
+    from ffsm_drake.analysis import analyze as analyze_record
+    from ffsm_drake.analysis import plot_analysis
+    from ffsm_drake.files import write_text, written_whole
+    from ffsm_drake.record import RunRecord, to_json
+
+    analysis = analyze_record(RunRecord.load(run))
+    findings = {finding.key: dataclasses.asdict(finding) for finding in analysis.findings}
+    if as_json:
+        print_json(findings)
+    else:
+        click.echo(str(analysis))
+    directory = out or run
+    write_text(directory / "analysis.json", to_json(findings))
+    with written_whole(directory / "analysis.png") as temporary:
+        plot_analysis(analysis).savefig(temporary, dpi=130)
+    click.echo(f"Written to {directory}: analysis.json, analysis.png", err=as_json)
+
+
+@click.command()
+@reports_errors
+@scenario_options
+@click.option("--budget", type=float, help="Largest ISV (default: 1.1 times that of perfect tracking).")
+@click.option("--payload-range", type=float, nargs=2, metavar="LOW HIGH", help="True masses to be stable for, kg.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/design"), show_default=True
+)
+def design(scenario: "Scenario", budget: float | None, payload_range: tuple[float, float] | None, out: Path) -> None:
+    """Choose gains and estimator for a scenario's sensors, period and payload range, without simulating it.
+
+    Writes design.yaml, a scenario to run, and design.png, accuracy against effort. Exits with 3 when the chosen gains
+    are unstable for some payload of the range.
+
+    \b
+    Examples:
+      ffsm design flight_sensors
+      ffsm design flight_sensors --controller tde_aismc --budget 410 --out out/mine
+      ffsm run out/mine/design.yaml
+    """
+    from ffsm_drake.design import design as design_gains
+    from ffsm_drake.design import design_table, plot_design
+    from ffsm_drake.files import write_text, written_whole
+    from ffsm_drake.scenario import scenario_to_yaml
+
+    found = design_gains(scenario, budget=budget, payload_range=payload_range, progress=count_progress("prices"))
+    click.echo(design_table(found))
+    write_text(out / "design.yaml", scenario_to_yaml(found.chosen.scenario))
+    with written_whole(out / "design.png") as temporary:
+        plot_design(found).savefig(temporary, dpi=130)
+    click.echo(f"\nWritten to {out}: design.yaml, design.png")
+    stable = all(prediction.spectral_radius < 1.0 for prediction in found.robustness.values())
+    sys.exit(0 if stable else EXIT_UNSTABLE)

@@ -1,0 +1,52 @@
+"""Commands about the paper: reproduce, noise."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from ffsm_drake.cli.common import EXIT_INTERRUPTED, batch_progress, reports_errors
+
+
+@click.command()
+@reports_errors
+@click.argument("what", type=click.Choice(("table2", "fig3", "fig4", "fig5", "all")), default="all")
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/reproduction"), show_default=True
+)
+@click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Seeds of the noise per cell.")
+def reproduce(what: str, out: Path, seeds: int) -> None:
+    """Compute the paper's table and figures anew, and judge its claims.
+
+    \b
+    Examples:
+      ffsm reproduce                 everything, gathered in out/reproduction/reproduction.html
+      ffsm reproduce table2 --seeds 5
+    """
+    from ffsm_drake.reproduction import reproduce as reproduce_paper
+
+    main_file = reproduce_paper(what, out, seeds=seeds, workers=2, progress=batch_progress)
+    if main_file is None:
+        click.echo("interrupted; nothing was written", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+    click.echo(f"Written to {out}; open {main_file}")
+
+
+@click.command()
+@reports_errors
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/noise"), show_default=True)
+@click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds of the noise per point.")
+def noise(out: Path, seeds: int) -> None:
+    """What the published gains cost with real sensors: error and effort against noise, all controllers, both estimates.
+
+    Writes noise.md, noise.csv, noise.png and noise.svg.
+
+    \b
+    Example:
+      ffsm noise --seeds 3
+    """
+    from ffsm_drake.noise_study import study_markdown, study_noise, write_study
+
+    study = study_noise(seeds=seeds, workers=2, progress=batch_progress)
+    click.echo(study_markdown(study))
+    click.echo(f"Written to {out}; open {write_study(study, out).with_suffix('.png')}")

@@ -1,0 +1,134 @@
+"""Commands that simulate: run, compare."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ffsm_drake.cli.common import (
+    EXIT_GOOD,
+    EXIT_INTERRUPTED,
+    EXIT_UNSTABLE,
+    RunProgress,
+    controller_option,
+    json_option,
+    overrides_option,
+    print_json,
+    reports_errors,
+    scenario_argument,
+    scenario_options,
+    scenario_stem,
+    seed_option,
+)
+
+if TYPE_CHECKING:
+    from ffsm_drake.record import RunRecord
+    from ffsm_drake.scenario import Scenario
+
+_out = click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Default: out/ and the scenario's name."
+)
+_report = click.option("--report/--no-report", default=True, show_default=True, help="Write report.html.")
+
+
+@click.command()
+@reports_errors
+@scenario_options
+@_out
+@json_option
+@_report
+@click.option("--meshcat", is_flag=True, help="Fly it live in the browser, with controls; at real time.")
+def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, meshcat: bool) -> None:
+    """Run a scenario and write its record and report.
+
+    SCENARIO is a shipped name (see 'ffsm scenarios') or a YAML file. The folder then holds record.nc, metrics.json,
+    manifest.json and report.html, one page with results, plots, recording, findings and margins.
+
+    \b
+    Examples:
+      ffsm run
+      ffsm run flight_sensors --controller aismc --seed 3
+      ffsm run mine.yaml --controller my_module:MyController --out out/mine
+      ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
+    """
+    directory = out or Path("out") / scenario_stem()
+    record = _simulate(scenario)
+    record.save(directory)
+    sys.exit(_finish([record], directory, as_json=as_json, report=report))
+
+
+@click.command()
+@reports_errors
+@scenario_argument
+@controller_option(multiple=True, help="Repeat for each one; default: the paper's four.")
+@overrides_option
+@seed_option
+@_out
+@json_option
+@_report
+def compare(
+    scenario: str,
+    controller: tuple[str, ...],
+    overrides: tuple[str, ...],
+    seed: int | None,
+    out: Path | None,
+    as_json: bool,
+    report: bool,
+) -> None:
+    """Run several controllers on the same scenario, same noise; overlay and rank them.
+
+    Writes one folder per controller, and report.html beside them.
+
+    \b
+    Examples:
+      ffsm compare
+      ffsm compare flight_sensors -c tdc -c tde_aismc -c computed_torque -c pd_plus
+      ffsm compare mine.yaml -c tde_aismc -c my_module:MyController --out out/duel
+    """
+    from ffsm_drake.scenario import CONTROLLER_NAMES, load_scenario, override_scenario, own_controller_name
+
+    names = controller or CONTROLLER_NAMES
+    folders = [own_controller_name(name) for name in names]
+    repeated = sorted({folder for folder in folders if folders.count(folder) > 1})
+    if repeated:
+        raise click.UsageError(f"--controller: {', '.join(repeated)} is given more than once")
+    base = load_scenario(scenario, [*overrides, *([] if seed is None else [f"random_seed={seed}"])])
+    directory = out or Path("out") / f"compare_{scenario_stem()}"
+    scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]  # judged before any of them runs
+    records: list[RunRecord] = []
+    for chosen, folder in zip(scenarios, folders, strict=True):
+        record = _simulate(chosen)
+        record.save(directory / folder)
+        records.append(record)
+        if record.outcome.status == "interrupted":
+            break
+    sys.exit(_finish(records, directory, as_json=as_json, report=report))
+
+
+def _simulate(scenario: "Scenario") -> "RunRecord":
+    from ffsm_drake.simulation import simulate
+
+    progress = RunProgress(scenario.controller)
+    record = simulate(scenario, progress=progress)
+    progress.close(record)
+    return record
+
+
+def _finish(records: Sequence["RunRecord"], directory: Path, *, as_json: bool, report: bool) -> int:
+    """Report, table and exit code of finished runs."""
+    from ffsm_drake.outputs import results_data, results_table, write_outputs
+
+    if not as_json:
+        click.echo(results_table(records))
+    if report:
+        write_outputs(records, directory, figures=False, recording=False)
+    if as_json:
+        print_json({"directory": str(directory), "runs": results_data(records)})
+    else:
+        click.echo(f"\nWritten to {directory}" + (f"; open {directory / 'report.html'}" if report else ""))
+    statuses = {record.outcome.status for record in records}
+    if "interrupted" in statuses:
+        return EXIT_INTERRUPTED
+    return EXIT_UNSTABLE if "diverged" in statuses else EXIT_GOOD

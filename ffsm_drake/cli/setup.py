@@ -1,0 +1,146 @@
+"""Commands around scenarios and the installation: scenarios, validate, schema, doctor, completion."""
+
+import os
+import sys
+from pathlib import Path
+
+import click
+
+from ffsm_drake.cli.common import (
+    EXIT_BAD_INPUT,
+    complete_scenario,
+    json_option,
+    overrides_option,
+    print_json,
+    reports_errors,
+)
+
+
+@click.command()
+@reports_errors
+@click.argument("name", required=False, shell_complete=complete_scenario)
+@json_option
+def scenarios(name: str | None, as_json: bool) -> None:
+    """List the shipped scenarios, or print one as YAML to start one's own from.
+
+    \b
+    Examples:
+      ffsm scenarios
+      ffsm scenarios postcapture > mine.yaml
+    """
+    from ffsm_drake.scenario import load_scenario, scenario_to_dict, shipped_scenarios
+
+    if name is not None:
+        scenario = load_scenario(name)
+        if as_json:
+            print_json(scenario_to_dict(scenario))
+        else:
+            path = shipped_scenarios().get(name, Path(name))
+            click.echo(path.read_text(encoding="utf-8"), nl=False)
+        return
+    found = {name: load_scenario(name).description for name in shipped_scenarios()}
+    if as_json:
+        print_json(found)
+        return
+    width = max(map(len, found)) + 2
+    for name, description in found.items():
+        click.echo(f"{name:<{width}}{description}")
+
+
+@click.command()
+@reports_errors
+@click.argument("scenarios", nargs=-1, required=True, metavar="SCENARIO...", shell_complete=complete_scenario)
+@overrides_option
+@json_option
+def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bool) -> None:
+    """Check scenarios, their models and controllers, without running them. Exits with 2 if one cannot be used.
+
+    \b
+    Examples:
+      ffsm validate mine.yaml
+      ffsm validate postcapture --set payload.truth.mass=-5
+    """
+    from ffsm_drake.closed_loop import make_closed_loop
+    from ffsm_drake.errors import FfsmError
+    from ffsm_drake.scenario import load_scenario
+
+    results = {}
+    for name in scenarios:
+        try:
+            loop = make_closed_loop(load_scenario(name, overrides))
+            results[name] = {
+                "valid": True,
+                "controller": loop.scenario.controller,
+                "coordinates": list(loop.coordinates.names),
+            }
+            if not as_json:
+                joints = len(loop.coordinates.joints)
+                click.echo(f"{name}: valid; {loop.scenario.controller}, free base and {joints} joints")
+        except FfsmError as error:
+            results[name] = {"valid": False, "error": str(error)}
+            if not as_json:
+                click.echo(f"error: {error}", err=True)
+    if as_json:
+        print_json(results)
+    sys.exit(0 if all(result["valid"] for result in results.values()) else EXIT_BAD_INPUT)
+
+
+@click.command()
+@reports_errors
+def schema() -> None:
+    """The scenario file's JSON Schema, with the unit and meaning of every key, for editors and checkers.
+
+    \b
+    Example:
+      ffsm schema > scenario.schema.json
+      # first line of a scenario, for editors:  # yaml-language-server: $schema=scenario.schema.json
+    """
+    from ffsm_drake.schema import scenario_schema
+
+    print_json(scenario_schema())
+
+
+@click.command()
+@reports_errors
+@json_option
+def doctor(as_json: bool) -> None:
+    """Check this installation: versions, models, controllers, a short run, the browser view, Graphviz.
+
+    Exits with 2 when something that a run needs is missing.
+
+    \b
+    Example:
+      ffsm doctor
+    """
+    from ffsm_drake.doctor import examine
+
+    checks = examine()
+    if as_json:
+        print_json([{"name": check.name, "status": check.status, "detail": check.detail} for check in checks])
+    else:
+        for check in checks:
+            click.echo(f"[{check.status:^7}] {check.name}: {check.detail}")
+    sys.exit(EXIT_BAD_INPUT if any(check.status == "missing" for check in checks) else 0)
+
+
+@click.command()
+@reports_errors
+@click.argument("shell", type=click.Choice(("bash", "zsh", "fish")), required=False)
+def completion(shell: str | None) -> None:
+    """Print the script that teaches a shell to complete ffsm's commands, options and scenarios.
+
+    \b
+    Examples:
+      ffsm completion bash >> ~/.bashrc
+      ffsm completion zsh >> ~/.zshrc
+      ffsm completion fish > ~/.config/fish/completions/ffsm.fish
+    """
+    from click.shell_completion import get_completion_class
+
+    shell = shell or Path(os.environ.get("SHELL", "bash")).name
+    completer = get_completion_class(shell)
+    if completer is None:
+        raise click.UsageError(f"shell '{shell}' is not known; choose one of bash, zsh, fish")
+    from ffsm_drake.cli import main
+
+    click.echo(completer(main, {}, "ffsm", "_FFSM_COMPLETE").source())

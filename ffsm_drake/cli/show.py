@@ -1,0 +1,57 @@
+"""Commands that draw: plot, diagram, replay."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ffsm_drake.cli.common import reports_errors, scenario_options
+
+if TYPE_CHECKING:
+    from ffsm_drake.scenario import Scenario
+
+
+@click.command()
+@reports_errors
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN_DIR...")
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Default: the first RUN_DIR.")
+def plot(runs: tuple[Path, ...], out: Path | None) -> None:
+    """Draw the figures of a recorded run, or of several overlaid, as PNG and SVG.
+
+    \b
+    Examples:
+      ffsm plot out/postcapture
+      ffsm plot out/compare_paper/tdc out/compare_paper/tde_aismc --out out/figures
+    """
+    from ffsm_drake.plotting import save_figures
+    from ffsm_drake.record import RunRecord
+
+    directory = out or runs[0]
+    written = save_figures([RunRecord.load(run) for run in runs], directory)
+    click.echo(f"Written to {directory}: {', '.join(path.name for path in written)}")
+
+
+@click.command()
+@reports_errors
+@scenario_options
+@click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write FILE.dot and FILE.svg."
+)
+def diagram(scenario: "Scenario", out: Path | None) -> None:
+    """The closed loop's block diagram as Graphviz text, or as files.
+
+    \b
+    Examples:
+      ffsm diagram
+      ffsm diagram flight_sensors --controller pd_plus --out out/loop.svg
+    """
+    from ffsm_drake.block_diagram import closed_loop_dot, write_diagram
+
+    dot = closed_loop_dot(scenario)
+    if out is None:
+        click.echo(dot)
+        return
+    remark = write_diagram(dot, out.with_suffix(".dot"))
+    click.echo(f"Written to {out.with_suffix('.dot')}" + ("" if remark else f" and {out.with_suffix('.svg').name}"))
+    if remark:
+        click.echo(remark, err=True)
