@@ -84,9 +84,7 @@ def _add_models(parser: Parser, file: str, place: str) -> list[ModelInstanceInde
     if "://" not in file and not Path(file).is_file():
         raise ModelError(f"{place}: no such file")
     try:
-        instances: list[ModelInstanceIndex] = (
-            parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
-        )
+        instances: list[ModelInstanceIndex] = parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
     except RuntimeError as error:
         raise ModelError(f"{place}: {one_line(error)}") from error
     return instances

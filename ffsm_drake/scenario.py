@@ -131,12 +131,12 @@ class TdeAismcGains(AismcGains):
 class Controllers:
     """The settings of every controller; ``Scenario.controller`` names the one in use."""
 
-    # Gains of controllers that come from elsewhere: name (its part after the colon) -> gain -> by coordinate.
-    own: dict[str, dict[str, PerCoordinate]] = dataclasses.field(default_factory=dict)
     tdc: TdcGains = dataclasses.field(default_factory=TdcGains)
     asmc: AsmcGains = dataclasses.field(default_factory=AsmcGains)
     aismc: AismcGains = dataclasses.field(default_factory=AismcGains)
     tde_aismc: TdeAismcGains = dataclasses.field(default_factory=TdeAismcGains)
+    # Gains of controllers that come from elsewhere: name (its part after the colon) -> gain -> by coordinate.
+    own: dict[str, dict[str, PerCoordinate]] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass

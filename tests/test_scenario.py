@@ -106,7 +106,10 @@ directives:
     [
         ("controler=tdc", "override: controler: unknown key; valid here: description, random_seed"),
         ("controllers.tdc.kd=3", "override: controllers.tdc.kd: unknown key; valid here: k_d, k_p"),
-        ("controllers.foo.k_d=3", "override: controllers.foo: unknown key; valid here: tdc, asmc, aismc, tde_aismc"),
+        (
+            "controllers.foo.k_d=3",
+            "override: controllers.foo: unknown key; valid here: tdc, asmc, aismc, tde_aismc, own",
+        ),
         ("duration.x=3", "override: duration.x: unknown key; duration holds a single value"),
         ("controller=foo", "override: controller: 'foo' is unknown; choose one of tdc, asmc, aismc, tde_aismc"),
         ("controllers.tdc.k_d=fast", "override: controllers.tdc.k_d.all: must be a number, not 'fast'"),
@@ -174,7 +177,7 @@ def test_values_that_only_the_model_can_judge(override, expected):
         ("duration: [", "is not valid YAML"),
         ("- 1", "must be a mapping with keys description"),
         ("payload: {truth: 3}", "payload.truth: must be a mapping with keys mass"),
-        ("disturbance: {harmonics: [1]}", "disturbance.harmonics: must be a mapping by coordinate or group"),
+        ("disturbance: {harmonics: [1]}", "disturbance.harmonics: must be a mapping"),
         ("initial_posture: {base_position: 3}", "initial_posture.base_position: must be a list, not 3"),
         ("initial_posture: {base_position: [1, x, 2]}", "initial_posture.base_position[1]: must be a number, not 'x'"),
         ("description: 3", "description: must be text, not 3"),
@@ -236,4 +239,4 @@ directives:
 
 def test_every_controller_has_settings():
     controllers = scenario_to_dict(load_scenario("paper"))["controllers"]
-    assert tuple(controllers) == CONTROLLER_NAMES
+    assert tuple(controllers) == (*CONTROLLER_NAMES, "own")

@@ -13,9 +13,7 @@ from ffsm_drake.cli.setup import completion, doctor, scenarios, schema, validate
 from ffsm_drake.cli.show import diagram, plot
 
 
-@click.group(
-    cls=OrderedGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110}
-)
+@click.group(cls=OrderedGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="ffsm-drake")
 def main() -> None:
     """Simulate and judge controllers of a free-flying space manipulator after debris capture.

@@ -97,9 +97,7 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
 @scenario_options
 @click.option("--budget", type=float, help="Largest ISV (default: 1.1 times that of perfect tracking).")
 @click.option("--payload-range", type=float, nargs=2, metavar="LOW HIGH", help="True masses to be stable for, kg.")
-@click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/design"), show_default=True
-)
+@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/design"), show_default=True)
 def design(scenario: "Scenario", budget: float | None, payload_range: tuple[float, float] | None, out: Path) -> None:
     """Choose gains and estimator for a scenario's sensors, period and payload range, without simulating it.
 
