@@ -3,7 +3,6 @@
 import dataclasses
 import platform
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable
 from importlib.metadata import entry_points
@@ -44,8 +43,6 @@ def examine() -> list[Check]:
 
 
 def _python() -> str:
-    if sys.version_info < (3, 11):
-        raise RuntimeError(f"{platform.python_version()} is too old; 3.11 or newer is needed")
     return f"{platform.python_version()} on {platform.platform()}"
 
 

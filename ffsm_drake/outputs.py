@@ -5,10 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ffsm_drake.files import write_text
-from ffsm_drake.plotting import save_figures
 from ffsm_drake.record import RunRecord
-from ffsm_drake.report import write_report
-from ffsm_drake.visualization import recording_html
 
 REPORT_FILE = "report.html"
 RECORDING_FILE = "recording.html"
@@ -19,7 +16,7 @@ def results_table(records: Sequence[RunRecord]) -> str:
     lines = [
         f"{'controller':<16}{'ITAE':>11}{'ISV':>11}{'peak error':>24}{'final error':>24}{'peak force':>12}"
         f"{'peak torque':>21}",
-        f"{'':<16}{'':>11}{'':>11}{'rad':>12}{'m':>12}{'rad':>12}{'m':>12}{'base, N':>12}{'base, N m':>11}{'joints':>10}",
+        f"{'':<38}{'rad':>12}{'m':>12}{'rad':>12}{'m':>12}{'base, N':>12}{'base, N m':>11}{'joints':>10}",
     ]
     for record in records:
         m = record.metrics
@@ -58,6 +55,11 @@ def write_outputs(
     Raises:
       RecordError: a file cannot be written.
     """
+    # Here, because they are slow to import and not every run wants them.
+    from ffsm_drake.plotting import save_figures
+    from ffsm_drake.report import write_report
+    from ffsm_drake.visualization import recording_html
+
     directory = Path(directory)
     shown = recording_html(records[-1])
     written = [write_report(records, directory / REPORT_FILE, recording=shown)]

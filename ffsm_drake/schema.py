@@ -47,7 +47,7 @@ def field_comments(schema: type) -> dict[str, str]:
 def _schema(kind: Any, default: Any) -> dict[str, Any]:
     fields = schema_fields(kind)
     if fields is not None:
-        described = field_comments(kind) if dataclasses.is_dataclass(kind) else {}
+        described = field_comments(kind) if isinstance(kind, type) and dataclasses.is_dataclass(kind) else {}
         properties = {}
         for name, field_kind in fields.items():
             value = None if default is None else default[name]

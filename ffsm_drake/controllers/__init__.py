@@ -1,4 +1,4 @@
-"""The controllers: the paper's four, each time-delay estimation (tde.py) around its own law, and the door for others."""
+"""The controllers: the paper's four, time-delay estimation (tde.py) around their own laws, and the door for others."""
 
 from typing import Any
 

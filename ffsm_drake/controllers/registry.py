@@ -97,11 +97,17 @@ def check_ports(controller: LeafSystem, setup: ControllerSetup) -> None:
         raise ControllerError(
             f"controller '{setup.name}': needs an output port 'generalized_force' of size {num_velocities}"
         )
-    for name in (controller.get_output_port(i).get_name() for i in range(controller.num_output_ports())):
-        size = controller.GetOutputPort(name).size()
-        if size != num_velocities:
+    for i in range(controller.num_output_ports()):
+        port = controller.get_output_port(i)
+        if port.size() != num_velocities:
             raise ControllerError(
-                f"controller '{setup.name}': output port '{name}' must have size {num_velocities}, not {size}"
+                f"controller '{setup.name}': output port '{port.get_name()}' must have size {num_velocities}, "
+                f"not {port.size()}"
+            )
+        if controller.HasDirectFeedthrough(i):
+            raise ControllerError(
+                f"controller '{setup.name}': output port '{port.get_name()}' must not follow an input at once; declare "
+                "it with DeclareStateOutputPort, or with prerequisites {self.all_state_ticket()}"
             )
 
 

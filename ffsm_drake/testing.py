@@ -1,0 +1,309 @@
+"""A conformance kit for one's own controllers: ``check_controller(factory)`` in one's own pytest.
+
+from ffsm_drake.testing import check_controller
+from my_module import MyController
+
+def test_my_controller():
+    check_controller(MyController)
+"""
+
+import dataclasses
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import LeafSystem
+
+from ffsm_drake.controllers.base import ControllerSetup
+from ffsm_drake.controllers.registry import Factory, build_controller, find_factory
+from ffsm_drake.errors import FfsmError, one_line
+from ffsm_drake.plant import make_nominal_plant
+from ffsm_drake.reference import make_reference
+from ffsm_drake.scenario import PerCoordinate, Posture, Scenario, load_scenario, override_scenario, own_controller_name
+
+_SAMPLES = 25
+
+
+class ConformanceError(AssertionError):
+    """A controller breaks the contract; the text says which part, how, and what would be right."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Conformance:
+    """What was checked, and what an update costs."""
+
+    controller: str
+    checks: tuple[str, ...]
+    update_time: float  # s per update, the fastest of several runs
+
+    def __str__(self) -> str:
+        passed = "\n".join(f"  {check}" for check in self.checks)
+        return f"{self.controller} conforms ({1e6 * self.update_time:.0f} us per update):\n{passed}"
+
+
+def check_controller(
+    factory: Factory | str,
+    *,
+    scenario: str | Path | Scenario = "postcapture",
+    gains: Mapping[str, PerCoordinate] | None = None,
+) -> Conformance:
+    """Check a controller against the contract that the closed loop relies on.
+
+    Ports and sizes; a force that is finite and held over each period; no memory outside the context (a reset and a
+    second run give the same force, two runs do not disturb each other); forces that follow the joints' names when the
+    model lists them in another order; an update that takes less than a period.
+
+    Args:
+      factory: the controller's class or function (ControllerSetup -> LeafSystem), or its name as for ``--controller``.
+      scenario: the spacecraft to check it with.
+      gains: as under ``controllers.own`` in a scenario.
+
+    Raises:
+      ConformanceError: the first part of the contract that is broken.
+    """
+    base = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    checks: tuple[Callable[[_Candidate, Scenario], str], ...] = (
+        _check_ports, _check_finite, _check_memory, _check_sampling, _check_names,
+    )  # fmt: skip
+    try:
+        if isinstance(factory, str):
+            name, factory = own_controller_name(factory), find_factory(factory)
+        else:
+            name = getattr(factory, "__name__", type(factory).__name__)
+        candidate = _Candidate(name=name, factory=factory, gains=gains or {})
+        passed = [check(candidate, base) for check in checks]
+    except FfsmError as error:
+        raise ConformanceError(str(error)) from error
+    cost = _update_time(candidate, base)
+    if cost > base.sample_time:
+        raise ConformanceError(
+            f"{name}: an update takes {1e3 * cost:.1f} ms, more than the period of {1e3 * base.sample_time:g} ms"
+        )
+    return Conformance(controller=name, checks=tuple(passed), update_time=cost)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Candidate:
+    name: str
+    factory: Factory
+    gains: Mapping[str, PerCoordinate]
+
+    def build(self, scenario: Scenario) -> LeafSystem:
+        return build_controller(
+            self.factory,
+            ControllerSetup(
+                name=self.name,
+                nominal=make_nominal_plant(scenario),
+                sample_time=scenario.sample_time,
+                gains=self.gains,
+            ),
+        )
+
+
+class _Bench:
+    """A controller alone, fed with given inputs sample by sample."""
+
+    def __init__(self, controller: LeafSystem, sample_time: float) -> None:
+        self._controller = controller
+        self._sample_time = sample_time
+        self._simulator = Simulator(controller, controller.CreateDefaultContext())
+        self._sample = 0
+
+    def step(self, inputs: Mapping[str, np.ndarray], *, later: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
+        """The force (nv) after one sample with these inputs; with ``later``, read at mid-period with those instead."""
+        context = self._simulator.get_mutable_context()
+        self._set(inputs)
+        if self._sample == 0:
+            self._simulator.Initialize()
+        try:
+            self._simulator.AdvancePendingEvents()
+            self._sample += 1
+            if later is not None:
+                self._simulator.AdvanceTo((self._sample - 0.5) * self._sample_time)
+                self._set(later)
+            force = np.array(self._controller.GetOutputPort("generalized_force").Eval(context))
+            self._simulator.AdvanceTo(self._sample * self._sample_time)
+        except FfsmError:
+            raise
+        except Exception as error:
+            raise ConformanceError(
+                f"{self._controller.get_name()}: the update raises {type(error).__name__}: {one_line(error)}"
+            ) from error
+        return force
+
+    def _set(self, inputs: Mapping[str, np.ndarray]) -> None:
+        context = self._simulator.get_mutable_context()
+        for i in range(self._controller.num_input_ports()):
+            port = self._controller.get_input_port(i)
+            port.FixValue(context, inputs[port.get_name()])
+
+
+def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
+    """Samples along the planned motion with small random errors."""
+    coordinates = make_nominal_plant(scenario).coordinates
+    reference = make_reference(scenario, coordinates)
+    random = np.random.default_rng(seed)
+    samples = []
+    for k in range(_SAMPLES):
+        q_d, v_d, a_d = reference.evaluate(0.3 * scenario.reference.duration + k * scenario.sample_time)
+        noise = 1e-3 * random.standard_normal((3, len(coordinates.names)))
+        q, v = q_d.copy(), v_d + noise[1]
+        q[4:] += noise[0, 3:]
+        q[1:4] += 0.5 * noise[0, :3]
+        q[:4] /= np.linalg.norm(q[:4])
+        samples.append(
+            {
+                "estimated_state": np.concatenate([q, v]),
+                "desired_state": np.concatenate([q_d, v_d]),
+                "desired_acceleration": a_d,
+                "applied_force": noise[2],
+            }
+        )
+    return samples
+
+
+def _reordered(samples: list[dict[str, np.ndarray]], order: np.ndarray) -> list[dict[str, np.ndarray]]:
+    """The same samples for a model that lists the old coordinates ``order`` (nv)."""
+    states = np.concatenate([[0], 1 + order, order.size + 1 + order])  # the quaternion has one number more
+    return [
+        {name: value[order if value.size == order.size else states] for name, value in sample.items()}
+        for sample in samples
+    ]
+
+
+def _run(bench: _Bench, samples: list[dict[str, np.ndarray]]) -> np.ndarray:
+    return np.array([bench.step(sample) for sample in samples])
+
+
+def _check_ports(candidate: _Candidate, scenario: Scenario) -> str:
+    controller = candidate.build(scenario)
+    if controller.num_continuous_states() > 0:
+        raise ConformanceError(f"{candidate.name}: has continuous state; a sampled controller keeps discrete state")
+    return "ports: names and sizes"
+
+
+def _check_finite(candidate: _Candidate, scenario: Scenario) -> str:
+    for seed in (0, 1):
+        samples = _inputs(scenario, seed=seed)
+        at_rest = [sample | {"estimated_state": sample["desired_state"]} for sample in samples]
+        for situation, given in (("small errors", samples), ("no error at all", at_rest)):
+            force = _run(_Bench(candidate.build(scenario), scenario.sample_time), given)
+            if not np.isfinite(force).all():
+                sample = int(np.argmin(np.isfinite(force).all(axis=1)))
+                raise ConformanceError(f"{candidate.name}: the force is not finite at sample {sample} with {situation}")
+    return "finite force, with errors and without any"
+
+
+def _check_sampling(candidate: _Candidate, scenario: Scenario) -> str:
+    samples, others = _inputs(scenario, seed=2), _inputs(scenario, seed=3)
+    force = _run(_Bench(candidate.build(scenario), scenario.sample_time), samples)
+    bench = _Bench(candidate.build(scenario), scenario.sample_time)
+    held = np.array([bench.step(sample, later=other) for sample, other in zip(samples, others, strict=True)])
+    if not np.array_equal(force, held):
+        raise ConformanceError(
+            f"{candidate.name}: the force follows its inputs between two samples; declare it as an output of discrete "
+            "state (DeclareStateOutputPort), updated every sample_time"
+        )
+    if all(np.array_equal(force[0], later) for later in force[1:]):
+        raise ConformanceError(
+            f"{candidate.name}: the force never changes; declare a periodic update every sample_time "
+            f"({scenario.sample_time:g} s), offset 0"
+        )
+    return "one update per period, the force held in between"
+
+
+def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
+    samples, others = _inputs(scenario, seed=4), _inputs(scenario, seed=5)
+    first = _run(_Bench(candidate.build(scenario), scenario.sample_time), samples)
+    if not np.array_equal(first, _run(_Bench(candidate.build(scenario), scenario.sample_time), samples)):
+        raise ConformanceError(
+            f"{candidate.name}: two new controllers give different forces for the same inputs; "
+            "draw random numbers from an input port, and keep no state in the module or class"
+        )
+    remedy = "a controller must keep its state in the context (discrete state), not on self"
+    controller = candidate.build(scenario)
+    _run(_Bench(controller, scenario.sample_time), others)
+    again = _run(_Bench(controller, scenario.sample_time), samples)
+    if not np.array_equal(first, again):
+        where = int(np.argmin((first == again).all(axis=1)))
+        raise ConformanceError(
+            f"{candidate.name}: hides state on self: after a reset, the force at sample {where} depends on the run "
+            f"before; {remedy}"
+        )
+    controller = candidate.build(scenario)
+    one, two = (_Bench(controller, scenario.sample_time) for _ in range(2))
+    interleaved = []
+    for sample, other in zip(samples, others, strict=True):
+        interleaved.append(one.step(sample))
+        two.step(other)
+    if not np.array_equal(first, np.array(interleaved)):
+        raise ConformanceError(f"{candidate.name}: hides state on self: two runs at once disturb each other; {remedy}")
+    return "no state outside the context: reset, second run and two runs at once give the same force"
+
+
+def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        one = _two_armed(scenario, ("left", "right"), Path(folder) / "left_first.urdf")
+        two = _two_armed(scenario, ("right", "left"), Path(folder) / "right_first.urdf")
+        listed, otherwise = (make_nominal_plant(model).coordinates.names for model in (one, two))
+        order = np.array([listed.index(name) for name in otherwise])
+        samples = _inputs(one, seed=6)
+        first = _run(_Bench(candidate.build(one), one.sample_time), samples)
+        second = _run(_Bench(candidate.build(two), two.sample_time), _reordered(samples, order))
+    back = second[:, np.argsort(order)]
+    if not np.allclose(first, back, rtol=1e-6, atol=1e-9 * max(1.0, float(np.abs(first).max()))):
+        worst = listed[int(np.argmax(np.abs(first - back).max(axis=0)))]
+        raise ConformanceError(
+            f"{candidate.name}: the force on '{worst}' changes when the model lists its joints in another order; "
+            "give gains by name (GAINS, or setup.gain_vectors), not by index"
+        )
+    return "forces follow the joints' names, not their order"
+
+
+def _two_armed(scenario: Scenario, names: tuple[str, str], urdf: Path) -> Scenario:
+    """A spacecraft with two one-joint arms, listed in the given order; the left one holds the debris."""
+    urdf.write_text(_two_arms(names), encoding="utf-8")
+    target = Posture(base_position=[0.1, -0.2, 0.3], base_rpy=[0.1, 0.2, -0.1], joints={"left": 0.5, "right": -0.2})
+    blank = Scenario(
+        sample_time=scenario.sample_time, reference=scenario.reference, initial_posture=Posture(), target_posture=target
+    )
+    return override_scenario(blank, [f"model.servicer={urdf}", "model.end_effector=servicer::left_link"])
+
+
+def _two_arms(names: tuple[str, str]) -> str:
+    """URDF of a base with two one-joint arms of different mass, listed in the given order."""
+
+    def link(name: str, mass: float, size: float) -> str:
+        inertia = mass * size**2 / 6.0
+        return (
+            f'<link name="{name}"><inertial><mass value="{mass}"/>'
+            f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        )
+
+    arms = {
+        "left": (link("left_link", 20.0, 0.5), "0 1 0", "0 1 0"),
+        "right": (link("right_link", 45.0, 0.8), "0 -1 0", "0 0 1"),
+    }
+    parts = [link("base", 400.0, 2.0)]
+    for name in names:
+        text, place, axis = arms[name]
+        parts.append(
+            f'{text}<joint name="{name}" type="revolute"><parent link="base"/><child link="{name}_link"/>'
+            f'<origin xyz="{place}"/><axis xyz="{axis}"/><limit lower="-3" upper="3" effort="0" velocity="0"/></joint>'
+        )
+    return f'<robot name="two_arms">{"".join(parts)}</robot>'
+
+
+def _update_time(candidate: _Candidate, scenario: Scenario) -> float:
+    samples = _inputs(scenario, seed=7)
+    best = np.inf
+    for _ in range(3):
+        bench = _Bench(candidate.build(scenario), scenario.sample_time)
+        bench.step(samples[0])
+        start = time.perf_counter()
+        _run(bench, samples)
+        best = min(best, (time.perf_counter() - start) / len(samples))
+    return float(best)
