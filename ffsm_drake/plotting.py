@@ -13,13 +13,25 @@ from ffsm_drake.files import written_whole
 from ffsm_drake.record import RunRecord
 
 # Okabe and Ito's palette: told apart by the colour-blind, and with the dash patterns also in grey print.
-STYLES = {
+STYLES: dict[str, dict[str, Any]] = {
     "tde_aismc": {"color": "#D55E00", "linestyle": "-"},
     "aismc": {"color": "#0072B2", "linestyle": "--"},
     "asmc": {"color": "#009E73", "linestyle": "-."},
     "tdc": {"color": "#7A7A7A", "linestyle": ":"},
+    "computed_torque": {"color": "#E69F00", "linestyle": (0, (5, 1))},
+    "pd_plus": {"color": "#56B4E9", "linestyle": (0, (3, 1, 1, 1, 1, 1))},
 }
-LABELS = {"tde_aismc": "TDE-AISMC (proposed)", "aismc": "AISMC", "asmc": "ASMC", "tdc": "TDC"}
+# For controllers from elsewhere, in the order in which they come.
+_MORE_STYLES = ({"color": "#CC79A7", "linestyle": "-"}, {"color": "#000000", "linestyle": "--"},
+                {"color": "#B8A800", "linestyle": "-."})  # fmt: skip
+LABELS = {
+    "tde_aismc": "TDE-AISMC (proposed)",
+    "aismc": "AISMC",
+    "asmc": "ASMC",
+    "tdc": "TDC",
+    "computed_torque": "Computed torque",
+    "pd_plus": "PD+",
+}
 _COORDINATE_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _GROUP_TITLES = {"base_rotation": "Base attitude", "base_position": "Base position", "joints": "Joints"}
 _WINDOW = 1.0  # s, of the moving rms
@@ -167,6 +179,7 @@ def _plot_coordinates(
     magnitudes = [
         lower(record.dataset[variable].values, round(_WINDOW / record.scenario.sample_time)) for record in records
     ]
+    styles = _styles(records)
     # The largest first, so that none covers a smaller one.
     order = np.argsort([-float(np.median(magnitude)) for magnitude in magnitudes], kind="stable")
     columns = 3
@@ -181,7 +194,7 @@ def _plot_coordinates(
         upper_axes = figure.add_subplot(cell[0])
         lower_axes = figure.add_subplot(cell[1], sharex=upper_axes)
         for i in order:
-            record, magnitude, style = records[i], magnitudes[i], _style(records[i])
+            record, magnitude, style = records[i], magnitudes[i], styles[i]
             time, values = record.dataset["time"].values, record.dataset[variable].values[:, k]
             # Dashes would drown in the noise. As pixels, because a vector graphic of it would be megabytes.
             upper_axes.plot(
@@ -281,8 +294,10 @@ def _base_position_names() -> list[str]:
     return [f"base_position_{axis}" for axis in "xyz"]
 
 
-def _style(record: RunRecord) -> dict[str, Any]:
-    return STYLES.get(record.scenario.controller, {"color": "#CC79A7", "linestyle": "-"})
+def _styles(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
+    names = [record.scenario.controller for record in records]
+    others = list(dict.fromkeys(name for name in names if name not in STYLES))
+    return [STYLES.get(name) or _MORE_STYLES[others.index(name) % len(_MORE_STYLES)] for name in names]
 
 
 def _label(record: RunRecord) -> str:
