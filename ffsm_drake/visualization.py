@@ -28,7 +28,9 @@ from ffsm_drake.scenario import Scenario
 FRAMES_PER_SECOND = 25.0
 _VIEW = np.array([0.5843, -0.7176, 0.3793])  # unit vector from what the camera looks at to the camera
 _CAMERA_TARGET = np.array([0.2106, 0.0, 0.2106])  # per metre of the spacecraft's extent
-_CAMERA_CLEARANCE = 2.74  # m, how far beyond the extent the camera stands: in front of whatever the arm swings towards it
+_CAMERA_CLEARANCE = (
+    2.74  # m, how far beyond the extent the camera stands: in front of whatever the arm swings towards it
+)
 _GHOST_COLOR = Rgba(0.45, 0.85, 1.0, 0.10)
 _PATH_COLOR = Rgba(1.0, 0.62, 0.1, 1.0)
 
@@ -63,9 +65,7 @@ def set_stage(meshcat: Meshcat, scenario: Scenario) -> None:
 
     builder = DiagramBuilder()
     plant = add_combined_plant(builder, scenario.model)
-    extent = _extent(plant, scenario)
-    center = extent * _CAMERA_TARGET
-    meshcat.SetCameraPose(center + (extent + _CAMERA_CLEARANCE) * _VIEW, center)
+    meshcat.SetCameraPose(*camera_pose(plant, scenario))
     scene_graph = builder.GetSubsystemByName("scene_graph")
     inspector = scene_graph.model_inspector()
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
@@ -83,18 +83,22 @@ def set_stage(meshcat: Meshcat, scenario: Scenario) -> None:
     diagram.ForcedPublish(context)
 
 
-def _extent(plant: MultibodyPlant, scenario: Scenario) -> float:
-    """How far the arm and what it holds reach from the base, m: the farthest body of the two postures."""
+def camera_pose(plant: MultibodyPlant, scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """Where the camera stands and the point that it looks at (3 each), world frame, m.
+
+    Both follow the spacecraft's extent: how far its farthest body is from the base in either posture.
+    """
     context = plant.CreateDefaultContext()
-    distances = []
+    base = base_body(plant).body_frame()
+    bodies = [plant.get_body(BodyIndex(k)).body_frame() for k in range(1, plant.num_bodies())]  # 0 is the world
+    extent = 0.0
     for name in ("initial_posture", "target_posture"):
         plant.SetPositions(context, configuration(plant, getattr(scenario, name), key=name))
-        base = base_body(plant)
-        distances += [
-            float(np.linalg.norm(plant.CalcRelativeTransform(context, base.body_frame(), frame).translation()))
-            for frame in (plant.get_body(BodyIndex(k)).body_frame() for k in range(1, plant.num_bodies()))  # 0: world
-        ]
-    return max(distances)
+        for body in bodies:
+            p_BaseBody = plant.CalcRelativeTransform(context, base, body).translation()
+            extent = max(extent, float(np.linalg.norm(p_BaseBody)))
+    center = extent * _CAMERA_TARGET
+    return center + (extent + _CAMERA_CLEARANCE) * _VIEW, center
 
 
 def write_recording(record: RunRecord, path: Path) -> None:
