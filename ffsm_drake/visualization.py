@@ -16,15 +16,21 @@ from pydrake.geometry import (
     Role,
     RoleAssign,
 )
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.files import write_text
-from ffsm_drake.plant import add_combined_plant, configuration
+from ffsm_drake.plant import add_combined_plant, base_body, configuration
 from ffsm_drake.record import RunRecord
 from ffsm_drake.scenario import Scenario
 
 FRAMES_PER_SECOND = 25.0
-_CAMERA, _CAMERA_TARGET = np.array([3.3, -3.5, 2.3]), np.array([0.45, 0.0, 0.45])
+_VIEW = np.array([0.5843, -0.7176, 0.3793])  # unit vector from what the camera looks at to the camera
+_CAMERA_TARGET = np.array([0.2106, 0.0, 0.2106])  # per metre of the spacecraft's extent
+_CAMERA_CLEARANCE = (
+    2.74  # m, how far beyond the extent the camera stands: in front of whatever the arm swings towards it
+)
 _GHOST_COLOR = Rgba(0.45, 0.85, 1.0, 0.10)
 _PATH_COLOR = Rgba(1.0, 0.62, 0.1, 1.0)
 
@@ -56,10 +62,10 @@ def set_stage(meshcat: Meshcat, scenario: Scenario) -> None:
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
     meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 1.2)
-    meshcat.SetCameraPose(_CAMERA, _CAMERA_TARGET)
 
     builder = DiagramBuilder()
     plant = add_combined_plant(builder, scenario.model)
+    meshcat.SetCameraPose(*camera_pose(plant, scenario))
     scene_graph = builder.GetSubsystemByName("scene_graph")
     inspector = scene_graph.model_inspector()
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
@@ -75,6 +81,24 @@ def set_stage(meshcat: Meshcat, scenario: Scenario) -> None:
     target = configuration(plant, scenario.target_posture, key="target_posture")
     plant.SetPositions(plant.GetMyMutableContextFromRoot(context), target)
     diagram.ForcedPublish(context)
+
+
+def camera_pose(plant: MultibodyPlant, scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """Where the camera stands and the point that it looks at (3 each), world frame, m.
+
+    Both follow the spacecraft's extent: how far its farthest body is from the base in either posture.
+    """
+    context = plant.CreateDefaultContext()
+    base = base_body(plant).body_frame()
+    bodies = [plant.get_body(BodyIndex(k)).body_frame() for k in range(1, plant.num_bodies())]  # 0 is the world
+    extent = 0.0
+    for name in ("initial_posture", "target_posture"):
+        plant.SetPositions(context, configuration(plant, getattr(scenario, name), key=name))
+        for body in bodies:
+            p_BaseBody = plant.CalcRelativeTransform(context, base, body).translation()
+            extent = max(extent, float(np.linalg.norm(p_BaseBody)))
+    center = extent * _CAMERA_TARGET
+    return center + (extent + _CAMERA_CLEARANCE) * _VIEW, center
 
 
 def write_recording(record: RunRecord, path: Path) -> None:

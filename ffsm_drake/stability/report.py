@@ -12,6 +12,7 @@ from ffsm_drake.stability.margins import Margins
 from ffsm_drake.stability.sampled_loop import LoopGains, axis_poles
 
 _GROUP_COLORS = dict(zip(GROUPS, ("#D55E00", "#0072B2", "#009E73"), strict=True))
+_DASHES = ("-", "--", ":", "-.", (0, (1, 1)), (0, (6, 2, 1, 2, 1, 2)), (0, (9, 3)))  # seven joints can be told apart
 
 
 def margins_table(margins: Margins) -> str:
@@ -145,7 +146,7 @@ def _draw_forecast(axes: Axes, margins: Margins) -> None:
         for i in range(*part.indices(margins.law.k_s.size)):
             axes.plot(
                 margins.forecast_times, margins.forecast_k_s[:, i], color=_GROUP_COLORS[group], linewidth=1.3,
-                linestyle=("-", "--", ":", "-.", (0, (1, 1)))[(i - part.start) % 5],
+                linestyle=_DASHES[(i - part.start) % len(_DASHES)],
                 label=group if i == part.start else None,
             )  # fmt: skip
     limit = np.nanmin(margins.k_s_limit)

@@ -1,0 +1,197 @@
+"""The scenario seven_joint: its model against the published figures and MuJoCo, its four controllers, its picture."""
+
+import mujoco
+import mujoco_oracle as oracle
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
+from scipy.spatial.transform import Rotation
+
+from ffsm_drake import load_scenario
+from ffsm_drake.plant import PlantModel, configuration, coordinates_of, make_nominal_plant, make_true_plant, set_payload
+from ffsm_drake.scenario import CONTROLLER_NAMES, MassProperties
+from ffsm_drake.stability import assess
+from ffsm_drake.visualization import camera_pose
+
+JOINTS = (
+    "shoulder_roll", "shoulder_yaw", "shoulder_pitch", "elbow_pitch", "wrist_pitch", "wrist_yaw", "wrist_roll",
+)  # fmt: skip
+SCALE = 0.25
+BOOM_RADIUS = 0.175  # m, full size
+
+# Full size, as published, in the published axes (roll x, yaw z, pitch y at the zero posture): name, mass in kg, the
+# long side (centre of mass at its middle) and where the next joint is, m, and that joint's axis.
+PUBLISHED = (
+    ("mount", 243.66, (1.3589, 0, 0), (1.3589, 0, 0), "x"),
+    ("shoulder_roll_link", 105.98, (0, 0, 0.7026), (0, 0, 0.7026), "z"),
+    ("shoulder_yaw_link", 105.98, (0, -0.5692, 0), (0, -0.5692, 0), "y"),
+    ("upper_boom", 314.88, (7.11, 0, 0), (7.11, -0.475, 0), "y"),
+    ("lower_boom", 279.2, (7.11, 0, 0), (7.11, 0, 0), "y"),
+    ("wrist_pitch_link", 105.98, (0, -0.5692, 0), (0, -0.5692, 0), "z"),
+    ("wrist_yaw_link", 105.98, (0, 0, -0.7026), (0, 0, -0.7026), "x"),
+    ("hand", 243.66, (1.3589, 0, 0), (1.3589, 0, 0), None),
+)
+# The published x axis is the base's z: a turn of -90 degrees about y, which the arm's foot makes.
+FOOT = Rotation.from_euler("y", -np.pi / 2)
+OFF_CENTRE = MassProperties(mass=70.0, center_of_mass=[0.2, -0.3, 0.15], inertia=[12.0, 9.0, 7.0, 1.5, -0.8, 0.6])
+
+
+def text(numbers) -> str:
+    return " ".join(repr(float(number)) for number in numbers)
+
+
+def wxyz(rotation: Rotation) -> str:
+    x, y, z, w = rotation.as_quat()
+    return text((w, x, y, z))
+
+
+def mjcf(target: MassProperties) -> str:
+    """The spacecraft in MuJoCo, from the published figures rather than from our URDF."""
+    ixx, iyy, izz, *products = target.inertia
+    ixy, ixz, iyz = products or (0.0, 0.0, 0.0)
+    moments, axes = np.linalg.eigh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    principal = Rotation.from_matrix(axes * np.sign(np.linalg.det(axes)))
+    tip = SCALE * np.array(PUBLISHED[-1][3])
+    body = f"""<body pos="{text(tip)}" quat="{wxyz(FOOT.inv())}"><body pos="0 0 0.5">
+        <inertial pos="{text(target.center_of_mass)}" quat="{wxyz(principal)}" mass="{target.mass}"
+          diaginertia="{text(moments)}"/></body></body>"""
+    for k in reversed(range(len(PUBLISHED))):
+        name, mass, side, _, _ = PUBLISHED[k]
+        mass, side, radius = mass * SCALE**3, SCALE * np.array(side), SCALE * BOOM_RADIUS
+        across, along = mass * (3 * radius**2 + side @ side) / 12, mass * radius**2 / 2
+        inertia = np.where(side != 0, along, across)
+        before = PUBLISHED[k - 1] if k else None
+        joint = ""
+        if before:
+            axis = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}[before[4]]
+            joint = f'<joint name="{JOINTS[k - 1]}" type="hinge" axis="{axis}"/>'
+        place = f'pos="{text(SCALE * np.array(before[3]))}"' if before else f'pos="0 0 1" quat="{wxyz(FOOT)}"'
+        body = f"""<body name="{name}" {place}>{joint}
+          <inertial pos="{text(side / 2)}" mass="{mass!r}" diaginertia="{text(inertia)}"/>{body}</body>"""
+    return f"""<mujoco><option gravity="0 0 0"/><worldbody><body name="base"><freejoint/>
+      <inertial pos="0 0 0" mass="400" diaginertia="266 266 266"/>{body}</body></worldbody></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def truth() -> PlantModel:
+    return make_true_plant(load_scenario("seven_joint"))
+
+
+def random_states(number: int):
+    """Drake's q (14), v (13) and generalized force (13)."""
+    rng = np.random.default_rng(7)
+    for _ in range(number):
+        quaternion = rng.normal(size=4)
+        q = np.concatenate([quaternion / np.linalg.norm(quaternion), rng.uniform(-2, 2, 3), rng.uniform(-3, 3, 7)])
+        yield q, rng.normal(size=13), rng.normal(scale=20, size=13)
+
+
+def test_names(truth):
+    coordinates = coordinates_of(truth.plant)
+    assert coordinates.joints == JOINTS
+    assert len(coordinates.names) == 13
+    assert set(coordinates.joint_units) == {"rad"}
+
+
+def test_masses_are_the_published_ones_scaled(truth):
+    for name, mass, *_ in PUBLISHED:
+        assert truth.plant.GetBodyByName(name).default_mass() == pytest.approx(mass * SCALE**3, rel=1e-9)
+    arm = sum(mass for _, mass, *_ in PUBLISHED)
+    assert arm == pytest.approx(1505.32)
+    assert truth.plant.CalcTotalMass(truth.context) == pytest.approx(400 + arm * SCALE**3 + 100, rel=1e-9)
+
+
+def test_reach_is_the_published_one_scaled(truth):
+    """Stretched out, the published chain measures 16.94 m along and -1.61 m across: the agency's 17 m."""
+    plant, context = truth.plant, truth.context
+    plant.SetPositions(context, [1, 0, 0, 0] + [0] * 10)
+    foot, tip = plant.GetFrameByName("mount"), plant.GetFrameByName("end_effector")
+    reach = plant.CalcRelativeTransform(context, foot, tip)
+    published = np.sum([offset for *_, offset, _ in PUBLISHED], axis=0)
+    assert_allclose(reach.translation(), SCALE * FOOT.apply(published), rtol=0, atol=1e-9)
+    assert_allclose(reach.rotation().matrix(), np.eye(3), rtol=0, atol=1e-12)
+    assert reach.translation()[2] == pytest.approx(SCALE * 17.0, rel=0.01)
+
+
+@pytest.mark.parametrize("payload", ["truth", "belief", "off_centre"])
+def test_dynamics_agree_with_mujoco(payload):
+    scenario = load_scenario("seven_joint")
+    ours = make_nominal_plant(scenario) if payload == "belief" else make_true_plant(scenario)
+    target = OFF_CENTRE if payload == "off_centre" else getattr(scenario.payload, payload)
+    if payload == "off_centre":
+        set_payload(ours.plant, ours.context, body=scenario.payload.body, properties=target)
+    model = mujoco.MjModel.from_xml_string(mjcf(target))
+    data = mujoco.MjData(model)
+    swap_q, swap_v = np.r_[4:7, 0:4, 7:14], np.r_[3:6, 0:3, 6:13]  # position first, as the oracle has it; v: both ways
+    for q, v, force in random_states(20):
+        state = q[swap_q]
+        data.qpos[:] = state
+        data.qvel[:] = oracle.rates_to_qvel(state, v[swap_v])
+        data.qfrc_applied[:] = oracle.rates_to_qvel(state, force[swap_v])
+        mujoco.mj_forward(model, data)
+        product, columns = np.zeros(13), []
+        for unit in np.eye(13):
+            mujoco.mj_mulM(model, data, product, oracle.rates_to_qvel(state, unit))
+            columns.append(oracle.qvel_to_rates(state, product))
+        theirs = np.array(columns).T[np.ix_(swap_v, swap_v)]
+        mass_matrix, bias = ours.calc_mass_matrix(q), ours.calc_bias(q, v)
+        assert np.linalg.eigvalsh(mass_matrix).min() > 1e-4
+        assert_allclose(mass_matrix, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
+        their_bias = oracle.qvel_to_rates(state, data.qfrc_bias)[swap_v]
+        assert_allclose(bias, their_bias, rtol=0, atol=1e-9 * np.abs(their_bias).max())
+        acceleration = np.linalg.solve(mass_matrix, force - bias)
+        their_acceleration = oracle.qvel_to_rates(state, data.qacc)[swap_v]
+        assert_allclose(acceleration, their_acceleration, rtol=0, atol=1e-8 * np.abs(their_acceleration).max())
+
+
+@pytest.mark.parametrize("controller", CONTROLLER_NAMES)
+def test_sampled_loop_is_stable(controller):
+    assert assess(load_scenario("seven_joint", [f"controller={controller}"])).verdict == "stable"
+
+
+@pytest.mark.parametrize(
+    ("controller", "seed"), [*((name, 0) for name in CONTROLLER_NAMES), ("tde_aismc", 1), ("tde_aismc", 2)]
+)
+def test_controllers_converge(run, controller, seed):
+    record = run("seven_joint", f"controller={controller}", f"random_seed={seed}")
+    assert record.outcome.completed
+    bound = 1e-5 if controller == "tdc" else 1e-6  # TDC has no K_s: its stiffness is K_P alone
+    for kind in ("peak_error", "final_error"):
+        # What the loop finds in its first samples, before it knows the force, is the largest error of the joints.
+        slack = 10.0 if kind == "peak_error" else 1.0
+        for group, error in record.metrics[kind].items():
+            assert error < slack * bound, (kind, group)
+    # The debris did move: folded in from where it was.
+    path = record.dataset["end_effector_position"].values
+    assert np.linalg.norm(path[-1] - path[0]) > 1.0
+    if "reaching_gain" in record.dataset:
+        assert float(record.dataset["reaching_gain"].max()) <= 70.0
+
+
+def body_places(plant: MultibodyPlant, scenario):
+    context = plant.CreateDefaultContext()
+    for key in ("initial_posture", "target_posture"):
+        plant.SetPositions(context, configuration(plant, getattr(scenario, key), key=key))
+        for k in range(1, plant.num_bodies()):
+            yield plant.get_body(BodyIndex(k)).EvalPoseInWorld(context).translation()
+
+
+@pytest.mark.parametrize("name", ["seven_joint", "postcapture"])
+def test_camera_sees_the_spacecraft(name):
+    scenario = load_scenario(name)
+    plant = make_true_plant(scenario).plant
+    camera, center = camera_pose(plant, scenario)
+    ahead = (center - camera) / np.linalg.norm(center - camera)
+    for place in body_places(plant, scenario):
+        ray = place - camera
+        assert np.linalg.norm(ray) > 2.0  # m: nothing fills the picture
+        assert np.degrees(np.arccos(ray @ ahead / np.linalg.norm(ray))) < 30.0  # Meshcat shows 37.5 degrees either way
+
+
+def test_camera_of_the_paper_s_servicer_stays_where_it_was():
+    scenario = load_scenario("paper")
+    camera, center = camera_pose(make_true_plant(scenario).plant, scenario)
+    assert_allclose(camera, [3.3, -3.5, 2.3], rtol=0, atol=0.01)
+    assert_allclose(center, [0.45, 0.0, 0.45], rtol=0, atol=0.01)
