@@ -5,8 +5,9 @@ from collections.abc import Mapping
 
 import numpy as np
 from pydrake.common import RandomGenerator
-from pydrake.geometry import Meshcat, MeshcatVisualizer
+from pydrake.geometry import CollisionFilterDeclaration, Meshcat, MeshcatVisualizer
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort, System
 from pydrake.systems.primitives import Adder, LogVectorOutput, Multiplexer, VectorLogSink
 
@@ -14,9 +15,16 @@ from ffsm_drake.actuation import make_actuation
 from ffsm_drake.controllers import make_controller
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.disturbance import make_disturbance
-from ffsm_drake.plant import add_combined_plant, configuration, coordinates_of, make_nominal_plant, set_payload
+from ffsm_drake.plant import (
+    add_combined_plant,
+    configuration,
+    coordinates_of,
+    make_nominal_plant,
+    make_plant,
+    set_payload,
+)
 from ffsm_drake.reference import QuinticReference, make_reference
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.sensing import make_sensing
 
 # Outputs of the diagram that every closed loop has; those of OPTIONAL_SIGNALS come on top that the controller gives.
@@ -88,7 +96,7 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None, log:
       ScenarioError: a coordinate named in the scenario does not exist, or one lacks a gain.
     """
     builder = DiagramBuilder()
-    plant = add_combined_plant(builder, scenario.model)
+    plant = _add_plant(builder, scenario.model, shown=meshcat is not None)
     coordinates = coordinates_of(plant)
     for name in ("initial_posture", "target_posture"):
         configuration(plant, getattr(scenario, name), key=name)
@@ -145,6 +153,18 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None, log:
         logger=logger,
         logged=logged,
     )
+
+
+def _add_plant(builder: DiagramBuilder, model: Model, *, shown: bool) -> MultibodyPlant:
+    """Add the plant; the geometry is dear to load, so it is there only to be shown. Bodies never touch."""
+    if not shown:
+        return builder.AddNamedSystem("plant", make_plant(model))
+    plant = add_combined_plant(builder, model)
+    scene_graph = builder.GetSubsystemByName("scene_graph")
+    bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
+    nothing_touches = CollisionFilterDeclaration().ExcludeWithin(plant.CollectRegisteredGeometries(bodies))
+    scene_graph.collision_filter_manager().Apply(nothing_touches)
+    return plant
 
 
 def _add_logger(
