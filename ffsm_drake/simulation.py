@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
-from pydrake.systems.primitives import LogVectorOutput
+from pydrake.systems.framework import Context, EventStatus
 
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
 from ffsm_drake.coordinates import Coordinates, position_error
@@ -78,17 +77,14 @@ class Rollout:
 
     def __init__(self, scenario: Scenario, *, meshcat: Meshcat | None = None) -> None:
         start = time.perf_counter()
-        self._loop = make_closed_loop(scenario, meshcat=meshcat)
-        builder = DiagramBuilder()
-        builder.AddSystem(self._loop.diagram)
-        self._loggers = {
-            name: LogVectorOutput(self._loop.diagram.GetOutputPort(name), builder, scenario.sample_time)
-            for name in _HELD + _CURRENT
-            if self._loop.diagram.HasOutputPort(name)
-        }
-        self._root = builder.Build()
-        self._simulator = Simulator(self._root)
+        self._loop = make_closed_loop(scenario, meshcat=meshcat, log=True)
+        self._simulator = Simulator(self._loop.diagram)
         ApplySimulatorConfig(scenario.simulator_config, self._simulator)
+        config = scenario.simulator_config
+        logs_every_step = not config.use_error_control and config.max_step_size >= scenario.sample_time
+        # Nobody watches through Meshcat, and no controller of unknown manners might do otherwise the second time.
+        repeatable = meshcat is None and scenario.controller in CONTROLLER_NAMES
+        self._judged_by_log = logs_every_step and repeatable
         self._built_for = _built_from(scenario)
         self._build_time = time.perf_counter() - start
 
@@ -123,30 +119,17 @@ class Rollout:
                 )
             loop = dataclasses.replace(loop, scenario=scenario)
         scenario = loop.scenario
-        self._simulator.reset_context(self._root.CreateDefaultContext())
-        context = self._simulator.get_mutable_context()
-        loop.initialize(self._root, context)
         monitor = _Monitor(loop, progress)
-        self._simulator.set_monitor(monitor)
-        end = scenario.num_control_periods * scenario.sample_time
-
-        initialized = time.perf_counter()
-        interrupted = False
-        try:
-            self._simulator.Initialize()
-            self._simulator.AdvanceTo(end)
-            self._simulator.AdvancePendingEvents()  # the control update of the last sample
-        except KeyboardInterrupt:
-            interrupted = True
-        except FfsmError:
-            raise
-        except Exception as error:
-            # Drake refuses numbers that are no longer finite; any other refusal is a fault to be seen.
-            if not isinstance(error, RuntimeError) or (monitor.check(context) and monitor.check_force(context)):
-                _raise_for(error, scenario, context.get_time())
-        advanced = time.perf_counter()
-
-        times, series = self._read_logs(context)
+        # A monitor calls Python in every step. Where all steps are in the log, that shows afterwards whether a monitor
+        # would have stopped the run; if so, it is run again with the monitor.
+        watched = not self._judged_by_log
+        interrupted, advance_time = self._advance(monitor, watched=watched)
+        times, series = self._read_log()
+        if not (watched or interrupted) and (monitor.message or not monitor.bounds(series["state"])):
+            monitor.forget()
+            interrupted, more_time = self._advance(monitor, watched=True)
+            advance_time += more_time
+            times, series = self._read_log()
         last = float(times[-1])
         if monitor.coordinate:
             outcome = Outcome(status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message)
@@ -161,23 +144,60 @@ class Rollout:
             time=times,
             series=series,
             wall_time={
-                "build": self._build_time + initialized - start,
-                "advance_to": advanced - initialized,
+                "build": self._build_time,
+                "advance_to": advance_time,
                 "total": self._build_time + time.perf_counter() - start,
             },
         )
 
-    def _read_logs(self, context: Context) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _advance(self, monitor: "_Monitor", *, watched: bool) -> tuple[bool, float]:
+        """Run from the start to the end, or to where it cannot go on, which ``monitor`` then notes.
+
+        Returns: whether it was interrupted from the keyboard, and the wall time spent advancing, s.
+        """
+        simulator, loop = self._simulator, monitor.loop
+        simulator.reset_context(loop.diagram.CreateDefaultContext())
+        context = simulator.get_mutable_context()
+        loop.initialize(loop.diagram, context)
+        simulator.set_monitor(monitor) if watched else simulator.clear_monitor()
+        sample_time, num_periods = loop.scenario.sample_time, loop.scenario.num_control_periods
+        # Stops at control samples do not change the steps.
+        stop_periods = max(1, round(1.0 / sample_time))
+        start = time.perf_counter()
+        interrupted = False
+        try:
+            simulator.Initialize()
+            for period in (*range(0, num_periods, stop_periods), num_periods):
+                simulator.AdvanceTo(period * sample_time)
+                if monitor.message or not monitor.check(context):
+                    break
+                monitor.report(context)
+            simulator.AdvancePendingEvents()  # the control update of the last sample
+        except KeyboardInterrupt:
+            interrupted = True
+        except FfsmError:
+            raise
+        except Exception as error:
+            # Drake refuses numbers that are no longer finite; any other refusal is a fault to be seen.
+            if not isinstance(error, RuntimeError) or (monitor.check(context) and monitor.check_force(context)):
+                _raise_for(error, loop.scenario, context.get_time())
+        return interrupted, time.perf_counter() - start
+
+    def _read_log(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Sample times and the aligned series (copied)."""
-        logs = {name: logger.FindLog(context) for name, logger in self._loggers.items()}
-        series = {name: np.array(log.data().T) for name, log in logs.items()}
-        # Sample k of a held signal is its log entry k + 1; that of the last sample stands in the context.
-        diagram = self._loop.diagram
-        diagram_context = diagram.GetMyContextFromRoot(context)
-        for name in _HELD:
-            if name in series:
-                series[name] = np.vstack([series[name][1:], diagram.GetOutputPort(name).Eval(diagram_context)])
-        return np.array(logs["state"].sample_times()), series
+        loop, context = self._loop, self._simulator.get_context()
+        assert loop.logger is not None
+        log = loop.logger.FindLog(context)
+        rows = log.data()
+        series = {}
+        for name, part in loop.logged.items():
+            if name in _HELD:
+                # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
+                last = loop.diagram.GetOutputPort(name).Eval(context)
+                series[name] = np.vstack([rows[part, 1:].T, last])
+            elif name in _CURRENT:
+                series[name] = rows[part].T.copy()
+        return log.sample_times().copy(), series
 
 
 def _raise_for(error: Exception, scenario: Scenario, time: float) -> NoReturn:
@@ -243,7 +263,7 @@ def simulate(
 
 @dataclasses.dataclass
 class _Monitor:
-    """Watches every step: stops a run that diverges, and reports progress."""
+    """Judges whether a run diverges and reports its progress; as a simulator's monitor, it stops one that does."""
 
     loop: ClosedLoop
     progress: Callable[[float, float], None] | None
@@ -258,16 +278,28 @@ class _Monitor:
     def __call__(self, context: Context) -> EventStatus:
         if not self.check(context):
             return EventStatus.ReachedTermination(self.loop.diagram, self.message)
+        return EventStatus.DidNothing()
+
+    def forget(self) -> None:
+        """Take back the verdict; what was reported stays reported."""
+        self.message = self.coordinate = ""
+
+    def report(self, context: Context) -> None:
+        """Report the progress, every whole second once."""
         if self.progress is not None and context.get_time() >= self.next_report - 1e-9:
             self.next_report += 1.0
             self.progress(context.get_time(), self.loop.scenario.duration)
-        return EventStatus.DidNothing()
+
+    def bounds(self, states: np.ndarray) -> bool:
+        """Whether every velocity in states (..., nq + nv) is within the bound."""
+        return bool(np.abs(states[..., self._first_velocity :]).max() <= self._bound)  # false for NaN too
 
     def check(self, context: Context) -> bool:
         """Whether every velocity is within the bound; otherwise ``message`` and ``coordinate`` say which is not."""
-        velocity = context.get_continuous_state_vector().CopyToVector()[self._first_velocity :]
-        if np.abs(velocity).max() <= self._bound:  # false for NaN too
+        state = context.get_continuous_state_vector().CopyToVector()
+        if self.bounds(state):
             return True
+        velocity = state[self._first_velocity :]
         # The first that is not finite, else the fastest.
         worst = int(np.argmax(np.where(np.isfinite(velocity), np.abs(velocity), np.inf)))
         coordinates = self.loop.coordinates
@@ -282,7 +314,7 @@ class _Monitor:
     def check_force(self, context: Context) -> bool:
         """Whether the controller's force is finite; otherwise as ``check``."""
         diagram = self.loop.diagram
-        force = diagram.GetOutputPort("generalized_force").Eval(diagram.GetMyContextFromRoot(context))
+        force = diagram.GetOutputPort("generalized_force").Eval(context)
         if np.isfinite(force).all():
             return True
         worst = int(np.argmin(np.isfinite(force)))

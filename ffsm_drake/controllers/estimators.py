@@ -77,10 +77,7 @@ class OneSampleEstimator:
         """One sample; see Estimator. Nothing is known of the acceleration at the very first: it counts as zero."""
         (delayed_velocity,) = state
         acceleration = (measured.v - delayed_velocity) * (measured.has_previous / self.sample_time)
-        estimate = Estimate(
-            e=measured.e, e_dot=measured.e_dot, base_force=measured.applied_force, base_acceleration=acceleration
-        )
-        return estimate, (measured.v,)
+        return Estimate(measured.e, measured.e_dot, measured.applied_force, acceleration), (measured.v,)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
