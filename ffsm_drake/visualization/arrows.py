@@ -1,0 +1,151 @@
+"""Forces and torques on the base as arrows that follow a run."""
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, Role, SceneGraphInspector
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+
+from ffsm_drake.plant import base_body
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_FOLDER = "forces"
+_NOTHING = 1e-6  # a scale of zero cannot be inverted, which the renderer does
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ArrowKind:
+    """What one arrow shows."""
+
+    label: str
+    variable: str  # of the record's dataset
+    coordinates: str  # base_position: the force, base_rotation: the torque about the base's origin
+    unit: str
+    color_name: str
+    color: tuple[float, float, float]
+
+    @property
+    def is_torque(self) -> bool:
+        return self.coordinates == "base_rotation"
+
+    @property
+    def path(self) -> str:
+        """Its place in Meshcat's tree."""
+        return f"{_FOLDER}/{self.label}"
+
+
+ARROW_KINDS = (
+    ArrowKind(
+        label="control force", variable="applied_force", coordinates="base_position", unit="N",
+        color_name="green", color=(0.25, 0.90, 0.35),
+    ),
+    ArrowKind(
+        label="control torque", variable="applied_force", coordinates="base_rotation", unit="N m",
+        color_name="blue", color=(0.25, 0.60, 1.00),
+    ),
+    ArrowKind(
+        label="disturbance force", variable="disturbance_force", coordinates="base_position", unit="N",
+        color_name="red", color=(1.00, 0.25, 0.20),
+    ),
+    ArrowKind(
+        label="disturbance torque", variable="disturbance_force", coordinates="base_rotation", unit="N m",
+        color_name="pink", color=(1.00, 0.45, 0.85),
+    ),
+)  # fmt: skip
+
+
+class ForceArrows:
+    """The base's control force and torque and its disturbance in Meshcat, one arrow each (``ARROW_KINDS``).
+
+    Forces share one scale and torques another: the run's largest of each is as long as the base's longest edge. A
+    torque's arrow has two heads and points along its axis. Each starts where its line through the base's origin leaves
+    the base.
+    """
+
+    def __init__(
+        self, meshcat: Meshcat, dataset: "xr.Dataset", plant: MultibodyPlant, inspector: SceneGraphInspector
+    ) -> None:
+        self._meshcat = meshcat
+        self._position = dataset["position"].values
+        self._vectors = [
+            dataset[kind.variable].sel(coordinate=[f"{kind.coordinates}_{axis}" for axis in "xyz"]).values
+            for kind in ARROW_KINDS
+        ]
+        self.peaks = [float(np.linalg.norm(vectors, axis=1).max()) for vectors in self._vectors]
+        self._box_pose, self._box_half_width = _bounding_box(plant, inspector)
+        self._longest = 2.0 * float(self._box_half_width.max())
+        self._head = 0.12 * self._longest
+        self._scale = {
+            is_torque: self._longest / (max(self._peaks_of(is_torque=is_torque)) or 1.0) for is_torque in (False, True)
+        }
+        for kind in ARROW_KINDS:
+            self._add(kind)
+
+    def _peaks_of(self, *, is_torque: bool) -> list[float]:
+        return [peak for kind, peak in zip(ARROW_KINDS, self.peaks, strict=True) if kind.is_torque == is_torque]
+
+    def _add(self, kind: ArrowKind) -> None:
+        """An arrow along +z whose shaft is 1 m long before it is scaled."""
+        color = Rgba(*kind.color, 1.0)
+        width = 0.012 * self._longest
+        self._meshcat.SetObject(f"{kind.path}/shaft/cylinder", Cylinder(width, 1.0), color)
+        self._meshcat.SetTransform(f"{kind.path}/shaft/cylinder", RigidTransform([0.0, 0.0, 0.5]))
+        for i in range(2 if kind.is_torque else 1):
+            # Drake's cone has its point at the origin and opens along +z.
+            cone = f"{kind.path}/tip/head/cone_{i}"
+            self._meshcat.SetObject(cone, MeshcatCone(self._head, 3.0 * width, 3.0 * width), color)
+            pose = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0.0, 0.0, -0.6 * self._head * i])
+            self._meshcat.SetTransform(cone, pose)
+
+    def show(self, sample: int, *, time_in_recording: float | None = None) -> None:
+        """Show the arrows of one sample of the record."""
+        q = self._position[sample]
+        rotation = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4])))
+        for kind, vectors in zip(ARROW_KINDS, self._vectors, strict=True):
+            vector = vectors[sample]
+            norm = float(np.linalg.norm(vector)) if np.isfinite(vector).all() else 0.0
+            direction = vector / norm if norm > 0.0 else np.array([0.0, 0.0, 1.0])
+            tail = q[4:7] + self._distance_to_surface(rotation, direction) * direction
+            length = self._scale[kind.is_torque] * norm
+            # A short arrow has a small head, so that it does not look longer than it is.
+            head = max(_NOTHING, min(1.0, length / (2.0 * self._head)))
+            shaft = max(_NOTHING, length - 0.5 * head * self._head)
+            pose = RigidTransform(RotationMatrix.MakeFromOneVector(direction, 2), tail)
+            self._meshcat.SetTransform(kind.path, pose, time_in_recording)
+            self._meshcat.SetProperty(f"{kind.path}/shaft", "scale", [head, head, shaft], time_in_recording)
+            self._meshcat.SetTransform(f"{kind.path}/tip", RigidTransform([0.0, 0.0, length]), time_in_recording)
+            self._meshcat.SetProperty(f"{kind.path}/tip/head", "scale", [head] * 3, time_in_recording)
+
+    def _distance_to_surface(self, rotation: RotationMatrix, direction: np.ndarray) -> float:
+        """From the base's origin along a world direction to the surface of the base's bounding box, m."""
+        in_box = self._box_pose.rotation().inverse() @ (rotation.inverse() @ direction)
+        origin = self._box_pose.inverse().translation()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            exits = (np.copysign(self._box_half_width, in_box) - origin) / in_box
+        return max(0.0, float(np.min(exits, where=in_box != 0.0, initial=np.inf)))
+
+
+def legend(arrows: ForceArrows) -> list[str]:
+    """One line per arrow: its colour, what it shows, and the run's peak."""
+    return [
+        f"{kind.color_name}: {kind.label}, peak {peak:.3g} {kind.unit}"
+        for kind, peak in zip(ARROW_KINDS, arrows.peaks, strict=True)
+    ]
+
+
+def _bounding_box(plant: MultibodyPlant, inspector: SceneGraphInspector) -> tuple[RigidTransform, np.ndarray]:
+    """Pose in the base's frame and half width (3), m, of a box around the base's largest visible geometry."""
+    frame = plant.GetBodyFrameIdOrThrow(base_body(plant).index())
+    found = (RigidTransform(), np.full(3, 0.5))  # an invisible base: a cube of 1 m
+    largest = 0.0
+    for geometry in inspector.GetGeometries(frame, Role.kIllustration):
+        box = inspector.GetObbInGeometryFrame(geometry)
+        if box is not None and (size := float(np.prod(box.half_width()))) > largest:
+            largest = size
+            found = (inspector.GetPoseInFrame(geometry) @ box.pose(), np.array(box.half_width()))
+    return found
