@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
 
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
-from ffsm_drake.coordinates import position_error
+from ffsm_drake.coordinates import Coordinates, position_error
 from ffsm_drake.plant import PlantModel, base_rpy, find_frame, make_true_plant
 from ffsm_drake.record import Outcome, RunRecord, software_versions
 from ffsm_drake.scenario import Scenario
@@ -33,6 +33,7 @@ def simulate(
     meshcat: Meshcat | None = None,
     progress: Callable[[float, float], None] | None = None,
     check_stability: bool = True,
+    make_operator: Callable[[Coordinates], LeafSystem] | None = None,
 ) -> RunRecord:
     """Run a scenario to its end and return the record.
 
@@ -44,6 +45,7 @@ def simulate(
       meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate`` to pace it).
       progress: called with (simulated time, duration) in s, once per simulated second.
       check_stability: warn (StabilityWarning) when the sampled loop starts unstable or its adaptation may become so.
+      make_operator: lets a system add to the disturbance, see ``make_closed_loop``.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
@@ -54,7 +56,7 @@ def simulate(
 
         if remark := stability_warning(scenario):
             warnings.warn(remark, StabilityWarning, stacklevel=2)
-    loop = make_closed_loop(scenario, meshcat=meshcat)
+    loop = make_closed_loop(scenario, meshcat=meshcat, make_operator=make_operator)
     builder = DiagramBuilder()
     builder.AddSystem(loop.diagram)
     loggers = {

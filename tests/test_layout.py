@@ -8,8 +8,8 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "ffsm_drake"
 ROOMS = (
     "errors", "files", "scenario", "coordinates", "plant", "reference", "controllers", "disturbance", "sensing",
-    "actuation", "closed_loop", "stability", "design", "metrics", "record", "simulation", "visualization", "plotting",
-    "noise_study", "analysis", "block_diagram", "reproduction", "cli",
+    "actuation", "closed_loop", "stability", "design", "metrics", "record", "simulation", "visualization",
+    "interactive", "plotting", "noise_study", "analysis", "block_diagram", "reproduction", "cli",
 )  # fmt: skip
 
 

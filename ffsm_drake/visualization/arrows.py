@@ -62,9 +62,10 @@ ARROW_KINDS = (
 class ForceArrows:
     """The base's control force and torque and its disturbance in Meshcat, one arrow each (``ARROW_KINDS``).
 
-    Forces share one scale and torques another: the run's largest of each is as long as the base's longest edge. A
-    torque's arrow has two heads and points along its axis. Each starts where its line through the base's origin leaves
-    the base.
+    The run's largest control force is as long as the base's longest edge, and so is its largest control torque. A
+    disturbance has the scale of its control times a round ``magnification``, because it may be far smaller. A torque's
+    arrow has two heads and points along its axis. Each starts where its line through the base's origin leaves the base
+    (a torque's a little above), and nothing hides it.
     """
 
     def __init__(
@@ -73,21 +74,20 @@ class ForceArrows:
         self._meshcat = meshcat
         self._position = dataset["position"].values
         self._vectors = [
-            dataset[kind.variable].sel(coordinate=[f"{kind.coordinates}_{axis}" for axis in "xyz"]).values
+            _finite_rows(dataset[kind.variable].sel(coordinate=[f"{kind.coordinates}_{axis}" for axis in "xyz"]).values)
             for kind in ARROW_KINDS
         ]
         self.peaks = [float(np.linalg.norm(vectors, axis=1).max()) for vectors in self._vectors]
         self._box_pose, self._box_half_width = _bounding_box(plant, inspector)
         self._longest = 2.0 * float(self._box_half_width.max())
         self._head = 0.12 * self._longest
-        self._scale = {
-            is_torque: self._longest / (max(self._peaks_of(is_torque=is_torque)) or 1.0) for is_torque in (False, True)
-        }
-        for kind in ARROW_KINDS:
+        self.magnifications: list[int] = []
+        self._scales: list[float] = []  # m per N or N m
+        for kind, peak in zip(ARROW_KINDS, self.peaks, strict=True):
+            reference = self.peaks[_control_of(kind)] or peak or 1.0
+            self.magnifications.append(_magnification(peak / reference))
+            self._scales.append(self._longest / reference * self.magnifications[-1])
             self._add(kind)
-
-    def _peaks_of(self, *, is_torque: bool) -> list[float]:
-        return [peak for kind, peak in zip(ARROW_KINDS, self.peaks, strict=True) if kind.is_torque == is_torque]
 
     def _add(self, kind: ArrowKind) -> None:
         """An arrow along +z whose shaft is 1 m long before it is scaled."""
@@ -95,23 +95,29 @@ class ForceArrows:
         width = 0.012 * self._longest
         self._meshcat.SetObject(f"{kind.path}/shaft/cylinder", Cylinder(width, 1.0), color)
         self._meshcat.SetTransform(f"{kind.path}/shaft/cylinder", RigidTransform([0.0, 0.0, 0.5]))
-        for i in range(2 if kind.is_torque else 1):
+        heads = 2 if kind.is_torque else 1
+        for i in range(heads):
             # Drake's cone has its point at the origin and opens along +z.
             cone = f"{kind.path}/tip/head/cone_{i}"
             self._meshcat.SetObject(cone, MeshcatCone(self._head, 3.0 * width, 3.0 * width), color)
             pose = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0.0, 0.0, -0.6 * self._head * i])
             self._meshcat.SetTransform(cone, pose)
+        for part in ("shaft/cylinder", *(f"tip/head/cone_{i}" for i in range(heads))):
+            self._meshcat.SetProperty(f"{kind.path}/{part}/<object>", "material.depthTest", False)
+            self._meshcat.SetProperty(f"{kind.path}/{part}/<object>", "renderOrder", 1.0)  # after the spacecraft
 
     def show(self, sample: int, *, time_in_recording: float | None = None) -> None:
         """Show the arrows of one sample of the record."""
         q = self._position[sample]
         rotation = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4])))
-        for kind, vectors in zip(ARROW_KINDS, self._vectors, strict=True):
+        for kind, vectors, scale in zip(ARROW_KINDS, self._vectors, self._scales, strict=True):
             vector = vectors[sample]
-            norm = float(np.linalg.norm(vector)) if np.isfinite(vector).all() else 0.0
+            norm = float(np.linalg.norm(vector))
             direction = vector / norm if norm > 0.0 else np.array([0.0, 0.0, 1.0])
             tail = q[4:7] + self._distance_to_surface(rotation, direction) * direction
-            length = self._scale[kind.is_torque] * norm
+            if kind.is_torque:  # a free vector: beside a force of the same direction
+                tail[2] += 0.08 * self._longest
+            length = scale * norm
             # A short arrow has a small head, so that it does not look longer than it is.
             head = max(_NOTHING, min(1.0, length / (2.0 * self._head)))
             shaft = max(_NOTHING, length - 0.5 * head * self._head)
@@ -131,11 +137,34 @@ class ForceArrows:
 
 
 def legend(arrows: ForceArrows) -> list[str]:
-    """One line per arrow: its colour, what it shows, and the run's peak."""
+    """One line per arrow: its colour, what it shows, how much it is magnified, and the run's peak."""
     return [
-        f"{kind.color_name}: {kind.label}, peak {peak:.3g} {kind.unit}"
-        for kind, peak in zip(ARROW_KINDS, arrows.peaks, strict=True)
+        f"{kind.color_name}: {kind.label}"
+        + (f" x {magnification}" if magnification > 1 else "")
+        + f", peak {peak:.3g} {kind.unit}"
+        for kind, magnification, peak in zip(ARROW_KINDS, arrows.magnifications, arrows.peaks, strict=True)
     ]
+
+
+def _finite_rows(vectors: np.ndarray) -> np.ndarray:
+    """A copy with zero vectors for those (rows) that are not finite: a diverged run's last force may be."""
+    return np.where(np.isfinite(vectors).all(axis=1, keepdims=True), vectors, 0.0)
+
+
+def _control_of(kind: ArrowKind) -> int:
+    """Index of the control arrow whose scale an arrow shares."""
+    (index,) = (
+        i
+        for i, other in enumerate(ARROW_KINDS)
+        if other.variable == "applied_force" and other.coordinates == kind.coordinates
+    )
+    return index
+
+
+def _magnification(ratio: float) -> int:
+    """The largest of 1, 2, 5, 10, ... 1000 that leaves a ratio to the longest arrow below one."""
+    allowed = [step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if step * ratio <= 1.0]
+    return allowed[-1] if allowed and ratio > 0.0 else 1
 
 
 def _bounding_box(plant: MultibodyPlant, inspector: SceneGraphInspector) -> tuple[RigidTransform, np.ndarray]:

@@ -52,7 +52,7 @@ class LiveReplay:
         self.playing = True
 
     def step(self, wall_dt: float) -> bool:
-        """Obey the controls and show the instant ``wall_dt`` seconds of wall time later; False once Quit was clicked."""
+        """Obey the controls and show what ``wall_dt`` (s) of wall time later is due; False once Quit was clicked."""
         if self._controls.clicked(QUIT):
             return False
         for i, label in enumerate(self._arrow_buttons):

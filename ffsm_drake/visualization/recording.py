@@ -37,9 +37,7 @@ def recording_html(
     frames_per_second = min(FRAMES_PER_SECOND, speed / record.scenario.sample_time)
     with quiet_drake():  # the server is only a means to the page; nobody should open its address
         meshcat = start_meshcat()
-    view = ReplayView(
-        meshcat, record, ghost=ghost, path=path, forces=forces, frames_per_second=frames_per_second
-    )
+    view = ReplayView(meshcat, record, ghost=ghost, path=path, forces=forces, frames_per_second=frames_per_second)
     view.spacecraft.visualizer.StartRecording(set_transforms_while_recording=False)
     for frame in range(math.ceil(view.duration / speed * frames_per_second - 1e-9) + 1):
         # Drake rounds times down to frames: the middle of a frame is safe from rounding errors.
@@ -76,7 +74,7 @@ def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: floa
         for kind, text in zip(ARROW_KINDS, legend(view.arrows), strict=True):
             color = "rgb({:.0f},{:.0f},{:.0f})".format(*(255 * part for part in kind.color))
             lines.append(_SWATCH.format(color=color) + html.escape(text))
-        lines.append("Forces share one scale, torques (two heads) another.")
+        lines.append("All act on the base; torques have two heads.")
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>", 1)
     head, end, tail = page.rpartition("</body>")
     return head + _CAPTION.format(lines="<br>".join(lines)) + end + tail

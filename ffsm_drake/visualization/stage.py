@@ -46,8 +46,8 @@ def start_meshcat() -> Meshcat:
 
 def set_stage(meshcat: Meshcat, scenario: Scenario, *, ghost: bool = True) -> None:
     """A dark background, a camera on the servicer, and the translucent ghost of the target posture."""
-    meshcat.SetProperty("/Background", "top_color", [0.02, 0.03, 0.08])
-    meshcat.SetProperty("/Background", "bottom_color", [0.07, 0.09, 0.16])
+    meshcat.SetProperty("/Background/<object>", "top_color", [0.02, 0.03, 0.08])
+    meshcat.SetProperty("/Background/<object>", "bottom_color", [0.07, 0.09, 0.16])
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
     meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 1.2)
