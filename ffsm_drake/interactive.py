@@ -24,6 +24,7 @@ from ffsm_drake.record import RunRecord
 from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario
 from ffsm_drake.simulation import simulate
 from ffsm_drake.visualization import set_stage, start_meshcat
+from ffsm_drake.visualization.arrows import Arrow, base_bounding_box
 from ffsm_drake.visualization.controls import Controls
 from ffsm_drake.visualization.stage import SpacecraftView
 
@@ -34,6 +35,8 @@ TIME, RATE = "time [s]", "x real time"
 DISTURBANCE, IMPULSE, MASS = "now: disturb. x", "now: push [N s]", "next: mass [kg]"
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}  # world frame
 _PUSH_DURATION = 0.1  # s, rounded to whole control samples
+_PUSH_SHOWN = 1.0  # s (simulated) for which its arrow is seen
+_PUSH_COLOR = (1.0, 0.9, 0.2)
 _LONGEST_WAIT = 0.04  # s, between two looks at the page
 _LARGEST_DEBT = 0.1  # s by which the simulation may lag behind before it stops trying to catch up
 
@@ -201,8 +204,12 @@ class _Operator:
         self._due = self._drawn = 0.0  # wall time, s
         set_stage(meshcat, scenario)
         self._view = SpacecraftView(meshcat, scenario.model)
-        find_body(self._view.plant, scenario.payload.body, key="payload.body")
-        self._view.show(configuration(self._view.plant, scenario.initial_posture, key="initial_posture"))
+        self._payload_frame = find_body(self._view.plant, scenario.payload.body, key="payload.body").body_frame()
+        _, half_width = base_bounding_box(self._view.plant, self._view.scene_graph.model_inspector())
+        self._arrow_length = 2.0 * float(half_width.max())
+        self._arrow = Arrow(meshcat, "push", size=self._arrow_length, color=_PUSH_COLOR)
+        self._arrow_direction, self._arrow_until = np.array(_AXES["z"]), 0.0
+        self._show(0.0, configuration(self._view.plant, scenario.initial_posture, key="initial_posture"))
 
         controls = self._controls = Controls(meshcat)
         others = [name for name in CONTROLLER_NAMES if name != scenario.controller]
@@ -246,7 +253,7 @@ class _Operator:
             return None
         scenario, controller, mass = self._scenario, self._requested, self._controls.value(MASS)
         self._requested, self.stopped_run, self._paused = "", False, False
-        self._pushes, self._events, self._scale = [], [], 1.0
+        self._pushes, self._events, self._scale, self._arrow_until = [], [], 1.0, 0.0
         for axis in _AXES:
             self._controls.clicked(push_button(axis))  # before the run: pushes nothing
         if controller != scenario.controller:
@@ -353,6 +360,8 @@ class _Operator:
                 samples = max(1, round(_PUSH_DURATION / self._scenario.sample_time))
                 duration = samples * self._scenario.sample_time
                 self._pushes.append(_Push(impulse / duration * np.array(direction), samples))
+                self._arrow_direction = np.sign(impulse) * np.array(direction)
+                self._arrow_until = start + _PUSH_SHOWN
                 body = self._scenario.payload.body
                 self._events.append(
                     f"from t = {start:.2f} s: push of {impulse:g} N s along {axis} on {body} within {duration:g} s"
@@ -363,8 +372,15 @@ class _Operator:
         if wall - self._drawn < _LONGEST_WAIT:
             return
         self._drawn = wall
-        self._view.show(q)
+        self._show(now, q)
         self._controls.set_value(TIME, now)
         mass = self._run_scenario.payload.truth.mass
         what = "paused" if self._paused else "running"
         self.show_status(f"{what}: {self._run_scenario.controller}, {mass:g} kg")
+
+    def _show(self, now: float, q: np.ndarray) -> None:
+        """The spacecraft, and for a while after a push an arrow whose tip is where it acts."""
+        self._view.show(q)
+        length = self._arrow_length if now < self._arrow_until else 0.0
+        tip = self._view.position_of(self._payload_frame, np.array(self._scenario.payload.truth.center_of_mass))
+        self._arrow.show(tip - length * self._arrow_direction, self._arrow_direction, length)

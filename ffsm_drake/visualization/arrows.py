@@ -59,6 +59,42 @@ ARROW_KINDS = (
 )  # fmt: skip
 
 
+class Arrow:
+    """One arrow in Meshcat that nothing hides."""
+
+    def __init__(
+        self, meshcat: Meshcat, path: str, *, size: float, color: tuple[float, float, float], heads: int = 1
+    ) -> None:
+        """Add an arrow of no particular direction; ``size`` (m), the length of a long one, gives it its thickness."""
+        self._meshcat = meshcat
+        self._path = path
+        self._head = 0.12 * size
+        width = 0.012 * size
+        # Along +z, with a shaft of 1 m that is scaled; Drake's cone has its point at the origin and opens along +z.
+        parts = {f"{path}/shaft/cylinder": (Cylinder(width, 1.0), RigidTransform([0.0, 0.0, 0.5]))}
+        for i in range(heads):
+            pose = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0.0, 0.0, -0.6 * self._head * i])
+            parts[f"{path}/tip/head/cone_{i}"] = (MeshcatCone(self._head, 3.0 * width, 3.0 * width), pose)
+        for part, (shape, pose) in parts.items():
+            meshcat.SetObject(part, shape, Rgba(*color, 1.0))
+            meshcat.SetTransform(part, pose)
+            meshcat.SetProperty(f"{part}/<object>", "material.depthTest", False)
+            meshcat.SetProperty(f"{part}/<object>", "renderOrder", 1.0)  # after the spacecraft
+
+    def show(
+        self, tail: np.ndarray, direction: np.ndarray, length: float, *, time_in_recording: float | None = None
+    ) -> None:
+        """Show it from its tail (3; world frame) along a unit vector (3); a length (m) of zero hides it."""
+        # A short arrow has a small head, so that it does not look longer than it is.
+        head = max(_NOTHING, min(1.0, length / (2.0 * self._head)))
+        shaft = max(_NOTHING, length - 0.5 * head * self._head)
+        pose = RigidTransform(RotationMatrix.MakeFromOneVector(direction, 2), tail)
+        self._meshcat.SetTransform(self._path, pose, time_in_recording)
+        self._meshcat.SetProperty(f"{self._path}/shaft", "scale", [head, head, shaft], time_in_recording)
+        self._meshcat.SetTransform(f"{self._path}/tip", RigidTransform([0.0, 0.0, length]), time_in_recording)
+        self._meshcat.SetProperty(f"{self._path}/tip/head", "scale", [head] * 3, time_in_recording)
+
+
 class ForceArrows:
     """The base's control force and torque and its disturbance in Meshcat, one arrow each (``ARROW_KINDS``).
 
@@ -71,61 +107,37 @@ class ForceArrows:
     def __init__(
         self, meshcat: Meshcat, dataset: "xr.Dataset", plant: MultibodyPlant, inspector: SceneGraphInspector
     ) -> None:
-        self._meshcat = meshcat
         self._position = dataset["position"].values
         self._vectors = [
             _finite_rows(dataset[kind.variable].sel(coordinate=[f"{kind.coordinates}_{axis}" for axis in "xyz"]).values)
             for kind in ARROW_KINDS
         ]
         self.peaks = [float(np.linalg.norm(vectors, axis=1).max()) for vectors in self._vectors]
-        self._box_pose, self._box_half_width = _bounding_box(plant, inspector)
+        self._box_pose, self._box_half_width = base_bounding_box(plant, inspector)
         self._longest = 2.0 * float(self._box_half_width.max())
-        self._head = 0.12 * self._longest
         self.magnifications: list[int] = []
         self._scales: list[float] = []  # m per N or N m
         for kind, peak in zip(ARROW_KINDS, self.peaks, strict=True):
             reference = self.peaks[_control_of(kind)] or peak or 1.0
             self.magnifications.append(_magnification(peak / reference))
             self._scales.append(self._longest / reference * self.magnifications[-1])
-            self._add(kind)
-
-    def _add(self, kind: ArrowKind) -> None:
-        """An arrow along +z whose shaft is 1 m long before it is scaled."""
-        color = Rgba(*kind.color, 1.0)
-        width = 0.012 * self._longest
-        self._meshcat.SetObject(f"{kind.path}/shaft/cylinder", Cylinder(width, 1.0), color)
-        self._meshcat.SetTransform(f"{kind.path}/shaft/cylinder", RigidTransform([0.0, 0.0, 0.5]))
-        heads = 2 if kind.is_torque else 1
-        for i in range(heads):
-            # Drake's cone has its point at the origin and opens along +z.
-            cone = f"{kind.path}/tip/head/cone_{i}"
-            self._meshcat.SetObject(cone, MeshcatCone(self._head, 3.0 * width, 3.0 * width), color)
-            pose = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0.0, 0.0, -0.6 * self._head * i])
-            self._meshcat.SetTransform(cone, pose)
-        for part in ("shaft/cylinder", *(f"tip/head/cone_{i}" for i in range(heads))):
-            self._meshcat.SetProperty(f"{kind.path}/{part}/<object>", "material.depthTest", False)
-            self._meshcat.SetProperty(f"{kind.path}/{part}/<object>", "renderOrder", 1.0)  # after the spacecraft
+        self._arrows = [
+            Arrow(meshcat, kind.path, size=self._longest, color=kind.color, heads=2 if kind.is_torque else 1)
+            for kind in ARROW_KINDS
+        ]
 
     def show(self, sample: int, *, time_in_recording: float | None = None) -> None:
         """Show the arrows of one sample of the record."""
         q = self._position[sample]
         rotation = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4])))
-        for kind, vectors, scale in zip(ARROW_KINDS, self._vectors, self._scales, strict=True):
+        for kind, arrow, vectors, scale in zip(ARROW_KINDS, self._arrows, self._vectors, self._scales, strict=True):
             vector = vectors[sample]
             norm = float(np.linalg.norm(vector))
             direction = vector / norm if norm > 0.0 else np.array([0.0, 0.0, 1.0])
             tail = q[4:7] + self._distance_to_surface(rotation, direction) * direction
             if kind.is_torque:  # a free vector: beside a force of the same direction
                 tail[2] += 0.08 * self._longest
-            length = scale * norm
-            # A short arrow has a small head, so that it does not look longer than it is.
-            head = max(_NOTHING, min(1.0, length / (2.0 * self._head)))
-            shaft = max(_NOTHING, length - 0.5 * head * self._head)
-            pose = RigidTransform(RotationMatrix.MakeFromOneVector(direction, 2), tail)
-            self._meshcat.SetTransform(kind.path, pose, time_in_recording)
-            self._meshcat.SetProperty(f"{kind.path}/shaft", "scale", [head, head, shaft], time_in_recording)
-            self._meshcat.SetTransform(f"{kind.path}/tip", RigidTransform([0.0, 0.0, length]), time_in_recording)
-            self._meshcat.SetProperty(f"{kind.path}/tip/head", "scale", [head] * 3, time_in_recording)
+            arrow.show(tail, direction, scale * norm, time_in_recording=time_in_recording)
 
     def _distance_to_surface(self, rotation: RotationMatrix, direction: np.ndarray) -> float:
         """From the base's origin along a world direction to the surface of the base's bounding box, m."""
@@ -167,7 +179,7 @@ def _magnification(ratio: float) -> int:
     return allowed[-1] if allowed and ratio > 0.0 else 1
 
 
-def _bounding_box(plant: MultibodyPlant, inspector: SceneGraphInspector) -> tuple[RigidTransform, np.ndarray]:
+def base_bounding_box(plant: MultibodyPlant, inspector: SceneGraphInspector) -> tuple[RigidTransform, np.ndarray]:
     """Pose in the base's frame and half width (3), m, of a box around the base's largest visible geometry."""
     frame = plant.GetBodyFrameIdOrThrow(base_body(plant).index())
     found = (RigidTransform(), np.full(3, 0.5))  # an invisible base: a cube of 1 m

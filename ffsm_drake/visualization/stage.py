@@ -15,6 +15,7 @@ from pydrake.geometry import (
     Role,
     RoleAssign,
 )
+from pydrake.multibody.tree import Frame
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.plant import add_combined_plant, configuration
@@ -106,3 +107,8 @@ class SpacecraftView:
         self._context.SetTime(time)
         self.plant.SetPositions(self._plant_context, q)
         self._diagram.ForcedPublish(self._context)
+
+    def position_of(self, frame: Frame, point: np.ndarray) -> np.ndarray:
+        """A point (3) of a frame of ``plant``, in world (3), in the configuration that is shown, m."""
+        world = self.plant.world_frame()
+        return self.plant.CalcPointsPositions(self._plant_context, frame, point, world)[:, 0]
