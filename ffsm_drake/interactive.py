@@ -239,8 +239,7 @@ class _Operator:
         label = f"[ {text} ]"
         if label == self._status:
             return
-        if self._status:
-            self._controls.remove_button(self._status)
+        self._controls.remove_button(self._status)
         self._status = label
         self._controls.add_button(label)
 

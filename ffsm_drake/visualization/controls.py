@@ -13,8 +13,8 @@ class Controls:
 
     def add_button(self, label: str, *, keycode: str = "") -> None:
         """Add a button; ``keycode`` is a JavaScript key code that clicks it."""
+        self._clicks[label] = 0  # first, so that an interrupt between the two leaves nothing behind
         self._meshcat.AddButton(label, keycode)
-        self._clicks[label] = 0
 
     def add_slider(self, label: str, *, low: float, high: float, step: float, value: float) -> None:
         """Add a slider from low to high."""
@@ -43,9 +43,9 @@ class Controls:
         self._values[label] = self._meshcat.SetSliderValue(label, value)
 
     def remove_button(self, label: str) -> None:
-        """Take one button away."""
-        self._meshcat.DeleteButton(label)
-        del self._clicks[label]
+        """Take one button away if it is there."""
+        self._meshcat.DeleteButton(label, strict=False)
+        self._clicks.pop(label, None)
 
     def remove(self) -> None:
         """Take all controls away."""
