@@ -1,7 +1,7 @@
 """The closed loop: reference, controller, disturbance, plant and sensing wired into one Diagram."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from pydrake.common import RandomGenerator
@@ -82,13 +82,22 @@ class ClosedLoop:
             delay_context.SetDiscreteState(np.tile(state, self.scenario.sensing.delay))
 
 
-def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None, log: bool = False) -> ClosedLoop:
+def make_closed_loop(
+    scenario: Scenario,
+    *,
+    meshcat: Meshcat | None = None,
+    log: bool = False,
+    make_operator: Callable[[Coordinates], LeafSystem] | None = None,
+) -> ClosedLoop:
     """Build the closed loop of a scenario.
 
     Args:
-      scenario: the scenario.
+      scenario: what to build.
       meshcat: makes its visualizer part of the diagram.
       log: makes a logger of all signals part of the diagram: one, behind a multiplexer, is cheaper than one for each.
+      make_operator: makes a system that stands between the disturbance and the plant. Its inputs are ``disturbance``
+        (nv) and ``state`` (nq + nv), its outputs ``external_force`` (nv), which acts on the plant, and
+        ``next_external_force`` (nv), that just after the update of a control sample: the output ``disturbance_force``.
 
     Raises:
       ModelError: the model does not load.
@@ -116,7 +125,14 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None, log:
     builder.Connect(applied_force, total_force.get_input_port(0))
     if controller.HasInputPort("applied_force"):
         builder.Connect(applied_force, controller.GetInputPort("applied_force"))
-    builder.Connect(disturbance.GetOutputPort("generalized_force"), total_force.get_input_port(1))
+    external_force = recorded_force = disturbance.GetOutputPort("generalized_force")
+    if make_operator is not None:
+        operator = builder.AddNamedSystem("operator", make_operator(coordinates))
+        builder.Connect(external_force, operator.GetInputPort("disturbance"))
+        builder.Connect(plant.get_state_output_port(), operator.GetInputPort("state"))
+        external_force = operator.GetOutputPort("external_force")
+        recorded_force = operator.GetOutputPort("next_external_force")
+    builder.Connect(external_force, total_force.get_input_port(1))
     builder.Connect(total_force.get_output_port(), plant.get_applied_generalized_force_input_port())
     if meshcat is not None:
         visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), meshcat)
@@ -130,7 +146,7 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None, log:
         reference.GetOutputPort("desired_acceleration"),
         controller.GetOutputPort("generalized_force"),
         applied_force,
-        disturbance.GetOutputPort("generalized_force"),
+        recorded_force,
     )
     sources = dict(zip(SIGNALS, outputs, strict=True))
     sources |= {name: controller.GetOutputPort(name) for name in OPTIONAL_OUTPUTS if controller.HasOutputPort(name)}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import Context, EventStatus
+from pydrake.systems.framework import Context, EventStatus, LeafSystem
 
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
 from ffsm_drake.coordinates import Coordinates, position_error
@@ -75,15 +75,21 @@ class Rollout:
     Raises ModelError and ScenarioError as ``make_closed_loop`` does.
     """
 
-    def __init__(self, scenario: Scenario, *, meshcat: Meshcat | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        meshcat: Meshcat | None = None,
+        make_operator: Callable[[Coordinates], LeafSystem] | None = None,
+    ) -> None:
         start = time.perf_counter()
-        self._loop = make_closed_loop(scenario, meshcat=meshcat, log=True)
+        self._loop = make_closed_loop(scenario, meshcat=meshcat, log=True, make_operator=make_operator)
         self._simulator = Simulator(self._loop.diagram)
         ApplySimulatorConfig(scenario.simulator_config, self._simulator)
         config = scenario.simulator_config
         logs_every_step = not config.use_error_control and config.max_step_size >= scenario.sample_time
-        # Nobody watches through Meshcat, and no controller of unknown manners might do otherwise the second time.
-        repeatable = meshcat is None and scenario.controller in CONTROLLER_NAMES
+        # Not so where somebody watches or takes part, or a controller of unknown manners may do otherwise another time.
+        repeatable = meshcat is None and make_operator is None and scenario.controller in CONTROLLER_NAMES
         self._judged_by_log = logs_every_step and repeatable
         self._built_for = _built_from(scenario)
         self._build_time = time.perf_counter() - start
@@ -229,6 +235,7 @@ def simulate(
     meshcat: Meshcat | None = None,
     progress: Callable[[float, float], None] | None = None,
     check_stability: bool = True,
+    make_operator: Callable[[Coordinates], LeafSystem] | None = None,
 ) -> RunRecord:
     """Run a scenario to its end and return the record. ``Rollout`` is cheaper for many runs.
 
@@ -240,6 +247,7 @@ def simulate(
       meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate`` to pace it).
       progress: called with (simulated time, duration) in s, once per simulated second.
       check_stability: warn (StabilityWarning) when the sampled loop starts unstable or its adaptation may become so.
+      make_operator: lets a system add to the disturbance, see ``make_closed_loop``.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
@@ -250,7 +258,7 @@ def simulate(
 
         if remark := stability_warning(scenario):
             warnings.warn(remark, StabilityWarning, stacklevel=2)
-    log = Rollout(scenario, meshcat=meshcat).run(progress=progress)
+    log = Rollout(scenario, meshcat=meshcat, make_operator=make_operator).run(progress=progress)
     dataset = make_dataset(log)
     return RunRecord(
         scenario=scenario,

@@ -1,9 +1,8 @@
-"""Meshcat: the live view, and the recording made from a run's record."""
+"""Meshcat: the server, the stage, and the spacecraft on it."""
 
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 from pydrake.geometry import (
@@ -17,22 +16,16 @@ from pydrake.geometry import (
     RoleAssign,
 )
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex
+from pydrake.multibody.tree import BodyIndex, Frame
 from pydrake.systems.framework import DiagramBuilder
 
-from ffsm_drake.files import write_text
-from ffsm_drake.plant import add_combined_plant, base_body, configuration
-from ffsm_drake.record import RunRecord
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.plant import add_combined_plant, base_body, configuration, make_plant
+from ffsm_drake.scenario import Model, Scenario
 
-FRAMES_PER_SECOND = 25.0
 _VIEW = np.array([0.5843, -0.7176, 0.3793])  # unit vector from what the camera looks at to the camera
 _CAMERA_TARGET = np.array([0.2106, 0.0, 0.2106])  # per metre of the spacecraft's extent
-_CAMERA_CLEARANCE = (
-    2.74  # m, how far beyond the extent the camera stands: in front of whatever the arm swings towards it
-)
+_CAMERA_CLEARANCE = 2.74  # m beyond the extent: the camera stands in front of whatever the arm swings towards it
 _GHOST_COLOR = Rgba(0.45, 0.85, 1.0, 0.10)
-_PATH_COLOR = Rgba(1.0, 0.62, 0.1, 1.0)
 
 
 @contextmanager
@@ -55,17 +48,21 @@ def start_meshcat() -> Meshcat:
     return Meshcat(params)
 
 
-def set_stage(meshcat: Meshcat, scenario: Scenario) -> None:
+def set_stage(meshcat: Meshcat, scenario: Scenario, *, ghost: bool = True) -> None:
     """A dark background, a camera on the servicer, and the translucent ghost of the target posture."""
-    meshcat.SetProperty("/Background", "top_color", [0.02, 0.03, 0.08])
-    meshcat.SetProperty("/Background", "bottom_color", [0.07, 0.09, 0.16])
+    meshcat.SetProperty("/Background/<object>", "top_color", [0.02, 0.03, 0.08])
+    meshcat.SetProperty("/Background/<object>", "bottom_color", [0.07, 0.09, 0.16])
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
     meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 1.2)
+    meshcat.SetCameraPose(*camera_pose(make_plant(scenario.model), scenario))
+    if ghost:
+        _show_target_posture(meshcat, scenario)
 
+
+def _show_target_posture(meshcat: Meshcat, scenario: Scenario) -> None:
     builder = DiagramBuilder()
     plant = add_combined_plant(builder, scenario.model)
-    meshcat.SetCameraPose(*camera_pose(plant, scenario))
     scene_graph = builder.GetSubsystemByName("scene_graph")
     inspector = scene_graph.model_inspector()
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
@@ -101,36 +98,38 @@ def camera_pose(plant: MultibodyPlant, scenario: Scenario) -> tuple[np.ndarray, 
     return center + (extent + _CAMERA_CLEARANCE) * _VIEW, center
 
 
-def write_recording(record: RunRecord, path: Path) -> None:
-    """Write a self-contained HTML page that plays the run back: no simulation, only the record.
+class SpacecraftView:
+    """The spacecraft in Meshcat, in any configuration, without a simulation."""
 
-    It shows the motion, the ghost of the target posture and the end effector's path.
+    def __init__(self, meshcat: Meshcat, model: Model, *, frames_per_second: float = 25.0) -> None:
+        """Show the spacecraft in its default configuration.
 
-    Raises:
-      RecordError: the file cannot be written.
-    """
-    with quiet_drake():  # the server is only a means to the page; nobody should open its address
-        meshcat = start_meshcat()
-    set_stage(meshcat, record.scenario)
-    dataset = record.dataset
-    path_vertices = dataset["end_effector_position"].values[:: max(1, dataset.sizes["time"] // 400)]
-    meshcat.SetLine("end_effector_path", path_vertices.T, 4.0, _PATH_COLOR)
+        Args:
+          meshcat: where.
+          model: what.
+          frames_per_second: of an animation that ``visualizer`` records.
 
-    builder = DiagramBuilder()
-    plant = add_combined_plant(builder, record.scenario.model)
-    params = MeshcatVisualizerParams()
-    params.publish_period = 1.0 / FRAMES_PER_SECOND
-    visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), meshcat, params)
-    diagram = builder.Build()
-    context = diagram.CreateDefaultContext()
-    plant_context = plant.GetMyMutableContextFromRoot(context)
-    visualizer.StartRecording(set_transforms_while_recording=False)
-    times, positions = dataset["time"].values, dataset["position"].values
-    frames = np.arange(0.0, times[-1] + 0.5 / FRAMES_PER_SECOND, 1.0 / FRAMES_PER_SECOND)
-    for time, sample in zip(frames, np.searchsorted(times, frames - 1e-9).clip(max=times.size - 1), strict=True):
-        context.SetTime(time)
-        plant.SetPositions(plant_context, positions[sample])
-        diagram.ForcedPublish(context)
-    visualizer.StopRecording()
-    visualizer.PublishRecording()
-    write_text(path, meshcat.StaticHtml())
+        Raises:
+          ModelError: the model does not load.
+        """
+        builder = DiagramBuilder()
+        self.plant = add_combined_plant(builder, model)
+        self.scene_graph = builder.GetSubsystemByName("scene_graph")
+        params = MeshcatVisualizerParams()
+        params.publish_period = 1.0 / frames_per_second
+        self.visualizer = MeshcatVisualizer.AddToBuilder(builder, self.scene_graph, meshcat, params)
+        self._diagram = builder.Build()
+        self._context = self._diagram.CreateDefaultContext()
+        self._plant_context = self.plant.GetMyMutableContextFromRoot(self._context)
+        self._diagram.ForcedPublish(self._context)
+
+    def show(self, q: np.ndarray, *, time: float = 0.0) -> None:
+        """Show configuration q (nq); ``time`` (s) is its place in an animation being recorded."""
+        self._context.SetTime(time)
+        self.plant.SetPositions(self._plant_context, q)
+        self._diagram.ForcedPublish(self._context)
+
+    def position_of(self, frame: Frame, point: np.ndarray) -> np.ndarray:
+        """A point (3) of a frame of ``plant``, in world (3), in the configuration that is shown, m."""
+        world = self.plant.world_frame()
+        return self.plant.CalcPointsPositions(self._plant_context, frame, point, world)[:, 0]
