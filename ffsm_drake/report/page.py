@@ -246,7 +246,8 @@ def _table(results: Sequence[Result]) -> list[Row]:
     rows += [
         Row(label="Simulated time", unit="s", head="Computation",
             cells=[Cell(text=f"{result.record.outcome.time:g}") for result in results]),
-        Row(label="Wall time, simulation", unit="s", cells=[Cell(text=number(one.get("advance_to"), 3)) for one in wall]),
+        Row(label="Wall time, simulation", unit="s",
+            cells=[Cell(text=number(one.get("advance_to"), 3)) for one in wall]),
         Row(label="Wall time, all told", unit="s", cells=[Cell(text=number(one.get("total"), 3)) for one in wall]),
     ]  # fmt: skip
     return rows
@@ -317,8 +318,8 @@ def _thinning(curves: plots.Curves) -> str:
         return "The plots show every control sample."
     return (
         f"Curves of more than {curves.points} samples are thinned for display (the longest has {curves.longest}): of "
-        "each short interval the smallest and the largest value are drawn, so that no peak is lost. The record itself is "
-        "whole, and every figure on this page is computed from all samples."
+        "each short interval the smallest and the largest value are drawn, so that no peak is lost. The record itself "
+        "is whole, and every figure on this page is computed from all samples."
     )
 
 

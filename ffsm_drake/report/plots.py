@@ -21,7 +21,7 @@ RMS_WINDOW = 1.0  # s
 RMS_POINTS = 500  # of a curve that smooth
 GROUP_COLORS = dict(zip(GROUP_TITLES, ("#D55E00", "#0072B2", "#009E73"), strict=True))
 # A map's range of eta, and its points: the curve is smooth.
-_MAP_ETA = (0.2, 1.4, 37)
+_MAP_ETA = (0.2, 1.4, 25)
 
 Json = dict[str, Any]
 
@@ -84,7 +84,7 @@ def time_plots(results: Sequence[Result], curves: Curves) -> dict[str, Json]:
     plots: dict[str, Json] = {}
     _put(plots, "error", [
         _coordinate_view(results, curves, "error", "Error", axis="{unit}"),
-        _coordinate_view(results, curves, "error", "|Error| and its rms over 1 s, logarithmic", axis="{unit}", log=True),
+        _coordinate_view(results, curves, "error", "|Error| with rms over 1 s, logarithmic", axis="{unit}", log=True),
     ])  # fmt: skip
     _put(plots, "force", [
         _coordinate_view(results, curves, "generalized_force", "Control", axis="{effort}"),
@@ -115,7 +115,14 @@ def stability_plots(results: Sequence[Result], margins: Sequence[Margins | None]
         if np.isfinite(margin.k_s_limit).any():
             expected = curves.curve(margin.times, margin.spectral_radius_expected)
             radius.append({**expected, "run": i, "name": "largest expected Kₛ", "dash": "dash"})
-    panels.append(_panel("Spectral radius of the coupled loop", "1", radius, lines=[{"y": 1.0, "text": "limit 1"}]))
+    panels.append(
+        _panel(
+            "Spectral radius of the coupled loop (dashed: at the largest expected Kₛ)",
+            "1",
+            radius,
+            lines=[{"y": 1.0, "text": "limit 1"}],
+        )
+    )
     for i, result, margin in assessed:
         if np.isfinite(margin.k_s_limit).any():
             panels.append(_forecast_panel(result, margin, curves))
@@ -161,6 +168,7 @@ def _coordinate_view(
     panels = []
     for name, members in columns.items():
         group, unit = kinds[name]
+        bounds: Json = {}
         traces = [
             {
                 **curves.curve(results[i].record.dataset["time"].values, values),
@@ -173,24 +181,26 @@ def _coordinate_view(
         ]
         if log:
             # The magnitude of noise is a thicket: what tells the runs apart is its rms.
+            smooth_ones = [(i, *_moving_rms(results[i], values)) for i, values in members]
             traces = [{**trace, "faint": True, "width": 0.8} for trace in traces] + [
-                {**_rms_curve(results[i], values, curves), "run": i, "name": "rms", "width": 1.8}
-                for i, values in members
+                {**curves.curve(time, rms, points=RMS_POINTS), "run": i, "name": "rms", "width": 1.8}
+                for i, time, rms in smooth_ones
             ]
+            bounds = _log_range([values for _, values in members], [rms for _, _, rms in smooth_ones])
         panels.append(
             _panel(
                 name.replace("_", " "),
                 axis.format(unit=unit, effort=EFFORT_UNITS.get(unit, unit)),
                 traces,
                 group=GROUP_TITLES.get(group, group),
-                **({"log": True} if log else _completed_range(results, members)),
+                **({"log": True, **bounds} if log else _completed_range(results, members)),
             )
         )
     return {"label": label, "panels": panels} if panels else None
 
 
-def _rms_curve(result: Result, values: np.ndarray, curves: Curves) -> Json:
-    """Root of the mean square over one second around each sample, of the part before the first that is not finite."""
+def _moving_rms(result: Result, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Time and root of the mean square over one second around it, before the first value that is not finite."""
     from scipy.ndimage import uniform_filter1d
 
     finite = np.isfinite(values)
@@ -199,7 +209,16 @@ def _rms_curve(result: Result, values: np.ndarray, curves: Curves) -> Json:
     with np.errstate(over="ignore"):
         mean_square = uniform_filter1d(np.square(part), window, mode="nearest") if part.size else part
     time = result.record.dataset["time"].values[: part.size]
-    return curves.curve(time, np.sqrt(np.maximum(mean_square, 0.0)), points=RMS_POINTS)
+    return time, np.sqrt(np.maximum(mean_square, 0.0))
+
+
+def _log_range(values: Sequence[np.ndarray], rms: Sequence[np.ndarray]) -> Json:
+    """Decades that show the rms well: the magnitude's zero crossings reach far below anything of interest."""
+    low, high = np.abs(np.concatenate(rms)), np.abs(np.concatenate(values))
+    low, high = low[np.isfinite(low) & (low > 0.0)], high[np.isfinite(high) & (high > 0.0)]
+    if not low.size or not high.size:
+        return {}
+    return {"range": [float(np.log10(low.min() / 10.0)), float(np.log10(high.max() * 1.5))]}
 
 
 def _roughest_first(results: Sequence[Result], variable: str) -> list[int]:
@@ -338,8 +357,7 @@ def _eta_panels(assessed: Sequence[tuple[int, Result, Margins]], curves: Curves)
     for _, result, margin in assessed:
         columns = [curves.curve(margin.times, column) for column in margin.eta.T]
         traces = [
-            {**curve, "name": f"eigenvalue {k}", "color": "#0072B2", "width": 1}
-            for k, curve in enumerate(columns, start=1)
+            {**curve, "name": f"eigenvalue {k}", "ink": True, "width": 1.2} for k, curve in enumerate(columns, start=1)
         ]
         shared.setdefault(tuple(curve["y"] for curve in columns), ([], traces))[0].append(result.label)
     return [
@@ -379,6 +397,7 @@ def _forecast_panel(result: Result, margin: Margins, curves: Curves) -> Json:
         "1/s",
         traces,
         lines=[{"y": limit, "text": "limit"}],
+        legend=True,
         range=[0.0, 1.15 * max(limit, *highest)],
     )
 
@@ -414,8 +433,9 @@ def _map_panel(i: int, result: Result, margin: Margins, curves: Curves) -> Json:
         "title": f"Stable below the curve, {what} of {name}: {result.label}",
         "axis": unit,
         "kind": "map",
-        "x_title": "inertia ratio η (above 1: over-estimated); shaded: met along the motion",
+        "x_title": "inertia ratio η; shaded: met along the motion",
         "traces": traces,
         "band": band,
+        "legend": True,
         "range": [0.0, top],
     }

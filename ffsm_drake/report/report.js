@@ -42,7 +42,7 @@
     const shape = trace.step ? "hv" : "linear";
     const line = { color: paint, width: trace.width || 1.4, dash: trace.dash || "solid", shape };
     const visible = trace.run === undefined || !state.hidden.has(trace.run);
-    const common = { name, visible, showlegend: false, line, opacity: trace.faint ? 0.3 : 1 };
+    const common = { name, visible, showlegend: Boolean(panel.legend), line, opacity: trace.faint ? 0.22 : 1 };
     if (trace.faint) common.hoverinfo = "skip";
     if (panel.kind === "space") {
       const [x, y, z] = [trace.x, trace.y, trace.z].map(numbers);
@@ -115,7 +115,8 @@
     const annotations = (panel.lines || []).map((line) => ({ xref: "paper", x: 1, xanchor: "right", y: line.y,
       yanchor: "bottom", text: escaped(line.text), showarrow: false, font: { ...font, color: color.ink } }));
     const margin = { l: 44, r: 8, t: 8, b: 34 };
-    return { ...common, margin, hovermode: panel.kind === "map" ? "closest" : "x unified", xaxis, yaxis, shapes,
+    const legend = { orientation: "h", x: 0, y: -0.22, yanchor: "top", itemclick: false, itemdoubleclick: false };
+    return { ...common, showlegend: Boolean(panel.legend), legend, margin, hovermode: panel.kind === "map" ? "closest" : "x unified", xaxis, yaxis, shapes,
       annotations };
   }
 
@@ -172,8 +173,8 @@
   function whenIdle() {
     if (waiting) return;
     waiting = true;
-    const later = window.requestIdleCallback || ((work) => setTimeout(work, 30));
-    later(() => {
+    const later = window.requestIdleCallback || ((task) => setTimeout(task, 30));
+    const work = () => {
       waiting = false;
       const next = panels.find((place) => place.version !== state.version && place.canvas.clientWidth >= 20);
       if (next) {
@@ -182,7 +183,9 @@
       } else {
         root.dataset.plots = "drawn";
       }
-    });
+    };
+    // With a deadline, because a page in the background is never idle.
+    later(work, { timeout: 200 });
   }
 
   function reveal() {
