@@ -21,7 +21,7 @@ from ffsm_drake.report import write_report
 from ffsm_drake.report.page import render_report
 from ffsm_drake.report.plots import thinned
 from ffsm_drake.report.results import labels_of, number, ranking, results_of
-from ffsm_drake.scenario import scenario_from_yaml, scenario_to_dict
+from ffsm_drake.scenario import scenario_from_dict, scenario_from_yaml, scenario_to_dict
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 HOSTILE = "</script><script>document.title='taken'</script><img src=x onerror=alert(1)> & \"quotes\" </title>"
@@ -263,6 +263,8 @@ def test_same_controller_twice_is_told_apart(short):
     assert [label.rpartition(", ")[2] for label in labels_of([short, other])] == ["random_seed = 0", "random_seed = 7"]
     assert len({result.color for result in results_of([short, other, short])}) == 3
     assert len(set(labels_of([short, short, other]))) == 3
+    gains = scenario_from_dict(scenario_to_dict(short.scenario), ["controllers.tde_aismc.k_s_max.all=65"])
+    assert labels_of([short, dataclasses.replace(short, scenario=gains)])[1] == "TDE-AISMC (proposed), k_s_max = 65"
 
 
 def write_arm(directory, joints):

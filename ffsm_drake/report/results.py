@@ -3,6 +3,7 @@
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -85,12 +86,21 @@ def labels_of(records: Sequence[RunRecord]) -> list[str]:
         varying = sorted(key for key in keys if len({repr(one.get(key)) for one in flat}) > 1)
         if 1 <= len(varying) <= 2:
             labels = [
-                ", ".join([label, *(f"{key} = {one.get(key)}" for key in varying)])
+                ", ".join([label, *(f"{_short(key)} = {_shown(one.get(key))}" for key in varying)])
                 for label, one in zip(labels, flat, strict=True)
             ]
     if len(set(labels)) < len(labels):
         labels = [f"{label}, run {number}" for number, label in enumerate(labels, start=1)]
     return labels
+
+
+def _short(key: str) -> str:
+    """The part of a dotted key that says enough: k_s_max of controllers.tde_aismc.k_s_max.all."""
+    return re.sub(r"^controllers\.[^.]*\.", "", key).removesuffix(".all")
+
+
+def _shown(value: Any) -> str:
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def flatten(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
