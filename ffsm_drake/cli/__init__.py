@@ -10,7 +10,7 @@ from ffsm_drake.cli.judge import analyze, design, stability
 from ffsm_drake.cli.paper import noise, reproduce
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, doctor, scenarios, schema, validate
-from ffsm_drake.cli.show import diagram, plot
+from ffsm_drake.cli.show import diagram, plot, replay
 
 
 @click.group(cls=OrderedGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -31,7 +31,7 @@ def main() -> None:
 
 
 for command in (
-    run, compare, analyze, stability, design, plot, diagram,
+    run, compare, analyze, stability, design, replay, plot, diagram,
     scenarios, validate, schema, reproduce, noise, doctor, completion,
 ):  # fmt: skip
     main.add_command(command)

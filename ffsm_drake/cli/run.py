@@ -44,7 +44,8 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
     """Run a scenario and write its record and report.
 
     SCENARIO is a shipped name (see 'ffsm scenarios') or a YAML file. The folder then holds record.nc, metrics.json,
-    manifest.json and report.html, one page with results, plots, recording, findings and margins.
+    manifest.json and report.html, one page with results, plots, recording, findings and margins. With --meshcat each
+    flight has a folder of its own.
 
     \b
     Examples:
@@ -54,9 +55,16 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
       ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
     """
     directory = out or Path("out") / scenario_stem()
-    record = _simulate(scenario)
-    record.save(directory)
-    sys.exit(_finish([record], directory, as_json=as_json, report=report))
+    if not meshcat:
+        record = _simulate(scenario)
+        record.save(directory)
+        sys.exit(_finish([record], directory, as_json=as_json, report=report))
+    from ffsm_drake.interactive import run_interactive
+
+    records = run_interactive(scenario, open_browser=True)
+    for number, record in enumerate(records, start=1):
+        record.save(directory / f"flight_{number}")
+    sys.exit(_finish(records, directory, as_json=as_json, report=report) if records else EXIT_GOOD)
 
 
 @click.command()

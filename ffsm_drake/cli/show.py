@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ffsm_drake.cli.common import reports_errors, scenario_options
+from ffsm_drake.cli.common import reports_errors, run_argument, scenario_options
 
 if TYPE_CHECKING:
     from ffsm_drake.scenario import Scenario
@@ -55,3 +55,38 @@ def diagram(scenario: "Scenario", out: Path | None) -> None:
     click.echo(f"Written to {out.with_suffix('.dot')}" + ("" if remark else f" and {out.with_suffix('.svg').name}"))
     if remark:
         click.echo(remark, err=True)
+
+
+@click.command()
+@reports_errors
+@run_argument
+@click.option("--speed", type=float, default=1.0, show_default=True, help="Times real time.")
+@click.option("--ghost/--no-ghost", default=True, show_default=True, help="The target posture, translucent.")
+@click.option("--path/--no-path", default=True, show_default=True, help="The end effector's path.")
+@click.option("--forces/--no-forces", default=True, show_default=True, help="Control and disturbance as arrows.")
+@click.option("--live", is_flag=True, help="Serve it on this machine, with a time slider, until Quit or Ctrl-C.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Default: recording.html in RUN_DIR.",
+)
+def replay(run: Path, speed: float, ghost: bool, path: bool, forces: bool, live: bool, out: Path | None) -> None:
+    """Play a recorded run back, without simulating it again: as a page to open and send, or live with a time slider.
+
+    \b
+    Examples:
+      ffsm replay out/postcapture
+      ffsm replay out/postcapture --speed 2 --no-ghost --out slides/motion.html
+      ffsm replay out/postcapture --live
+    """
+    from ffsm_drake.record import RunRecord
+    from ffsm_drake.visualization import replay_live, write_recording
+
+    record = RunRecord.load(run)
+    if live:
+        replay_live(record, speed=speed, ghost=ghost, path=path, forces=forces, open_browser=True)
+        return
+    file = out or run / "recording.html"
+    write_recording(record, file, speed=speed, ghost=ghost, path=path, forces=forces)
+    click.echo(f"Written to {file}")
