@@ -47,7 +47,14 @@ _STATUS_WORDS = {
 }
 _STATUS_TONES = {"settled": "good", "unsettled": "warn", "interrupted": "warn", "diverged": "bad"}
 _FINDING_TONES = {"holds": "good", "does not hold": "bad", "measured": "mute", "not applicable": "mute"}
-_CSS_DASHES = {"solid": "solid", "dash": "dashed", "dashdot": "dashed", "dot": "dotted"}
+_CSS_DASHES = {
+    "solid": "solid",
+    "dash": "dashed",
+    "longdash": "dashed",
+    "dashdot": "dashed",
+    "longdashdot": "dashed",
+    "dot": "dotted",
+}
 # Section key -> title, text, and the sentence that stands where the records have nothing to draw.
 _SECTIONS = {
     "error": ("Tracking error", "Reference minus truth, e = q_d − q, by coordinate.", "The records hold no errors."),

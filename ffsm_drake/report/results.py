@@ -23,7 +23,15 @@ GROUP_TITLES = {"base_rotation": "Base attitude", "base_position": "Base positio
 EFFORT_UNITS = {"rad": "N m", "m": "N"}
 # Of runs whose controller has no colour of its own, or whose colour is taken.
 SPARE_COLORS = ("#CC79A7", "#E69F00", "#56B4E9", "#8C6BB1", "#B8A800", "#8C510A")
-DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot"}
+# Matplotlib's line styles in plotly's words.
+DASHES = {
+    "-": "solid",
+    "--": "dash",
+    "-.": "dashdot",
+    ":": "dot",
+    (0, (5, 1)): "longdash",
+    (0, (3, 1, 1, 1, 1, 1)): "longdashdot",
+}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -217,10 +225,5 @@ def _styles_of(records: Sequence[RunRecord]) -> list[tuple[str, str]]:
             styles.append((SPARE_COLORS[spare % len(SPARE_COLORS)], "solid"))
             spare += 1
         else:
-            styles.append((style["color"], _dash(style["linestyle"])))
+            styles.append((style["color"], DASHES[style["linestyle"]]))
     return styles
-
-
-def _dash(linestyle: str | tuple[int, tuple[int, ...]]) -> str:
-    """Matplotlib's line style in plotly's words; dashes of one's own are in line widths here and in pixels there."""
-    return DASHES[linestyle] if isinstance(linestyle, str) else ",".join(f"{2 * length}px" for length in linestyle[1])
