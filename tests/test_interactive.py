@@ -23,6 +23,7 @@ from ffsm_drake.interactive import (
 )
 from ffsm_drake.plant import find_body
 from ffsm_drake.visualization import start_meshcat
+from ffsm_drake.visualization.controls import Controls
 
 PERIOD = 0.01
 
@@ -261,6 +262,21 @@ def test_ctrl_c_ends_the_session(meshcat, scenario):
     (record,) = operate(meshcat, scenario, start(), let_pass(50), interrupt)
     assert record.outcome.status == "interrupted"
     assert record.outcome.message == f"interrupted at t = {record.outcome.time:.2f} s"
+    assert meshcat.GetButtonNames() == []
+
+
+def test_ctrl_c_between_two_controls_keeps_the_records(meshcat, scenario, monkeypatch):
+    """The panel's status line is taken away and put back; an interrupt in between must not cost the session."""
+    add_button = Controls.add_button
+
+    def interrupted(controls, label, **options):
+        if label.startswith("[ running"):
+            raise KeyboardInterrupt
+        add_button(controls, label, **options)
+
+    monkeypatch.setattr(Controls, "add_button", interrupted)
+    (record,) = operate(meshcat, scenario, start())
+    assert record.outcome.status == "interrupted"
     assert meshcat.GetButtonNames() == []
 
 

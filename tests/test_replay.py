@@ -69,6 +69,22 @@ def test_the_page_plays_at_the_asked_speed(record):
         assert last_frame / fps == pytest.approx(2.0 / speed, abs=1.0 / fps)
 
 
+def test_frames_show_the_instants_that_are_due(record, monkeypatch):
+    shown = []
+    show = ReplayView.show
+
+    def noted(view, time, *, time_in_recording=None):
+        shown.append((time, time_in_recording))
+        show(view, time, time_in_recording=time_in_recording)
+
+    monkeypatch.setattr(ReplayView, "show", noted)
+    recording_html(record, speed=2.0)
+    run_times, page_times = np.array(shown[1:]).T
+    assert np.floor(page_times * 25.0) / 25.0 * 2.0 == pytest.approx(run_times)
+    assert run_times[0] == 0.0
+    assert run_times[-1] == pytest.approx(2.0)
+
+
 def test_the_page_holds_what_was_asked_for(record):
     size = {
         (ghost, path, forces): len(recording_html(record, ghost=ghost, path=path, forces=forces))
