@@ -39,7 +39,7 @@ nb_execution_timeout = 120
 nb_ipywidgets_js = {}  # it would load RequireJS from the network
 nb_merge_streams = True
 
-autodoc_default_options = {"members": True, "show-inheritance": False}
+autodoc_default_options = {"members": True}
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_class_signature = "mixed"

@@ -12,28 +12,41 @@ from sphinx.application import Sphinx
 from sphinx.util import logging
 
 logger = logging.getLogger(__name__)
-_NAMESPACE = "http://www.w3.org/1998/Math/MathML"
-_BESIDE = {"munder": "msub", "munderover": "msubsup"}
+_NAMESPACE = "{http://www.w3.org/1998/Math/MathML}"
+_ACCENTS = tuple("\u02d9\u00a8\u02c6\u02dc~\u00af")  # dot, two dots, hat, tildes, bar
+_BARS = ("|", "\u2223", "\u2225", "\u2016")
 
 
 def _mathml(node: nodes.Node, *, block: bool) -> str:
     try:
         return _tidied(tex2mathml(node.astext(), as_block=block))
-    except (MathError, AttributeError, IndexError, KeyError, SyntaxError, ValueError) as error:  # malformed: it may raise any
+    except (
+        MathError,
+        AttributeError,
+        IndexError,
+        KeyError,
+        SyntaxError,
+        ValueError,
+    ) as error:  # malformed: it may raise any
         logger.warning("equation cannot be converted: %s", error, location=node)
         return f"<code>{nodes.unescape(node.astext())}</code>"
 
 
 def _tidied(mathml: str) -> str:
     """Subscripts of accented letters beside them rather than below, bars without the space of an operator."""
-    ET.register_namespace("", _NAMESPACE)
+    ET.register_namespace("", _NAMESPACE.strip("{}"))
     # XML knows none of HTML's named characters but these.
     root = ET.fromstring(re.sub(r"&(?!lt;|gt;|amp;|#)\w+;", lambda found: html.unescape(found.group()), mathml))
-    for element in root.iter():
-        tag = element.tag.removeprefix(f"{{{_NAMESPACE}}}")
-        if tag in _BESIDE and len(element) and element[0].tag == f"{{{_NAMESPACE}}}mover":
-            element.tag = f"{{{_NAMESPACE}}}{_BESIDE[tag]}"
-        elif tag == "mo" and element.text in ("|", "\u2223", "\u2225", "\u2016"):
+    for element in list(root.iter()):
+        tag = element.tag.removeprefix(_NAMESPACE)
+        if tag == "munderover" and element[2].text in _ACCENTS:
+            letter, below, accent = element
+            element[:] = [ET.Element(f"{_NAMESPACE}mover", accent="true"), below]
+            element[0].extend([letter, accent])
+            element.tag = f"{_NAMESPACE}msub"
+        elif tag == "mover" and element[1].text in _ACCENTS:
+            element.set("accent", "true")
+        elif tag == "mo" and element.text in _BARS:
             element.attrib.update(lspace="0", rspace="0")
     return ET.tostring(root, encoding="unicode")
 

@@ -38,7 +38,8 @@ def readable(lines: list[str], *, module: bool) -> list[str]:
 
 def _escaped(line: str) -> str:
     return "".join(
-        part if part.startswith("``") else part.replace("|", "\\|").replace("\\\\|", "\\|") for part in _LITERAL.split(line)
+        part if part.startswith("``") else part.replace("|", "\\|").replace("\\\\|", "\\|")
+        for part in _LITERAL.split(line)
     )
 
 

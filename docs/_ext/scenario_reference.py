@@ -1,4 +1,4 @@
-"""The table of every scenario key, read from the dataclasses of ffsm_drake.scenario and the comments beside their fields.
+"""The table of every scenario key, read from the dataclasses of ffsm_drake.scenario and the comments at their fields.
 
 A page that holds the line ``<!-- scenario reference -->`` gets it there, as Markdown, whenever the site is built.
 """
@@ -12,12 +12,14 @@ import tokenize
 import types
 import typing
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydrake.systems.analysis import SimulatorConfig
-from sphinx.application import Sphinx
 
 from ffsm_drake import scenario as schema
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 MARKER = "<!-- scenario reference -->"
 
@@ -80,8 +82,8 @@ _UNITS = {
 }
 
 _UNIT = re.compile(
-    r"(?:kg m\^2|N m or N|rad/s\^2 or m/s\^2(?: per sqrt\(s\))?|rad/s or m/s|rad \(revolute\) or m \(prismatic\)|rad or m"
-    r"|control samples|N m/rad or N/m|N m s/rad or N s/m|1/s\^2|1/s|rad/s|kg|rad|m|s)(?=$|[,;:.])"
+    r"(?:kg m\^2|N m or N|rad/s\^2 or m/s\^2(?: per sqrt\(s\))?|rad/s or m/s|rad \(revolute\) or m \(prismatic\)"
+    r"|rad or m|control samples|N m/rad or N/m|N m s/rad or N s/m|1/s\^2|1/s|rad/s|kg|rad|m|s)(?=$|[,;:.])"
 )
 
 
@@ -229,11 +231,11 @@ def _escaped(text: str) -> str:
     return text if "`" in text or "$" in text else re.sub(r"(?<=\w)_(?=\w)", r"\\_", text)
 
 
-def _insert(app: Sphinx, docname: str, source: list[str]) -> None:
+def _insert(app: "Sphinx", docname: str, source: list[str]) -> None:
     if MARKER in source[0]:
         source[0] = source[0].replace(MARKER, markdown())
 
 
-def setup(app: Sphinx) -> dict[str, Any]:
+def setup(app: "Sphinx") -> dict[str, Any]:
     app.connect("source-read", _insert)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
