@@ -30,7 +30,7 @@ NOT_RUN = "<!-- not run -->"  # on the line before a block
 
 
 def blocks(page: Path, language: str) -> list[str]:
-    found = re.findall(rf"(?:^(.*)\n)?^```{language}\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    found = re.findall(rf"(?:^([^\n]*)\n)?^```{language}\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     return [text for before, text in found if before.strip() != NOT_RUN]
 
 
@@ -72,8 +72,8 @@ COMMANDS = sorted(set(shell_commands()))
 
 def test_commands_are_found():
     """The reader of the pages reads: otherwise the tests below would check nothing."""
-    assert sum(words[0] == "ffsm" for _, words in COMMANDS) > 5
-    assert sum(words[:2] == ("python", "examples/postcapture.py") for _, words in COMMANDS) > 5
+    assert sum(words[0] == "ffsm" for _, words in COMMANDS) > 10
+    assert sum(words[:2] == ("python", "examples/postcapture.py") for _, words in COMMANDS) > 10
     assert sum(words[:2] == ("python", "-c") for _, words in COMMANDS) > 0
 
 
