@@ -47,4 +47,5 @@ autodoc_preserve_defaults = True
 napoleon_numpy_docstring = False
 python_use_unqualified_type_names = True
 add_module_names = False
+smartquotes = False  # docstrings write derivatives as q''
 copybutton_exclude = ".linenos, .gp, .go"
