@@ -15,6 +15,7 @@ from ffsm_drake.actuation import make_actuation
 from ffsm_drake.controllers import OPTIONAL_OUTPUTS, make_controller
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.disturbance import make_disturbance
+from ffsm_drake.errors import ScenarioError
 from ffsm_drake.plant import (
     add_combined_plant,
     configuration,
@@ -55,7 +56,7 @@ class ClosedLoop:
     reference: QuinticReference
     controller: LeafSystem
     actuation: Diagram
-    disturbance: Diagram
+    disturbance: System
     sensing: Diagram
     logger: VectorLogSink | None
     logged: Mapping[str, slice]  # signal -> its rows of the log
@@ -87,6 +88,7 @@ def make_closed_loop(
     *,
     meshcat: Meshcat | None = None,
     log: bool = False,
+    own_disturbance: Callable[[Coordinates], System] | None = None,
     make_operator: Callable[[Coordinates], LeafSystem] | None = None,
 ) -> ClosedLoop:
     """Build the closed loop of a scenario.
@@ -95,6 +97,8 @@ def make_closed_loop(
       scenario: what to build.
       meshcat: makes its visualizer part of the diagram.
       log: makes a logger of all signals part of the diagram: one, behind a multiplexer, is cheaper than one for each.
+      own_disturbance: makes the source of the external force in place of the scenario's harmonics; its output
+        ``generalized_force`` (nv) is base torque and force in world axes and joint torques, N m and N.
       make_operator: makes a system that stands between the disturbance and the plant. Its inputs are ``disturbance``
         (nv) and ``state`` (nq + nv), its outputs ``external_force`` (nv), which acts on the plant, and
         ``next_external_force`` (nv), that just after the update of a control sample: the output ``disturbance_force``.
@@ -110,7 +114,11 @@ def make_closed_loop(
         configuration(plant, getattr(scenario, name), key=name)
     reference = builder.AddNamedSystem("reference", make_reference(scenario, coordinates))
     controller = builder.AddSystem(make_controller(scenario, make_nominal_plant(scenario)))
-    disturbance = builder.AddSystem(make_disturbance(scenario.disturbance, coordinates))
+    if own_disturbance is None:
+        disturbance: System = make_disturbance(scenario.disturbance, coordinates)
+    else:
+        disturbance = _checked_disturbance(own_disturbance(coordinates), coordinates)
+    builder.AddSystem(disturbance)
     sensing = builder.AddSystem(make_sensing(scenario.sensing, coordinates, sample_time=scenario.sample_time))
     actuation = builder.AddSystem(make_actuation(scenario.actuation, coordinates, sample_time=scenario.sample_time))
     total_force = builder.AddNamedSystem("total_force", Adder(2, len(coordinates.names)))
@@ -193,3 +201,10 @@ def _add_logger(
     logger = LogVectorOutput(stacked.get_output_port(), builder, period)
     ends = np.cumsum(sizes).tolist()
     return logger, {name: slice(end - size, end) for name, size, end in zip(sources, sizes, ends, strict=True)}
+
+
+def _checked_disturbance(source: System, coordinates: Coordinates) -> System:
+    size = len(coordinates.names)
+    if not source.HasOutputPort("generalized_force") or source.GetOutputPort("generalized_force").size() != size:
+        raise ScenarioError("own_disturbance", f"needs an output port 'generalized_force' of size {size}")
+    return source

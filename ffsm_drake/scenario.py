@@ -111,10 +111,11 @@ class AismcGains:
 
     k_d: PerCoordinate = _published(all=100.0)  # 1/s
     k_p: PerCoordinate = _published(all=100.0, base_position=200.0)  # 1/s^2
-    k_s_initial: PerCoordinate = _published(all=80.0)  # 1/s
+    # The published 80 1/s without bound adapts itself out of the sampled loop's stability on an exact plant.
+    k_s_initial: PerCoordinate = _published(all=60.0)  # 1/s
     alpha: PerCoordinate = _published(base_position=3e4, base_rotation=18e4, joints=9e4)  # rate of K_s
     beta: PerCoordinate = _published(base_position=4e7, base_rotation=24e7, joints=12e7)  # accuracy scale of K_s
-    k_s_max: PerCoordinate | None = None  # 1/s; null: unbounded
+    k_s_max: PerCoordinate | None = _published(all=70.0)  # 1/s; null: unbounded
 
 
 @dataclasses.dataclass

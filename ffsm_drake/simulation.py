@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import Context, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, System
 
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
 from ffsm_drake.coordinates import Coordinates, position_error
@@ -80,16 +80,20 @@ class Rollout:
         scenario: Scenario,
         *,
         meshcat: Meshcat | None = None,
+        own_disturbance: Callable[[Coordinates], System] | None = None,
         make_operator: Callable[[Coordinates], LeafSystem] | None = None,
     ) -> None:
         start = time.perf_counter()
-        self._loop = make_closed_loop(scenario, meshcat=meshcat, log=True, make_operator=make_operator)
-        self._simulator = Simulator(self._loop.diagram)
+        self.loop = make_closed_loop(
+            scenario, meshcat=meshcat, log=True, own_disturbance=own_disturbance, make_operator=make_operator
+        )
+        self._simulator = Simulator(self.loop.diagram)
         ApplySimulatorConfig(scenario.simulator_config, self._simulator)
         config = scenario.simulator_config
         logs_every_step = not config.use_error_control and config.max_step_size >= scenario.sample_time
-        # Not so where somebody watches or takes part, or a controller of unknown manners may do otherwise another time.
-        repeatable = meshcat is None and make_operator is None and scenario.controller in CONTROLLER_NAMES
+        own = own_disturbance is not None or scenario.controller not in CONTROLLER_NAMES
+        # Not so where somebody watches or takes part, or a system from elsewhere may do otherwise next time.
+        repeatable = meshcat is None and make_operator is None and not own
         self._judged_by_log = logs_every_step and repeatable
         self._built_for = _built_from(scenario)
         self._build_time = time.perf_counter() - start
@@ -117,7 +121,7 @@ class Rollout:
           ScenarioError: the scenario needs another build.
         """
         start = time.perf_counter()
-        loop = self._loop
+        loop = self.loop
         if scenario is not None:
             if not self.accepts(scenario):
                 raise ScenarioError(
@@ -191,7 +195,7 @@ class Rollout:
 
     def _read_log(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Sample times and the aligned series (copied)."""
-        loop, context = self._loop, self._simulator.get_context()
+        loop, context = self.loop, self._simulator.get_context()
         assert loop.logger is not None
         log = loop.logger.FindLog(context)
         rows = log.data()
@@ -235,6 +239,7 @@ def simulate(
     meshcat: Meshcat | None = None,
     progress: Callable[[float, float], None] | None = None,
     check_stability: bool = True,
+    own_disturbance: Callable[[Coordinates], System] | None = None,
     make_operator: Callable[[Coordinates], LeafSystem] | None = None,
 ) -> RunRecord:
     """Run a scenario to its end and return the record. ``Rollout`` is cheaper for many runs.
@@ -247,6 +252,8 @@ def simulate(
       meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate`` to pace it).
       progress: called with (simulated time, duration) in s, once per simulated second.
       check_stability: warn (StabilityWarning) when the sampled loop starts unstable or its adaptation may become so.
+      own_disturbance: a source in place of the scenario's harmonics, see ``make_closed_loop``; the dataset's attribute
+        ``disturbance`` then holds its name.
       make_operator: lets a system add to the disturbance, see ``make_closed_loop``.
 
     Raises:
@@ -258,8 +265,11 @@ def simulate(
 
         if remark := stability_warning(scenario):
             warnings.warn(remark, StabilityWarning, stacklevel=2)
-    log = Rollout(scenario, meshcat=meshcat, make_operator=make_operator).run(progress=progress)
+    rollout = Rollout(scenario, meshcat=meshcat, own_disturbance=own_disturbance, make_operator=make_operator)
+    log = rollout.run(progress=progress)
     dataset = make_dataset(log)
+    if own_disturbance is not None:
+        dataset.attrs["disturbance"] = rollout.loop.disturbance.get_name()
     return RunRecord(
         scenario=scenario,
         outcome=log.outcome,

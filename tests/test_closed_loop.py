@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
 
-from ffsm_drake import block_diagram, load_scenario, make_closed_loop
+from ffsm_drake import ScenarioError, block_diagram, load_scenario, make_closed_loop, simulate
 from ffsm_drake.closed_loop import SIGNALS
 from ffsm_drake.visualization import quiet_drake, start_meshcat
 
@@ -123,3 +125,24 @@ def test_without_graphviz_the_dot_file_is_written_and_one_line_says_what_to_do(t
     assert block_diagram.main(tmp_path) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["closed_loop.dot", "controller.dot"]
     assert "install the package 'graphviz'" in capsys.readouterr().out
+
+
+def test_an_own_disturbance_takes_the_place_of_the_harmonics():
+    def pulse(coordinates):
+        amplitude = np.zeros(len(coordinates.names))
+        amplitude[coordinates.names.index("joint_2")] = 0.3
+        source = ConstantVectorSource(amplitude)
+        builder = DiagramBuilder()
+        builder.AddSystem(source)
+        builder.ExportOutput(source.get_output_port(), "generalized_force")
+        diagram = builder.Build()
+        diagram.set_name("pulse")
+        return diagram
+
+    record = simulate(load_scenario("postcapture", ["duration=0.1"]), own_disturbance=pulse)
+    force = record.dataset["disturbance_force"]
+    assert (force.sel(coordinate="joint_2") == 0.3).all()
+    assert float(abs(force).sum()) == pytest.approx(0.3 * force.sizes["time"])
+    assert record.dataset.attrs["disturbance"] == "pulse"
+    with pytest.raises(ScenarioError, match="own_disturbance: needs an output port 'generalized_force' of size 11"):
+        simulate(load_scenario("postcapture"), own_disturbance=lambda coordinates: ConstantVectorSource([0.0]))
