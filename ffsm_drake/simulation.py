@@ -162,7 +162,7 @@ class Rollout:
         start = time.perf_counter()
         interrupted = False
         # What a run does beyond the point where it is to be stopped concerns nobody.
-        unremarked = contextlib.nullcontext() if watched else np.errstate(all="ignore")
+        unremarked = contextlib.nullcontext() if watched else np.errstate(over="ignore", invalid="ignore")
         try:
             with unremarked:
                 simulator.Initialize()
