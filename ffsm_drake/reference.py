@@ -87,7 +87,7 @@ class QuinticReference(LeafSystem):
         self._start, self._change = first, last - first
         # The motion at the control samples from self._first_sample on: no more than a memory of what was computed.
         self._first_sample = 0
-        self._states, self._accelerations = self._motion(self._sample_time * np.arange(_BLOCK))
+        self._states, self._accelerations = self.motion(self._sample_time * np.arange(_BLOCK))
         num_velocities = len(coordinates.names)
         self.DeclareVectorOutputPort("desired_state", 2 * num_velocities + 1, self._calc_state, {self.time_ticket()})
         self.DeclareVectorOutputPort(
@@ -102,11 +102,12 @@ class QuinticReference(LeafSystem):
 
     def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """q_d (nq), v_d (nv) and dv_d/dt (nv) at a time in s."""
-        (state,), (acceleration,) = self._motion(np.array([time]))
+        row = self._row(time)
+        state, acceleration = self._states[row].copy(), self._accelerations[row].copy()
         num_positions = state.size - acceleration.size
         return state[:num_positions], state[num_positions:], acceleration
 
-    def _motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Desired states (n, nq + nv) and accelerations (n, nv) at times (n,)."""
         s, ds, dds = (column[:, None] for column in quintic_blend(times, self._duration))
         value, rate, acceleration = self._start + s * self._change, ds * self._change, dds * self._change
@@ -118,12 +119,12 @@ class QuinticReference(LeafSystem):
         sample = round(time / self._sample_time)
         if sample * self._sample_time != time:  # between the control samples
             self._first_sample = -_BLOCK
-            self._states, self._accelerations = self._motion(np.array([time]))
+            self._states, self._accelerations = self.motion(np.array([time]))
             return 0
         row = sample - self._first_sample
         if not 0 <= row < _BLOCK:
             self._first_sample, row = sample, 0
-            self._states, self._accelerations = self._motion(self._sample_time * np.arange(sample, sample + _BLOCK))
+            self._states, self._accelerations = self.motion(self._sample_time * np.arange(sample, sample + _BLOCK))
         return row
 
     def _calc_state(self, context: Context, output: BasicVector) -> None:

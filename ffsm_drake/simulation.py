@@ -1,5 +1,6 @@
 """Running a scenario: Rollout builds the closed loop once and logs its runs; simulate makes one run a RunRecord."""
 
+import contextlib
 import dataclasses
 import functools
 import time
@@ -14,10 +15,10 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, System
 
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
-from ffsm_drake.coordinates import Coordinates, position_error
+from ffsm_drake.coordinates import Coordinates, position_errors
 from ffsm_drake.errors import ControllerError, FfsmError, ScenarioError, one_line
 from ffsm_drake.metrics import tracking_metrics
-from ffsm_drake.plant import PlantModel, base_rpy, find_frame, make_true_plant
+from ffsm_drake.plant import PlantModel, find_frame, make_true_plant
 from ffsm_drake.record import Outcome, RunRecord, software_versions
 from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario, scenario_to_dict
 
@@ -54,8 +55,7 @@ class RunLog:
     def error(self) -> np.ndarray:
         """True tracking error e = q_d - q (n, nv), base rotation as a rotation vector in the world frame."""
         num_positions = len(self.coordinates.position_names)
-        pairs = zip(self.series["desired_state"], self.series["state"], strict=True)
-        return np.array([position_error(desired[:num_positions], state[:num_positions]) for desired, state in pairs])
+        return position_errors(self.series["desired_state"][:, :num_positions], self.series["state"][:, :num_positions])
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
@@ -175,14 +175,17 @@ class Rollout:
         stop_periods = max(1, round(1.0 / sample_time))
         start = time.perf_counter()
         interrupted = False
+        # What a run does beyond the point where it is to be stopped concerns nobody.
+        unremarked = contextlib.nullcontext() if watched else np.errstate(over="ignore", invalid="ignore")
         try:
-            simulator.Initialize()
-            for period in (*range(0, num_periods, stop_periods), num_periods):
-                simulator.AdvanceTo(period * sample_time)
-                if monitor.message or not monitor.check(context):
-                    break
-                monitor.report(context)
-            simulator.AdvancePendingEvents()  # the control update of the last sample
+            with unremarked:
+                simulator.Initialize()
+                for period in (*range(0, num_periods, stop_periods), num_periods):
+                    simulator.AdvanceTo(period * sample_time)
+                    if monitor.message or not monitor.check(context):
+                        break
+                    monitor.report(context)
+                simulator.AdvancePendingEvents()  # the control update of the last sample
         except KeyboardInterrupt:
             interrupted = True
         except FfsmError:
@@ -354,8 +357,8 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     desired_position, desired_velocity = np.split(series["desired_state"], [num_positions], axis=1)
     measured_position, measured_velocity = np.split(series["measurement"], [num_positions], axis=1)
     model = make_true_plant(scenario)
-    derived = _derive(model, scenario, position, velocity)
-    desired_derived = _derive(model, scenario, desired_position, desired_velocity)
+    momentum, energy = _momentum_and_energy(model, series["state"])
+    end_effector, desired_end_effector = (_end_effector(model, scenario, q) for q in (position, desired_position))
     unit = "rad (rotations) or m (translations)"
     force = "N m (rotations) or N (translations)"
     by_coordinate, by_position, by_axis = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
@@ -380,15 +383,15 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
         "disturbance_force": (
             by_coordinate, series["disturbance_force"], "external disturbance tau_d at this instant", force,
         ),
-        "end_effector_position": (by_axis, derived["end_effector"], "end effector in the world frame", "m"),
-        "desired_end_effector_position": (by_axis, desired_derived["end_effector"], "its reference", "m"),
-        "base_rpy": (by_axis, derived["rpy"], "roll, pitch, yaw of the base", "rad"),
-        "desired_base_rpy": (by_axis, desired_derived["rpy"], "their reference", "rad"),
-        "linear_momentum": (by_axis, derived["linear_momentum"], "total linear momentum", "N s"),
+        "end_effector_position": (by_axis, end_effector, "end effector in the world frame", "m"),
+        "desired_end_effector_position": (by_axis, desired_end_effector, "its reference", "m"),
+        "base_rpy": (by_axis, _base_rpy(position), "roll, pitch, yaw of the base", "rad"),
+        "desired_base_rpy": (by_axis, _base_rpy(desired_position), "their reference", "rad"),
+        "linear_momentum": (by_axis, momentum[:, 3:], "total linear momentum", "N s"),
         "angular_momentum": (
-            by_axis, derived["angular_momentum"], "total angular momentum about the world's origin", "N m s",
+            by_axis, momentum[:, :3], "total angular momentum about the world's origin", "N m s",
         ),
-        "kinetic_energy": (("time",), derived["kinetic_energy"], "total kinetic energy", "J"),
+        "kinetic_energy": (("time",), energy, "total kinetic energy", "J"),
     }  # fmt: skip
     for name, meaning in (
         ("sliding_variable", "sliding variable s of this sample"),
@@ -419,20 +422,38 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     )
 
 
-def _derive(model: PlantModel, scenario: Scenario, position: np.ndarray, velocity: np.ndarray) -> dict[str, np.ndarray]:
-    """What follows from the state at every sample: end effector, base angles, momentum, energy."""
+def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Momentum about the world's origin (n, 6; angular, then linear) and kinetic energy (n) of states (n, nq + nv)."""
+    plant, context = model.plant, model.context
+    origin = np.zeros(3)
+    momentum, energy = np.empty((len(states), 6)), np.empty(len(states))
+    for i, state in enumerate(states):
+        plant.SetPositionsAndVelocities(context, state)
+        momentum[i] = plant.CalcSpatialMomentumInWorldAboutPoint(context, origin).get_coeffs()
+        energy[i] = plant.CalcKineticEnergy(context)
+    return momentum, energy
+
+
+def _end_effector(model: PlantModel, scenario: Scenario, positions: np.ndarray) -> np.ndarray:
+    """The end effector's place in the world (n, 3) in configurations q (n, nq)."""
     plant, context = model.plant, model.context
     frame = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
-    rows: dict[str, list[np.ndarray]] = {
-        name: [] for name in ("end_effector", "rpy", "linear_momentum", "angular_momentum", "kinetic_energy")
-    }
-    for q, v in zip(position, velocity, strict=True):
+    places = np.empty((len(positions), 3))
+    for i, q in enumerate(positions):
         plant.SetPositions(context, q)
-        plant.SetVelocities(context, v)
-        momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, np.zeros(3))
-        rows["end_effector"].append(frame.CalcPoseInWorld(context).translation())
-        rows["rpy"].append(base_rpy(q))
-        rows["linear_momentum"].append(momentum.translational())
-        rows["angular_momentum"].append(momentum.rotational())
-        rows["kinetic_energy"].append(plant.CalcKineticEnergy(context))
-    return {name: np.array(values) for name, values in rows.items()}
+        places[i] = frame.CalcPoseInWorld(context).translation()
+    return places
+
+
+def _base_rpy(positions: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw (n, 3) of the base in configurations q (n, nq), rad; as ``plant.base_rpy``."""
+    w, x, y, z = positions[:, :4].T / np.linalg.norm(positions[:, :4], axis=1)
+    cosines = np.hypot(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z))  # of the pitch
+    return np.stack(
+        [
+            np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            np.arctan2(2.0 * (w * y - x * z), cosines),
+            np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)),
+        ],
+        axis=1,
+    )

@@ -122,7 +122,7 @@ class TimeDelayController(LeafSystem):
         delayed_force, has_previous, *state = map(old.value, self._groups)
         split = self._num_estimator_states
         e = position_error(q_d, q)
-        if not math.isfinite(e.dot(e)):
+        if not math.isfinite(sum(e.tolist())):
             raise RuntimeError("the measured state is not finite")  # Drake would say so at greater length
         mass_matrix = self._nominal.calc_mass_matrix(q)
         measured = Measurement(
