@@ -335,10 +335,9 @@ def _end_effector_view(results: Sequence[Result], curves: Curves) -> Json | None
     if not paths:
         return None
     first = values_of(results[paths[0]["run"]].record, "end_effector_position")
-    if first is not None and len(first) > 1:
-        paths.append(
-            {**{axis: curves.add(first[[0, -1], k]) for k, axis in enumerate("xyz")}, "ends": True, "name": ""}
-        )
+    if first is not None:
+        ends = first[np.unique([0, len(first) - 1])]
+        paths.append({**{axis: curves.add(ends[:, k]) for k, axis in enumerate("xyz")}, "ends": True, "name": ""})
     panels: list[Json] = [{"title": "Path in the world frame", "axis": "m", "kind": "space", "traces": paths}]
     if distances:
         panels.append(_panel("Distance from the planned path", "m", distances, log=True))

@@ -302,15 +302,12 @@
   const recording = document.getElementById("recording-text");
   if (recording) {
     const stage = document.getElementById("recording-stage");
-    const load = () => {
-      watch.disconnect();
+    stage.querySelector("button").addEventListener("click", () => {
       const frame = element("iframe");
       frame.title = "Recording of the motion";
       frame.setAttribute("sandbox", "allow-scripts");
       frame.srcdoc = JSON.parse(recording.textContent);
       stage.replaceChildren(frame);
-    };
-    const watch = new IntersectionObserver((entries) => { if (entries.some((one) => one.isIntersecting)) load(); });
-    watch.observe(stage);
+    });
   }
 })();
