@@ -50,7 +50,7 @@ def write_outputs(
 ) -> list[Path]:
     """Write report.html of one run or several overlaid; with it figures (PNG, SVG) and recording.html.
 
-    The recording shows the last run. Returns the files.
+    The recording shows the first run. Returns the files.
 
     Raises:
       RecordError: a file cannot be written.
@@ -61,7 +61,7 @@ def write_outputs(
     from ffsm_drake.visualization import recording_html
 
     directory = Path(directory)
-    shown = recording_html(records[-1])
+    shown = recording_html(records[0], forces=True)
     written = [write_report(records, directory / REPORT_FILE, recording=shown)]
     if recording:
         write_text(directory / RECORDING_FILE, shown)
