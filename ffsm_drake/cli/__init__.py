@@ -7,6 +7,7 @@ import click
 
 from ffsm_drake.cli.common import OrderedGroup
 from ffsm_drake.cli.judge import analyze, design, stability
+from ffsm_drake.cli.new import new
 from ffsm_drake.cli.paper import noise, reproduce
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, doctor, scenarios, schema, validate
@@ -32,6 +33,6 @@ def main() -> None:
 
 for command in (
     run, compare, analyze, stability, design, plot, diagram,
-    scenarios, validate, schema, reproduce, noise, doctor, completion,
+    new, scenarios, validate, schema, reproduce, noise, doctor, completion,
 ):  # fmt: skip
     main.add_command(command)
