@@ -34,7 +34,7 @@ def rod(name, length, mass, **extra):
 
 
 def six_joints():
-    """A 6-joint arm on a box, with what ROS tools add: transmissions, simulator tags, friction, lost meshes, tool frame."""
+    """A 6-joint arm on a box, with what ROS tools add: transmissions, simulator tags, friction, lost meshes."""
     lost = (
         '<visual><geometry><mesh filename="package://nowhere/a.stl"/></geometry></visual>'
         '<collision><geometry><mesh filename="package://nowhere/a.stl"/></geometry></collision>'
@@ -59,7 +59,7 @@ def six_joints():
 
 
 def prismatic():
-    """A turning post with a telescopic boom and a wrist; continuous first joint; masses two orders of magnitude apart."""
+    """A turning post with a telescopic boom and a wrist; continuous first joint; a heavy hull."""
     return robot(
         link("hull", mass=900.0, inertia=(400.0, 420.0, 380.0)),
         rod("post", 0.4, 20.0),
@@ -67,7 +67,8 @@ def prismatic():
         rod("slider", 0.9, 8.0),
         rod("wrist", 0.2, 3.0),
         joint("turn", "hull", "post", kind="continuous", xyz="0 0 0.8"),
-        joint("lift", "post", "boom", axis="0 1 0", xyz="0 0 0.4", limit='lower="0" upper="1.8" effort="200" velocity="1"'),
+        joint("lift", "post", "boom", axis="0 1 0", xyz="0 0 0.4",
+              limit='lower="0" upper="1.8" effort="200" velocity="1"'),
         joint("slide", "boom", "slider", kind="prismatic", xyz="0 0 0.3",
               limit='lower="0" upper="0.8" effort="150" velocity="0.2"'),
         joint("tilt", "slider", "wrist", axis="0 1 0", xyz="0 0 0.9", limit=TURN),

@@ -90,6 +90,12 @@ class _Judge:
             if (other := self.plant.get_body(index)).index() not in holding
         ]
         self.base = base
+        fixed = [self.plant.GetBodyByName(name, base.model_instance()).index() for name in servicer.base_links]
+        inertia = self.plant.CalcSpatialInertia(true.context, base.body_frame(), fixed)
+        self.base_centre = inertia.get_com()
+        # Of the solid cube with these moments: between half its side and half its diagonal.
+        moments = np.diagonal(inertia.Shift(self.base_centre).CalcRotationalInertia().CopyToFullMatrix3())
+        self.base_radius = 0.6 * math.sqrt(6.0 * moments.mean() / servicer.base_mass)
 
     def all_joints(self, values: np.ndarray) -> np.ndarray:
         """Positions (n) of all joints for those (m) that move the tip."""
@@ -121,10 +127,9 @@ class _Judge:
         centre = plant.EvalBodyPoseInWorld(context, self.payload).translation()
         tip = self.tip.CalcPoseInWorld(context).translation()
         outward = float(np.linalg.norm(centre - tip))  # the target's half width, as far as the model says
-        base = self.base.EvalPoseInWorld(context).translation()
         nearest = min(
             [np.linalg.norm(centre - link.EvalPoseInWorld(context).translation()) for link in self.links]
-            + [np.linalg.norm(centre - base) - self.reach / 4.0]
+            + [np.linalg.norm(centre - self.base_centre) - self.base_radius]  # the base stands at the origin
         )
         clearance = min(max((float(nearest) - outward) / (0.5 * self.reach), 0.01), 1.0)
         return float((dexterity + 1e-6) * clearance)
@@ -133,9 +138,10 @@ class _Judge:
 def _inner_limits(joint: Joint) -> tuple[float, float]:
     """The part of a joint's range that the motion may use."""
     lower, upper = joint.lower, joint.upper
-    if joint.kind == "prismatic" and not (math.isfinite(lower) and math.isfinite(upper)):
-        lower, upper = max(lower, 0.0), min(upper, max(lower, 0.0) + 0.5)
-    if math.isfinite(lower) and math.isfinite(upper):
+    if joint.unit == "m" and not joint.is_limited:
+        lower = min(max(lower, 0.0), upper)
+        upper = min(upper, lower + 0.5)
+    if upper - lower < math.inf:
         margin = 0.1 * (upper - lower)
         lower, upper = lower + margin, upper - margin
     if joint.unit == "m" or lower > _TURN or upper < -_TURN:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import shlex
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -34,7 +35,7 @@ _BODY = "debris::debris"
 _PAYLOAD_SHARE = 0.25  # of the base's mass
 _BELIEVED = 0.8  # of the payload's mass and inertia
 _SIDE = 1.0  # m, of the shipped target
-# Natural frequencies to start from, rad/s: K_P = w^2, K_D = 2 w; ASMC: K_D = K_s = w.
+# Natural frequencies to start from, rad/s: K_P = w^2, K_D = 2 w; ASMC: K_D = w, K_s = 2 w.
 _OMEGA = {"base_position": 10.0, "base_rotation": 15.0, "joints": 20.0}
 _SHRINK, _TRIES = 0.7, 6
 _MARGIN = 1.5  # that the bound of K_s and the sample time keep to their limits
@@ -279,7 +280,7 @@ def _list(values: list[float]) -> str:
 
 
 def _joint_note(joint: Joint) -> str:
-    limits = f"{joint.lower:.4g} to {joint.upper:.4g} {joint.unit}" if np.isfinite(joint.upper) else "no limits"
+    limits = f"{joint.lower:.4g} to {joint.upper:.4g} {joint.unit}" if joint.is_limited else "no limits"
     return f"{joint.kind}, {limits}"
 
 
@@ -360,8 +361,8 @@ reference:
   duration: {motion.duration:g}  # s, of the planned motion; the target posture is held afterwards
 
 # With w the natural frequency in rad/s, here w = {_flow(w)}:
-# K_P = w^2, K_D = 2 w (TDC, AISMC, TDE-AISMC); K_D = K_s = w (ASMC). Sampled every L seconds, a loop whose inertia is
-# known bears (K_D + K_s) L < 2.
+# K_P = w^2, K_D = 2 w (TDC, AISMC, TDE-AISMC); K_D = w, K_s = 2 w (ASMC). Sampled every L seconds, a loop whose
+# inertia is known bears (K_D + K_s) L < 2.
 controller: tde_aismc  # or tdc, asmc, aismc
 controllers:
   tdc:
@@ -369,7 +370,7 @@ controllers:
     k_p: {_flow(square)}  # 1/s^2
   asmc:
     k_d: {_flow(w)}
-    k_s: {_flow(w)}
+    k_s: {_flow(double)}
   aismc:
     k_d: {_flow(double)}
     k_p: {_flow(square)}
@@ -426,11 +427,11 @@ def onboarding_text(made: Onboarding) -> str:
         met, tolerated = (f"{low:.2f}..{high:.2f}" for low, high in (each.eta, each.eta_tolerated))
         lines.append(f"{name:<12}{gains}{1e3 * each.sample_time_limit:>15.1f}{met:>14}{tolerated:>14}  {each.verdict}")
     lines += ["", *(f"- {remark}" for remark in made.remarks)] if made.remarks else []
-    shown = _shown(made.scenario_file)
+    shown = shlex.quote(str(_shown(made.scenario_file)))
     entries = sorted({path.relative_to(made.scenario_file.parent).parts[0] for path in made.files})
     lines += [
         "",
-        f"Written to {shown.parent}: {', '.join(entries)}",
+        f"Written to {_shown(made.scenario_file.parent)}: {', '.join(entries)}",
         "Next:",
         f"  ffsm run {shown}",
         f"  ffsm compare {shown}",

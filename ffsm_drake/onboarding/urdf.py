@@ -9,6 +9,7 @@ import copy
 import dataclasses
 import json
 import math
+import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -20,7 +21,7 @@ import numpy as np
 
 from ffsm_drake.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
 from ffsm_drake.errors import ModelError, one_line
-from ffsm_drake.files import written_whole
+from ffsm_drake.files import write_text, written_whole
 
 DRAKE = "{http://drake.mit.edu}"
 WORLD = "world"
@@ -49,6 +50,11 @@ class Joint:
         return self.kind in MOVING
 
     @property
+    def is_limited(self) -> bool:
+        """Whether its limits say anything; generators write huge ones where nobody knew."""
+        return self.upper - self.lower < 20.0
+
+    @property
     def unit(self) -> str:
         return "m" if self.kind == "prismatic" else "rad"
 
@@ -68,13 +74,15 @@ class Servicer:
 
     source: Path
     base: str
-    base_mass: float  # with all that is fixed to it, kg
+    base_links: tuple[str, ...]  # the base and all that is fixed to it
+    base_mass: float  # of those, kg
     total_mass: float  # kg
     joints: tuple[Joint, ...]  # those that move, in the file's order
     tip: Tip
     other_tips: tuple[Tip, ...]
     remarks: tuple[str, ...]  # about the model itself, one line each
     root: Element  # the parsed file
+    header: str  # the comments before its root element, where licences stand
 
 
 def read_urdf(path: Path, *, tip: str | None = None) -> Servicer:
@@ -87,18 +95,20 @@ def read_urdf(path: Path, *, tip: str | None = None) -> Servicer:
     Raises:
       ModelError: the file is no URDF of a free base with single-degree joints and physical masses.
     """
-    root = _parse(path)
+    root, header = _parse(path)
     try:
-        return _Tree(root).servicer(path, tip)
+        return _Tree(root).servicer(path, tip, header)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
 
 
-def _parse(path: Path) -> Element:
+def _parse(path: Path) -> tuple[Element, str]:
+    """The root element, and the comments before it."""
     if not path.is_file():
         raise ModelError(f"{path}: no such file; give the URDF of base and arm")
     try:
-        root = ElementTree.fromstring(path.read_bytes())
+        content = path.read_bytes()
+        root = ElementTree.fromstring(content)
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {one_line(error)}") from error
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -107,7 +117,8 @@ def _parse(path: Path) -> Element:
         raise ModelError(f"{path}: is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
     if root.tag != "robot":
         raise ModelError(f"{path}: is not a URDF: its root element is <{root.tag}>, not <robot>")
-    return root
+    before = content.decode("utf-8", errors="replace").partition("<robot")[0]
+    return root, "\n".join(re.findall(r"<!--.*?-->", before, flags=re.DOTALL))
 
 
 class _Tree:
@@ -211,7 +222,7 @@ class _Tree:
     def _is_last(self, link: str) -> bool:
         return not any(joint.moves for joint in self.descend(link))
 
-    def servicer(self, path: Path, tip: str | None) -> Servicer:
+    def servicer(self, path: Path, tip: str | None, header: str) -> Servicer:
         for joint in self.joints:
             _judge_kind(joint)
         moving = [joint for joint in self.joints if joint.moves]
@@ -233,7 +244,8 @@ class _Tree:
             raise ModelError(
                 f"tip '{tip}' does not move against the base; choose one of {', '.join(self._tip_names())}"
             )
-        base_mass = sum(self.masses[name] for name in self.rigid_group(self.base))
+        base_links = tuple(self.rigid_group(self.base))
+        base_mass = sum(self.masses[name] for name in base_links)
         if base_mass <= 0.0:
             raise ModelError(f"the base '{self.base}' has no mass; give it an <inertial> with mass and inertia")
         held = {joint.child for joint in self.chain(self.frames.get(chosen.frame, chosen.frame))}
@@ -253,6 +265,7 @@ class _Tree:
         return Servicer(
             source=path,
             base=self.base,
+            base_links=base_links,
             base_mass=base_mass,
             total_mass=total,
             joints=tuple(moving),
@@ -260,6 +273,7 @@ class _Tree:
             other_tips=tuple(other for other in candidates if other.frame != chosen.frame),
             remarks=tuple(remarks),
             root=self.root,
+            header=header,
         )
 
     def _tip_names(self) -> list[str]:
@@ -419,11 +433,19 @@ def write_flyable(
     meshes = _Meshes(servicer.source.resolve(), directory / "meshes", packages)
     meshes.place_all(root)
     drawn = _draw_bare_links(root, servicer)
+    root.set("name", root.get("name") or "servicer")
     ElementTree.indent(root)
     ElementTree.register_namespace("drake", DRAKE.strip("{}"))
-    with written_whole(directory / file_name) as temporary:
-        ElementTree.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
-    return tuple(_left_out(dropped)) + meshes.remarks() + drawn
+    remarks = (*_left_out(dropped), *meshes.remarks(), *drawn)
+    told = "".join(f"\n  - {remark}".replace("--", "- -") for remark in remarks)
+    parts = (
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        *([servicer.header] if servicer.header else []),
+        f"<!-- {servicer.source.name} as 'ffsm new' took it over.{told} -->",
+        ElementTree.tostring(root, encoding="unicode"),
+    )
+    write_text(directory / file_name, "\n".join(parts) + "\n")
+    return remarks
 
 
 def _parent(element: Element) -> str | None:
@@ -433,17 +455,17 @@ def _parent(element: Element) -> str | None:
 
 def _left_out(dropped: Counter[str]) -> Iterator[str]:
     why = {
-        "dynamics": "damping and friction of {n} joints left out: the equations of motion here have none",
-        "mimic": "{n} <mimic> left out: those joints are controlled on their own",
-        "collision": "{n} collision shapes left out: contact is not modelled",
+        "dynamics": "damping and friction left out ({n} times): the equations of motion here have none",
+        "mimic": "<mimic> left out ({n} times): such a joint is controlled on its own",
+        "collision": "collision shapes left out ({n} times): contact is not modelled",
     }
     others = {tag: n for tag, n in dropped.items() if n and tag not in why}
     for tag, text in why.items():
         if dropped[tag]:
             yield text.format(n=dropped[tag])
     if others:
-        shown = ", ".join(f"{n} {tag if tag.startswith('<') else f'<{tag}>'}" for tag, n in others.items())
-        yield f"{shown} left out: not used here"
+        shown = ", ".join(f"<{tag.strip('<>')}> ({n} times)" for tag, n in others.items())
+        yield f"left out, not used here: {shown}"
 
 
 def _unify_materials(root: Element) -> None:
@@ -489,13 +511,12 @@ class _Meshes:
         if self.missing:
             shown = ", ".join(dict.fromkeys(self.missing[:3]))
             lines.append(
-                f"{len(self.missing)} meshes not found ({shown}): give --package NAME=FOLDER to have them drawn"
+                f"meshes not found ({len(self.missing)} times, {shown}): give --package NAME=FOLDER to have them drawn"
             )
         if self.undrawable:
             shown = ", ".join(dict.fromkeys(self.undrawable[:3]))
-            lines.append(
-                f"{len(self.undrawable)} meshes cannot be drawn ({shown}): convert them to {', '.join(DRAWABLE)}"
-            )
+            kinds = ", ".join(DRAWABLE)
+            lines.append(f"meshes of a kind not drawn ({len(self.undrawable)} times, {shown}): convert them to {kinds}")
         return tuple(lines)
 
     def _place(self, mesh: Element) -> bool:
@@ -576,14 +597,14 @@ def _draw_bare_links(root: Element, servicer: Servicer) -> tuple[str, ...]:
             if _parent(joint) == name and (origin := joint.find("origin")) is not None
         ]
         shapes = []
-        if name == servicer.base:
+        if name in servicer.base_links:
             shapes = _equivalent_box(links[name])
         else:
             shapes = [shape for end in ends for shape in _rod(np.array(end.split(), dtype=float), radius)]
         for shape in shapes:
             links[name].append(shape)
         drawn += bool(shapes)
-    return (f"{drawn} links without a picture are drawn as plain bodies",) if drawn else ()
+    return (f"links without a picture drawn as plain bodies: {drawn}",) if drawn else ()
 
 
 def _visual(*, xyz: np.ndarray, rpy: tuple[float, float, float], kind: str, **size: str) -> Element:
