@@ -210,7 +210,9 @@ def _build(
                 break
             omega = {group: float(f"{_SHRINK * value:.2g}") for group, value in omega.items()}
     except FfsmError as error:
-        raise ModelError(str(error).replace(f"{folder}/", "")) from error
+        # Drake counts the copy's lines, which nobody has seen.
+        told = re.sub(rf"{re.escape(file_name)}:\d+: error: ", "", str(error).replace(f"{folder}/", ""))
+        raise ModelError(told) from error
     remarks = [*servicer.remarks, *left_out]
     if not all(each.stable for each in margins.values()):
         remarks.append("no gains tried are stable for all controllers; see 'ffsm stability'")
