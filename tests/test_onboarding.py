@@ -236,6 +236,13 @@ REFUSED = {
         "joint 'shoulder': <limit lower> must be a number, not 'low'",
     ),
     "limits crossed": (replaced('lower="-2"', 'lower="3"'), "its lower limit 3 lies above its upper limit 2"),
+    "negative velocity": (replaced('lower="-2"', 'velocity="-1"'), "limits must not be negative"),
+    "bad damping": (
+        plus(link("lamp", mass=1), PAN.replace("</joint>", '<dynamics damping="x"/></joint>')),
+        "<dynamics damp",
+    ),
+    "bad origin": (replaced('origin xyz="0.0 0.0 0.5"', 'origin xyz="0"'), "Expected 3 values for attribute xyz got 0"),
+    "lost frame": (plus('<frame name="eye" link="head" xyz="0 0 0" rpy="0 0 0"/>'), "its link 'head' does not exist"),
     "not XML": ("<robot", "is not valid XML"),
     "other XML": ("<sdf/>", "its root element is <sdf>"),
     "xacro": (

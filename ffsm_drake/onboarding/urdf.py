@@ -233,6 +233,9 @@ class _Tree:
                 raise ModelError(
                     f"joint '{joint.name}': the name clashes with one that scenarios use for the base; rename the joint"
                 )
+        for name, link in self.frames.items():
+            if link not in self.links:
+                raise ModelError(f"frame '{name}': its link '{link}' does not exist")
         clash = next((name for name in self.frames if name in self.links), None)
         if clash is not None:
             raise ModelError(f"frame '{clash}' has the name of a link; rename the frame")
@@ -340,6 +343,8 @@ def _read_joint(element: Element) -> Joint:
                 raise ModelError(f"{place}: its lower limit {lower:g} lies above its upper limit {upper:g}")
         # Zero is what generators write where nobody knew.
         effort, velocity = (_number(limit, what, place, 0.0) or math.inf for what in ("effort", "velocity"))
+        if min(effort, velocity) < 0.0:
+            raise ModelError(f"{place}: its effort and velocity limits must not be negative")
     return Joint(
         name=name,
         kind=kind,
@@ -347,8 +352,8 @@ def _read_joint(element: Element) -> Joint:
         child=ends["child"],
         lower=lower,
         upper=upper,
-        effort=abs(effort),
-        velocity=abs(velocity),
+        effort=effort,
+        velocity=velocity,
         offset=0.0 if origin is None else float(np.linalg.norm(_vector(origin, "xyz", place))),
     )
 
@@ -420,7 +425,8 @@ def write_flyable(
         for tag in ("dynamics", "mimic", "calibration", "safety_controller"):
             for element in joint.findall(tag):
                 joint.remove(element)
-                if tag != "dynamics" or any(float(element.get(key) or 0.0) for key in ("damping", "friction")):
+                place = f"joint '{joint.get('name')}'"
+                if tag != "dynamics" or any(_number(element, key, place, 0.0) for key in ("damping", "friction")):
                     dropped[tag] += 1
     for link in root.iter("link"):
         for element in link.findall("collision"):
@@ -641,6 +647,6 @@ def _equivalent_box(link: Element) -> list[Element]:
     if min(squares) <= 0.0:
         return []
     origin = link.find("inertial/origin")
-    centre = np.zeros(3) if origin is None else np.array(origin.get("xyz", "0 0 0").split(), dtype=float)
+    centre = np.zeros(3) if origin is None else _vector(origin, "xyz", f"link '{_name(link)}'")
     size = " ".join(f"{math.sqrt(value):.4g}" for value in squares)
     return [_visual(xyz=centre, rpy=(0.0, 0.0, 0.0), kind="box", size=size)]
