@@ -85,7 +85,7 @@ def _add_models(parser: Parser, file: str, place: str) -> list[ModelInstanceInde
         raise ModelError(f"{place}: no such file")
     try:
         instances: list[ModelInstanceIndex] = parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
-    except RuntimeError as error:
+    except (RuntimeError, ValueError) as error:  # the latter for malformed numbers
         raise ModelError(f"{place}: {one_line(error)}") from error
     return instances
 

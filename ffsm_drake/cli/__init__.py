@@ -7,6 +7,7 @@ import click
 
 from ffsm_drake.cli.common import OrderedGroup
 from ffsm_drake.cli.judge import analyze, design, stability
+from ffsm_drake.cli.new import new
 from ffsm_drake.cli.paper import noise, reproduce
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, doctor, scenarios, schema, validate
@@ -31,7 +32,7 @@ def main() -> None:
 
 
 for command in (
-    run, compare, analyze, stability, design, replay, plot, diagram,
+    new, run, compare, analyze, stability, design, replay, plot, diagram,
     scenarios, validate, schema, reproduce, noise, doctor, completion,
 ):  # fmt: skip
     main.add_command(command)
