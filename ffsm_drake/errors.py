@@ -1,8 +1,9 @@
 """The errors a user can meet: each is one line that says where, what is wrong and what would be right."""
 
+import difflib
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -40,6 +41,12 @@ class RecordError(FfsmError):
 def one_line(error: BaseException) -> str:
     """The text of any exception on a single line."""
     return " ".join(str(error).split()) or type(error).__name__
+
+
+def did_you_mean(name: object, valid: Iterable[str]) -> str:
+    """``; did you mean 'x'?`` with the valid name closest to a wrong one, or nothing when none is close."""
+    close = difflib.get_close_matches(str(name), list(valid), n=1)
+    return f"; did you mean '{close[0]}'?" if close else ""
 
 
 @contextmanager

@@ -5,10 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ffsm_drake.files import write_text
-from ffsm_drake.plotting import save_figures
 from ffsm_drake.record import RunRecord
-from ffsm_drake.report import write_report
-from ffsm_drake.visualization import recording_html
 
 REPORT_FILE = "report.html"
 RECORDING_FILE = "recording.html"
@@ -58,6 +55,11 @@ def write_outputs(
     Raises:
       RecordError: a file cannot be written.
     """
+    # Here, so that a table alone does not wait for them.
+    from ffsm_drake.plotting import save_figures
+    from ffsm_drake.report import write_report
+    from ffsm_drake.visualization import recording_html
+
     directory = Path(directory)
     shown = recording_html(records[-1])
     written = [write_report(records, directory / REPORT_FILE, recording=shown)]

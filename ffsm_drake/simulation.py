@@ -377,6 +377,10 @@ def _derive(model: PlantModel, scenario: Scenario, position: np.ndarray, velocit
         name: [] for name in ("end_effector", "rpy", "linear_momentum", "angular_momentum", "kinetic_energy")
     }
     for q, v in zip(position, velocity, strict=True):
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):  # a diverged run's last; Drake ends the process on it
+            for name, values in rows.items():
+                values.append(np.array(np.nan) if name == "kinetic_energy" else np.full(3, np.nan))
+            continue
         plant.SetPositions(context, q)
         plant.SetVelocities(context, v)
         momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, np.zeros(3))
