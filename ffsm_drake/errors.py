@@ -1,6 +1,7 @@
 """The errors a user can meet: each is one line that says where, what is wrong and what would be right."""
 
 import difflib
+import functools
 import sys
 import warnings
 from collections.abc import Iterable, Iterator
@@ -9,7 +10,10 @@ from typing import Any
 
 
 class FfsmError(Exception):
-    """Base of every error that bad input can cause; its text is one line."""
+    """Base of every error that bad input can cause; its text is one line, whatever it quotes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(" ".join(text.splitlines()))
 
 
 class ScenarioError(FfsmError):
@@ -20,6 +24,9 @@ class ScenarioError(FfsmError):
         self.problem = problem
         self.source = source
         super().__init__(": ".join(part for part in (source, key, problem) if part))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return functools.partial(ScenarioError, source=self.source), (self.key, self.problem)
 
     def located(self, source: str) -> "ScenarioError":
         """The same error, with the file it came from in front."""
