@@ -41,7 +41,7 @@ class _StrictLoader(yaml.SafeLoader):
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
-            return super().construct_object(node, deep)  # type: ignore[no-untyped-call]
+            return super().construct_object(node, deep)
         except (yaml.YAMLError, StrictYamlError):
             raise
         except (ValueError, KeyError, IndexError, AttributeError, TypeError) as error:

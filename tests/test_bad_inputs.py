@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,9 @@ SERVICER = """<robot name="mine">
 DEBRIS = """<robot name="rock"><link name="debris"><inertial><mass value="100"/>
   <inertia ixx="16" iyy="16" izz="16" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <frame name="grasp" link="debris" xyz="0 0 -0.5" rpy="0 0 0"/></robot>
+"""
+STRAY_LINK = """<link name="stray"><inertial><mass value="1"/>
+  <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
 """
 URDFS = {"servicer.urdf": SERVICER, "debris.urdf": DEBRIS}
 MINE = "model: {servicer: servicer.urdf, debris: debris.urdf}\n"
@@ -521,7 +525,7 @@ TABLE = [
     urdf(
         "urdf-loose-link",
         '<frame name="end',
-        '<link name="stray"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>\n  <frame name="end',
+        STRAY_LINK + '<frame name="end',
         "one floating base, not 2",
         "stray",
     ),
@@ -868,7 +872,7 @@ def test_written_together_or_not_at_all(tmp_path):
     old, blocked = tmp_path / "old.txt", tmp_path / "taken" / "new.txt"
     old.write_text("old")
     (tmp_path / "taken").touch()
-    with pytest.raises(RecordError, match="taken/new.txt: cannot be written"):
+    with pytest.raises(RecordError, match=r"taken/new\.txt: cannot be written"):
         files.write_together({old: lambda path: path.write_text("new"), blocked: lambda path: path.write_text("new")})
     assert old.read_text() == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["old.txt", "taken"]
@@ -970,10 +974,8 @@ def test_second_interrupt_at_any_moment_of_saving(tmp_path, good_run, monkeypatc
         for name in ("mkdir", "write_text"):
             patched.setattr(Path, name, interrupting(getattr(Path, name)))
         patched.setattr(type(record.dataset), "to_netcdf", interrupting(type(record.dataset).to_netcdf))
-        try:
+        with suppress(KeyboardInterrupt):
             record.save(tmp_path / "run")
-        except KeyboardInterrupt:
-            pass
     kept = RunRecord.load(tmp_path / "run")
     assert kept.scenario.duration == pytest.approx(kept.outcome.time)
     assert kept.dataset["time"].values[-1] == pytest.approx(kept.outcome.time)

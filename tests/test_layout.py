@@ -7,7 +7,8 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "ffsm_drake"
 ROOMS = (
-    "errors", "files", "strict_yaml", "scenario", "schema", "coordinates", "plant", "reference", "controllers", "disturbance", "sensing",
+    "errors", "files", "strict_yaml", "scenario", "schema", "coordinates", "plant", "reference", "controllers",
+    "disturbance", "sensing",
     "actuation", "closed_loop", "stability", "design", "metrics", "record", "simulation", "visualization", "plotting",
     "noise_study", "analysis", "report", "outputs", "doctor", "block_diagram", "testing", "reproduction", "cli",
 )  # fmt: skip

@@ -189,57 +189,11 @@ def test_anything_as_a_scenario(data):
     check_loads_or_says_one_line(scenario_from_dict, data)
 
 
-YAML_PIECES = st.lists(
-    st.sampled_from(
-        (
-            "duration",
-            "payload",
-            "truth",
-            "mass",
-            ": ",
-            ":",
-            "\n",
-            "  ",
-            "\n  ",
-            "- ",
-            "{",
-            "}",
-            "[",
-            "]",
-            ", ",
-            "1",
-            ".nan",
-            "&a ",
-            "*a",
-            "<<",
-            "!!int ",
-            "!!float ",
-            "!!timestamp ",
-            "!!binary ",
-            "!!python/none ",
-            "? ",
-            "'",
-            '"',
-            "|",
-            ">",
-            "\t",
-            "#",
-            "---",
-            "...",
-            "%YAML 1.1\n",
-            "0x",
-            "0b",
-            "1:30",
-            "2020-13-45",
-            "~",
-            "=",
-            "\u2028",
-            "\x00",
-            "_a",
-        )
-    ),
-    max_size=12,
-).map("".join)
+# Separated by blanks, after which come the pieces that hold blanks or control characters themselves.
+_WORDS = """duration payload truth mass : { } [ ] 1 .nan *a << ' " | > # --- ... 0x 0b 1:30 2020-13-45 ~ = _a"""
+_BLANKS = (": ", "\n", "  ", "\n  ", "- ", ", ", "? ", "\t", "%YAML 1.1\n", "\u2028", "\x00", "&a ")
+_TAGS = tuple(f"!!{name} " for name in ("int", "float", "timestamp", "binary", "python/none"))
+YAML_PIECES = st.lists(st.sampled_from((*_WORDS.split(), *_BLANKS, *_TAGS)), max_size=12).map("".join)
 
 
 @SETTINGS

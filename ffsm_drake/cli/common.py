@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ffsm_drake.errors import FfsmError, ScenarioError, one_line, warnings_as_lines
+from ffsm_drake.errors import FfsmError, ModelError, ScenarioError, one_line, warnings_as_lines
 
 if TYPE_CHECKING:
     from ffsm_drake.record import RunRecord
@@ -111,13 +111,17 @@ def located_errors(scenario: str, overrides: Sequence[str] = ()) -> Iterator[Non
     """Say of errors in a scenario's key that show only later, when the model is there, where the key was given."""
     from ffsm_drake.scenario import Scenario, is_overridden, schema_fields
 
+    def place_of(key: str) -> str:
+        return "override" if is_overridden(key, [text.partition("=")[0].strip() for text in overrides]) else scenario
+
     try:
         yield
     except ScenarioError as error:
         if re.split(r"[.\[]", error.key)[0] not in (schema_fields(Scenario) or {}):
             raise
-        keys = [override.partition("=")[0].strip() for override in overrides]
-        raise error.located("override" if is_overridden(error.key, keys) else scenario) from error
+        raise error.located(place_of(error.key)) from error
+    except ModelError as error:
+        raise ModelError(f"{place_of(str(error).partition(':')[0])}: {error}") from error
 
 
 def scenario_stem() -> str:
