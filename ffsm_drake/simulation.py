@@ -146,7 +146,7 @@ class Rollout:
                 _raise_for(error, scenario, context.get_time())
         advanced = time.perf_counter()
 
-        times, series = self._read_logs(context)
+        times, series = self._read_logs(context, interrupted=interrupted)
         last = float(times[-1])
         if monitor.coordinate:
             outcome = Outcome(status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message)
@@ -167,17 +167,26 @@ class Rollout:
             },
         )
 
-    def _read_logs(self, context: Context) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _read_logs(self, context: Context, *, interrupted: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Sample times and the aligned series (copied)."""
         logs = {name: logger.FindLog(context) for name, logger in self._loggers.items()}
         series = {name: np.array(log.data().T) for name, log in logs.items()}
+        times = np.array(logs["state"].sample_times())
+        if interrupted:
+            # Anywhere: between two loggers, or before the update of the last sample, which is therefore left out.
+            count = min(map(len, series.values())) - 1
+            if count < 1:
+                raise KeyboardInterrupt
+            return times[:count], {
+                name: values[1 : count + 1] if name in _HELD else values[:count] for name, values in series.items()
+            }
         # Sample k of a held signal is its log entry k + 1; that of the last sample stands in the context.
         diagram = self._loop.diagram
         diagram_context = diagram.GetMyContextFromRoot(context)
         for name in _HELD:
             if name in series:
                 series[name] = np.vstack([series[name][1:], diagram.GetOutputPort(name).Eval(diagram_context)])
-        return np.array(logs["state"].sample_times()), series
+        return times, series
 
 
 def _raise_for(error: Exception, scenario: Scenario, time: float) -> NoReturn:

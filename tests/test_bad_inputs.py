@@ -997,3 +997,33 @@ def test_the_browser_view_passes_over_a_port_in_use():
         meshcat = start_meshcat()
         assert 7000 < meshcat.port() < 8000
         assert "127.0.0.1" in meshcat.web_url() or "localhost" in meshcat.web_url()
+
+
+@pytest.mark.parametrize("where", ["logging", "update"])
+def test_an_interrupted_record_is_the_whole_one_up_to_its_end(where, run, monkeypatch):
+    """Ctrl-C between two loggers of one instant, or within a control update: every sample that is kept is right."""
+    from ffsm_drake import reference
+    from ffsm_drake.controllers import tde
+
+    owner, name = {"logging": (reference.QuinticReference, "_calc_acceleration"), "update": (tde, "time_delay_force")}[
+        where
+    ]
+    original, calls = getattr(owner, name), 0
+
+    def interrupting(*args, **kwargs):
+        nonlocal calls
+        calls += 1
+        if calls == 4:
+            raise KeyboardInterrupt
+        return original(*args, **kwargs)
+
+    whole = run("postcapture", "duration=0.2").dataset
+    with monkeypatch.context() as patched:
+        patched.setattr(owner, name, interrupting)
+        record = simulate(load_scenario("postcapture", ["duration=0.2"]), check_stability=False)
+    assert record.outcome.status == "interrupted"
+    size = record.dataset.sizes["time"]
+    assert 1 <= size < whole.sizes["time"]
+    assert record.outcome.time == whole["time"].values[size - 1]
+    for variable in whole.data_vars:
+        assert (record.dataset[variable].values == whole[variable].values[:size]).all(), variable
