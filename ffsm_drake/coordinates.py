@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ffsm_drake.errors import ScenarioError
+from ffsm_drake.errors import ScenarioError, did_you_mean
 
 BASE_ROTATION = ("base_rotation_x", "base_rotation_y", "base_rotation_z")
 BASE_POSITION = ("base_position_x", "base_position_y", "base_position_z")
@@ -79,7 +79,9 @@ class Coordinates:
         valid = ("all", *GROUPS, *self.names)
         for name in names:
             if name not in valid:
-                raise ScenarioError(f"{key}.{name}", f"unknown coordinate; valid here: {', '.join(valid)}")
+                raise ScenarioError(
+                    f"{key}.{name}", f"unknown coordinate; valid here: {', '.join(valid)}{did_you_mean(name, valid)}"
+                )
 
 
 def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[float, float, float]:

@@ -1,14 +1,19 @@
 """The errors a user can meet: each is one line that says where, what is wrong and what would be right."""
 
+import difflib
+import functools
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 
 class FfsmError(Exception):
-    """Base of every error that bad input can cause; its text is one line."""
+    """Base of every error that bad input can cause; its text is one line, whatever it quotes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(" ".join(text.splitlines()))
 
 
 class ScenarioError(FfsmError):
@@ -19,6 +24,9 @@ class ScenarioError(FfsmError):
         self.problem = problem
         self.source = source
         super().__init__(": ".join(part for part in (source, key, problem) if part))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return functools.partial(ScenarioError, source=self.source), (self.key, self.problem)
 
     def located(self, source: str) -> "ScenarioError":
         """The same error, with the file it came from in front."""
@@ -40,6 +48,12 @@ class RecordError(FfsmError):
 def one_line(error: BaseException) -> str:
     """The text of any exception on a single line."""
     return " ".join(str(error).split()) or type(error).__name__
+
+
+def did_you_mean(name: object, valid: Iterable[str]) -> str:
+    """``; did you mean 'x'?`` with the valid name closest to a wrong one, or nothing when none is close."""
+    close = difflib.get_close_matches(str(name), list(valid), n=1)
+    return f"; did you mean '{close[0]}'?" if close else ""
 
 
 @contextmanager

@@ -1,6 +1,8 @@
 """The combined spacecraft: model directives -> MultibodyPlant, its coordinates, and the captured payload."""
 
 import dataclasses
+import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +13,12 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import Frame, ModelInstanceIndex, RigidBody, RotationalInertia, SpatialInertia
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from ffsm_drake.coordinates import NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.errors import ModelError, one_line
+from ffsm_drake.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS, NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.errors import ModelError, did_you_mean, one_line
 from ffsm_drake.scenario import MassProperties, Model, Posture, Scenario, inertia_matrix
+
+_DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError)  # what C++ exceptions arrive as
+_SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues, between rounding and any spacecraft
 
 
 def models_dir() -> Path:
@@ -64,29 +69,54 @@ def _load(plant: MultibodyPlant, model: Model) -> None:
             if len(instances) != 1:
                 raise ModelError(f"model.{name}: {file}: must hold one model, not {len(instances)}")
             plant.RenameModelInstance(instances[0], name)
-        plant.WeldFrames(
-            find_frame(plant, model.end_effector, key="model.end_effector"),
-            find_frame(plant, model.grasp, key="model.grasp"),
-        )
+        end_effector = find_frame(plant, model.end_effector, key="model.end_effector")
+        grasp = find_frame(plant, model.grasp, key="model.grasp")
+        for key, frame, instance in (("end_effector", end_effector, "servicer"), ("grasp", grasp, "debris")):
+            if frame.model_instance() != plant.GetModelInstanceByName(instance):
+                raise ModelError(
+                    f"model.{key}: '{frame.scoped_name()}' is not a frame of the {instance}; name one of its"
+                )
+        try:
+            plant.WeldFrames(end_effector, grasp)
+        except _DRAKE_ERRORS as error:
+            raise ModelError(f"model.grasp: {model.grasp}: {_cause(error)}") from error
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
     try:
         plant.Finalize()
-    except RuntimeError as error:
-        raise ModelError(f"{source}: {one_line(error)}") from error
+    except _DRAKE_ERRORS as error:
+        raise ModelError(f"{source}: {_cause(error)}") from error
     if not plant.GetFloatingBaseBodies():
         raise ModelError(f"{source}: no floating base; the base must not be welded to world")
-    coordinates_of(plant)
+    try:
+        coordinates_of(plant)
+    except ModelError as error:
+        raise ModelError(f"{source}: {error}") from None
     find_frame(plant, model.end_effector, key="model.end_effector")
+
+
+def _cause(error: Exception) -> str:
+    """What Drake says, without the place in its own source."""
+    return re.sub(r"Failure at \S+ in \S+\(\): ", "", one_line(error))
 
 
 def _add_models(parser: Parser, file: str, place: str) -> list[ModelInstanceIndex]:
     """Parse a file or package:// address; whatever Drake objects to becomes a ModelError."""
-    if "://" not in file and not Path(file).is_file():
-        raise ModelError(f"{place}: no such file")
+    if "://" not in file:
+        try:
+            found, folder = Path(file).is_file(), Path(file).is_dir()
+        except (OSError, ValueError) as error:  # too long, not allowed to look, ...
+            raise ModelError(f"{place}: cannot be read: {one_line(error)}") from error
+        if not found:
+            fault = "is a folder" if folder else "no such file"
+            raise ModelError(f"{place}: {fault}; give a file or a package:// address")
     try:
         instances: list[ModelInstanceIndex] = parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
-    except (RuntimeError, ValueError) as error:  # the latter for malformed numbers
-        raise ModelError(f"{place}: {one_line(error)}") from error
+    except _DRAKE_ERRORS as error:
+        # Drake starts with the file again, and its line.
+        cause = _cause(error)
+        raise ModelError(
+            place + (cause.removeprefix(file) if cause.startswith(f"{file}:") else f": {cause}")
+        ) from error
     return instances
 
 
@@ -117,6 +147,9 @@ def coordinates_of(plant: MultibodyPlant) -> Coordinates:
                 f"joint '{joint.name()}' has {joint.num_velocities()} degrees of freedom; it must have one"
             )
     names = [joint.name() for joint in joints]
+    reserved = sorted(set(names) & {"all", *GROUPS, *BASE_ROTATION, *BASE_POSITION})
+    if reserved:
+        raise ModelError(f"joint names must not be those of groups or base coordinates; rename {', '.join(reserved)}")
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise ModelError(f"joint names must differ; more than one is called {', '.join(repeated)}")
@@ -132,7 +165,7 @@ def find_body(plant: MultibodyPlant, name: str, *, key: str) -> RigidBody:
         for index in plant.GetBodyIndices(instance)
     }
     if name not in bodies:
-        raise ModelError(f"{key}: no body '{name}'; choose one of {', '.join(bodies)}")
+        raise ModelError(f"{key}: no body '{name}'; choose one of {', '.join(bodies)}{did_you_mean(name, bodies)}")
     return bodies[name]
 
 
@@ -144,7 +177,7 @@ def find_frame(plant: MultibodyPlant, name: str, *, key: str) -> Frame:
         for index in plant.GetFrameIndices(instance)
     }
     if name not in frames:
-        raise ModelError(f"{key}: no frame '{name}'; choose one of {', '.join(frames)}")
+        raise ModelError(f"{key}: no frame '{name}'; choose one of {', '.join(frames)}{did_you_mean(name, frames)}")
     return frames[name]
 
 
@@ -173,8 +206,24 @@ def spatial_inertia(properties: MassProperties) -> SpatialInertia:
 
 
 def set_payload(plant: MultibodyPlant, context: Context, *, body: str, properties: MassProperties) -> None:
-    """Give the payload body its mass properties in one context; the parsed model stays as it is."""
-    find_body(plant, body, key="payload.body").SetSpatialInertiaInBodyFrame(context, spatial_inertia(properties))
+    """Give the payload body its mass properties in one context; the parsed model stays as it is.
+
+    Raises ModelError when there is no such body, or when the spacecraft then has a singular mass matrix.
+    """
+    held = find_body(plant, body, key="payload.body")
+    if held.index() == plant.world_body().index():
+        raise ModelError("payload.body: 'WorldModelInstance::world' has no mass; name a body of the spacecraft")
+    try:
+        held.SetSpatialInertiaInBodyFrame(context, spatial_inertia(properties))
+        eigenvalues = np.linalg.eigvalsh(plant.CalcMassMatrix(context))
+    except (*_DRAKE_ERRORS, np.linalg.LinAlgError) as error:
+        raise ModelError(f"payload: mass properties that Drake refuses: {_cause(error)}") from error
+    if not eigenvalues[0] > _SINGULAR * eigenvalues[-1]:
+        raise ModelError(
+            f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular (eigenvalues "
+            f"{eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}); give every link of the URDF and the payload a mass and "
+            "inertia of the same kind of size"
+        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -190,14 +239,21 @@ class PlantModel:
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """The mass matrix H (nv, nv) in configuration q (nq)."""
-        self.plant.SetPositions(self.context, q)
+        self._set_positions(q)
         return self.plant.CalcMassMatrix(self.context)
 
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The Coriolis and centrifugal term C (nv) of H dv/dt + C = tau + tau_d, N m and N."""
-        self.plant.SetPositions(self.context, q)
+        self._set_positions(q)
+        if not math.isfinite(v.dot(v)):
+            raise ValueError("the velocity v is not finite")
         self.plant.SetVelocities(self.context, v)
         return self.plant.CalcBiasTerm(self.context)
+
+    def _set_positions(self, q: np.ndarray) -> None:
+        if not math.isfinite(q.dot(q)):  # on which Drake ends the process
+            raise ValueError("the configuration q is not finite")
+        self.plant.SetPositions(self.context, q)
 
 
 def make_nominal_plant(scenario: Scenario) -> PlantModel:

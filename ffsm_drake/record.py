@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffsm_drake.errors import FfsmError, RecordError, one_line
-from ffsm_drake.files import write_text, written_whole
+from ffsm_drake.files import write_together
 from ffsm_drake.metrics import compute_metrics
 from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
 
@@ -21,6 +21,31 @@ DATASET_FILE = "record.nc"
 METRICS_FILE = "metrics.json"
 MANIFEST_FILE = "manifest.json"
 FORMAT = 1
+_BY_COORDINATE, _BY_POSITION, _BY_AXIS = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
+# What every record holds, by dimension; sliding variable and gains come on top where there are any.
+VARIABLES = {
+    "position": _BY_POSITION,
+    "velocity": _BY_COORDINATE,
+    "measured_position": _BY_POSITION,
+    "measured_velocity": _BY_COORDINATE,
+    "desired_position": _BY_POSITION,
+    "desired_velocity": _BY_COORDINATE,
+    "desired_acceleration": _BY_COORDINATE,
+    "error": _BY_COORDINATE,
+    "error_rate": _BY_COORDINATE,
+    "generalized_force": _BY_COORDINATE,
+    "applied_force": _BY_COORDINATE,
+    "disturbance_force": _BY_COORDINATE,
+    "end_effector_position": _BY_AXIS,
+    "desired_end_effector_position": _BY_AXIS,
+    "base_rpy": _BY_AXIS,
+    "desired_base_rpy": _BY_AXIS,
+    "linear_momentum": _BY_AXIS,
+    "angular_momentum": _BY_AXIS,
+    "kinetic_energy": ("time",),
+}
+_COORDINATES = ("time", "coordinate", "position_name", "axis", "group", "unit")
+_STATUSES = ("completed", "diverged", "interrupted")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -74,9 +99,14 @@ class RunRecord:
             str(name): {"dtype": "S1"} for name, array in self.dataset.coords.items() if array.dtype.kind in "UO"
         }
         encoding |= {str(name): {"zlib": True, "complevel": 1} for name in self.dataset.data_vars}
-        with written_whole(directory / DATASET_FILE) as temporary:
-            self.dataset.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
-        write_text(directory / METRICS_FILE, to_json(self.metrics))
+
+        def write_dataset(path: Path) -> None:
+            try:
+                self.dataset.to_netcdf(path, engine="netcdf4", format="NETCDF4", encoding=encoding)
+            except RuntimeError as error:  # what the netCDF library makes of a full disk
+                raise OSError(one_line(error)) from error
+
+        metrics = to_json(self.metrics)
         manifest = {
             "format": FORMAT,
             "outcome": dataclasses.asdict(self.outcome),
@@ -86,7 +116,13 @@ class RunRecord:
             "realtime_factor": self.realtime_factor,
             "scenario": scenario_to_dict(self.scenario),
         }
-        write_text(directory / MANIFEST_FILE, to_json(manifest))
+        write_together(
+            {
+                directory / DATASET_FILE: write_dataset,
+                directory / METRICS_FILE: lambda path: path.write_text(metrics, encoding="utf-8"),
+                directory / MANIFEST_FILE: lambda path: path.write_text(to_json(manifest), encoding="utf-8"),
+            }
+        )
         return directory
 
     @classmethod
@@ -102,23 +138,57 @@ class RunRecord:
         path = directory / MANIFEST_FILE
         try:
             manifest = json.loads(path.read_text(encoding="utf-8"))
+            if not isinstance(manifest, dict):
+                raise RecordError(f"is not a run's manifest: must be an object, not {type(manifest).__name__}")
             if manifest["format"] != FORMAT:
-                raise RecordError(f"{path}: format {manifest['format']} is not the supported {FORMAT}")
+                raise RecordError(f"format {manifest['format']!r:.40} is not the supported {FORMAT}; run it again")
             scenario = scenario_from_dict(manifest["scenario"])
-            outcome = Outcome(**manifest["outcome"])
-            wall_time, software = dict(manifest["wall_time"]), dict(manifest["software"])
+            outcome = _checked_outcome(manifest["outcome"])
+            wall_time = {name: float(manifest["wall_time"][name]) for name in ("build", "advance_to", "total")}
+            software = {str(name): str(text) for name, text in dict(manifest["software"]).items()}
         except FfsmError as error:
             raise RecordError(f"{path}: {one_line(error)}") from error
         except OSError as error:
-            raise RecordError(f"{path}: cannot be read: {one_line(error)}") from error
-        except (ValueError, KeyError, TypeError) as error:
+            raise RecordError(f"{path}: cannot be read: {one_line(error)}; give the folder of a run") from error
+        except KeyError as error:
+            raise RecordError(f"{path}: is not a run's manifest: lacks {one_line(error)}") from error
+        except (ValueError, TypeError, RecursionError) as error:
             raise RecordError(f"{path}: is not a run's manifest: {type(error).__name__} {one_line(error)}") from error
         path = directory / DATASET_FILE
         try:
             dataset = xr.load_dataset(path, engine="netcdf4")
-        except (OSError, ValueError, RuntimeError) as error:
-            raise RecordError(f"{path}: cannot be read: {one_line(error)}") from error
+        except FileNotFoundError as error:
+            raise RecordError(f"{path}: cannot be read: no such file; run it again") from error
+        except Exception as error:  # whatever xarray and HDF5 make of a damaged file
+            raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
+        _check_dataset(dataset, path)
         return cls(scenario=scenario, outcome=outcome, dataset=dataset, wall_time=wall_time, software=software)
+
+
+def _checked_outcome(data: Any) -> Outcome:
+    """The outcome of a manifest. Raises TypeError or ValueError for one that no run writes."""
+    outcome = Outcome(**data)
+    if outcome.status not in _STATUSES:
+        raise ValueError(f"outcome.status must be one of {', '.join(_STATUSES)}, not {outcome.status!r:.40}")
+    if not isinstance(outcome.time, (int, float)) or isinstance(outcome.time, bool):
+        raise TypeError(f"outcome.time must be a number, not {outcome.time!r:.40}")
+    if not isinstance(outcome.message, str) or not isinstance(outcome.coordinate, str):
+        raise TypeError("outcome.message and outcome.coordinate must be text")
+    return outcome
+
+
+def _check_dataset(dataset: "xr.Dataset", path: Path) -> None:
+    """Raise RecordError unless a dataset holds what every record does."""
+    missing = [name for name in (*_COORDINATES, *VARIABLES) if name not in dataset.variables]
+    if missing:
+        raise RecordError(f"{path}: lacks {', '.join(missing)}; it comes from another version or program, run it again")
+    if "sample_time" not in dataset.attrs:
+        raise RecordError(f"{path}: lacks the attribute sample_time; run it again")
+    for name, dims in VARIABLES.items():
+        if dataset[name].dims != dims or dataset[name].dtype.kind not in "fiu":
+            raise RecordError(f"{path}: {name} must hold numbers along {', '.join(dims)}; run it again")
+    if dataset.sizes["time"] == 0:
+        raise RecordError(f"{path}: holds no samples; run it again")
 
 
 def software_versions() -> dict[str, str]:

@@ -17,16 +17,22 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from pydrake.common.yaml import yaml_load_data
 from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
 
-from ffsm_drake.errors import ScenarioError, one_line
+from ffsm_drake.errors import ScenarioError, did_you_mean, one_line
+from ffsm_drake.strict_yaml import StrictYamlError, read_yaml
 
 _MODULE_AND_ATTRIBUTE = re.compile(r"[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")
 PerCoordinate = dict[str, float]
 ESTIMATOR_KINDS = ("one_sample", "kalman")
 CONTROLLER_NAMES = ("tdc", "asmc", "aismc", "tde_aismc")
 ENTRY_POINT_GROUP = "ffsm_drake.controllers"  # where installed packages offer further controllers
+FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # without an error estimate
+MAX_FILE_SIZE = 1_000_000  # bytes
+MAX_NUMBER = 1e20  # so that what is computed from a few values stays finite
+MAX_SAMPLES = 10_000_000
+MAX_STEPS = 1_000_000_000  # of the integrator; hours
+_BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
 
 
 def _published(**values: float) -> PerCoordinate:
@@ -246,8 +252,14 @@ def load_scenario(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Sc
     """
     path = _find(str(name_or_path))
     try:
+        if path.stat().st_size > MAX_FILE_SIZE:
+            raise ScenarioError(
+                "", f"larger than {MAX_FILE_SIZE} bytes: not a scenario; give a YAML file", source=str(path)
+            )
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ScenarioError("", f"is not UTF-8 text ({one_line(error)})", source=str(path)) from error
+    except OSError as error:
         raise ScenarioError("", f"cannot be read: {one_line(error)}", source=str(path)) from error
     return scenario_from_yaml(text, overrides, source=str(path))
 
@@ -255,9 +267,11 @@ def load_scenario(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Sc
 def scenario_from_yaml(text: str, overrides: Iterable[str] = (), *, source: str = "") -> Scenario:
     """Build a scenario from YAML text; ``source`` is the file name used in errors and for relative model paths."""
     try:
-        data = yaml_load_data(text)
-    except yaml.YAMLError as error:
+        data = read_yaml(text)
+    except StrictYamlError as error:
         raise ScenarioError("", f"is not valid YAML: {one_line(error)}", source=source) from error
+    if isinstance(data, dict):  # at the top, names with an underscore hold what aliases refer to
+        data = {key: value for key, value in data.items() if not (isinstance(key, str) and key.startswith("_"))}
     return scenario_from_dict({} if data is None else data, overrides, source=source)
 
 
@@ -279,8 +293,17 @@ def scenario_from_dict(data: Mapping[str, typing.Any], overrides: Iterable[str] 
     try:
         validate(scenario)
     except ScenarioError as error:
-        raise error.located("override" if error.key.startswith(tuple(overridden)) else source) from None
+        raise error.located("override" if is_overridden(error.key, overridden) else source) from None
     return scenario
+
+
+def is_overridden(key: str, overridden: Iterable[str]) -> bool:
+    """Whether a key is one of the overridden ones, stands within one, or holds one."""
+
+    def within(inner: str, outer: str) -> bool:
+        return inner == outer or inner.startswith((f"{outer}.", f"{outer}["))
+
+    return any(within(key, other) or within(other, key) for other in overridden)
 
 
 def scenario_to_dict(scenario: Scenario) -> dict[str, typing.Any]:
@@ -305,6 +328,14 @@ def validate(scenario: Scenario) -> None:
     _require(0 <= scenario.random_seed < 2**31, "random_seed", "must be from 0 to 2147483647")
     _require(scenario.duration > 0, "duration", "must be > 0 s")
     _require(scenario.sample_time > 0, "sample_time", "must be > 0 s")
+    samples = scenario.duration / scenario.sample_time
+    _require(
+        samples <= MAX_SAMPLES,
+        "sample_time" if scenario.duration < 1000.0 else "duration",
+        f"{scenario.duration:g} s in samples of {scenario.sample_time:g} s are {samples:.3g}, about "
+        f"{samples * _BYTES_PER_SAMPLE / 1e9:.3g} GB; at most {MAX_SAMPLES} are run: shorten duration or lengthen "
+        "sample_time",
+    )
     _require(scenario.num_control_periods >= 1, "sample_time", f"must be at most duration ({scenario.duration} s)")
     _require(scenario.divergence_speed > 0, "divergence_speed", "must be > 0")
     _require(scenario.reference.duration > 0, "reference.duration", "must be > 0 s")
@@ -313,25 +344,21 @@ def validate(scenario: Scenario) -> None:
         _require(
             scenario.controller in known,
             "controller",
-            f"'{scenario.controller}' is unknown; choose one of {', '.join(known)}, or give module:Class",
+            f"'{scenario.controller}' is unknown; choose one of {', '.join(known)}, or give module:Class"
+            + did_you_mean(scenario.controller, known),
         )
     _require(
         scenario.estimator.kind in ESTIMATOR_KINDS,
         "estimator.kind",
-        f"'{scenario.estimator.kind}' is unknown; choose one of {', '.join(ESTIMATOR_KINDS)}",
+        f"'{scenario.estimator.kind}' is unknown; choose one of {', '.join(ESTIMATOR_KINDS)}"
+        + did_you_mean(scenario.estimator.kind, ESTIMATOR_KINDS),
     )
     for key, number in scenario.estimator.walk.items():
         _require(number > 0, f"estimator.walk.{key}", f"must be > 0, not {number}")
     for name in ("position_noise", "velocity_noise"):
         for key, number in (getattr(scenario.estimator, name) or {}).items():
             _require(number >= 0, f"estimator.{name}.{key}", f"a standard deviation must be >= 0, not {number}")
-    _require(
-        scenario.simulator_config.integration_scheme in GetIntegrationSchemes(),
-        "simulator_config.integration_scheme",
-        f"'{scenario.simulator_config.integration_scheme}' is unknown; "
-        f"choose one of {', '.join(GetIntegrationSchemes())}",
-    )
-    _require(scenario.simulator_config.max_step_size > 0, "simulator_config.max_step_size", "must be > 0 s")
+    _validate_simulator_config(scenario)
     for name in ("truth", "belief"):
         _validate_mass_properties(getattr(scenario.payload, name), f"payload.{name}")
     for name in ("initial_posture", "target_posture"):
@@ -362,6 +389,32 @@ def validate(scenario: Scenario) -> None:
         _require(0 <= delay <= 1000, f"{place}.delay", f"must be from 0 to 1000 control samples, not {delay}")
 
 
+def _validate_simulator_config(scenario: Scenario) -> None:
+    # Drake's "cenic" wants the plant at the top of the diagram.
+    config, schemes = scenario.simulator_config, [name for name in GetIntegrationSchemes() if name != "cenic"]
+    _require(
+        config.integration_scheme in schemes,
+        "simulator_config.integration_scheme",
+        f"'{config.integration_scheme}' is unknown; choose one of {', '.join(schemes)}"
+        + did_you_mean(config.integration_scheme, schemes),
+    )
+    _require(
+        not config.use_error_control or config.integration_scheme not in FIXED_STEP_SCHEMES,
+        "simulator_config.use_error_control",
+        f"{config.integration_scheme} has no error estimate; set false, or choose another integration_scheme",
+    )
+    _require(config.accuracy > 0, "simulator_config.accuracy", f"must be > 0, not {config.accuracy}")
+    _require(config.target_realtime_rate >= 0, "simulator_config.target_realtime_rate", "must be >= 0 (0: no pacing)")
+    _require(config.start_time == 0, "simulator_config.start_time", "must be 0: every run starts there; leave it out")
+    _require(config.max_step_size > 0, "simulator_config.max_step_size", "must be > 0 s")
+    steps = scenario.duration / config.max_step_size
+    _require(
+        steps <= MAX_STEPS,
+        "simulator_config.max_step_size",
+        f"{config.max_step_size:g} s gives {steps:.3g} steps in {scenario.duration:g} s; at most {MAX_STEPS} are run",
+    )
+
+
 def _validate_mass_properties(body: MassProperties, key: str) -> None:
     _require(body.mass > 0, f"{key}.mass", f"must be > 0 kg, not {body.mass}")
     _require(len(body.center_of_mass) == 3, f"{key}.center_of_mass", "must hold three numbers [x, y, z]")
@@ -370,7 +423,12 @@ def _validate_mass_properties(body: MassProperties, key: str) -> None:
         f"{key}.inertia",
         "must hold three moments [Ixx, Iyy, Izz], or those and three products [Ixy, Ixz, Iyz]",
     )
-    principal = np.linalg.eigvalsh(inertia_matrix(body))
+    try:
+        with np.errstate(all="ignore"):
+            principal = np.linalg.eigvalsh(inertia_matrix(body))
+    except np.linalg.LinAlgError:
+        principal = np.full(3, np.nan)
+    _require(bool(np.isfinite(principal).all()), f"{key}.inertia", f"has no principal moments: {_shown(body.inertia)}")
     _require(bool(principal[0] > 0), f"{key}.inertia", "must be positive definite")
     _require(
         bool(principal[0] + principal[1] >= principal[2] * (1 - 1e-12)),
@@ -401,11 +459,21 @@ def _find(name: str) -> Path:
     if name in shipped:
         return shipped[name]
     path = Path(name)
-    if path.is_file():
-        return path
-    if path.suffix in (".yaml", ".yml") or path.name != name:
-        raise ScenarioError("", "no such scenario file", source=name)
-    raise ScenarioError("", f"no such scenario; choose one of {', '.join(shipped)}, or give a YAML file", source=name)
+    try:
+        if path.is_file():
+            return path
+        kind = "a folder" if path.is_dir() else "not a regular file" if path.exists() else ""
+    except (OSError, ValueError) as error:  # too long, not allowed to look, ...
+        raise ScenarioError("", f"cannot be read: {one_line(error)}", source=name) from error
+    if kind and name:
+        raise ScenarioError("", f"is {kind}; give a YAML file", source=name)
+    if path.suffix in (".yaml", ".yml") or (name and path.name != name):
+        raise ScenarioError("", f"no such scenario file; give a YAML file or one of {', '.join(shipped)}", source=name)
+    raise ScenarioError(
+        "",
+        f"no such scenario; choose one of {', '.join(shipped)}, or give a YAML file{did_you_mean(name, shipped)}",
+        source=name or "''",
+    )
 
 
 def _choose_model_source(model: dict[str, typing.Any], given: Mapping[str, typing.Any]) -> None:
@@ -469,7 +537,7 @@ def _resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: st
             raise ScenarioError(path, f"must be a mapping with keys {', '.join(fields)}, not {_shown(data)}")
         for key in data:
             if key not in fields:
-                raise ScenarioError(_join(path, key), f"unknown key; valid here: {', '.join(fields)}")
+                raise _unknown_key(path, key, fields)
         return {
             key: _resolve(kind, default[key], data[key], _join(path, key)) if key in data else default[key]
             for key, kind in fields.items()
@@ -478,12 +546,21 @@ def _resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: st
     if origin in (typing.Union, types.UnionType):  # the only unions of the schema are optional values
         return None if data is None else _resolve(args[0], default, data, path)
     if origin is dict:
+        if args[1] is float and isinstance(data, (list, tuple)):
+            raise ScenarioError(
+                _join(path, "all"),
+                f"must be a number, not {_shown(data)}; several go by name, as in {{all: 1, joints: 2}}",
+            )
         if args[1] is float and not isinstance(data, Mapping):
             data = {"all": data}
         if not isinstance(data, Mapping):
             raise ScenarioError(path, f"must be a mapping, not {_shown(data)}")
         blank = None if schema_fields(args[1]) is None else _as_dict(args[1]())
-        return {str(key): _resolve(args[1], blank, item, _join(path, key)) for key, item in data.items()}
+        for key in data:
+            if not isinstance(key, str):
+                raise ScenarioError(_join(path, _shown(key)), "a name must be text; put it in quotes")
+            _convert_leaf(str, key, _join(path, key))
+        return {key: _resolve(args[1], blank, item, _join(path, key)) for key, item in data.items()}
     if origin is list:
         if not isinstance(data, (list, tuple)):
             raise ScenarioError(path, f"must be a list, not {_shown(data)}")
@@ -498,12 +575,21 @@ def _convert_leaf(schema: type, data: typing.Any, path: str) -> typing.Any:
             number = float(data)
         except ValueError:
             raise ScenarioError(path, f"must be {wanted}, not {_shown(data)}") from None
+        except OverflowError:
+            number = math.inf
         if not math.isfinite(number):
             raise ScenarioError(path, f"must be finite, not {_shown(data)}")
+        if abs(number) > MAX_NUMBER:
+            raise ScenarioError(path, f"must be at most {MAX_NUMBER:g} in size, not {_shown(data)}")
         return number
-    if schema is int and isinstance(data, (int, float)) and not isinstance(data, bool) and float(data).is_integer():
-        return int(data)
-    if (schema is bool and isinstance(data, bool)) or (schema is str and isinstance(data, str)):
+    if schema is int and isinstance(data, (int, float)) and not isinstance(data, bool):
+        if isinstance(data, int) or data.is_integer():
+            return int(data)
+    elif schema is bool and isinstance(data, bool):
+        return data
+    elif schema is str and isinstance(data, str):
+        if "\0" in data or any("\ud800" <= character <= "\udfff" for character in data):
+            raise ScenarioError(path, f"must be text that a file can hold, not {_shown(data)}")
         return data
     raise ScenarioError(path, f"must be {wanted}, not {_shown(data)}")
 
@@ -515,8 +601,8 @@ def _apply_override(resolved: dict[str, typing.Any], override: str) -> str:
     if not equals or not key:
         raise ScenarioError(f"'{override}'", "must have the form key=value")
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+        value = read_yaml(text)
+    except StrictYamlError as error:
         raise ScenarioError(key, f"value is not valid YAML: {one_line(error)}") from error
     schema: typing.Any = Scenario
     target: typing.Any = resolved
@@ -544,11 +630,20 @@ def _child_schema(schema: typing.Any, part: str, path: str) -> typing.Any:
     fields = schema_fields(schema)
     if fields is not None:
         if part not in fields:
-            raise ScenarioError(_join(path, part), f"unknown key; valid here: {', '.join(fields)}")
+            raise _unknown_key(path, part, fields)
         return fields[part]
     if typing.get_origin(schema) is dict:
         return typing.get_args(schema)[1]
-    raise ScenarioError(_join(path, part), f"unknown key; {path} holds a single value")
+    holds = "a list; give it whole" if typing.get_origin(schema) is list else "a single value"
+    raise ScenarioError(_join(path, part), f"unknown key; {path} holds {holds}")
+
+
+def _unknown_key(path: str, key: typing.Any, fields: Iterable[str]) -> ScenarioError:
+    valid = list(fields)
+    return ScenarioError(
+        _join(path, key if isinstance(key, str) else _shown(key)),
+        f"unknown key; valid here: {', '.join(valid)}{did_you_mean(key, valid)}",
+    )
 
 
 def _join(path: str, key: typing.Any) -> str:
@@ -556,5 +651,10 @@ def _join(path: str, key: typing.Any) -> str:
 
 
 def _shown(data: typing.Any) -> str:
-    text = repr(data)
+    if data is None:
+        return "null (no value)"
+    try:
+        text = repr(data)
+    except ValueError:  # Python does not print integers of thousands of digits
+        text = "a number of thousands of digits"
     return text if len(text) <= 60 else text[:57] + "..."

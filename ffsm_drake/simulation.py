@@ -134,12 +134,12 @@ class Rollout:
         # would have stopped the run; if so, it is run again with the monitor.
         watched = not self._judged_by_log
         interrupted, advance_time = self._advance(monitor, watched=watched)
-        times, series = self._read_log()
+        times, series = self._read_log(interrupted=interrupted)
         if not (watched or interrupted) and (monitor.message or not monitor.bounds(series["state"])):
             monitor.forget()
             interrupted, more_time = self._advance(monitor, watched=True)
             advance_time += more_time
-            times, series = self._read_log()
+            times, series = self._read_log(interrupted=interrupted)
         last = float(times[-1])
         if monitor.coordinate:
             outcome = Outcome(status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message)
@@ -196,12 +196,18 @@ class Rollout:
                 _raise_for(error, loop.scenario, context.get_time())
         return interrupted, time.perf_counter() - start
 
-    def _read_log(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _read_log(self, *, interrupted: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Sample times and the aligned series (copied)."""
         loop, context = self.loop, self._simulator.get_context()
         assert loop.logger is not None
         log = loop.logger.FindLog(context)
-        rows = log.data()
+        times, rows = log.sample_times().copy(), log.data()
+        if interrupted:
+            # Perhaps before the update of the last sample, which is therefore left out.
+            if times.size < 2:
+                raise KeyboardInterrupt
+            parts = {name: rows[part, 1:] if name in _HELD else rows[part, :-1] for name, part in loop.logged.items()}
+            return times[:-1], {name: part.T.copy() for name, part in parts.items() if name in _HELD + _CURRENT}
         series = {}
         for name, part in loop.logged.items():
             if name in _HELD:
@@ -210,7 +216,7 @@ class Rollout:
                 series[name] = np.vstack([rows[part, 1:].T, last])
             elif name in _CURRENT:
                 series[name] = rows[part].T.copy()
-        return log.sample_times().copy(), series
+        return times, series
 
 
 def _raise_for(error: Exception, scenario: Scenario, time: float) -> NoReturn:
@@ -428,6 +434,9 @@ def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndar
     origin = np.zeros(3)
     momentum, energy = np.empty((len(states), 6)), np.empty(len(states))
     for i, state in enumerate(states):
+        if not np.isfinite(state).all():  # a diverged run's last; Drake ends the process on it
+            momentum[i] = energy[i] = np.nan
+            continue
         plant.SetPositionsAndVelocities(context, state)
         momentum[i] = plant.CalcSpatialMomentumInWorldAboutPoint(context, origin).get_coeffs()
         energy[i] = plant.CalcKineticEnergy(context)
@@ -440,6 +449,9 @@ def _end_effector(model: PlantModel, scenario: Scenario, positions: np.ndarray) 
     frame = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
     places = np.empty((len(positions), 3))
     for i, q in enumerate(positions):
+        if not np.isfinite(q).all():  # as above
+            places[i] = np.nan
+            continue
         plant.SetPositions(context, q)
         places[i] = frame.CalcPoseInWorld(context).translation()
     return places

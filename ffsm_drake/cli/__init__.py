@@ -1,6 +1,7 @@
 """The command line ``ffsm``: parses, calls, prints. Nothing heavy is imported before a command runs."""
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -27,8 +28,9 @@ def main() -> None:
 
     Exit codes: 0 good, 2 bad input, 3 diverged or unstable, 130 interrupted.
     """
-    if str(Path.cwd()) not in sys.path:  # for controllers given as module:Class; last, so that it shadows nothing
-        sys.path.append(str(Path.cwd()))
+    with suppress(FileNotFoundError):  # the folder has been deleted under us
+        if str(Path.cwd()) not in sys.path:  # for controllers given as module:Class; last, so that it shadows nothing
+            sys.path.append(str(Path.cwd()))
 
 
 for command in (

@@ -1,14 +1,17 @@
 """What the commands share: options, errors as one line, progress."""
 
 import functools
+import math
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ffsm_drake.errors import FfsmError, warnings_as_lines
+from ffsm_drake.errors import FfsmError, ModelError, ScenarioError, one_line, warnings_as_lines
 
 if TYPE_CHECKING:
     from ffsm_drake.record import RunRecord
@@ -40,6 +43,9 @@ def reports_errors(command: Callable[..., Any]) -> Callable[..., Any]:
             except BrokenPipeError:  # the reader of our output has gone, as ``| head`` does
                 sys.stderr.close()
                 sys.exit(EXIT_GOOD)
+            except OSError as error:  # standard output on a full disk, ...
+                click.echo(f"error: {one_line(error)}", err=True)
+                sys.exit(EXIT_BAD_INPUT)
 
     return wrapped
 
@@ -93,9 +99,29 @@ def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
         chosen = [f"controller={controller}"] if controller else []
         if seed is not None:
             chosen.append(f"random_seed={seed}")
-        return command(scenario=load_scenario(scenario, [*overrides, *chosen]), **rest)
+        overrides = (*overrides, *chosen)
+        with located_errors(scenario, overrides):
+            return command(scenario=load_scenario(scenario, overrides), **rest)
 
     return wrapped
+
+
+@contextmanager
+def located_errors(scenario: str, overrides: Sequence[str] = ()) -> Iterator[None]:
+    """Say of errors in a scenario's key that show only later, when the model is there, where the key was given."""
+    from ffsm_drake.scenario import Scenario, is_overridden, schema_fields
+
+    def place_of(key: str) -> str:
+        return "override" if is_overridden(key, [text.partition("=")[0].strip() for text in overrides]) else scenario
+
+    try:
+        yield
+    except ScenarioError as error:
+        if re.split(r"[.\[]", error.key)[0] not in (schema_fields(Scenario) or {}):
+            raise
+        raise error.located(place_of(error.key)) from error
+    except ModelError as error:
+        raise ModelError(f"{place_of(str(error).partition(':')[0])}: {error}") from error
 
 
 def scenario_stem() -> str:
@@ -107,6 +133,16 @@ def print_json(data: Any) -> None:
     from ffsm_drake.record import to_json
 
     click.echo(to_json(data), nl=False)
+
+
+class FiniteFloat(click.FloatRange):
+    """A number that is neither NaN nor infinite."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        return number
 
 
 class RunProgress:

@@ -9,6 +9,7 @@ import click
 
 from ffsm_drake.cli.common import (
     EXIT_UNSTABLE,
+    FiniteFloat,
     count_progress,
     json_option,
     print_json,
@@ -37,10 +38,12 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
       ffsm stability paper --set simulator_config.integration_scheme=runge_kutta3
       ffsm stability --set payload.belief.mass=125 --out out/stability
     """
-    from ffsm_drake.files import written_whole
+    from ffsm_drake.files import check_writable, written_whole
     from ffsm_drake.stability import assess
     from ffsm_drake.stability.report import margins_data, margins_table, plot_margins
 
+    if out is not None:
+        check_writable(out)
     margins = assess(scenario)
     if as_json:
         print_json(margins_data(margins))
@@ -76,16 +79,17 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     """
     from ffsm_drake.analysis import analyze as analyze_record
     from ffsm_drake.analysis import plot_analysis
-    from ffsm_drake.files import write_text, written_whole
+    from ffsm_drake.files import check_writable, write_text, written_whole
     from ffsm_drake.record import RunRecord, to_json
 
+    directory = out or run
+    check_writable(directory)
     analysis = analyze_record(RunRecord.load(run))
     findings = {finding.key: dataclasses.asdict(finding) for finding in analysis.findings}
     if as_json:
         print_json(findings)
     else:
         click.echo(str(analysis))
-    directory = out or run
     write_text(directory / "analysis.json", to_json(findings))
     with written_whole(directory / "analysis.png") as temporary:
         plot_analysis(analysis).savefig(temporary, dpi=130)
@@ -95,8 +99,10 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
 @click.command()
 @reports_errors
 @scenario_options
-@click.option("--budget", type=float, help="Largest ISV (default: 1.1 times that of perfect tracking).")
-@click.option("--payload-range", type=float, nargs=2, metavar="LOW HIGH", help="True masses to be stable for, kg.")
+@click.option("--budget", type=FiniteFloat(), help="Largest ISV (default: 1.1 times that of perfect tracking).")
+@click.option(
+    "--payload-range", type=FiniteFloat(), nargs=2, metavar="LOW HIGH", help="True masses to be stable for, kg."
+)
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/design"), show_default=True)
 def design(scenario: "Scenario", budget: float | None, payload_range: tuple[float, float] | None, out: Path) -> None:
     """Choose gains and estimator for a scenario's sensors, period and payload range, without simulating it.
@@ -112,9 +118,10 @@ def design(scenario: "Scenario", budget: float | None, payload_range: tuple[floa
     """
     from ffsm_drake.design import design as design_gains
     from ffsm_drake.design import design_table, plot_design
-    from ffsm_drake.files import write_text, written_whole
+    from ffsm_drake.files import check_writable, write_text, written_whole
     from ffsm_drake.scenario import scenario_to_yaml
 
+    check_writable(out)
     found = design_gains(scenario, budget=budget, payload_range=payload_range, progress=count_progress("prices"))
     click.echo(design_table(found))
     write_text(out / "design.yaml", scenario_to_yaml(found.chosen.scenario))

@@ -14,6 +14,7 @@ from ffsm_drake.cli.common import (
     RunProgress,
     controller_option,
     json_option,
+    located_errors,
     overrides_option,
     print_json,
     reports_errors,
@@ -54,7 +55,10 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
       ffsm run mine.yaml --controller my_module:MyController --out out/mine
       ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
     """
+    from ffsm_drake.files import check_writable
+
     directory = out or Path("out") / scenario_stem()
+    check_writable(directory)  # before the run, which may take a while
     if not meshcat:
         record = _simulate(scenario)
         record.save(directory)
@@ -95,6 +99,7 @@ def compare(
       ffsm compare flight_sensors -c tdc -c tde_aismc -c computed_torque -c pd_plus
       ffsm compare mine.yaml -c tde_aismc -c my_module:MyController --out out/duel
     """
+    from ffsm_drake.files import check_writable
     from ffsm_drake.scenario import CONTROLLER_NAMES, load_scenario, override_scenario, own_controller_name
 
     names = controller or CONTROLLER_NAMES
@@ -102,12 +107,15 @@ def compare(
     repeated = sorted({folder for folder in folders if folders.count(folder) > 1})
     if repeated:
         raise click.UsageError(f"--controller: {', '.join(repeated)} is given more than once")
-    base = load_scenario(scenario, [*overrides, *([] if seed is None else [f"random_seed={seed}"])])
+    overrides = (*overrides, *(() if seed is None else (f"random_seed={seed}",)))
+    base = load_scenario(scenario, overrides)
     directory = out or Path("out") / f"compare_{scenario_stem()}"
+    check_writable(directory)
     scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]  # judged before any of them runs
     records: list[RunRecord] = []
     for chosen, folder in zip(scenarios, folders, strict=True):
-        record = _simulate(chosen)
+        with located_errors(scenario, overrides):
+            record = _simulate(chosen)
         record.save(directory / folder)
         records.append(record)
         if record.outcome.status == "interrupted":

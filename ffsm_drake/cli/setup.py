@@ -10,6 +10,7 @@ from ffsm_drake.cli.common import (
     EXIT_BAD_INPUT,
     complete_scenario,
     json_option,
+    located_errors,
     overrides_option,
     print_json,
     reports_errors,
@@ -62,12 +63,15 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
     """
     from ffsm_drake.closed_loop import make_closed_loop
     from ffsm_drake.errors import FfsmError
+    from ffsm_drake.plant import make_true_plant
     from ffsm_drake.scenario import load_scenario
 
     results = {}
     for name in scenarios:
         try:
-            loop = make_closed_loop(load_scenario(name, overrides))
+            with located_errors(name, overrides):
+                loop = make_closed_loop(load_scenario(name, overrides))
+                make_true_plant(loop.scenario)  # judges the payload as it is; the loop held it as it is believed
             results[name] = {
                 "valid": True,
                 "controller": loop.scenario.controller,

@@ -23,11 +23,18 @@ def plot(runs: tuple[Path, ...], out: Path | None) -> None:
       ffsm plot out/postcapture
       ffsm plot out/compare_paper/tdc out/compare_paper/tde_aismc --out out/figures
     """
+    from ffsm_drake.errors import RecordError
+    from ffsm_drake.files import check_writable
     from ffsm_drake.plotting import save_figures
     from ffsm_drake.record import RunRecord
 
     directory = out or runs[0]
-    written = save_figures([RunRecord.load(run) for run in runs], directory)
+    check_writable(directory)
+    records = [RunRecord.load(run) for run in runs]
+    for run, record in zip(runs, records, strict=True):
+        if record.dataset.coordinate.values.tolist() != records[0].dataset.coordinate.values.tolist():
+            raise RecordError(f"{run}: has other joints than {runs[0]}; draw them apart")
+    written = save_figures(records, directory)
     click.echo(f"Written to {directory}: {', '.join(path.name for path in written)}")
 
 
@@ -46,7 +53,12 @@ def diagram(scenario: "Scenario", out: Path | None) -> None:
       ffsm diagram flight_sensors --controller pd_plus --out out/loop.svg
     """
     from ffsm_drake.block_diagram import closed_loop_dot, write_diagram
+    from ffsm_drake.files import check_writable
 
+    if out is not None:
+        if not out.name:
+            raise click.UsageError(f"--out: '{out}' is not a file's name; give one, such as loop.svg")
+        check_writable(out.parent)
     dot = closed_loop_dot(scenario)
     if out is None:
         click.echo(dot)

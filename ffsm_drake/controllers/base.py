@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.coordinates import Coordinates, position_error
-from ffsm_drake.errors import ControllerError, ScenarioError
+from ffsm_drake.errors import ControllerError, ScenarioError, did_you_mean, one_line
 from ffsm_drake.plant import PlantModel
 from ffsm_drake.scenario import PerCoordinate
 
@@ -38,7 +38,8 @@ class ControllerSetup:
         for name in self.gains:
             if name not in defaults:
                 raise ScenarioError(
-                    f"{place}.{name}", f"unknown gain; {self.name} has {', '.join(defaults) or 'no gains'}"
+                    f"{place}.{name}",
+                    f"unknown gain; {self.name} has {', '.join(defaults) or 'no gains'}{did_you_mean(name, defaults)}",
                 )
         vectors = {}
         for name, default in defaults.items():
@@ -86,7 +87,12 @@ class SampledController(LeafSystem):
         self._estimated_state = self.DeclareVectorInputPort("estimated_state", num_states)
         self._desired_state = self.DeclareVectorInputPort("desired_state", num_states)
         self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", self._num_velocities)
-        groups = {"generalized_force": np.zeros(self._num_velocities), **self.initial_state()}
+        memory = self.initial_state()
+        if not isinstance(memory, Mapping) or "generalized_force" in memory:
+            raise ControllerError(
+                f"{setup.name}: initial_state must return a mapping of names to arrays, without 'generalized_force'"
+            )
+        groups = {"generalized_force": np.zeros(self._num_velocities), **memory}
         self._shapes = {name: np.shape(value) for name, value in groups.items()}
         index = {name: self.DeclareDiscreteState(np.asarray(value, dtype=float)) for name, value in groups.items()}
         for name in ("generalized_force", *OPTIONAL_OUTPUTS):
@@ -100,7 +106,7 @@ class SampledController(LeafSystem):
 
     def law(self, sample: Sample, state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
         """The generalized force tau (nv; N m and N) for a sample, and the memory's next value by name."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} must define law(sample, state)")
 
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         estimated, desired = self._estimated_state.Eval(context), self._desired_state.Eval(context)
@@ -118,13 +124,44 @@ class SampledController(LeafSystem):
         old = context.get_discrete_state()
         names = list(self._shapes)[1:]
         state = {name: np.array(old.value(index)) for index, name in enumerate(names, start=1)}
-        force, memory = self.law(sample, state)
+        returned = self._call_law(sample, state, context.get_time())
+        if not (isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping)):
+            raise ControllerError(
+                f"{self.get_name()}: law must return (generalized_force, memory), an array and a mapping, "
+                f"not {_described(returned)}"
+            )
+        force, memory = returned
+        unknown = [str(name) for name in memory if name not in names]
+        if unknown:
+            raise ControllerError(
+                f"{self.get_name()}: law returned '{unknown[0]}', which initial_state does not name; "
+                f"its memory is {', '.join(names) or 'empty'}"
+            )
         for index, (name, shape) in enumerate(self._shapes.items()):
             if index and name not in memory:
                 raise ControllerError(f"{self.get_name()}: law returned no '{name}'; it must return all its memory")
-            value = np.asarray(memory[name] if index else force, dtype=float)
+            try:
+                value = np.asarray(memory[name] if index else force, dtype=float)
+            except (TypeError, ValueError) as error:
+                raise ControllerError(
+                    f"{self.get_name()}: law returned '{name}' that is not an array of numbers: {one_line(error)}"
+                ) from error
             if value.shape != shape:
                 raise ControllerError(
                     f"{self.get_name()}: law returned '{name}' of shape {value.shape}; it must be {shape}"
                 )
             discrete_values.set_value(index, value)
+
+    def _call_law(self, sample: Sample, state: Mapping[str, np.ndarray], time: float) -> object:
+        try:
+            return self.law(sample, state)
+        except SystemExit as error:  # would end the process as if all were well
+            raise ControllerError(
+                f"{self.get_name()}: law called sys.exit at t = {time:.2f} s; raise an exception"
+            ) from error
+
+
+def _described(returned: object) -> str:
+    if isinstance(returned, tuple):
+        return f"a tuple of {', '.join(type(part).__name__ for part in returned) or 'nothing'}"
+    return type(returned).__name__

@@ -8,7 +8,7 @@ from typing import Any
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake.controllers.base import ControllerSetup
-from ffsm_drake.errors import ControllerError, FfsmError, one_line
+from ffsm_drake.errors import ControllerError, FfsmError, did_you_mean, one_line
 from ffsm_drake.plant import PlantModel
 from ffsm_drake.scenario import CONTROLLER_NAMES, ENTRY_POINT_GROUP, Scenario, own_controller_name
 
@@ -33,18 +33,26 @@ def find_factory(name: str) -> Factory:
             module, _, attribute = name.partition(":")
             factory: Any = importlib.import_module(module)
             for part in attribute.split("."):
+                if not hasattr(factory, part):
+                    near = [other for other, value in vars(factory).items() if callable(value)]
+                    raise ControllerError(f"controller '{name}': {module} has no '{part}'{did_you_mean(part, near)}")
                 factory = getattr(factory, part)
         else:
             found = entry_points(group=ENTRY_POINT_GROUP, name=name)
             if not found:
                 raise ControllerError(
                     f"controller '{name}' is unknown; choose one of {', '.join(controller_names())}, "
-                    "or give module:Class"
+                    f"or give module:Class{did_you_mean(name, controller_names())}"
                 )
             factory = next(iter(found)).load()
     except FfsmError:
         raise
-    except Exception as error:  # whatever a user's module does when it is imported
+    except ModuleNotFoundError as error:
+        raise ControllerError(
+            f"controller '{name}' cannot be loaded: {one_line(error)}; "
+            "run from the folder that holds it, or put that on PYTHONPATH"
+        ) from error
+    except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
         raise ControllerError(
             f"controller '{name}' cannot be loaded: {type(error).__name__}: {one_line(error)}"
         ) from error
@@ -60,13 +68,14 @@ def build_controller(factory: Factory, setup: ControllerSetup) -> LeafSystem:
         controller = factory(setup)
     except FfsmError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ControllerError(
             f"controller '{setup.name}' cannot be built: {type(error).__name__}: {one_line(error)}"
         ) from error
     if not isinstance(controller, LeafSystem):
         raise ControllerError(f"controller '{setup.name}' must be a LeafSystem, not {type(controller).__name__}")
     check_ports(controller, setup)
+    _check_no_algebraic_loop(controller, setup.name)
     controller.set_name(setup.name)
     return controller
 
@@ -108,6 +117,19 @@ def check_ports(controller: LeafSystem, setup: ControllerSetup) -> None:
             raise ControllerError(
                 f"controller '{setup.name}': output port '{port.get_name()}' must not follow an input at once; declare "
                 "it with DeclareStateOutputPort, or with prerequisites {self.all_state_ticket()}"
+            )
+
+
+def _check_no_algebraic_loop(controller: LeafSystem, name: str) -> None:
+    if not controller.HasInputPort("applied_force"):
+        return
+    force = controller.GetInputPort("applied_force").get_index()
+    for index in range(controller.num_output_ports()):
+        if controller.HasDirectFeedthrough(force, index):
+            port = controller.get_output_port(index).get_name()
+            raise ControllerError(
+                f"controller '{name}': output '{port}' depends on applied_force at the same instant, which it makes; "
+                "compute it in a discrete update"
             )
 
 

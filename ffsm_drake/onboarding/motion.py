@@ -157,7 +157,9 @@ def _resting(joint: Joint) -> float:
 def _timed(true: PlantModel, servicer: Servicer, initial: Posture, target: Posture) -> Motion:
     """The motion with a duration whose peak rates and forces are moderate."""
     coordinates = true.coordinates
-    unit_time = QuinticReference(coordinates=coordinates, start=initial, target=target, duration=1.0)
+    unit_time = QuinticReference(
+        coordinates=coordinates, start=initial, target=target, duration=1.0, sample_time=1.0 / 40.0
+    )
     forces, rates = [], []
     for time in np.linspace(0.0, 1.0, 41):
         q, v, a = unit_time.evaluate(time)

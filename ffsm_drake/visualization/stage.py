@@ -19,6 +19,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame
 from pydrake.systems.framework import DiagramBuilder
 
+from ffsm_drake.errors import FfsmError, one_line
 from ffsm_drake.plant import add_combined_plant, base_body, configuration, make_plant
 from ffsm_drake.scenario import Model, Scenario
 
@@ -41,11 +42,14 @@ def quiet_drake() -> Iterator[None]:
 
 
 def start_meshcat() -> Meshcat:
-    """A Meshcat server for this machine only (127.0.0.1)."""
+    """A Meshcat server for this machine only (127.0.0.1). Raises FfsmError when no port is free."""
     params = MeshcatParams()
     params.host = "127.0.0.1"
     params.show_stats_plot = False
-    return Meshcat(params)
+    try:
+        return Meshcat(params)
+    except RuntimeError as error:
+        raise FfsmError(f"Meshcat cannot start: {one_line(error)}; free a port from 7000 to 7999") from error
 
 
 def set_stage(meshcat: Meshcat, scenario: Scenario, *, ghost: bool = True) -> None:

@@ -1,0 +1,107 @@
+"""YAML for settings, read strictly: what it would pass over in silence, or never be done with, is refused."""
+
+from typing import Any
+
+import yaml
+
+MAX_DEPTH = 50
+MAX_NODES = 100_000  # with every alias written out
+
+
+class StrictYamlError(ValueError):
+    """Text that is not YAML, or not YAML for settings; its text is one line that starts with the place."""
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """Safe YAML without keys given twice, without tags of its own, and no deeper than settings can be."""
+
+    _depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            raise StrictYamlError(f"{_place(self.get_mark())}: nested deeper than {MAX_DEPTH} levels")
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def compose_mapping_node(self, anchor: Any) -> Any:
+        node: yaml.MappingNode = super().compose_mapping_node(anchor)
+        first: dict[tuple[str, str], Any] = {}
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
+                continue
+            earlier = first.setdefault((key.tag, key.value), key)
+            if earlier is not key:
+                raise StrictYamlError(
+                    f"{_place(key.start_mark)}: '{key.value}' is given twice, first in line "
+                    f"{earlier.start_mark.line + 1}; keep one"
+                )
+        return node
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (yaml.YAMLError, StrictYamlError):
+            raise
+        except (ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
+            # PyYAML builds dates and numbers without looking: what Python objects to comes through as it is.
+            text = " ".join(str(error).split()) or type(error).__name__
+            raise StrictYamlError(f"{_place(node.start_mark)}: {text}") from error
+
+
+def read_yaml(text: str) -> Any:
+    """Plain data (mappings, lists, leaves) of one YAML document; None for an empty one.
+
+    Raises StrictYamlError: not YAML, a key given twice, a tag, aliases that multiply or are circular, deep nesting.
+    """
+    try:
+        loader = _StrictLoader(text)
+        try:
+            node = loader.get_single_node()
+            if node is None:
+                return None
+            if _expanded_size(node, {}) > MAX_NODES:
+                raise StrictYamlError(f"aliases (*name) expand to more than {MAX_NODES} values; write less")
+            return loader.construct_document(node)
+        finally:
+            loader.dispose()
+    except StrictYamlError:
+        raise
+    except yaml.MarkedYAMLError as error:
+        raise StrictYamlError(_described(error)) from error
+    except yaml.reader.ReaderError as error:
+        raise StrictYamlError(f"character {error.position + 1}: {error.reason}") from error
+
+
+def _described(error: yaml.MarkedYAMLError) -> str:
+    problem = " ".join((error.problem or error.context or "cannot be read").split())
+    if error.context and problem.startswith("but "):
+        problem = f"{error.context} {problem}"
+    if "\\t" in problem:
+        problem += "; indent with spaces, not tabs"
+    if "could not determine a constructor" in problem:
+        problem = f"{problem.removeprefix('could not determine a constructor for the ')} is not accepted; leave it out"
+    mark = error.problem_mark or error.context_mark
+    return f"{_place(mark)}: {problem}" if mark is not None else problem
+
+
+def _place(mark: Any) -> str:
+    return f"line {mark.line + 1}, column {mark.column + 1}"
+
+
+def _expanded_size(node: yaml.Node, known: dict[int, int | None]) -> int:
+    """Number of nodes with every alias written out; ``known`` holds None while a node's own size is being found."""
+    if id(node) in known:
+        size = known[id(node)]
+        if size is None:
+            raise StrictYamlError(f"{_place(node.start_mark)}: contains itself through an alias (*name)")
+        return size
+    known[id(node)] = None
+    size = 1
+    if isinstance(node, yaml.MappingNode):
+        size += sum(_expanded_size(part, known) for pair in node.value for part in pair)
+    elif isinstance(node, yaml.SequenceNode):
+        size += sum(_expanded_size(part, known) for part in node.value)
+    known[id(node)] = size
+    return size
