@@ -57,6 +57,7 @@ def run_interactive(
     meshcat: Meshcat | None = None,
     open_browser: bool = False,
     check_stability: bool = True,
+    keep: Callable[[RunRecord], object] | None = None,
     wait: Callable[[float], None] = time.sleep,
 ) -> list[RunRecord]:
     """Run a scenario again and again under an operator's hands, until Quit is clicked or Ctrl-C is pressed.
@@ -72,6 +73,7 @@ def run_interactive(
       meshcat: where to show it; by default a server of its own, whose address Drake prints.
       open_browser: open the page in the default browser.
       check_stability: as in ``simulate``, before each run.
+      keep: called with each record as soon as its run has ended, to save it.
       wait: called to let wall time pass, with seconds.
 
     Returns: the records of all runs in their order.
@@ -91,6 +93,8 @@ def run_interactive(
                 operator.show_status(one_line(error))
                 continue
             records.append(operator.annotated(record))
+            if keep is not None:
+                keep(records[-1])
             operator.show_status(records[-1].outcome.message)
             if record.outcome.status == "interrupted" and not operator.stopped_run:
                 break  # from the keyboard

@@ -41,6 +41,11 @@ def add_combined_plant(builder: DiagramBuilder, model: Model) -> MultibodyPlant:
     return plant
 
 
+def check_pictures(model: Model) -> None:
+    """Raise ModelError unless the model loads with all that is drawn of it, which a run alone can do without."""
+    add_combined_plant(DiagramBuilder(), model)
+
+
 def make_plant(model: Model) -> MultibodyPlant:
     """The finalized plant alone, for computations outside a diagram. Raises ModelError as add_combined_plant does."""
     plant = MultibodyPlant(time_step=0.0)
@@ -215,14 +220,17 @@ def set_payload(plant: MultibodyPlant, context: Context, *, body: str, propertie
         raise ModelError("payload.body: 'WorldModelInstance::world' has no mass; name a body of the spacecraft")
     try:
         held.SetSpatialInertiaInBodyFrame(context, spatial_inertia(properties))
-        eigenvalues = np.linalg.eigvalsh(plant.CalcMassMatrix(context))
+        eigenvalues, directions = np.linalg.eigh(plant.CalcMassMatrix(context))
     except (*_DRAKE_ERRORS, np.linalg.LinAlgError) as error:
         raise ModelError(f"payload: mass properties that Drake refuses: {_cause(error)}") from error
     if not eigenvalues[0] > _SINGULAR * eigenvalues[-1]:
+        coordinates = coordinates_of(plant)
+        weakest = coordinates.names[int(np.argmax(np.abs(directions[:, 0])))]
+        what = f"joint '{weakest}'" if weakest in coordinates.joints else weakest
         raise ModelError(
             f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular (eigenvalues "
-            f"{eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}); give every link of the URDF and the payload a mass and "
-            "inertia of the same kind of size"
+            f"{eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves nothing that has inertia beside the rest; "
+            "give every link of the URDF and the payload a mass and inertia of the same kind of size, or fix the joint"
         )
 
 

@@ -191,8 +191,8 @@ class Rollout:
         except FfsmError:
             raise
         except Exception as error:
-            # Drake refuses numbers that are no longer finite; any other refusal is a fault to be seen.
-            if not isinstance(error, RuntimeError) or (monitor.check(context) and monitor.check_force(context)):
+            # Numbers that are no longer finite are refused; any other refusal is a fault to be seen.
+            if monitor.check(context) and monitor.check_force(context):
                 _raise_for(error, loop.scenario, context.get_time())
         return interrupted, time.perf_counter() - start
 
@@ -202,10 +202,10 @@ class Rollout:
         assert loop.logger is not None
         log = loop.logger.FindLog(context)
         times, rows = log.sample_times().copy(), log.data()
-        if interrupted:
+        if interrupted and times.size == 0:
+            raise KeyboardInterrupt
+        if interrupted and times.size > 1:
             # Perhaps before the update of the last sample, which is therefore left out.
-            if times.size < 2:
-                raise KeyboardInterrupt
             parts = {name: rows[part, 1:] if name in _HELD else rows[part, :-1] for name, part in loop.logged.items()}
             return times[:-1], {name: part.T.copy() for name, part in parts.items() if name in _HELD + _CURRENT}
         series = {}

@@ -572,7 +572,7 @@ TABLE = [
     controller("no-ports", "NoPorts", "needs an input port 'estimated_state' of size 23"),
     controller("wrong-port-size", "WrongPortSize", "input port 'estimated_state' must have size 23, not 4"),
     controller("strange-port", "StrangePort", "unknown input port 'estimate'; known: estimated_state"),
-    controller("algebraic-loop", "Loop", "depends on applied_force", "discrete update"),
+    controller("feedthrough", "Loop", "'generalized_force' must not follow an input at once", "DeclareStateOutput"),
     controller("short-optional-output", "ShortGain", "output port 'switching_gain' must have size 11, not 3"),
     controller("wrong-force-size", "WrongSize", "'generalized_force' of shape (3,); it must be (11,)", command="run"),
     controller(

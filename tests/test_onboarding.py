@@ -219,7 +219,7 @@ REFUSED = {
     "impossible inertia": (replaced('izz="90.0"', 'izz="900.0"'), "no body has the principal moments 120, 120, 900"),
     "no inertia about an axis": (
         plus(link("lamp", mass=1, inertia=(0, 0, 0)), PAN),
-        "joint 'pan' moves nothing that has inertia",
+        "joint 'pan' moves nothing that has inertia beside the rest",
     ),
     "two roots": (plus(link("lost", mass=1)), "not 2 (bus, lost)"),
     "loop": (

@@ -1,5 +1,6 @@
 """Commands that simulate: run, compare."""
 
+import itertools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -56,18 +57,23 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
       ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
     """
     from ffsm_drake.files import check_writable
+    from ffsm_drake.plant import check_pictures
 
     directory = out or Path("out") / scenario_stem()
     check_writable(directory)  # before the run, which may take a while
+    if report or meshcat:
+        check_pictures(scenario.model)
     if not meshcat:
         record = _simulate(scenario)
         record.save(directory)
         sys.exit(_finish([record], directory, as_json=as_json, report=report))
     from ffsm_drake.interactive import run_interactive
 
-    records = run_interactive(scenario, open_browser=True)
-    for number, record in enumerate(records, start=1):
-        record.save(directory / f"flight_{number}")
+    click.echo("Open Controls, top right in the page, holds the panel.", err=True)
+    flights = itertools.count(1)
+    records = run_interactive(
+        scenario, open_browser=True, keep=lambda record: record.save(directory / f"flight_{next(flights)}")
+    )
     sys.exit(_finish(records, directory, as_json=as_json, report=report) if records else EXIT_GOOD)
 
 
@@ -100,6 +106,7 @@ def compare(
       ffsm compare mine.yaml -c tde_aismc -c my_module:MyController --out out/duel
     """
     from ffsm_drake.files import check_writable
+    from ffsm_drake.plant import check_pictures
     from ffsm_drake.scenario import CONTROLLER_NAMES, load_scenario, override_scenario, own_controller_name
 
     names = controller or CONTROLLER_NAMES
@@ -111,6 +118,8 @@ def compare(
     base = load_scenario(scenario, overrides)
     directory = out or Path("out") / f"compare_{scenario_stem()}"
     check_writable(directory)
+    if report:
+        check_pictures(base.model)
     scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]  # judged before any of them runs
     records: list[RunRecord] = []
     for chosen, folder in zip(scenarios, folders, strict=True):

@@ -63,7 +63,7 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
     """
     from ffsm_drake.closed_loop import make_closed_loop
     from ffsm_drake.errors import FfsmError
-    from ffsm_drake.plant import make_true_plant
+    from ffsm_drake.plant import check_pictures, make_true_plant
     from ffsm_drake.scenario import load_scenario
 
     results = {}
@@ -71,6 +71,7 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
         try:
             with located_errors(name, overrides):
                 loop = make_closed_loop(load_scenario(name, overrides))
+                check_pictures(loop.scenario.model)
                 make_true_plant(loop.scenario)  # judges the payload as it is; the loop held it as it is believed
             results[name] = {
                 "valid": True,

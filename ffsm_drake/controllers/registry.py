@@ -75,7 +75,6 @@ def build_controller(factory: Factory, setup: ControllerSetup) -> LeafSystem:
     if not isinstance(controller, LeafSystem):
         raise ControllerError(f"controller '{setup.name}' must be a LeafSystem, not {type(controller).__name__}")
     check_ports(controller, setup)
-    _check_no_algebraic_loop(controller, setup.name)
     controller.set_name(setup.name)
     return controller
 
@@ -117,19 +116,6 @@ def check_ports(controller: LeafSystem, setup: ControllerSetup) -> None:
             raise ControllerError(
                 f"controller '{setup.name}': output port '{port.get_name()}' must not follow an input at once; declare "
                 "it with DeclareStateOutputPort, or with prerequisites {self.all_state_ticket()}"
-            )
-
-
-def _check_no_algebraic_loop(controller: LeafSystem, name: str) -> None:
-    if not controller.HasInputPort("applied_force"):
-        return
-    force = controller.GetInputPort("applied_force").get_index()
-    for index in range(controller.num_output_ports()):
-        if controller.HasDirectFeedthrough(force, index):
-            port = controller.get_output_port(index).get_name()
-            raise ControllerError(
-                f"controller '{name}': output '{port}' depends on applied_force at the same instant, which it makes; "
-                "compute it in a discrete update"
             )
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from ffsm_drake.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.errors import ModelError
 from ffsm_drake.onboarding.urdf import Joint, Servicer
 from ffsm_drake.plant import PlantModel, base_body, find_body, find_frame
 from ffsm_drake.reference import QuinticReference
@@ -180,22 +179,9 @@ def _timed(true: PlantModel, servicer: Servicer, initial: Posture, target: Postu
 
 
 def scaled_disturbance(true: PlantModel, q: np.ndarray) -> dict[str, Harmonic]:
-    """A harmonic per coordinate (names as in the plant), sized by how easily each coordinate is moved at q (nq).
-
-    Raises ModelError where a coordinate has no inertia at all, or next to none beside the others.
-    """
+    """A harmonic per coordinate (names as in the plant), sized by how easily each coordinate is moved at q (nq)."""
     coordinates = true.coordinates
     mass_matrix = true.calc_mass_matrix(q)
-    diagonal = np.diagonal(mass_matrix)
-    scale = np.sqrt(np.maximum(diagonal, 1e-300))
-    values, vectors = np.linalg.eigh(mass_matrix / np.outer(scale, scale))
-    if diagonal.min() <= 0.0 or values[0] < 1e-9:
-        worst = int(np.argmin(diagonal)) if diagonal.min() <= 0.0 else int(np.argmax(np.abs(vectors[:, 0])))
-        name = coordinates.names[worst]
-        what = f"the base's {name}" if worst < NUM_BASE_VELOCITIES else f"joint '{name}'"
-        raise ModelError(
-            f"{what} moves nothing that has inertia; give the links there mass and inertia, or fix the joint"
-        )
     compliance = np.diagonal(np.linalg.inv(mass_matrix))
     harmonics = {}
     for k, (name, unit, group) in enumerate(

@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.closed_loop import make_closed_loop
 from ffsm_drake.coordinates import GROUPS
 from ffsm_drake.errors import FfsmError, ModelError, RecordError, ScenarioError, one_line
 from ffsm_drake.files import write_text
 from ffsm_drake.onboarding.motion import Motion, plan_motion, scaled_disturbance
 from ffsm_drake.onboarding.urdf import Joint, Servicer, read_urdf, write_flyable
-from ffsm_drake.plant import configuration, make_true_plant
+from ffsm_drake.plant import check_pictures, configuration, make_true_plant
 from ffsm_drake.scenario import (
     CONTROLLER_NAMES,
     Harmonic,
@@ -187,8 +186,6 @@ def _build(
             payload=Payload(body=_BODY, truth=truth, belief=_cube(float(f"{_BELIEVED * mass:.3g}"))),
         )
         true = make_true_plant(draft)
-        # Before any search, as both postures need a plant that can move.
-        scaled_disturbance(true, configuration(true.plant, draft.target_posture, key="target_posture"))
         motion = plan_motion(true, servicer, body=_BODY)
         harmonics = scaled_disturbance(true, configuration(true.plant, motion.target, key="target_posture"))
         omega = dict(_OMEGA)
@@ -201,7 +198,7 @@ def _build(
             )
             scenario = load_scenario(folder / scenario_file)
             if attempt == 0:
-                make_closed_loop(scenario)  # meshes and all; what it objects to is no matter of gains
+                check_pictures(scenario.model)  # what this objects to is no matter of gains
             margins = {
                 each: _worst(assess(override_scenario(scenario, [f"controller={each}"]), postures=9))
                 for each in CONTROLLER_NAMES
@@ -211,7 +208,7 @@ def _build(
             omega = {group: float(f"{_SHRINK * value:.2g}") for group, value in omega.items()}
     except FfsmError as error:
         # Drake counts the copy's lines, which nobody has seen.
-        told = re.sub(rf"{re.escape(file_name)}:\d+: error: ", "", str(error).replace(f"{folder}/", ""))
+        told = re.sub(rf"{re.escape(file_name)}:\d+: error: ", f"{file_name}: ", str(error).replace(f"{folder}/", ""))
         raise ModelError(told) from error
     remarks = [*servicer.remarks, *left_out]
     if not all(each.stable for each in margins.values()):
