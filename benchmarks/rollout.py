@@ -3,8 +3,8 @@
     python benchmarks/rollout.py [--repeats 20]
 
 All compared runs take turns within one process, and what is printed are medians of the repeats, because a machine's
-speed changes from minute to minute; the minima, which other work on the machine disturbs less, stand in brackets. The scenario
-is ``postcapture`` with the proposed controller: 20 s at 10 ms.
+speed changes from minute to minute; the minima, which other work on the machine disturbs less, stand in brackets. The
+scenario is ``postcapture`` with the proposed controller: 20 s at 10 ms.
 
 (a) the bare plant: the same plant, integrator and step under a constant generalized force, AdvanceTo only;
 (b) our closed loop: AdvanceTo, with everything that a run records;

@@ -43,7 +43,7 @@ class RunLog:
     coordinates: Coordinates
     time: np.ndarray  # (n,), control samples t_k, s
     series: Mapping[str, np.ndarray]
-    wall_time: dict[str, float]  # s: build, advance_to, total
+    wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
 
     @property
     def generalized_force(self) -> np.ndarray:
@@ -142,7 +142,7 @@ class Rollout:
             wall_time={
                 "build": self._build_time,
                 "advance_to": advance_time,
-                "total": self._build_time + time.perf_counter() - start,
+                "total": time.perf_counter() - start,
             },
         )
 
@@ -155,7 +155,10 @@ class Rollout:
         simulator.reset_context(loop.diagram.CreateDefaultContext())
         context = simulator.get_mutable_context()
         loop.initialize(loop.diagram, context)
-        simulator.set_monitor(monitor) if watched else simulator.clear_monitor()
+        if watched:
+            simulator.set_monitor(monitor)
+        else:
+            simulator.clear_monitor()
         sample_time, num_periods = loop.scenario.sample_time, loop.scenario.num_control_periods
         # Stops at control samples do not change the steps.
         stop_periods = max(1, round(1.0 / sample_time))
@@ -174,9 +177,11 @@ class Rollout:
                 simulator.AdvancePendingEvents()  # the control update of the last sample
         except KeyboardInterrupt:
             interrupted = True
-        except RuntimeError:
-            # Drake refuses numbers that are no longer finite; any other refusal is a fault to be seen.
-            if monitor.check(context) and monitor.check_force(context):
+        except Exception as error:
+            # Drake refuses numbers that are no longer finite, and unwatched they may reach others who do. Any other
+            # refusal is a fault to be seen.
+            may_refuse = isinstance(error, RuntimeError) or not watched
+            if not may_refuse or (monitor.check(context) and monitor.check_force(context)):
                 raise
         return interrupted, time.perf_counter() - start
 
