@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
 _HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable")
-# ... while these show what the update at t_k is about to use.
-_CURRENT = ("state", "desired_state", "desired_acceleration", "disturbance_force", "reaching_gain", "switching_gain")
+# ... while all others show what the update at t_k is about to use.
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,7 +196,7 @@ class Rollout:
                 # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
                 last = loop.diagram.GetOutputPort(name).Eval(context)
                 series[name] = np.vstack([rows[part, 1:].T, last])
-            elif name in _CURRENT:
+            else:
                 series[name] = rows[part].T.copy()
         return log.sample_times().copy(), series
 
