@@ -274,7 +274,9 @@ def start_times(repeats: int) -> dict[str, Timing]:
         "empty": "pass",
         "import pydrake.multibody.plant": "import pydrake.multibody.plant",
         "import ffsm_drake": "import ffsm_drake",
-        "first result": "import ffsm_drake as f; print(f.simulate(f.load_scenario('postcapture')).metrics['isv'])",
+        "first metrics, simulate": "import ffsm_drake as f; f.simulate(f.load_scenario('postcapture')).metrics",
+        "first metrics, Rollout": "import ffsm_drake as f; from ffsm_drake.simulation import Rollout; "
+        "Rollout(f.load_scenario('postcapture')).run().metrics",
     }
     commands = {name: [sys.executable, "-c", code] for name, code in codes.items()}
     contestants = {
@@ -298,6 +300,9 @@ def main() -> None:
     print(f"  (a) bare plant         {a}")
     print(f"  (b) closed loop        {b}   b/a {b.over(a)}")
     print(f"  (c) same on MuJoCo     {c}   b/c {b.over(c)}")
+    samples = len(log.time) - 1
+    print(f"  (b) - (a) per control sample: {(b.median - a.median) / samples * 1e6:.0f} us", end=" ")
+    print(f"({(b.minimum - a.minimum) / samples * 1e6:.0f})")
     print(f"  final error, largest difference (b) - (c): {np.abs(log.error[-1] - mujoco_error[-1]).max():.1e}")
     print(f"  error of the whole run, likewise:          {np.abs(log.error - mujoco_error).max():.1e}")
     print(f"  Rollout(scenario)      {times['build']}   {times['build'].over(b)} of (b)")

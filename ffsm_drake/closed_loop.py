@@ -46,7 +46,7 @@ class ClosedLoop:
     """The closed loop's diagram and handles to its parts.
 
     The diagram's outputs are ``SIGNALS``, then those of ``OPTIONAL_OUTPUTS`` that the controller has. With a logger
-    they are recorded every control sample, stacked as ``logged`` says.
+    they are recorded every control sample (but for ``estimated_state``), stacked as ``logged`` says.
     """
 
     scenario: Scenario
@@ -160,6 +160,7 @@ def make_closed_loop(
     sources |= {name: controller.GetOutputPort(name) for name in OPTIONAL_OUTPUTS if controller.HasOutputPort(name)}
     for name, port in sources.items():
         builder.ExportOutput(port, name)
+    del sources["estimated_state"]  # what was read of it is the measurement
     logger, logged = _add_logger(builder, sources, scenario.sample_time) if log else (None, {})
     diagram = builder.Build()
     diagram.set_name("closed_loop")

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
 _HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable")
-# ... while these show what the update at t_k is about to use.
-_CURRENT = ("state", "desired_state", "desired_acceleration", "disturbance_force", "reaching_gain", "switching_gain")
+# ... while all others show what the update at t_k is about to use.
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +43,7 @@ class RunLog:
     coordinates: Coordinates
     time: np.ndarray  # (n,), control samples t_k, s
     series: Mapping[str, np.ndarray]
-    wall_time: dict[str, float]  # s: build, advance_to, total
+    wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
 
     @property
     def generalized_force(self) -> np.ndarray:
@@ -156,7 +155,7 @@ class Rollout:
             wall_time={
                 "build": self._build_time,
                 "advance_to": advance_time,
-                "total": self._build_time + time.perf_counter() - start,
+                "total": time.perf_counter() - start,
             },
         )
 
@@ -169,7 +168,10 @@ class Rollout:
         simulator.reset_context(loop.diagram.CreateDefaultContext())
         context = simulator.get_mutable_context()
         loop.initialize(loop.diagram, context)
-        simulator.set_monitor(monitor) if watched else simulator.clear_monitor()
+        if watched:
+            simulator.set_monitor(monitor)
+        else:
+            simulator.clear_monitor()
         sample_time, num_periods = loop.scenario.sample_time, loop.scenario.num_control_periods
         # Stops at control samples do not change the steps.
         stop_periods = max(1, round(1.0 / sample_time))
@@ -207,14 +209,14 @@ class Rollout:
         if interrupted and times.size > 1:
             # Perhaps before the update of the last sample, which is therefore left out.
             parts = {name: rows[part, 1:] if name in _HELD else rows[part, :-1] for name, part in loop.logged.items()}
-            return times[:-1], {name: part.T.copy() for name, part in parts.items() if name in _HELD + _CURRENT}
+            return times[:-1], {name: part.T.copy() for name, part in parts.items()}
         series = {}
         for name, part in loop.logged.items():
             if name in _HELD:
                 # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
                 last = loop.diagram.GetOutputPort(name).Eval(context)
                 series[name] = np.vstack([rows[part, 1:].T, last])
-            elif name in _CURRENT:
+            else:
                 series[name] = rows[part].T.copy()
         return times, series
 

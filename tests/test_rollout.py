@@ -105,25 +105,38 @@ def test_steps_between_the_samples_are_watched_too():
     assert np.abs(log.series["state"][:-1, 12:]).max() <= 0.012
 
 
+class Damper(LeafSystem):
+    """The least that a controller must have: no optional outputs, no applied_force."""
+
+    def __init__(self, damping):
+        super().__init__()
+        self.damping = damping
+        self.state = self.DeclareVectorInputPort("estimated_state", 23)
+        self.DeclareVectorInputPort("desired_state", 23)
+        self.DeclareVectorInputPort("desired_acceleration", 11)
+        self.DeclareStateOutputPort("generalized_force", self.DeclareDiscreteState(11))
+        self.DeclarePeriodicDiscreteUpdateEvent(0.01, 0.0, self.update)
+
+    def update(self, context, values):
+        velocity = self.state.Eval(context)[12:]
+        if not np.abs(velocity).max() < 1e3:
+            raise ValueError("too fast for me")
+        values.set_value(0, -self.damping * velocity)
+
+
 def test_a_controller_of_ones_own_needs_the_contract_only(monkeypatch):
-    """No optional outputs, no applied_force: a damper."""
-
-    class Damper(LeafSystem):
-        def __init__(self):
-            super().__init__()
-            self.state = self.DeclareVectorInputPort("estimated_state", 23)
-            self.DeclareVectorInputPort("desired_state", 23)
-            self.DeclareVectorInputPort("desired_acceleration", 11)
-            self.DeclareStateOutputPort("generalized_force", self.DeclareDiscreteState(11))
-            self.DeclarePeriodicDiscreteUpdateEvent(0.01, 0.0, self.update)
-
-        def update(self, context, values):
-            values.set_value(0, -10.0 * self.state.Eval(context)[12:])
-
-    monkeypatch.setattr(closed_loop, "make_controller", lambda scenario, nominal: Damper())
+    monkeypatch.setattr(closed_loop, "make_controller", lambda scenario, nominal: Damper(10.0))
     record = simulate(load_scenario("postcapture", ["duration=2", "sensing.velocity_noise=0"]), check_stability=False)
     assert record.outcome.completed
     assert not {"sliding_variable", "reaching_gain", "switching_gain"} & set(record.dataset)
     force, velocity = record.dataset["generalized_force"].values, record.dataset["measured_velocity"].values
     assert np.array_equal(force, -10.0 * velocity)
     assert force.any()
+
+
+def test_what_a_controller_refuses_after_the_run_diverged_does_not_matter(monkeypatch):
+    monkeypatch.setattr(closed_loop, "make_controller", lambda scenario, nominal: Damper(-200.0))
+    scenario = load_scenario("postcapture", ["duration=3"])
+    assert Rollout(scenario).run().outcome.status == "diverged"
+    with pytest.raises(ValueError, match="too fast for me"):
+        Rollout(override_scenario(scenario, ["divergence_speed=1e9"])).run()
