@@ -14,7 +14,7 @@ from ffsm_drake.scenario import PerCoordinate, Scenario, scenario_to_dict, schem
 
 # Drake's parameter structs carry no comments.
 _SIMULATOR_COMMENTS = {
-    "integration_scheme": "Drake's name of the integrator; explicit_euler at max_step_size = sample_time is the paper's",
+    "integration_scheme": "Drake's name of the integrator; the paper's: explicit_euler at max_step_size = sample_time",
     "max_step_size": "s; step of a fixed-step integrator, largest step of one with error control",
     "accuracy": "relative accuracy asked of an integrator with error control",
     "use_error_control": "let the integrator choose its steps",

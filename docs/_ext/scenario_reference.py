@@ -1,4 +1,4 @@
-"""The table of every scenario key: types and defaults from ffsm_drake.scenario, units and meanings from ffsm_drake.schema.
+"""The table of every scenario key: types and defaults of ffsm_drake.scenario, and the meanings written beside them.
 
 A page that holds the line ``<!-- scenario reference -->`` gets it there, as Markdown, whenever the site is built.
 """
