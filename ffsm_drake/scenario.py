@@ -41,11 +41,13 @@ def _published(**values: float) -> PerCoordinate:
 
 @dataclasses.dataclass
 class Model:
-    """What flies: the models, and the frames that the reports speak of."""
+    """What flies: the models, and the frames that the reports speak of.
 
-    # Files are package:// addresses or paths; relative paths start at the scenario file's folder.
-    directives: str | None = "package://ffsm_drake/postcapture.dmd.yaml"  # model directives, or the two URDFs below
-    servicer: str | None = None  # URDF of base and arm, model instance "servicer"; instead of directives
+    Files are package:// addresses or paths; relative paths start at the scenario file's folder.
+    """
+
+    directives: str | None = "package://ffsm_drake/postcapture.dmd.yaml"  # model directives; or give servicer
+    servicer: str | None = None  # instead of directives: URDF of base and arm, model instance "servicer"
     debris: str = "package://ffsm_drake/urdf/debris.urdf"  # with servicer: URDF of the target, instance "debris"
     end_effector: str = "servicer::end_effector"  # frame that holds the target; its origin is reported
     grasp: str = "debris::grasp"  # with servicer: the target's frame that is welded to end_effector
@@ -56,9 +58,10 @@ class Model:
 class MassProperties:
     """Mass properties of the payload body, in its own frame P."""
 
-    mass: float = 100.0  # kg
-    center_of_mass: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])  # p_PScm_P, m
-    # About the centre of mass, axes of P: [Ixx, Iyy, Izz] or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz], kg m^2.
+    mass: float = 100.0  # kg; mass
+    # m; position p_PScm_P of the centre of mass
+    center_of_mass: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    # kg m^2; about the centre of mass, axes of P: [Ixx, Iyy, Izz] or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]
     inertia: list[float] = dataclasses.field(default_factory=lambda: [16.7, 16.7, 16.7])
 
 
@@ -66,7 +69,7 @@ class MassProperties:
 class Payload:
     """The captured body: as it is, and as the controller believes it to be."""
 
-    body: str = "debris::debris"
+    body: str = "debris::debris"  # scoped name of the captured body in the model
     truth: MassProperties = dataclasses.field(default_factory=MassProperties)
     belief: MassProperties = dataclasses.field(
         default_factory=lambda: MassProperties(mass=80.0, inertia=[12.0, 12.0, 12.0])
@@ -77,10 +80,10 @@ class Payload:
 class Posture:
     """A configuration of base and arm."""
 
-    base_position: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])  # p_WB, m
-    # Roll, pitch, yaw of R_WB: rotations about the world's x, y, z axes in that order, rad.
+    base_position: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])  # m; position p_WB
+    # rad; roll, pitch, yaw of R_WB: rotations about the world's x, y, z axes in that order
     base_rpy: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
-    joints: PerCoordinate = _published(all=0.0)  # rad (revolute) or m (prismatic), by joint name
+    joints: PerCoordinate = _published(all=0.0)  # rad or m; positions, by joint name
 
 
 @dataclasses.dataclass
@@ -94,44 +97,50 @@ class Reference:
 class TdcGains:
     """Time-delay control, equation (17)."""
 
-    k_d: PerCoordinate = _published(all=100.0)  # 1/s
-    k_p: PerCoordinate = _published(all=100.0, base_position=200.0)  # 1/s^2
+    k_d: PerCoordinate = _published(all=100.0)  # 1/s; gain K_D on the error's rate
+    k_p: PerCoordinate = _published(all=100.0, base_position=200.0)  # 1/s^2; gain K_P on the error
 
 
 @dataclasses.dataclass
 class AsmcGains:
     """Adaptive sliding-mode control, equations (18) and (19)."""
 
-    k_d: PerCoordinate = _published(all=100.0)  # 1/s
-    k_s: PerCoordinate = _published(all=80.0)  # 1/s, constant
-    g_initial: PerCoordinate = _published(all=0.0)  # rad/s^2 or m/s^2; (19) has a branch of its own for zero
-    epsilon: float = 1e-4  # bound on the sliding variable that switches the adaptation's sign
-    a: PerCoordinate = _published(all=1e-6, base_position=1e-7)  # adaptation rate, (19)'s phi
-    b: PerCoordinate = _published(all=1e5)  # adaptation scale, (19)'s 1/alpha
-    g_max: PerCoordinate | None = None  # rad/s^2 or m/s^2; null: unbounded
+    k_d: PerCoordinate = _published(all=100.0)  # 1/s; gain K_D on the error's rate
+    k_s: PerCoordinate = _published(all=80.0)  # 1/s; reaching gain K_s, constant
+    # rad/s^2 or m/s^2; switching gain G at the start; (19) has a branch of its own for zero
+    g_initial: PerCoordinate = _published(all=0.0)
+    epsilon: float = 1e-4  # rad/s or m/s; bound on the sliding variable that switches the adaptation's sign
+    a: PerCoordinate = _published(all=1e-6, base_position=1e-7)  # rad/s^3 or m/s^3; adaptation rate, (19)'s phi
+    b: PerCoordinate = _published(all=1e5)  # s/rad or s/m; adaptation scale, (19)'s 1/alpha
+    g_max: PerCoordinate | None = None  # rad/s^2 or m/s^2; upper bound of G; null: unbounded
 
 
 @dataclasses.dataclass
 class AismcGains:
     """Adaptive integral sliding-mode control, equations (20) and (21)."""
 
-    k_d: PerCoordinate = _published(all=100.0)  # 1/s
-    k_p: PerCoordinate = _published(all=100.0, base_position=200.0)  # 1/s^2
-    # The published 80 1/s without bound adapts itself out of the sampled loop's stability on an exact plant.
-    k_s_initial: PerCoordinate = _published(all=60.0)  # 1/s
-    alpha: PerCoordinate = _published(base_position=3e4, base_rotation=18e4, joints=9e4)  # rate of K_s
-    beta: PerCoordinate = _published(base_position=4e7, base_rotation=24e7, joints=12e7)  # accuracy scale of K_s
-    k_s_max: PerCoordinate | None = _published(all=70.0)  # 1/s; null: unbounded
+    k_d: PerCoordinate = _published(all=100.0)  # 1/s; gain K_D on the error's rate
+    k_p: PerCoordinate = _published(all=100.0, base_position=200.0)  # 1/s^2; gain K_P on the error
+    # 1/s; reaching gain K_s at the start; the published 80 without bound adapts itself out of the sampled loop's
+    # stability on an exact plant
+    k_s_initial: PerCoordinate = _published(all=60.0)
+    # 1/(rad s) or 1/(m s); rate of K_s
+    alpha: PerCoordinate = _published(base_position=3e4, base_rotation=18e4, joints=9e4)
+    # 1/(rad s) or 1/(m s); accuracy scale of K_s, which rests at |s| = K_s^2 / beta
+    beta: PerCoordinate = _published(base_position=4e7, base_rotation=24e7, joints=12e7)
+    k_s_max: PerCoordinate | None = _published(all=70.0)  # 1/s; upper bound of K_s; null: unbounded
 
 
 @dataclasses.dataclass
 class TdeAismcGains(AismcGains):
     """The proposed controller, equations (6), (9) and (10)."""
 
-    g_initial: PerCoordinate = _published(all=2e-4)  # rad/s^2 or m/s^2
-    epsilon: float = 1e-4  # bound on the sliding variable that switches the adaptation's sign
-    phi: PerCoordinate = _published(all=1e-1, base_position=1e-2)  # rate of G
-    g_max: PerCoordinate | None = None  # rad/s^2 or m/s^2; null: unbounded
+    # 1/rad or 1/m; accuracy scale of K_s, which rests at |s| = K_s / beta
+    beta: PerCoordinate = _published(base_position=4e7, base_rotation=24e7, joints=12e7)
+    g_initial: PerCoordinate = _published(all=2e-4)  # rad/s^2 or m/s^2; switching gain G at the start
+    epsilon: float = 1e-4  # rad/s or m/s; bound on the sliding variable that switches the adaptation's sign
+    phi: PerCoordinate = _published(all=1e-1, base_position=1e-2)  # 1/s^2; rate of G
+    g_max: PerCoordinate | None = None  # rad/s^2 or m/s^2; upper bound of G; null: unbounded
 
 
 @dataclasses.dataclass
@@ -142,7 +151,7 @@ class Controllers:
     asmc: AsmcGains = dataclasses.field(default_factory=AsmcGains)
     aismc: AismcGains = dataclasses.field(default_factory=AismcGains)
     tde_aismc: TdeAismcGains = dataclasses.field(default_factory=TdeAismcGains)
-    # Gains of controllers that come from elsewhere: name (its part after the colon) -> gain -> by coordinate.
+    # gains of controllers that come from elsewhere: name (its part after the colon) -> gain -> by coordinate
     own: dict[str, dict[str, PerCoordinate]] = dataclasses.field(default_factory=dict)
 
 
@@ -151,21 +160,22 @@ class Estimator:
     """How the controller estimates the lumped uncertainty N of equation (2)."""
 
     kind: str = "one_sample"  # the paper's (5), or "kalman"
-    # Kalman only: N's random walk, its standard deviation after one second, rad/s^2 or m/s^2 per sqrt(s).
+    # rad/s^2 or m/s^2 per sqrt(s); kalman only: N's random walk, its standard deviation after one second
     walk: PerCoordinate = _published(base_position=1e-3, base_rotation=1e-3, joints=1e-2)
-    # Kalman only: standard deviations it assumes of the measurements; null: those of ``sensing``.
-    position_noise: PerCoordinate | None = None  # rad or m
-    velocity_noise: PerCoordinate | None = None  # rad/s or m/s
+    # rad or m; kalman only: standard deviation that it assumes of the positions; null: that of ``sensing``
+    position_noise: PerCoordinate | None = None
+    # rad/s or m/s; kalman only: standard deviation that it assumes of the velocities; null: that of ``sensing``
+    velocity_noise: PerCoordinate | None = None
 
 
 @dataclasses.dataclass
 class Harmonic:
     """One coordinate's disturbance, ``amplitude * sin(frequency * t + phase) + bias``."""
 
-    amplitude: float = 0.0  # N m or N
-    frequency: float = 0.0  # rad/s
-    phase: float = 0.0  # rad
-    bias: float = 0.0  # N m or N
+    amplitude: float = 0.0  # N m or N; amplitude
+    frequency: float = 0.0  # rad/s; angular frequency
+    phase: float = 0.0  # rad; phase
+    bias: float = 0.0  # N m or N; constant part
 
 
 @dataclasses.dataclass
@@ -174,30 +184,33 @@ class Disturbance:
 
     amplitude_scale: float = 1.0  # multiplies amplitudes and biases
     frequency_scale: float = 1.0  # multiplies frequencies
-    harmonics: dict[str, Harmonic] = dataclasses.field(default_factory=dict)  # by coordinate or group
+    harmonics: dict[str, Harmonic] = dataclasses.field(default_factory=dict)  # harmonics, by coordinate or group
 
 
 @dataclasses.dataclass
 class Sensing:
     """What the sensors add to the true state: bias, white noise, quantisation, delay, in that order."""
 
-    # Standard deviation, one independent sample per coordinate and control sample.
-    velocity_noise: PerCoordinate = _published(all=1e-6)  # rad/s or m/s
-    position_noise: PerCoordinate = _published(all=0.0)  # rad or m; the same for the three base rotations
-    velocity_bias: PerCoordinate = _published(all=0.0)  # rad/s or m/s
-    position_bias: PerCoordinate = _published(all=0.0)  # rad or m; base rotations: a rotation vector in the world frame
-    velocity_quantization: PerCoordinate = _published(all=0.0)  # rad/s or m/s; 0: none
-    position_quantization: PerCoordinate = _published(all=0.0)  # rad or m, not for base rotations; 0: none
-    delay: int = 0  # control samples
+    # rad/s or m/s; standard deviation of the velocities' noise, independent for each coordinate and control sample
+    velocity_noise: PerCoordinate = _published(all=1e-6)
+    # rad or m; standard deviation of the positions' noise, likewise; the same for the three base rotations
+    position_noise: PerCoordinate = _published(all=0.0)
+    velocity_bias: PerCoordinate = _published(all=0.0)  # rad/s or m/s; constant error of the velocities
+    # rad or m; constant error of the positions; base rotations: a rotation vector in the world frame
+    position_bias: PerCoordinate = _published(all=0.0)
+    velocity_quantization: PerCoordinate = _published(all=0.0)  # rad/s or m/s; step of the velocities; 0: none
+    # rad or m; step of the positions, not for base rotations; 0: none
+    position_quantization: PerCoordinate = _published(all=0.0)
+    delay: int = 0  # control samples; age of a measurement when the controller reads it
 
 
 @dataclasses.dataclass
 class Actuation:
     """What the actuators make of the commanded force: saturation, quantisation, delay, in that order."""
 
-    limit: PerCoordinate | None = None  # N m or N, either way; null: unlimited
-    quantization: PerCoordinate = _published(all=0.0)  # N m or N; 0: none
-    delay: int = 0  # control samples
+    limit: PerCoordinate | None = None  # N m or N; largest force either way; null: unlimited
+    quantization: PerCoordinate = _published(all=0.0)  # N m or N; step of the force; 0: none
+    delay: int = 0  # control samples; age of a command when it acts
 
 
 def _default_simulator_config() -> SimulatorConfig:
@@ -210,11 +223,11 @@ def _default_simulator_config() -> SimulatorConfig:
 class Scenario:
     """One run of the closed loop, whole."""
 
-    description: str = ""
-    random_seed: int = 0
+    description: str = ""  # title of plots and records
+    random_seed: int = 0  # seed of the measurement noise; the same seed gives the same bits
     duration: float = 20.0  # s; the run ends at the last control sample within it
     sample_time: float = 0.01  # s; L, the controller's period and delay
-    # The run is stopped as diverging when a generalized velocity exceeds this, rad/s or m/s.
+    # rad/s or m/s; the run is stopped as diverging when a generalized velocity exceeds this
     divergence_speed: float = 10.0
     simulator_config: SimulatorConfig = dataclasses.field(default_factory=_default_simulator_config)
     model: Model = dataclasses.field(default_factory=Model)
@@ -222,6 +235,7 @@ class Scenario:
     initial_posture: Posture = dataclasses.field(default_factory=Posture)
     target_posture: Posture = dataclasses.field(default_factory=Posture)
     reference: Reference = dataclasses.field(default_factory=Reference)
+    # tdc, asmc, aismc, tde_aismc, an installed one (such as pd_plus, computed_torque), or module:Class
     controller: str = "tde_aismc"
     controllers: Controllers = dataclasses.field(default_factory=Controllers)
     estimator: Estimator = dataclasses.field(default_factory=Estimator)

@@ -8,8 +8,20 @@ import types
 import typing
 from typing import Any
 
+from pydrake.systems.analysis import SimulatorConfig
+
 from ffsm_drake.scenario import PerCoordinate, Scenario, scenario_to_dict, schema_fields
 
+# Drake's parameter structs carry no comments.
+_SIMULATOR_COMMENTS = {
+    "integration_scheme": "Drake's name of the integrator; the paper's: explicit_euler at max_step_size = sample_time",
+    "max_step_size": "s; step of a fixed-step integrator, largest step of one with error control",
+    "accuracy": "relative accuracy asked of an integrator with error control",
+    "use_error_control": "let the integrator choose its steps",
+    "start_time": "s; Drake's start time; a scenario starts at 0",
+    "target_realtime_rate": "1 paces the run to real time; 0 runs as fast as it can",
+    "publish_every_time_step": "Drake's publishing at every step; not needed here",
+}
 _LEAVES = {float: "number", int: "integer", bool: "boolean", str: "string"}
 
 
@@ -20,7 +32,11 @@ def scenario_schema() -> dict[str, Any]:
 
 
 def field_comments(schema: type) -> dict[str, str]:
-    """Field name -> the comment behind or above it in the source of a dataclass."""
+    """Field name -> the comment behind or above it in the source of a dataclass: "unit; meaning", or the meaning."""
+    if schema is SimulatorConfig:
+        return dict(_SIMULATOR_COMMENTS)
+    if not dataclasses.is_dataclass(schema):
+        return {}
     comments: dict[str, str] = {}
     above: list[str] = []
     field = ""
@@ -47,7 +63,7 @@ def field_comments(schema: type) -> dict[str, str]:
 def _schema(kind: Any, default: Any) -> dict[str, Any]:
     fields = schema_fields(kind)
     if fields is not None:
-        described = field_comments(kind) if isinstance(kind, type) and dataclasses.is_dataclass(kind) else {}
+        described = field_comments(kind)
         properties = {}
         for name, field_kind in fields.items():
             value = None if default is None else default[name]

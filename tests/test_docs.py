@@ -3,17 +3,25 @@
 That the site builds, with all links inside it, is ``sphinx-build -W``'s to say.
 """
 
+import importlib
 import importlib.util
 import json
 import re
 import shlex
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
+import click
+import numpy as np
 import pytest
 
+from ffsm_drake import simulate
 from ffsm_drake.cli import main
+from ffsm_drake.controllers import controller_names
+from ffsm_drake.plant import make_nominal_plant, make_true_plant
+from ffsm_drake.reference import make_reference
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,
@@ -27,6 +35,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 NOT_RUN = "<!-- not run -->"  # on the line before a block
+MODULE = re.compile(r"# (\w+)\.py\b")  # first line of a python block that is (or continues) a module of the user's
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -58,6 +67,18 @@ def module_at(path: Path) -> ModuleType:
     return module
 
 
+def ffsm_parameters(words: tuple[str, ...]) -> dict[str, object]:
+    """The parameters of ``ffsm WORDS`` as its command would get them; fails on what the command does not know."""
+    context = main.make_context("ffsm", list(words))
+    command, rest = main, list(words)
+    while isinstance(command, click.Group):
+        name, *rest = rest
+        assert name in command.commands, f"no command 'ffsm {' '.join(words)}'"
+        command = command.commands[name]
+        context = command.make_context(name, list(rest), parent=context)
+    return context.params
+
+
 def check_overrides(scenario: str, overrides: list[str]) -> None:
     """Shipped scenarios take them; of files that only a page mentions, the schema does."""
     if scenario in shipped_scenarios():
@@ -72,26 +93,27 @@ COMMANDS = sorted(set(shell_commands()))
 
 def test_commands_are_found():
     """The reader of the pages reads: otherwise the tests below would check nothing."""
-    assert sum(words[0] == "ffsm" for _, words in COMMANDS) > 10
-    assert sum(words[:2] == ("python", "examples/postcapture.py") for _, words in COMMANDS) > 10
+    assert sum(words[0] == "ffsm" for _, words in COMMANDS) > 30
+    assert sum(words[:2] == ("python", "examples/postcapture.py") for _, words in COMMANDS) > 0
     assert sum(words[:2] == ("python", "-c") for _, words in COMMANDS) > 0
 
 
 @pytest.mark.parametrize(("page", "words"), [pytest.param(*c, id=f"{c[0]}: {' '.join(c[1])[:60]}") for c in COMMANDS])
-def test_commands_exist_with_their_options(page, words, capsys):
+def test_commands_exist_with_their_options(page, words, capsys, monkeypatch):
     if words[0] == "ffsm":
-        assert words[1] in main.commands, f"{page}: no command 'ffsm {words[1]}'"
-        command = main.commands[words[1]]
-        parameters = command.make_context(
-            words[1], list(words[2:]), parent=main.make_context("ffsm", [words[1]])
-        ).params
-        if "overrides" in parameters:
+        parameters = ffsm_parameters(words[1:])
+        if "scenario" in parameters:
+            given = parameters.get("controller") or ()
+            for name in (given,) if isinstance(given, str) else given:
+                assert name in controller_names() or ":" in name, f"{page}: no controller '{name}'"
             check_overrides(parameters["scenario"], list(parameters["overrides"]))
     elif words[0] == "python" and words[1].startswith("examples/"):
         path = ROOT / words[1]
         assert path.is_file(), f"{page}: {words[1]} does not exist"
-        options = module_at(path).parse_arguments(words[2:])
-        check_overrides(getattr(options, "scenario", "postcapture"), getattr(options, "set", []))
+        example = module_at(path)
+        if words[2:]:
+            monkeypatch.setattr(example, "fly", lambda name, overrides, directory: check_overrides(name, overrides))
+            example.main(words[2:])
     elif words[:2] == ("python", "-c"):
         exec(compile(words[2], page, "exec"), {})
         assert capsys.readouterr().out.strip()
@@ -100,11 +122,27 @@ def test_commands_exist_with_their_options(page, words, capsys):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.name)
 def test_python_examples_run(page, tmp_path, monkeypatch):
-    """All python blocks of a page, one after another in one namespace."""
+    """All python blocks of a page: those that begin with the name of a file as modules, together with the tests in
+    them, the others one after another in one namespace."""
     monkeypatch.chdir(tmp_path)
-    namespace = {"__name__": page.stem}
-    for block in blocks(page, "python"):
-        exec(compile(block, page.name, "exec"), namespace)
+    monkeypatch.syspath_prepend(tmp_path)
+    found = [(MODULE.match(block), block) for block in blocks(page, "python")]
+    modules = dict.fromkeys(name[1] for name, _ in found if name)
+    for module in modules:
+        assert module not in sys.modules
+        text = "\n\n".join(block for name, block in found if name and name[1] == module)
+        (tmp_path / f"{module}.py").write_text(text)
+    try:
+        for module in map(importlib.import_module, modules):
+            for test in [item for name, item in vars(module).items() if name.startswith("test_")]:
+                test()
+        namespace = {"__name__": page.stem}
+        for name, block in found:
+            if not name:
+                exec(compile(block, page.name, "exec"), namespace)
+    finally:
+        for module in modules:
+            sys.modules.pop(module, None)
 
 
 @pytest.mark.parametrize(
@@ -135,12 +173,20 @@ def test_every_scenario_key_is_in_the_reference_with_a_meaning():
             yield place.removesuffix(".")
 
     assert set(keys(scenario_to_dict(Scenario()))) <= documented
-    assert "disturbance.harmonics.COORDINATE.phase" in documented
+    assert {"disturbance.harmonics.COORDINATE.phase", "model.servicer", "controllers.own"} <= documented
 
 
 @pytest.mark.parametrize(
     ("key", "unit"),
-    [("payload.truth.inertia", "kg m²"), ("controllers.tdc.k_p", "1/s²"), ("initial_posture.base_rpy", "rad")],
+    [
+        ("payload.truth.inertia", "kg m²"),
+        ("controllers.tdc.k_p", "1/s²"),
+        ("controllers.aismc.beta", "1/(rad s) or 1/(m s)"),
+        ("controllers.tde_aismc.beta", "1/rad or 1/m"),
+        ("initial_posture.base_rpy", "rad"),
+        ("simulator_config.max_step_size", "s"),
+        ("estimator.kind", ""),
+    ],
 )
 def test_units_are_read_from_the_comments(key, unit):
     text = module_at(DOCS / "_ext" / "scenario_reference.py").markdown()
@@ -156,3 +202,29 @@ def test_the_tutorial_is_stored_without_outputs():
     assert len(code) > 5
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)
     assert notebook["metadata"]["kernelspec"]["name"] == "python3"  # ipykernel's own, in any environment
+
+
+@pytest.mark.parametrize(("controller", "coordinate"), [("computed_torque", "base_position_x"), ("pd_plus", "joint_2")])
+def test_the_baselines_sampled_limit(controller, coordinate):
+    """controllers.md: near a held posture the largest eigenvalue of H^-1 K_d or H^-1 Hhat K_d must stay below 2/L."""
+    scenario = load_scenario("postcapture")
+    posture = json.dumps(scenario_to_dict(scenario)["initial_posture"])
+    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    q = make_reference(scenario, nominal.coordinates).evaluate(0.0)[0]
+    held = ["duration=2", "disturbance.amplitude_scale=0", f"target_posture={posture}", f"controller={controller}"]
+    base = 10.0 if controller == "computed_torque" else 0.0
+    applied = nominal.calc_mass_matrix(q) if controller == "computed_torque" else np.eye(q.size - 1)
+
+    def radius(k_d):
+        gains = np.where(np.array(nominal.coordinates.names) == coordinate, k_d, base)
+        return np.linalg.eigvals(np.linalg.solve(true.calc_mass_matrix(q), applied * gains)).real.max()
+
+    candidates = np.geomspace(10.0, 1e5, 20_001)
+    limit = candidates[np.searchsorted([radius(k_d) for k_d in candidates], 2.0 / scenario.sample_time)]
+    late = {}
+    for factor in (0.97, 1.03):
+        gains = f"controllers.own.{controller}.k_d={{all: {base}, {coordinate}: {factor * limit}}}"
+        stiffness = f"controllers.own.{controller}.k_p=0"
+        record = simulate(load_scenario("postcapture", [*held, gains, stiffness]))
+        late[factor] = float(abs(record.dataset["error_rate"][-20:]).max())
+    assert late[0.97] < 1e-4 < 1e-2 < late[1.03]
