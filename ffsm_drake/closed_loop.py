@@ -49,7 +49,7 @@ class ClosedLoop:
     sensing: Diagram
 
     def initialize(self, root: System, root_context: Context) -> None:
-        """Seed the noise, give the plant its payload and put it, at rest, into the initial posture.
+        """Seed the noise, give the plant its payload and put it into the initial posture, at the initial velocity.
 
         Args:
           root: this diagram, or the diagram that holds it.
@@ -61,7 +61,8 @@ class ClosedLoop:
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         set_payload(self.plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
         self.plant.SetPositions(context, configuration(self.plant, scenario.initial_posture, key="initial_posture"))
-        self.plant.SetVelocities(context, [0.0] * self.plant.num_velocities())
+        velocity = self.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
+        self.plant.SetVelocities(context, velocity)
         if self.sensing.HasSubsystemNamed("delay"):
             # Before the start, the spacecraft was where it is now.
             delay = self.sensing.GetSubsystemByName("delay")
@@ -82,6 +83,7 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> C
     coordinates = coordinates_of(plant)
     for name in ("initial_posture", "target_posture"):
         configuration(plant, getattr(scenario, name), key=name)
+    coordinates.check_names(scenario.initial_velocity, key="initial_velocity")
     reference = builder.AddNamedSystem("reference", make_reference(scenario, coordinates))
     controller = builder.AddSystem(make_controller(scenario, make_nominal_plant(scenario)))
     disturbance = builder.AddSystem(make_disturbance(scenario.disturbance, coordinates))

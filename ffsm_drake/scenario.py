@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from pydrake.common.yaml import yaml_dump, yaml_load_data, yaml_load_typed
+from pydrake.common.yaml import yaml_load_data
 from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
 
 from ffsm_drake.errors import ScenarioError, one_line
@@ -206,6 +206,8 @@ class Scenario:
     payload: Payload = dataclasses.field(default_factory=Payload)
     initial_posture: Posture = dataclasses.field(default_factory=Posture)
     target_posture: Posture = dataclasses.field(default_factory=Posture)
+    # At the start, rad/s or m/s; base_rotation is the angular velocity in world axes. The reference starts at rest.
+    initial_velocity: PerCoordinate = _published(all=0.0)
     reference: Reference = dataclasses.field(default_factory=Reference)
     controller: str = "tde_aismc"
     controllers: Controllers = dataclasses.field(default_factory=Controllers)
@@ -265,7 +267,7 @@ def scenario_from_dict(data: Mapping[str, typing.Any], overrides: Iterable[str] 
             overridden.append(_apply_override(resolved, override))
         except ScenarioError as error:
             raise error.located("override") from None
-    scenario: Scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(resolved), retain_map_defaults=False)
+    scenario: Scenario = _typed(Scenario, resolved)
     try:
         validate(scenario)
     except ScenarioError as error:
@@ -326,6 +328,12 @@ def validate(scenario: Scenario) -> None:
         posture = getattr(scenario, name)
         for field in ("base_position", "base_rpy"):
             _require(len(getattr(posture, field)) == 3, f"{name}.{field}", "must hold three numbers [x, y, z]")
+    for key, number in scenario.initial_velocity.items():
+        _require(
+            abs(number) <= scenario.divergence_speed,
+            f"initial_velocity.{key}",
+            f"must be within divergence_speed ({scenario.divergence_speed:g}), not {number}",
+        )
     _require(scenario.disturbance.frequency_scale >= 0, "disturbance.frequency_scale", "must be >= 0")
     for name in CONTROLLER_NAMES:
         gains = getattr(scenario.controllers, name)
@@ -445,6 +453,21 @@ def _resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: st
             raise ScenarioError(path, f"must be a list, not {_shown(data)}")
         return [_resolve(args[0], None, item, f"{path}[{i}]") for i, item in enumerate(data)]
     return _convert_leaf(schema, data, path)
+
+
+def _typed(schema: typing.Any, resolved: typing.Any) -> typing.Any:
+    """The object that resolved plain data describes; what Drake's loader makes of it too, by way of slow YAML text."""
+    fields = _schema_fields(schema)
+    if fields is not None:
+        return schema(**{key: _typed(kind, resolved[key]) for key, kind in fields.items()})
+    origin, args = typing.get_origin(schema), typing.get_args(schema)
+    if origin in (typing.Union, types.UnionType):
+        return None if resolved is None else _typed(args[0], resolved)
+    if origin is dict:
+        return {key: _typed(args[1], item) for key, item in resolved.items()}
+    if origin is list:
+        return [_typed(args[0], item) for item in resolved]
+    return resolved
 
 
 def _convert_leaf(schema: type, data: typing.Any, path: str) -> typing.Any:

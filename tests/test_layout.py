@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).parents[1] / "ffsm_drake"
 ROOMS = (
     "errors", "files", "scenario", "coordinates", "plant", "reference", "controllers", "disturbance", "sensing",
     "actuation", "closed_loop", "stability", "design", "metrics", "record", "simulation", "visualization", "plotting",
-    "noise_study", "analysis", "block_diagram", "reproduction", "cli",
+    "noise_study", "analysis", "campaign", "block_diagram", "reproduction", "cli",
 )  # fmt: skip
 
 
