@@ -3,6 +3,7 @@
 Sums run over the control samples t_k = k L that begin a recorded period, with tau_k the value held over [t_k, t_{k+1}).
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,33 +15,53 @@ if TYPE_CHECKING:
 def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     """All metrics of a run's dataset (see RunRecord.dataset), as plain numbers.
 
+    Keys: those of ``tracking_metrics``, and
+      momentum_residual: largest norm over the run of the momentum's change minus the impulse of the external forces,
+        ``linear`` (N s) and ``angular`` (N m s, about the world's origin): what the integrator got wrong.
+    """
+    tracking = tracking_metrics(
+        time=dataset["time"].values,
+        error=dataset["error"].values,
+        effort=dataset["generalized_force"].values,
+        period=float(dataset.attrs["sample_time"]),
+        group=dataset["group"].values.tolist(),
+    )
+    return tracking | {
+        "momentum_residual": {
+            name: float(np.linalg.norm(residual, axis=1).max()) for name, residual in momentum_residual(dataset).items()
+        },
+    }
+
+
+def tracking_metrics(
+    *, time: np.ndarray, error: np.ndarray, effort: np.ndarray, period: float, group: Sequence[str]
+) -> dict[str, Any]:
+    """Accuracy and effort of a run, as plain numbers.
+
+    Args:
+      time: control samples (n,), s.
+      error: tracking error at each (n, nv), rad or m.
+      effort: tau held from each to the next (n, nv), N m or N.
+      period: control period, s.
+      group: group of each coordinate (nv).
+
     Keys:
       itae: sum of t |e|_1 L (equation (22)).
       isv: sum of |tau|_2^2 L (equation (23)).
       peak_error, final_error, peak_effort: by group, the largest |e| of the run, the largest |e| of the last sample
         (rad or m), the largest |tau| (N m or N), each over the group's coordinates.
-      momentum_residual: largest norm over the run of the momentum's change minus the impulse of the external forces,
-        ``linear`` (N s) and ``angular`` (N m s, about the world's origin): what the integrator got wrong.
     """
-    period = float(dataset.attrs["sample_time"])
-    time = dataset["time"].values
-    error = dataset["error"].values
-    effort = dataset["generalized_force"].values
-    group = dataset["group"].values
-    groups = list(dict.fromkeys(group.tolist()))
+    members = {name: [i for i, other in enumerate(group) if other == name] for name in dict.fromkeys(group)}
 
-    def by_group(magnitude: np.ndarray) -> dict[str, float]:
-        return {name: float(magnitude[..., group == name].max()) for name in groups}
+    def by_group(peak: np.ndarray) -> dict[str, float]:
+        return {name: float(peak[indices].max()) for name, indices in members.items()}
 
     return {
         "itae": itae(time[:-1], error[:-1], period),
         "isv": isv(effort[:-1], period),
-        "peak_error": by_group(np.abs(error)),
+        "peak_error": by_group(np.abs(error).max(axis=0)),
         "final_error": by_group(np.abs(error[-1])),
-        "peak_effort": by_group(np.abs(effort)),
-        "momentum_residual": {
-            name: float(np.linalg.norm(residual, axis=1).max()) for name, residual in momentum_residual(dataset).items()
-        },
+        "peak_effort": by_group(np.abs(effort).max(axis=0)),
     }
 
 

@@ -1,22 +1,25 @@
-"""Running a scenario: the closed loop, its loggers and its monitor -> RunRecord."""
+"""Running a scenario: Rollout builds the closed loop once and logs its runs; simulate makes one run a RunRecord."""
 
 import dataclasses
+import functools
 import time
 import warnings
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
-from pydrake.systems.primitives import LogVectorOutput, VectorLogSink
+from pydrake.systems.primitives import LogVectorOutput
 
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
-from ffsm_drake.coordinates import position_error
+from ffsm_drake.coordinates import Coordinates, position_error
+from ffsm_drake.errors import ScenarioError
+from ffsm_drake.metrics import tracking_metrics
 from ffsm_drake.plant import PlantModel, base_rpy, find_frame, make_true_plant
 from ffsm_drake.record import Outcome, RunRecord, software_versions
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Scenario, scenario_to_dict
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,6 +30,165 @@ _HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable"
 _CURRENT = ("state", "desired_state", "desired_acceleration", "disturbance_force", "reaching_gain", "switching_gain")
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class RunLog:
+    """A run as it came from the simulator: the aligned time series, nothing derived from them but the error.
+
+    ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, and the controller's optional
+    outputs, each (n, its width): a signal of sample k is the one that sample k used or produced.
+    """
+
+    scenario: Scenario
+    outcome: Outcome
+    coordinates: Coordinates
+    time: np.ndarray  # (n,), control samples t_k, s
+    series: Mapping[str, np.ndarray]
+    wall_time: dict[str, float]  # s: build, advance_to, total
+
+    @property
+    def generalized_force(self) -> np.ndarray:
+        """Control tau (n, nv), held from each sample to the next, N m or N."""
+        return self.series["generalized_force"]
+
+    @functools.cached_property
+    def error(self) -> np.ndarray:
+        """True tracking error e = q_d - q (n, nv), base rotation as a rotation vector in the world frame."""
+        num_positions = len(self.coordinates.position_names)
+        pairs = zip(self.series["desired_state"], self.series["state"], strict=True)
+        return np.array([position_error(desired[:num_positions], state[:num_positions]) for desired, state in pairs])
+
+    @functools.cached_property
+    def metrics(self) -> dict[str, Any]:
+        """Figures of merit; the keys are those of ``ffsm_drake.metrics.tracking_metrics``."""
+        return tracking_metrics(
+            time=self.time,
+            error=self.error,
+            effort=self.generalized_force,
+            period=self.scenario.sample_time,
+            group=self.coordinates.group_of,
+        )
+
+
+class Rollout:
+    """A closed loop that is built once and run many times; every run has the bits of a fresh build.
+
+    Raises ModelError and ScenarioError as ``make_closed_loop`` does.
+    """
+
+    def __init__(self, scenario: Scenario, *, meshcat: Meshcat | None = None) -> None:
+        start = time.perf_counter()
+        self._loop = make_closed_loop(scenario, meshcat=meshcat)
+        builder = DiagramBuilder()
+        builder.AddSystem(self._loop.diagram)
+        self._loggers = {
+            name: LogVectorOutput(self._loop.diagram.GetOutputPort(name), builder, scenario.sample_time)
+            for name in _HELD + _CURRENT
+            if self._loop.diagram.HasOutputPort(name)
+        }
+        self._root = builder.Build()
+        self._simulator = Simulator(self._root)
+        ApplySimulatorConfig(scenario.simulator_config, self._simulator)
+        self._built_for = _built_from(scenario)
+        self._build_time = time.perf_counter() - start
+
+    def accepts(self, scenario: Scenario) -> bool:
+        """Whether ``run`` takes the scenario: it differs from the built one only in what a context can change.
+
+        That is the description, the seed, the duration, the divergence speed and the payload's true mass properties.
+        """
+        return _built_from(scenario) == self._built_for
+
+    def run(
+        self, scenario: Scenario | None = None, *, progress: Callable[[float, float], None] | None = None
+    ) -> RunLog:
+        """Run from the start, with the built scenario or one that ``accepts`` takes.
+
+        A run that diverges (a velocity beyond ``divergence_speed``, or not finite) or is interrupted from the keyboard
+        ends early with the log up to then; its outcome says so.
+
+        Args:
+          scenario: what to run; None for the built one.
+          progress: called with (simulated time, duration) in s, once per simulated second.
+
+        Raises:
+          ScenarioError: the scenario needs another build.
+        """
+        start = time.perf_counter()
+        loop = self._loop
+        if scenario is not None:
+            if not self.accepts(scenario):
+                raise ScenarioError(
+                    "scenario", "differs from the built one in more than a run can change; build another"
+                )
+            loop = dataclasses.replace(loop, scenario=scenario)
+        scenario = loop.scenario
+        self._simulator.reset_context(self._root.CreateDefaultContext())
+        context = self._simulator.get_mutable_context()
+        loop.initialize(self._root, context)
+        monitor = _Monitor(loop, progress)
+        self._simulator.set_monitor(monitor)
+        end = scenario.num_control_periods * scenario.sample_time
+
+        initialized = time.perf_counter()
+        interrupted = False
+        try:
+            self._simulator.Initialize()
+            self._simulator.AdvanceTo(end)
+            self._simulator.AdvancePendingEvents()  # the control update of the last sample
+        except KeyboardInterrupt:
+            interrupted = True
+        except RuntimeError:
+            # Drake refuses numbers that are no longer finite; any other refusal is a fault to be seen.
+            if monitor.check(context) and monitor.check_force(context):
+                raise
+        advanced = time.perf_counter()
+
+        times, series = self._read_logs(context)
+        last = float(times[-1])
+        if monitor.coordinate:
+            outcome = Outcome(status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message)
+        elif interrupted:
+            outcome = Outcome(status="interrupted", time=last, message=f"interrupted at t = {last:.2f} s")
+        else:
+            outcome = Outcome(status="completed", time=last, message=f"completed {last:g} s")
+        return RunLog(
+            scenario=scenario,
+            outcome=outcome,
+            coordinates=loop.coordinates,
+            time=times,
+            series=series,
+            wall_time={
+                "build": self._build_time + initialized - start,
+                "advance_to": advanced - initialized,
+                "total": self._build_time + time.perf_counter() - start,
+            },
+        )
+
+    def _read_logs(self, context: Context) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Sample times and the aligned series (copied)."""
+        logs = {name: logger.FindLog(context) for name, logger in self._loggers.items()}
+        series = {name: np.array(log.data().T) for name, log in logs.items()}
+        # Sample k of a held signal is its log entry k + 1; that of the last sample stands in the context.
+        diagram = self._loop.diagram
+        diagram_context = diagram.GetMyContextFromRoot(context)
+        for name in _HELD:
+            if name in series:
+                series[name] = np.vstack([series[name][1:], diagram.GetOutputPort(name).Eval(diagram_context)])
+        return np.array(logs["state"].sample_times()), series
+
+
+def _built_from(scenario: Scenario) -> dict[str, Any]:
+    """What of a scenario goes into the build, as plain data; the rest a run's context holds."""
+    neutral = Scenario()
+    return scenario_to_dict(
+        dataclasses.replace(
+            scenario,
+            payload=dataclasses.replace(scenario.payload, truth=neutral.payload.truth),
+            **{name: getattr(neutral, name) for name in ("description", "random_seed", "duration", "divergence_speed")},
+        )
+    )
+
+
 def simulate(
     scenario: Scenario,
     *,
@@ -34,7 +196,7 @@ def simulate(
     progress: Callable[[float, float], None] | None = None,
     check_stability: bool = True,
 ) -> RunRecord:
-    """Run a scenario to its end and return the record.
+    """Run a scenario to its end and return the record. ``Rollout`` is cheaper for many runs.
 
     A run that diverges (a velocity beyond ``divergence_speed``, or not finite) or is interrupted from the keyboard ends
     early with the record up to then; ``record.outcome`` says so.
@@ -54,54 +216,13 @@ def simulate(
 
         if remark := stability_warning(scenario):
             warnings.warn(remark, StabilityWarning, stacklevel=2)
-    loop = make_closed_loop(scenario, meshcat=meshcat)
-    builder = DiagramBuilder()
-    builder.AddSystem(loop.diagram)
-    loggers = {
-        name: LogVectorOutput(loop.diagram.GetOutputPort(name), builder, scenario.sample_time)
-        for name in _HELD + _CURRENT
-        if loop.diagram.HasOutputPort(name)
-    }
-    root = builder.Build()
-    simulator = Simulator(root)
-    ApplySimulatorConfig(scenario.simulator_config, simulator)
-    context = simulator.get_mutable_context()
-    loop.initialize(root, context)
-    monitor = _Monitor(loop, progress)
-    simulator.set_monitor(monitor)
-    end = scenario.num_control_periods * scenario.sample_time
-
-    built = time.perf_counter()
-    interrupted = False
-    try:
-        simulator.Initialize()
-        simulator.AdvanceTo(end)
-        simulator.AdvancePendingEvents()  # the control update of the last sample
-    except KeyboardInterrupt:
-        interrupted = True
-    except RuntimeError:
-        # Drake refuses numbers that are no longer finite; any other refusal is a fault to be seen.
-        if monitor.check(context) and monitor.check_force(context):
-            raise
-    advanced = time.perf_counter()
-
-    dataset = _make_dataset(loop, loggers, context)
-    last = float(dataset["time"].values[-1])
-    if monitor.coordinate:
-        outcome = Outcome(status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message)
-    elif interrupted:
-        outcome = Outcome(status="interrupted", time=last, message=f"interrupted at t = {last:.2f} s")
-    else:
-        outcome = Outcome(status="completed", time=last, message=f"completed {last:g} s")
+    log = Rollout(scenario, meshcat=meshcat).run(progress=progress)
+    dataset = make_dataset(log)
     return RunRecord(
         scenario=scenario,
-        outcome=outcome,
+        outcome=log.outcome,
         dataset=dataset,
-        wall_time={
-            "build": built - start,
-            "advance_to": advanced - built,
-            "total": time.perf_counter() - start,
-        },
+        wall_time=log.wall_time | {"total": time.perf_counter() - start},
         software=software_versions(),
     )
 
@@ -159,20 +280,11 @@ class _Monitor:
         self.message = f"{self.loop.scenario.controller} diverged at t = {context.get_time():.2f} s: {what}"
 
 
-def _make_dataset(loop: ClosedLoop, loggers: dict[str, VectorLogSink], context: Context) -> "xr.Dataset":
-    """The labelled time series of a run, from the logs (copied) and, for what follows from the state, the plant."""
+def make_dataset(log: RunLog) -> "xr.Dataset":
+    """The labelled time series of a run: its log and, for what follows from the state, the true plant."""
     import xarray as xr
 
-    scenario, coordinates = loop.scenario, loop.coordinates
-    logs = {name: logger.FindLog(context) for name, logger in loggers.items()}
-    series = {name: np.array(log.data().T) for name, log in logs.items()}
-    times = np.array(logs["state"].sample_times())
-    # Sample k of a held signal is its log entry k + 1; that of the last sample stands in the context.
-    diagram_context = loop.diagram.GetMyContextFromRoot(context)
-    for name in _HELD:
-        if name in series:
-            last = loop.diagram.GetOutputPort(name).Eval(diagram_context)
-            series[name] = np.vstack([series[name][1:], last])
+    scenario, coordinates, series = log.scenario, log.coordinates, log.series
     num_positions = len(coordinates.position_names)
     position, velocity = np.split(series["state"], [num_positions], axis=1)
     desired_position, desired_velocity = np.split(series["desired_state"], [num_positions], axis=1)
@@ -183,7 +295,6 @@ def _make_dataset(loop: ClosedLoop, loggers: dict[str, VectorLogSink], context: 
     unit = "rad (rotations) or m (translations)"
     force = "N m (rotations) or N (translations)"
     by_coordinate, by_position, by_axis = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
-    error = np.array([position_error(q_d, q) for q_d, q in zip(desired_position, position, strict=True)])
     variables = {
         "position": (by_position, position, "generalized positions q", f"1 (quaternion), {unit}"),
         "velocity": (by_coordinate, velocity, "generalized velocities v", f"{unit} per s"),
@@ -194,7 +305,7 @@ def _make_dataset(loop: ClosedLoop, loggers: dict[str, VectorLogSink], context: 
         "desired_acceleration": (
             by_coordinate, series["desired_acceleration"], "reference acceleration", f"{unit} per s^2",
         ),
-        "error": (by_coordinate, error, "true tracking error e = q_d - q (rotation vector in world)", unit),
+        "error": (by_coordinate, log.error, "true tracking error e = q_d - q (rotation vector in world)", unit),
         "error_rate": (by_coordinate, desired_velocity - velocity, "true error rate v_d - v", f"{unit} per s"),
         "generalized_force": (
             by_coordinate, series["generalized_force"], "control tau, held from this sample to the next", force,
@@ -228,7 +339,7 @@ def _make_dataset(loop: ClosedLoop, loggers: dict[str, VectorLogSink], context: 
             for name, (dims, values, meaning, units) in variables.items()
         },
         coords={
-            "time": ("time", times, {"long_name": "control sample t_k", "units": "s"}),
+            "time": ("time", log.time, {"long_name": "control sample t_k", "units": "s"}),
             "coordinate": list(coordinates.names),
             "position_name": list(coordinates.position_names),
             "axis": ["x", "y", "z"],
