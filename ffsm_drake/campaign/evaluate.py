@@ -77,9 +77,7 @@ class Evaluator:
                 prediction = predict_stability(scenario)
                 row |= dict(zip(PREDICTIONS, (prediction.starting, prediction.expected), strict=True))
             except Exception as error:
-                text = one_line(error)
-                message = text if text.startswith(type(error).__name__) else f"{type(error).__name__}: {text}"
-                row |= error_row(message)
+                row |= error_row(described(error))
             return row | {
                 "wall_time": time.perf_counter() - start,
                 "worker": f"{socket.gethostname()}:{os.getpid()}",
@@ -121,8 +119,17 @@ def judge(spec: Spec, log: RunLog) -> Row:
         "outcome_time": log.outcome.time,
         "message": message,
         # The database knows no NaN.
-        **{name: None if value is None or math.isnan(value) else float(np.float64(value)) for name, value in flat.items()},
+        **{
+            name: None if value is None or math.isnan(value) else float(np.float64(value))
+            for name, value in flat.items()
+        },
     }
+
+
+def described(error: Exception) -> str:
+    """An exception on one line, its type in front."""
+    text, kind = one_line(error), type(error).__name__
+    return text if text.startswith(kind) else f"{kind}: {text}"
 
 
 def error_row(message: str) -> Row:

@@ -58,9 +58,7 @@ def parse_rule(data: Any, *, place: str) -> Rule:
         return Rule(sources=sources, apply=_sum)
     by = data.get("by", 1.0)
     factor: Value = (
-        [number(item, place=f"{place}.by") for item in by]
-        if isinstance(by, list)
-        else number(by, place=f"{place}.by")
+        [number(item, place=f"{place}.by") for item in by] if isinstance(by, list) else number(by, place=f"{place}.by")
     )
     return Rule(sources=sources, apply=lambda values: _product([*values, factor]))
 

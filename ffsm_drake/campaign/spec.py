@@ -142,9 +142,7 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
     )
     if not parameters and not factors:
         raise CampaignError("parameters: must disperse at least one scenario value")
-    derive = {
-        str(name): parse_rule(entry, place=f"derive.{name}") for name, entry in _section(data, "derive").items()
-    }
+    derive = {str(name): parse_rule(entry, place=f"derive.{name}") for name, entry in _section(data, "derive").items()}
     spec = Spec(
         data=data,
         controllers=_controllers(data.get("controllers", [data["base"]["controller"]])),

@@ -1,4 +1,4 @@
-"""Scenario values by dotted key, in plain data: ``sensing.velocity_noise.joint_1``, ``payload.truth.center_of_mass.0``."""
+"""Scenario values in plain data by dotted key, such as ``payload.truth.center_of_mass.0``."""
 
 from typing import Any
 
