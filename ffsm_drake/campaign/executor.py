@@ -7,11 +7,12 @@ up as WorkerLost.
 
 import contextlib
 import dataclasses
+import importlib
 import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from multiprocessing import get_context, parent_process
 from typing import Any, Generic, TypeVar
@@ -77,11 +78,11 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
       CampaignError: ``distributed`` is not installed, or no scheduler or worker answers.
     """
     try:
-        from distributed import Client
+        distributed: Any = importlib.import_module("distributed")  # optional, and without types
     except ImportError:
         raise CampaignError("--scheduler needs the extra 'cluster': pip install 'ffsm-drake[cluster]'") from None
     try:
-        client = Client(address, timeout=patience, set_as_default=False)
+        client = distributed.Client(address, timeout=patience, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise CampaignError(f"{address}: no Dask scheduler answers there: {one_line(error)}") from error
     with client:
@@ -152,7 +153,7 @@ def run_tasks(
     workers: Workers,
     stop: Stop,
     worn: Callable[[Result], bool] = lambda result: False,
-) -> Iterator[tuple[Task, Result | WorkerLost]]:
+) -> Generator[tuple[Task, Result | WorkerLost], None, None]:
     """Run ``function(*arguments(task))`` for every task; yield (task, result) as they come, in any order.
 
     Never more tasks are taken from ``tasks`` than are in flight. When ``stop`` is set, what runs is finished and

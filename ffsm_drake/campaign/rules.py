@@ -91,7 +91,7 @@ def _sum(values: list[Value]) -> Value:
     if all(isinstance(value, list) for value in values):
         if len({len(value) for value in values if isinstance(value, list)}) > 1:
             raise CampaignError("lists that are added must have the same length")
-        return [math.fsum(items) for items in zip(*values, strict=True)]  # type: ignore[arg-type]
+        return [math.fsum(items) for items in zip(*values, strict=True)]
     return math.fsum(_single(value) for value in values)
 
 

@@ -9,6 +9,7 @@ import contextlib
 import csv
 import datetime
 import fcntl
+import importlib
 import json
 import os
 import sqlite3
@@ -143,8 +144,8 @@ class Store:
 
     def _write_parquet(self, path: Path) -> None:
         try:
-            import pyarrow as pa
-            import pyarrow.parquet as pq
+            pa: Any = importlib.import_module("pyarrow")  # optional, and without types
+            pq: Any = importlib.import_module("pyarrow.parquet")
         except ImportError:
             raise CampaignError("Parquet needs the extra 'campaign': pip install 'ffsm-drake[campaign]'") from None
         texts = {*_TEXT, "controller", "software", *self._text_values()}
