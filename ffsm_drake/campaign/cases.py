@@ -33,16 +33,26 @@ def make_cases(spec: Spec) -> Iterator[Case]:
     points = unit_points(spec.sampling, cases=spec.cases, dimensions=len(sampled), seed=spec.seed)
     column = {name: i for i, name in enumerate(sampled)}
     for index in range(spec.cases):
-        values: dict[str, Any] = {
+        drawn = {
             name: distribution.value(float(points[index, column[name]]) if name in column else 0.0, index)
             for name, distribution in distributions.items()
         }
-        for name, rule in spec.derive.items():
-            try:
-                values[name] = rule.apply([_operand(spec, values, source) for source in rule.sources])
-            except CampaignError as error:
-                raise CampaignError(f"derive.{name}: {error}") from None
-        yield Case(index=index, seed=case_seed(spec.seed, index), values=values)
+        yield make_case(spec, index, drawn)
+
+
+def make_case(spec: Spec, index: int, drawn: Mapping[str, Any]) -> Case:
+    """The case with given values of all parameters and factors.
+
+    Raises:
+      CampaignError: a rule cannot be applied to what it names.
+    """
+    values = dict(drawn)
+    for name, rule in spec.derive.items():
+        try:
+            values[name] = rule.apply([_operand(spec, values, source) for source in rule.sources])
+        except CampaignError as error:
+            raise CampaignError(f"derive.{name}: {error}") from None
+    return Case(index=index, seed=case_seed(spec.seed, index), values=values)
 
 
 def _operand(spec: Spec, values: Mapping[str, Any], source: str) -> Value:
