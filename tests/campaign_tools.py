@@ -77,12 +77,13 @@ def start_driver(*arguments: str) -> subprocess.Popen:
 
 
 def worker_processes(driver: int) -> list[int]:
-    """The processes that a driver has spawned to work."""
+    """The processes that a driver, or a Dask nanny, has spawned to work."""
     found = []
-    for pid in Path(f"/proc/{driver}/task/{driver}/children").read_text().split():
+    for thread in Path(f"/proc/{driver}/task").iterdir():
         with contextlib.suppress(OSError):
-            if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
-                found.append(int(pid))
+            for pid in (thread / "children").read_text().split():
+                if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
+                    found.append(int(pid))
     return found
 
 
@@ -128,3 +129,12 @@ def run_with_kills(spec: Path, database: Path, *, kills: int, seed: int, mean_de
         time.sleep(0.05)
     assert not [pid for pid in workers_seen if alive(pid)]
     return events
+
+
+def die_if(task: int, victims: list[int], memory: str) -> int:
+    """A task for the executor: the victims kill their process, once each; ``memory`` is a folder for what was done."""
+    mark = Path(memory) / str(task)
+    if task in victims and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 10 * task

@@ -101,13 +101,16 @@ def map_chart(findings: Findings) -> Chart:
     grid = findings.map
     assert grid is not None
     data: list[Chart] = []
+    boundary: Chart
     names = list(findings.table.runs)
     for place, (name, runs) in enumerate(findings.table.runs.items()):
         x, y = (findings.table.at(axis, runs) for axis in (grid.x_name, grid.y_name))
         radius = np.where(np.isnan(grid.radius[name]), 9.0, np.minimum(grid.radius[name], 9.0))
         shown = place == 0
-        data.append(
-            {
+        # Where everything is stable there is no boundary, and plotly.js would shade the whole map.
+        boundary = {"type": "scatter", "x": [], "y": [], "showlegend": False, "visible": shown}
+        if (radius >= 1.0).any():
+            boundary = {
                 "type": "contour",
                 "x": grid.x.tolist(),
                 "y": grid.y.tolist(),
@@ -120,7 +123,7 @@ def map_chart(findings: Findings) -> Chart:
                 "hoverinfo": "skip",
                 "visible": shown,
             }
-        )
+        data.append(boundary)
         for which, label, color, symbol in (
             (runs.settled, "settled", SETTLED, "circle"),
             (~runs.settled, "not settled", FAILED, "x"),

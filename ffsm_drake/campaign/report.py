@@ -175,7 +175,6 @@ _SHOWN = {
     "itae": "ITAE",
     "isv": "ISV",
     "peak_error_joints": "peak joint error [rad]",
-    "final_error_base_position": "final base position error [m]",
     "peak_effort_base_position": "peak base force [N]",
     "settled_time": "settled after [s]",
 }

@@ -12,7 +12,7 @@ from ffsm_drake.campaign.prediction import predict_stability
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.errors import FfsmError
 
-POINTS = 13  # along each axis
+POINTS = 11  # along each axis
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

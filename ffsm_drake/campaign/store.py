@@ -226,14 +226,14 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
         with _told(path), contextlib.closing(_connect(path)) as connection:
             if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION_ID:
                 raise CampaignError(f"{path}: is not a campaign's database")
+            problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+            if problem != "ok":
+                raise CampaignError(f"{path}: is damaged: {' '.join(problem.split())}")
             notes = dict(connection.execute("SELECT key, value FROM campaign"))
             if notes.get("format") != str(FORMAT):
                 raise CampaignError(f"{path}: format {notes.get('format')} is not the supported {FORMAT}")
             spec = spec_from_json(notes["specification"])
             if writing:
-                problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-                if problem != "ok":
-                    raise CampaignError(f"{path}: is damaged: {' '.join(problem.split())}")
                 connection.execute("PRAGMA journal_mode = WAL")
                 connection.execute("PRAGMA synchronous = NORMAL")
                 connection.execute("BEGIN IMMEDIATE")  # whether anybody else holds it
