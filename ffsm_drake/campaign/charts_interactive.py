@@ -101,29 +101,28 @@ def map_chart(findings: Findings) -> Chart:
     grid = findings.map
     assert grid is not None
     data: list[Chart] = []
-    boundary: Chart
     names = list(findings.table.runs)
     for place, (name, runs) in enumerate(findings.table.runs.items()):
         x, y = (findings.table.at(axis, runs) for axis in (grid.x_name, grid.y_name))
-        radius = np.where(np.isnan(grid.radius[name]), 9.0, np.minimum(grid.radius[name], 9.0))
         shown = place == 0
-        # Where everything is stable there is no boundary, and plotly.js would shade the whole map.
-        boundary = {"type": "scatter", "x": [], "y": [], "showlegend": False, "visible": shown}
-        if (radius >= 1.0).any():
-            boundary = {
+        data.append(
+            {
                 "type": "contour",
                 "x": grid.x.tolist(),
                 "y": grid.y.tolist(),
-                "z": radius.tolist(),
-                "contours": {"type": "constraint", "operation": ">=", "value": 1.0},
-                "line": {"color": "black", "width": 2},
-                "fillcolor": "rgba(244, 217, 204, 0.8)",
-                "name": "predicted unstable",
-                "showlegend": True,
+                "z": grid.side(name).tolist(),
+                # One level, at 1: what is below it is left clear, what is above is shaded.
+                "autocontour": False,
+                "contours": {"start": 1.0, "end": 1.0, "size": 0.1, "coloring": "fill"},
+                "zmin": 0.95,
+                "zmax": 1.05,
+                "colorscale": [[0.0, "rgba(255, 255, 255, 0)"], [1.0, "rgba(244, 217, 204, 1)"]],
+                "showscale": False,
+                "line": {"color": "black", "width": 2, "smoothing": 0},
                 "hoverinfo": "skip",
                 "visible": shown,
             }
-        data.append(boundary)
+        )
         for which, label, color, symbol in (
             (runs.settled, "settled", SETTLED, "circle"),
             (~runs.settled, "not settled", FAILED, "x"),

@@ -93,18 +93,17 @@ def map_picture(findings: Findings) -> Figure:
     figure = Figure(figsize=(5.6 * columns, 4.4 * rows), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False)
     for axes, item in zip(panels.flat, runs, strict=False):
-        radius = grid.radius[item.controller]
-        finite = np.nan_to_num(radius, nan=np.inf)
-        if (finite >= 1.0).any():
-            axes.contourf(grid.x, grid.y, np.minimum(finite, 9.0), levels=[1.0, 10.0], colors=["#F4D9CC"])
-            if (finite < 1.0).any():
-                axes.contour(grid.x, grid.y, np.minimum(finite, 9.0), levels=[1.0], colors="black", linewidths=2)
+        side = grid.side(item.controller)
+        axes.contourf(grid.x, grid.y, side, levels=[1.0, 2.0], colors=["#F4D9CC"])
+        if side.min() < 1.0 <= side.max():
+            axes.contour(grid.x, grid.y, side, levels=[1.0], colors="black", linewidths=2)
         x, y = (findings.table.at(name, item) for name in (grid.x_name, grid.y_name))
         size = 14 if x.size < 1000 else 4
         axes.scatter(x[item.settled], y[item.settled], s=size, color=SETTLED, label="settled")
         axes.scatter(x[~item.settled], y[~item.settled], s=size + 4, color=FAILED, marker="x", label="not settled")
         axes.set(title=LABELS[item.controller], xlabel=grid.x_name, ylabel=grid.y_name)
         axes.set(xscale="log" if grid.x_log else "linear", yscale="log" if grid.y_log else "linear")
+        axes.set(xlim=(grid.x[0], grid.x[-1]), ylim=(grid.y[0], grid.y[-1]))
         axes.spines[["top", "right"]].set_visible(False)
     for axes in panels.flat[len(runs) :]:
         axes.remove()

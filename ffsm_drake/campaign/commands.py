@@ -311,4 +311,4 @@ def _status_text(store: "Store") -> str:
 
 def _count_progress(done: int, total: int) -> None:
     if sys.stderr.isatty():
-        click.echo(f"\r{done} of {total} predictions" + ("\n" if done == total else ""), nl=False, err=True)
+        click.echo(f"\r{done} of {total} controllers predicted" + ("\n" if done == total else ""), nl=False, err=True)

@@ -47,7 +47,7 @@ def find(
     Args:
       store: the database.
       axes: the map's two values; None for the two that matter most.
-      progress: called with (done, total) predictions of the map.
+      progress: called with (done, total) controllers of the map.
 
     Raises:
       CampaignError: an axis is not a sampled number.

@@ -48,7 +48,7 @@ def write_report(
       store: the database.
       directory: where the files go.
       axes: the map's two values; None for the two that matter most.
-      progress: called with (done, total) predictions of the map.
+      progress: called with (done, total) controllers of the map.
 
     Raises:
       CampaignError: the database holds no result, an axis is no sampled number, plotly is missing, or the directory
