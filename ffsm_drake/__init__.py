@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from ffsm_drake.plant import PlantModel, make_nominal_plant, make_true_plant
     from ffsm_drake.record import Outcome, RunRecord
     from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
-    from ffsm_drake.simulation import simulate
+    from ffsm_drake.simulation import Rollout, RunLog, simulate
 
 # Imported on first use: Drake takes a while, and the command line's help should not wait for it.
 _HOMES = {
@@ -34,6 +34,8 @@ _HOMES = {
     "Scenario": "scenario",
     "load_scenario": "scenario",
     "override_scenario": "scenario",
+    "Rollout": "simulation",
+    "RunLog": "simulation",
     "simulate": "simulation",
 }
 
@@ -46,6 +48,8 @@ __all__ = [
     "Outcome",
     "PlantModel",
     "RecordError",
+    "Rollout",
+    "RunLog",
     "RunRecord",
     "Sample",
     "SampledController",

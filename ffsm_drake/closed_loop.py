@@ -62,7 +62,7 @@ class ClosedLoop:
     logged: Mapping[str, slice]  # signal -> its rows of the log
 
     def initialize(self, root: System, root_context: Context) -> None:
-        """Seed the noise, give the plant its payload and put it, at rest, into the initial posture.
+        """Seed the noise, give the plant its payload and put it into the initial posture, at the initial velocity.
 
         Args:
           root: this diagram, or the diagram that holds it.
@@ -74,7 +74,8 @@ class ClosedLoop:
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         set_payload(self.plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
         self.plant.SetPositions(context, configuration(self.plant, scenario.initial_posture, key="initial_posture"))
-        self.plant.SetVelocities(context, [0.0] * self.plant.num_velocities())
+        velocity = self.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
+        self.plant.SetVelocities(context, velocity)
         if self.sensing.HasSubsystemNamed("delay"):
             # Before the start, the spacecraft was where it is now.
             delay = self.sensing.GetSubsystemByName("delay")
@@ -112,6 +113,7 @@ def make_closed_loop(
     coordinates = coordinates_of(plant)
     for name in ("initial_posture", "target_posture"):
         configuration(plant, getattr(scenario, name), key=name)
+    coordinates.check_names(scenario.initial_velocity, key="initial_velocity")
     reference = builder.AddNamedSystem("reference", make_reference(scenario, coordinates))
     controller = builder.AddSystem(make_controller(scenario, make_nominal_plant(scenario)))
     if own_disturbance is None:

@@ -234,6 +234,8 @@ class Scenario:
     payload: Payload = dataclasses.field(default_factory=Payload)
     initial_posture: Posture = dataclasses.field(default_factory=Posture)
     target_posture: Posture = dataclasses.field(default_factory=Posture)
+    # At the start, rad/s or m/s; base_rotation is the angular velocity in world axes. The reference starts at rest.
+    initial_velocity: PerCoordinate = _published(all=0.0)
     reference: Reference = dataclasses.field(default_factory=Reference)
     # tdc, asmc, aismc, tde_aismc, an installed one (such as pd_plus, computed_torque), or module:Class
     controller: str = "tde_aismc"
@@ -379,6 +381,12 @@ def validate(scenario: Scenario) -> None:
         posture = getattr(scenario, name)
         for field in ("base_position", "base_rpy"):
             _require(len(getattr(posture, field)) == 3, f"{name}.{field}", "must hold three numbers [x, y, z]")
+    for key, number in scenario.initial_velocity.items():
+        _require(
+            abs(number) <= scenario.divergence_speed,
+            f"initial_velocity.{key}",
+            f"must be within divergence_speed ({scenario.divergence_speed:g}), not {number}",
+        )
     _require(scenario.disturbance.frequency_scale >= 0, "disturbance.frequency_scale", "must be >= 0")
     for name in CONTROLLER_NAMES:
         gains = getattr(scenario.controllers, name)

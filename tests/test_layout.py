@@ -10,7 +10,7 @@ ROOMS = (
     "errors", "files", "strict_yaml", "scenario", "schema", "coordinates", "plant", "reference", "controllers",
     "disturbance", "sensing", "actuation", "closed_loop", "stability", "design", "onboarding", "metrics", "record",
     "simulation", "visualization", "interactive", "plotting", "noise_study", "analysis", "report", "outputs", "doctor",
-    "block_diagram", "testing", "reproduction", "cli",
+    "campaign", "block_diagram", "testing", "reproduction", "cli",
 )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from ffsm_drake.campaign.commands import campaign
 from ffsm_drake.cli.common import OrderedGroup
 from ffsm_drake.cli.judge import analyze, design, stability
 from ffsm_drake.cli.new import new
@@ -34,7 +35,7 @@ def main() -> None:
 
 
 for command in (
-    new, run, compare, analyze, stability, design, replay, plot, diagram,
+    new, run, compare, analyze, stability, design, campaign, replay, plot, diagram,
     scenarios, validate, schema, reproduce, noise, doctor, completion,
 ):  # fmt: skip
     main.add_command(command)

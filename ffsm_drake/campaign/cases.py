@@ -1,0 +1,77 @@
+"""The cases of a campaign: number -> seed and values, and the scenario that follows for a controller."""
+
+import copy
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from ffsm_drake.campaign.errors import CampaignError
+from ffsm_drake.campaign.rules import Value
+from ffsm_drake.campaign.sampling import case_seed, unit_points
+from ffsm_drake.campaign.spec import Spec
+from ffsm_drake.campaign.values import get_value, set_value
+from ffsm_drake.scenario import Scenario, scenario_from_dict
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Case:
+    """One draw of all dispersed values; every controller meets the same."""
+
+    index: int  # from 0
+    seed: int  # the scenario's random_seed
+    values: Mapping[str, Any]  # by name: parameters, factors, derived values
+
+
+def make_cases(spec: Spec) -> Iterator[Case]:
+    """All cases of a campaign, in their order.
+
+    Raises:
+      CampaignError: a rule cannot be applied to what it names.
+    """
+    distributions = spec.distributions
+    sampled = [name for name, distribution in distributions.items() if distribution.uses_point]
+    points = unit_points(spec.sampling, cases=spec.cases, dimensions=len(sampled), seed=spec.seed)
+    column = {name: i for i, name in enumerate(sampled)}
+    for index in range(spec.cases):
+        drawn = {
+            name: distribution.value(float(points[index, column[name]]) if name in column else 0.0, index)
+            for name, distribution in distributions.items()
+        }
+        yield make_case(spec, index, drawn)
+
+
+def make_case(spec: Spec, index: int, drawn: Mapping[str, Any]) -> Case:
+    """The case with given values of all parameters and factors.
+
+    Raises:
+      CampaignError: a rule cannot be applied to what it names.
+    """
+    values = dict(drawn)
+    for name, rule in spec.derive.items():
+        try:
+            values[name] = rule.apply([_operand(spec, values, source) for source in rule.sources])
+        except CampaignError as error:
+            raise CampaignError(f"derive.{name}: {error}") from None
+    return Case(index=index, seed=case_seed(spec.seed, index), values=values)
+
+
+def _operand(spec: Spec, values: Mapping[str, Any], source: str) -> Value:
+    value = values[source] if source in values else get_value(spec.base, source)
+    numbers = value if isinstance(value, list) else [value]
+    if not all(isinstance(item, (int, float)) and not isinstance(item, bool) for item in numbers):
+        raise CampaignError(f"{source} must be a number or a list of numbers, not {value!r}")
+    return value
+
+
+def scenario_of(spec: Spec, case: Case, controller: str) -> Scenario:
+    """The scenario of one case for one controller, checked as any other.
+
+    Raises:
+      CampaignError, ScenarioError: a key is unknown, or a value cannot be used.
+    """
+    data = copy.deepcopy(spec.base)
+    for name, value in case.values.items():
+        if name not in spec.factors:
+            set_value(data, name, value)
+    data["random_seed"], data["controller"] = case.seed, controller
+    return scenario_from_dict(data)

@@ -1,0 +1,314 @@
+"""The commands ``ffsm campaign …``. What they need is imported when they run: ``--help`` stays fast."""
+
+import functools
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ffsm_drake.campaign.errors import CampaignError, InterruptedCampaign
+from ffsm_drake.errors import FfsmError, warnings_as_lines
+
+if TYPE_CHECKING:
+    from ffsm_drake.campaign.executor import Workers
+    from ffsm_drake.campaign.spec import Spec
+    from ffsm_drake.campaign.store import Store
+
+EXIT_BAD_INPUT, EXIT_DIFFERENT, EXIT_INTERRUPTED = 2, 3, 130
+_FOLDER = Path("out/campaigns")
+
+
+@click.group()
+def campaign() -> None:
+    """Thousands of runs of a scenario with dispersed values, in one database, with a report.
+
+    A specification (SPEC.yaml, or a shipped name such as payload_uncertainty) says what is dispersed and how; see
+    docs/campaigns.md. Every controller meets the same cases, and the results do not depend on who computed them when.
+
+    \b
+    Examples:
+      ffsm campaign plan payload_uncertainty
+      ffsm campaign run payload_uncertainty --cases 100
+      ffsm campaign report out/campaigns/payload_uncertainty.db
+    """
+
+
+def _reports_errors(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Turn errors into one line and exit code 2, warnings into one line each, interruption into exit code 130."""
+
+    @functools.wraps(command)
+    def wrapped(*args: Any, **kwargs: Any) -> Any:
+        with warnings_as_lines():
+            try:
+                return command(*args, **kwargs)
+            except FfsmError as error:
+                click.echo(f"error: {error}", err=True)
+                sys.exit(EXIT_BAD_INPUT)
+            except InterruptedCampaign as interruption:
+                click.echo(f"{interruption}; 'ffsm campaign resume' finishes them", err=True)
+                sys.exit(EXIT_INTERRUPTED)
+            except KeyboardInterrupt:
+                click.echo("interrupted", err=True)
+                sys.exit(EXIT_INTERRUPTED)
+
+    return wrapped
+
+
+def _worker_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    command = click.option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Use the workers of a running Dask cluster, such as tcp://127.0.0.1:8786.",
+    )(command)
+    return click.option(
+        "--workers", type=click.IntRange(min=1), help="Processes on this machine (default: one per processor)."
+    )(command)
+
+
+_source = click.argument("source", metavar="SPEC|DATABASE")
+_database_option = click.option(
+    "--database",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Where the results are (default: out/campaigns/NAME.db).",
+)
+_cases_option = click.option("--cases", type=click.IntRange(min=1), help="Number of cases instead of the specified.")
+
+
+@campaign.command()
+@_reports_errors
+@click.argument("spec")
+@_cases_option
+@click.option("--workers", type=click.IntRange(min=1), help="Processes to reckon with (default: one per processor).")
+def plan(spec: str, cases: int | None, workers: int | None) -> None:
+    """Check a specification, show its first cases, and say how long it would take.
+
+    Runs the first case with every controller to find that out; writes nothing.
+
+    \b
+    Example:
+      ffsm campaign plan payload_uncertainty
+    """
+    from ffsm_drake.campaign.plan import plan_text
+
+    click.echo(plan_text(_load(spec, cases), workers=workers or _processors()))
+
+
+@campaign.command()
+@_reports_errors
+@click.argument("spec")
+@_database_option
+@_cases_option
+@_worker_options
+def run(spec: str, database: Path | None, cases: int | None, workers: int | None, scheduler: str | None) -> None:
+    """Run a campaign into a new database.
+
+    Ctrl-C stops after the runs under way (exit code 130); 'resume' does the rest, as it does after a crash.
+
+    \b
+    Examples:
+      ffsm campaign run payload_uncertainty
+      ffsm campaign run mine.yaml --database /scratch/mine.db --scheduler tcp://10.0.0.5:8786
+    """
+    from ffsm_drake.campaign.executor import stop_on_signals
+    from ffsm_drake.campaign.progress import ProgressLine
+    from ffsm_drake.campaign.run import start_campaign
+
+    loaded = _load(spec, cases)
+    path = database or _default_database(spec)
+    with stop_on_signals() as stop, _workers(workers, scheduler) as crew, _closing(ProgressLine()) as progress:
+        start_campaign(loaded, path, workers=crew, stop=stop, progress=progress)
+    _print_end(path)
+
+
+@campaign.command()
+@_reports_errors
+@_source
+@_database_option
+@_worker_options
+def resume(source: str, database: Path | None, workers: int | None, scheduler: str | None) -> None:
+    """Run what an interrupted campaign still lacks.
+
+    \b
+    Example:
+      ffsm campaign resume out/campaigns/payload_uncertainty.db
+    """
+    from ffsm_drake.campaign.executor import stop_on_signals
+    from ffsm_drake.campaign.progress import ProgressLine
+    from ffsm_drake.campaign.run import resume_campaign
+
+    path = _locate(source, database)
+    with stop_on_signals() as stop, _workers(workers, scheduler) as crew, _closing(ProgressLine()) as progress:
+        resume_campaign(path, workers=crew, stop=stop, progress=progress)
+    _print_end(path)
+
+
+@campaign.command()
+@_reports_errors
+@_source
+@_database_option
+def status(source: str, database: Path | None) -> None:
+    """How far a campaign is, what came out so far, and how its processes' memory fares. Also while it runs.
+
+    \b
+    Example:
+      ffsm campaign status payload_uncertainty
+    """
+    with _open(source, database) as store:
+        click.echo(_status_text(store))
+
+
+@campaign.command()
+@_reports_errors
+@_source
+@_database_option
+@click.option("--case", "case_index", type=click.IntRange(min=0), required=True, help="Number of the case, from 0.")
+@click.option("--controller", help="Default: every controller of the campaign.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder (default: beside the database).")
+@click.option("--no-recording", is_flag=True, help="Write no recording.html.")
+def rerun(
+    source: str, database: Path | None, case_index: int, controller: str | None, out: Path | None, no_recording: bool
+) -> None:
+    """Repeat one case with its full record and recording, and compare with the stored row.
+
+    Exits with 3 when a figure is not bit for bit the stored one: other software, or another kind of processor.
+
+    \b
+    Example:
+      ffsm campaign rerun payload_uncertainty --case 17 --controller aismc
+    """
+    from ffsm_drake.campaign.run import repeat_run
+
+    with _open(source, database) as store:
+        names = store.spec.controllers if controller is None else (controller,)
+        if controller is not None and controller not in store.spec.controllers:
+            raise CampaignError(
+                f"--controller: '{controller}' is not in it; choose {', '.join(store.spec.controllers)}"
+            )
+        folder = out or store.path.parent / f"{store.path.stem}-case-{case_index}"
+        same = True
+        for name in names:
+            repeated = repeat_run(store, store.case(case_index), name)
+            same = same and not repeated.differences
+            outcome = repeated.repeated["outcome"]
+            what = f"case {case_index}, {name}: {outcome}"
+            if message := repeated.repeated["message"]:
+                what += f" ({message})"
+            if repeated.differences:
+                click.echo(f"{what}; NOT as stored: {', '.join(repeated.differences)}")
+                click.echo(f"  stored by {repeated.stored['software']}")
+            else:
+                click.echo(f"{what}; every figure is bit for bit the stored one")
+            if repeated.record is not None:
+                repeated.record.save(folder / name)
+                if not no_recording:
+                    from ffsm_drake.visualization import write_recording
+
+                    write_recording(repeated.record, folder / name / "recording.html")
+                click.echo(f"  written to {folder / name}")
+    sys.exit(0 if same else EXIT_DIFFERENT)
+
+
+@campaign.command()
+@_reports_errors
+@_source
+@_database_option
+@click.option("--out", type=click.Path(path_type=Path), help="Folder (default: beside the database).")
+@click.option("--map", "axes", nargs=2, metavar="X Y", help="Values for the map (default: the two that matter most).")
+def report(source: str, database: Path | None, out: Path | None, axes: tuple[str, str] | None) -> None:
+    """Judge a campaign: report.html (one file, opens offline), its figures as PNG, all runs as CSV and Parquet.
+
+    \b
+    Examples:
+      ffsm campaign report payload_uncertainty
+      ffsm campaign report mine.db --map payload.truth.mass belief_error
+    """
+    from ffsm_drake.campaign.report import write_report
+
+    with _open(source, database) as store:
+        folder = out or store.path.with_suffix("").with_name(f"{store.path.stem}-report")
+        written = write_report(store, folder, axes=axes, progress=_count_progress)
+        click.echo(written.summary)
+        click.echo(f"\nWritten to {folder}: {', '.join(path.name for path in written.files)}")
+
+
+def _load(spec: str, cases: int | None) -> "Spec":
+    from ffsm_drake.campaign.spec import load_spec, spec_from_data
+
+    loaded = load_spec(spec)
+    return loaded if cases is None else spec_from_data({**loaded.data, "cases": cases})
+
+
+def _default_database(spec: str) -> Path:
+    return _FOLDER / f"{Path(spec).stem}.db"
+
+
+def _locate(source: str, database: Path | None) -> Path:
+    """The database that a specification or a path stands for; it must hold that specification."""
+    from ffsm_drake.campaign.spec import load_spec, shipped_campaigns
+    from ffsm_drake.campaign.store import open_store
+
+    is_spec = source in shipped_campaigns() or Path(source).suffix in (".yaml", ".yml")
+    if not is_spec:
+        if database is not None:
+            raise CampaignError("--database: the database is named already; leave one of them out")
+        return Path(source)
+    path, spec = database or _default_database(source), load_spec(source)
+    with open_store(path) as store:
+        if store.spec.fingerprint != spec.fingerprint:
+            raise CampaignError(
+                f"{path}: holds another campaign than {source} describes; name the database to go on with it"
+            )
+    return path
+
+
+@contextmanager
+def _open(source: str, database: Path | None) -> Iterator["Store"]:
+    from ffsm_drake.campaign.store import open_store
+
+    with open_store(_locate(source, database)) as store:
+        yield store
+
+
+@contextmanager
+def _workers(count: int | None, scheduler: str | None) -> Iterator["Workers"]:
+    from ffsm_drake.campaign.executor import cluster_workers, local_workers
+
+    if scheduler is not None and count is not None:
+        raise CampaignError("--workers: the cluster at --scheduler has its own; leave one of them out")
+    with cluster_workers(scheduler) if scheduler is not None else local_workers(count or _processors()) as crew:
+        yield crew
+
+
+@contextmanager
+def _closing(line: Any) -> Iterator[Any]:
+    try:
+        yield line
+    finally:
+        line.close()
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _print_end(path: Path) -> None:
+    from ffsm_drake.campaign.store import open_store
+
+    with open_store(path) as store:
+        click.echo(_status_text(store))
+    click.echo(f"Next: ffsm campaign report {path}")
+
+
+def _status_text(store: "Store") -> str:
+    from ffsm_drake.campaign.plan import status_text
+
+    return status_text(store)
+
+
+def _count_progress(done: int, total: int) -> None:
+    if sys.stderr.isatty():
+        click.echo(f"\r{done} of {total} controllers predicted" + ("\n" if done == total else ""), nl=False, err=True)

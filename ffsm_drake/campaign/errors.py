@@ -1,0 +1,15 @@
+"""What can be wrong with a campaign's specification, database or workers."""
+
+from ffsm_drake.errors import FfsmError
+
+
+class CampaignError(FfsmError):
+    """A campaign that cannot be planned, run or read; its text is one line."""
+
+
+class InterruptedCampaign(Exception):
+    """The campaign was told to stop; what it has is stored."""
+
+    def __init__(self, done: int, total: int) -> None:
+        self.done, self.total = done, total
+        super().__init__(f"interrupted with {done} of {total} runs stored")

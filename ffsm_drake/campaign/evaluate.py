@@ -1,0 +1,157 @@
+"""One case and controller -> one row. This runs in the workers."""
+
+import functools
+import math
+import os
+import resource
+import socket
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.campaign.cases import Case, scenario_of
+from ffsm_drake.campaign.prediction import predict_stability
+from ffsm_drake.campaign.spec import Spec, spec_from_json
+from ffsm_drake.coordinates import GROUPS
+from ffsm_drake.errors import one_line
+from ffsm_drake.record import software_versions
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.simulation import Rollout, RunLog
+
+OUTCOMES = ("settled", "not_settled", "diverged", "error")
+METRICS = (
+    "itae",
+    "isv",
+    *(f"{kind}_{group}" for kind in ("peak_error", "final_error", "peak_effort") for group in GROUPS),
+    "settled_time",
+)
+PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
+# What may differ from one time to the next.
+CIRCUMSTANCES = ("wall_time", "worker", "rss_mib", "software")
+
+Row = dict[str, Any]
+
+
+def evaluate(campaign: str, case: Case, controller: str) -> Row:
+    """Run one case with one controller; whatever goes wrong is part of the row.
+
+    Args:
+      campaign: ``Spec.to_json()``; a process reads it once.
+      case: what to run.
+      controller: its controller.
+
+    Returns: the columns ``outcome``, ``outcome_time``, ``message``, METRICS, PREDICTIONS and CIRCUMSTANCES.
+    """
+    return _evaluator(campaign).evaluate(case, controller)
+
+
+@functools.lru_cache(maxsize=1)
+def _evaluator(campaign: str) -> "Evaluator":
+    return Evaluator(spec_from_json(campaign))
+
+
+class Evaluator:
+    """Evaluates the cases of one campaign, one at a time, keeping what it built for the next."""
+
+    def __init__(self, spec: Spec) -> None:
+        self._spec = spec
+        self._rollouts: dict[str, Rollout] = {}
+        self._software = " ".join(f"{name} {version}" for name, version in software_versions().items())
+        # A cluster's worker may have several threads, and a simulator serves one.
+        self._lock = threading.Lock()
+
+    def evaluate(self, case: Case, controller: str) -> Row:
+        """One row, as the function of the same name returns it."""
+        with self._lock:
+            start = time.perf_counter()
+            row: Row = dict.fromkeys((*METRICS, *PREDICTIONS))
+            try:
+                scenario = scenario_of(self._spec, case, controller)
+                log = self._run(scenario)
+                row |= judge(self._spec, log)
+                prediction = predict_stability(scenario)
+                row |= dict(zip(PREDICTIONS, (prediction.starting, prediction.expected), strict=True))
+            except Exception as error:
+                row |= error_row(described(error))
+            return row | {
+                "wall_time": time.perf_counter() - start,
+                "worker": f"{socket.gethostname()}:{os.getpid()}",
+                "rss_mib": resident_memory(),
+                "software": self._software,
+            }
+
+    def _run(self, scenario: Scenario) -> RunLog:
+        rollout = self._rollouts.get(scenario.controller)
+        if rollout is None or not rollout.accepts(scenario):
+            self._rollouts[scenario.controller] = rollout = Rollout(scenario)
+        return rollout.run(scenario)
+
+
+def judge(spec: Spec, log: RunLog) -> Row:
+    """Outcome and metrics of a run."""
+    if log.outcome.status == "interrupted":
+        raise RuntimeError("the run was interrupted")
+    metrics = log.metrics
+    settled_time = None
+    if log.outcome.completed:
+        settled_time = spec.settled.time(log.time, log.error, log.coordinates.group_of)
+        outcome = "not_settled" if settled_time is None else "settled"
+        message = ""
+    else:
+        outcome, message = "diverged", log.outcome.message
+    flat = {
+        "itae": metrics["itae"],
+        "isv": metrics["isv"],
+        **{
+            f"{kind}_{group}": metrics[kind][group]
+            for kind in ("peak_error", "final_error", "peak_effort")
+            for group in GROUPS
+        },
+        "settled_time": settled_time,
+    }
+    return {
+        "outcome": outcome,
+        "outcome_time": log.outcome.time,
+        "message": message,
+        # The database knows no NaN.
+        **{
+            name: None if value is None or math.isnan(value) else float(np.float64(value))
+            for name, value in flat.items()
+        },
+    }
+
+
+def described(error: Exception) -> str:
+    """An exception on one line, its type in front."""
+    text, kind = one_line(error), type(error).__name__
+    return text if text.startswith(kind) else f"{kind}: {text}"
+
+
+def error_row(message: str) -> Row:
+    """The result's part of a row whose run came to nothing."""
+    return {**dict.fromkeys((*METRICS, *PREDICTIONS)), "outcome": "error", "outcome_time": None, "message": message}
+
+
+def verdict_columns() -> tuple[str, ...]:
+    """The columns that a repeated run must reproduce bit for bit."""
+    return ("outcome", "outcome_time", "message", *METRICS)
+
+
+def resident_memory() -> float:
+    """Memory of this process that is in use, MiB; its largest ever where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+    except OSError:
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def same_verdict(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
+    """The columns in which two rows' verdicts differ."""
+    return [name for name in verdict_columns() if first[name] != second[name]]

@@ -1,0 +1,53 @@
+"""What the linear sampled loop says of a case before it is run: cheap enough to be asked for every run."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from ffsm_drake.plant import make_nominal_plant, make_true_plant
+from ffsm_drake.reference import make_reference
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.stability.margins import forecast_reaching_gain, sampling_of
+from ffsm_drake.stability.sampled_loop import LoopGains, coupled_loop, law_gains
+
+POSTURES = (0.0, 0.5, 1.0)  # fractions of the planned motion
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """Spectral radii of the coupled sampled loop, the worst over the postures looked at; below 1 it is stable."""
+
+    starting: float  # at the starting gains
+    expected: float  # with every K_s at the largest value that adaptation is expected to reach
+
+    @property
+    def radius(self) -> float:
+        return max(self.starting, self.expected)
+
+    @property
+    def stable(self) -> bool:
+        return self.radius < 1.0
+
+
+def predict_stability(scenario: Scenario) -> Prediction:
+    """The prediction for a scenario. Raises ModelError or ScenarioError where a value cannot be used."""
+    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    law = law_gains(scenario, nominal.coordinates)
+    sampling = sampling_of(scenario, nominal.coordinates)
+    reference = make_reference(scenario, nominal.coordinates)
+    configurations = [reference.evaluate(part * scenario.reference.duration)[0] for part in POSTURES]
+    pairs = [(true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)) for q in configurations]
+
+    def radius(gains: LoopGains) -> float:
+        return max(
+            coupled_loop(gains, true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=sampling).spectral_radius
+            for h, h_hat in pairs
+        )
+
+    starting = radius(law.at())
+    if starting >= 1.0 or np.array_equal(law.k_s_max, law.k_s):  # adaptation has nothing to add
+        return Prediction(starting=starting, expected=starting)
+    _, k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal)
+    expected = radius(law.at(k_s.max(axis=0)))
+    return Prediction(starting=starting, expected=expected if math.isfinite(expected) else math.inf)

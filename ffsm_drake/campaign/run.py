@@ -1,0 +1,167 @@
+"""The driver: cases to workers, rows to the database; stops, resumes, repeats a single run."""
+
+import contextlib
+import dataclasses
+import itertools
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from ffsm_drake.campaign.cases import Case, make_cases, scenario_of
+from ffsm_drake.campaign.errors import InterruptedCampaign
+from ffsm_drake.campaign.evaluate import CIRCUMSTANCES, Row, described, error_row, evaluate, judge, same_verdict
+from ffsm_drake.campaign.executor import Stop, WorkerLost, Workers, run_tasks
+from ffsm_drake.campaign.spec import Spec
+from ffsm_drake.campaign.store import Store, create_store, open_store
+from ffsm_drake.errors import FfsmError
+from ffsm_drake.record import RunRecord, software_versions
+from ffsm_drake.simulation import Rollout, make_dataset
+
+# A process that has grown to this is replaced: Drake keeps every diagram with a system written in Python alive, some
+# 4 MiB for each closed loop that has to be built anew.
+MEMORY_LIMIT = 700.0  # MiB
+_TRIED = 20
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Where a campaign stands."""
+
+    done: int  # runs stored, those of earlier sessions included
+    total: int
+    elapsed: float  # s of this session
+    session: int  # runs of this session
+    failed: int  # runs of this session that ended in an error
+    unsettled: int  # runs of this session that diverged or did not settle
+
+    @property
+    def rate(self) -> float:
+        """Runs per second."""
+        return self.session / self.elapsed if self.elapsed > 0.0 else 0.0
+
+    @property
+    def remaining(self) -> float | None:
+        """Expected s to the end; None before there is a rate."""
+        return (self.total - self.done) / self.rate if self.session else None
+
+
+def check_cases(spec: Spec) -> None:
+    """Build a case of every controller, so that a wrong key shows before anything is run.
+
+    One case may have an impossible value and become an error row; that the first few all have is a mistake.
+
+    Raises:
+      CampaignError, ModelError, ScenarioError: what would make every run fail.
+    """
+    for controller in spec.controllers:
+        problem: Exception | None = None
+        for case in itertools.islice(make_cases(spec), _TRIED):
+            try:
+                Rollout(scenario_of(spec, case, controller))
+                break
+            except FfsmError as error:
+                problem = problem or error
+        else:
+            assert problem is not None
+            raise problem
+
+
+def start_campaign(
+    spec: Spec, path: Path, *, workers: Workers, stop: Stop, progress: Callable[[Progress], None] | None = None
+) -> None:
+    """Run a campaign into a new database.
+
+    Args:
+      spec: what to run.
+      path: the database to make.
+      workers: where to run it.
+      stop: set it to end early.
+      progress: called after every batch of results.
+
+    Raises:
+      CampaignError: a value cannot be used, the database cannot be made, or the workers do not work.
+      InterruptedCampaign: ``stop`` was set; ``resume_campaign`` finishes.
+    """
+    check_cases(spec)
+    with create_store(path, spec, make_cases(spec)) as store:
+        _drive(store, workers, stop, progress)
+
+
+def resume_campaign(
+    path: Path, *, workers: Workers, stop: Stop, progress: Callable[[Progress], None] | None = None
+) -> None:
+    """Run what a database still lacks; arguments and errors as for ``start_campaign``."""
+    with open_store(path, writing=True) as store:
+        _drive(store, workers, stop, progress)
+
+
+def _drive(store: Store, workers: Workers, stop: Stop, progress: Callable[[Progress], None] | None) -> None:
+    campaign, start, total = store.spec.to_json(), time.perf_counter(), store.spec.runs
+    before = store.num_results()
+    counted = {"session": 0, "failed": 0, "unsettled": 0}
+
+    def report() -> None:
+        if progress is not None:
+            elapsed = time.perf_counter() - start
+            progress(Progress(done=before + counted["session"], total=total, elapsed=elapsed, **counted))
+
+    report()
+    results = run_tasks(
+        evaluate,
+        store.pending(),
+        arguments=lambda task: (campaign, *task),
+        workers=workers,
+        stop=stop,
+        worn=lambda row: row["rss_mib"] > MEMORY_LIMIT,
+    )
+    with contextlib.closing(results):
+        for (case, controller), result in results:
+            row = _lost_row() if isinstance(result, WorkerLost) else result
+            store.add([(case, controller, row)])
+            counted["session"] += 1
+            counted["failed"] += row["outcome"] == "error"
+            counted["unsettled"] += row["outcome"] in ("diverged", "not_settled")
+            report()
+    if before + counted["session"] < total:
+        raise InterruptedCampaign(before + counted["session"], total)
+
+
+def _lost_row() -> Row:
+    message = "WorkerLost: the worker process died each time it ran this"
+    return {**dict.fromkeys(CIRCUMSTANCES), **error_row(message), "software": "unknown"}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Repeated:
+    """A run made once more, and how it compares with what the database holds."""
+
+    record: RunRecord | None  # None where the run comes to nothing again
+    stored: Row
+    repeated: Row
+    differences: list[str]  # columns that are not the same bits
+
+
+def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
+    """Run one case again, with the full record.
+
+    Raises:
+      CampaignError: the database holds no such run.
+    """
+    stored = store.result(case.index, controller)
+    start, record = time.perf_counter(), None
+    try:
+        scenario = scenario_of(store.spec, case, controller)
+        log = Rollout(scenario).run()
+        if log.outcome.status == "interrupted":
+            raise KeyboardInterrupt
+        record = RunRecord(
+            scenario=scenario,
+            outcome=log.outcome,
+            dataset=make_dataset(log),
+            wall_time=log.wall_time | {"total": time.perf_counter() - start},
+            software=software_versions(),
+        )
+        repeated = judge(store.spec, log)
+    except Exception as error:
+        repeated = error_row(described(error))
+    return Repeated(record=record, stored=stored, repeated=repeated, differences=same_verdict(stored, repeated))

@@ -1,0 +1,236 @@
+"""The specification of a campaign: which scenario, which controllers, what is dispersed, what counts as settled."""
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ffsm_drake.campaign.distributions import Distribution, check_keys, number, parse_distribution
+from ffsm_drake.campaign.errors import CampaignError
+from ffsm_drake.campaign.rules import Rule, parse_rule
+from ffsm_drake.campaign.sampling import SAMPLINGS
+from ffsm_drake.campaign.settled import Settled, parse_settled
+from ffsm_drake.campaign.values import get_value
+from ffsm_drake.errors import FfsmError, ScenarioError, one_line
+from ffsm_drake.scenario import CONTROLLER_NAMES, load_scenario, scenario_to_dict, shipped_scenarios
+
+_KEYS = (
+    "description", "scenario", "overrides", "controllers", "cases", "seed", "sampling", "parameters", "factors",
+    "derive", "settled",
+)  # fmt: skip
+# What the campaign sets by itself.
+_RESERVED = {"random_seed": "follows from 'seed' and the case's number", "controller": "belongs into 'controllers'"}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Spec:
+    """A campaign, whole: what follows from it follows from nothing else."""
+
+    data: Mapping[str, Any]  # as written, and the scenario as plain data: what ``spec_from_data`` takes back
+    controllers: tuple[str, ...]
+    cases: int
+    seed: int
+    sampling: str
+    parameters: Mapping[str, Distribution]  # by dotted scenario key
+    factors: Mapping[str, Distribution]  # by free name, for ``derive``
+    derive: Mapping[str, Rule]  # by dotted scenario key, in the order of evaluation
+    settled: Settled
+
+    @property
+    def base(self) -> dict[str, Any]:
+        """The scenario without any case's values, as plain data; not to be changed."""
+        base: dict[str, Any] = self.data["base"]
+        return base
+
+    @property
+    def description(self) -> str:
+        return str(self.data.get("description", ""))
+
+    @property
+    def distributions(self) -> dict[str, Distribution]:
+        """Parameters and factors in their order."""
+        return {**self.parameters, **self.factors}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of a case's values: parameters, factors, derived values."""
+        return (*self.parameters, *self.factors, *self.derive)
+
+    @property
+    def runs(self) -> int:
+        return self.cases * len(self.controllers)
+
+    def to_json(self) -> str:
+        """The specification as text, for the database and the workers."""
+        return json.dumps(self.data, sort_keys=False)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of all that shapes a result."""
+        shaping = {key: value for key, value in self.data.items() if key != "description"}
+        return hashlib.sha256(json.dumps(shaping, sort_keys=True).encode()).hexdigest()
+
+
+def shipped_campaigns() -> dict[str, Path]:
+    """The campaigns that ship with the package: name -> file."""
+    return {path.stem: path for path in sorted((Path(__file__).parents[1] / "campaigns").glob("*.yaml"))}
+
+
+def find_spec(name_or_path: str | Path) -> Path:
+    """The file of a shipped name or a path. Raises CampaignError when there is none."""
+    name, shipped = str(name_or_path), shipped_campaigns()
+    if name in shipped:
+        return shipped[name]
+    path = Path(name)
+    if path.is_file():
+        return path
+    raise CampaignError(f"{name}: no such campaign; choose one of {', '.join(shipped)}, or give a YAML file")
+
+
+def load_spec(name_or_path: str | Path) -> Spec:
+    """Read a specification by shipped name or path, and check it.
+
+    Raises:
+      CampaignError, ScenarioError: the file, a key or a value cannot be used; one line says where and why.
+    """
+    path = find_spec(name_or_path)
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise CampaignError(f"{path}: cannot be read: {one_line(error)}") from error
+    except yaml.YAMLError as error:
+        raise CampaignError(f"{path}: is not valid YAML: {one_line(error)}") from error
+    if not isinstance(data, Mapping):
+        raise CampaignError(f"{path}: must be a mapping with keys {', '.join(_KEYS)}")
+    try:
+        check_keys(data, _KEYS, place="specification")
+        return spec_from_data({**data, "base": _base(data, folder=path.parent)})
+    except ScenarioError as error:
+        raise CampaignError(f"{path}: {error}") from error
+    except CampaignError as error:
+        raise CampaignError(f"{path}: {one_line(error).removeprefix('specification.')}") from error
+
+
+def spec_from_json(text: str) -> Spec:
+    """What ``Spec.to_json`` wrote. Raises CampaignError when it is not that."""
+    try:
+        data = json.loads(text)
+    except ValueError as error:
+        raise CampaignError(f"not a campaign's specification: {one_line(error)}") from error
+    return spec_from_data(data)
+
+
+def spec_from_data(data: Mapping[str, Any]) -> Spec:
+    """The specification of plain data whose ``base`` holds the resolved scenario."""
+    if "cases" not in data:
+        raise CampaignError("cases: is missing; say how many")
+    cases = _whole(data["cases"], place="cases", least=1)
+    seed = _whole(data.get("seed", 0), place="seed", least=0)
+    sampling = data.get("sampling", SAMPLINGS[0])
+    if sampling not in SAMPLINGS:
+        raise CampaignError(f"sampling: '{sampling}' is unknown; choose one of {', '.join(SAMPLINGS)}")
+    parameters, factors = (
+        {
+            str(name): parse_distribution(entry, place=f"{section}.{name}")
+            for name, entry in _section(data, section).items()
+        }
+        for section in ("parameters", "factors")
+    )
+    if not parameters and not factors:
+        raise CampaignError("parameters: must disperse at least one scenario value")
+    derive = {str(name): parse_rule(entry, place=f"derive.{name}") for name, entry in _section(data, "derive").items()}
+    spec = Spec(
+        data=data,
+        controllers=_controllers(data.get("controllers", [data["base"]["controller"]])),
+        cases=cases,
+        seed=seed,
+        sampling=sampling,
+        parameters=parameters,
+        factors=factors,
+        derive=derive,
+        settled=parse_settled(data.get("settled", {}), place="settled"),
+    )
+    _check_names(spec)
+    return spec
+
+
+def _base(data: Mapping[str, Any], *, folder: Path) -> dict[str, Any]:
+    """The resolved scenario as plain data, fixed overrides included."""
+    name = data.get("scenario", "postcapture")
+    if not isinstance(name, str):
+        raise CampaignError(f"scenario: must be a shipped name or a file, not {name!r}")
+    overrides = _section(data, "overrides")
+    for key in overrides:
+        _check_not_reserved(key, place="overrides")
+    place = name if name in shipped_scenarios() else folder / name
+    texts = [f"{key}={yaml.safe_dump(value, default_flow_style=True).strip()}" for key, value in overrides.items()]
+    return scenario_to_dict(load_scenario(place, [text.removesuffix("\n...") for text in texts]))
+
+
+def _section(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    section = data.get(name)
+    if section is None:
+        return {}
+    if not isinstance(section, Mapping):
+        raise CampaignError(f"{name}: must be a mapping, not {section!r}")
+    return section
+
+
+def _whole(data: Any, *, place: str, least: int) -> int:
+    value = number(data, place=place)
+    if not value.is_integer() or value < least:
+        raise CampaignError(f"{place}: must be a whole number of at least {least}, not {data}")
+    return int(value)
+
+
+def _controllers(data: Any) -> tuple[str, ...]:
+    names = data if isinstance(data, list) else [data]
+    for name in names:
+        if name not in CONTROLLER_NAMES:
+            raise CampaignError(f"controllers: '{name}' is unknown; choose from {', '.join(CONTROLLER_NAMES)}")
+    if not names or len(set(names)) < len(names):
+        raise CampaignError("controllers: must name at least one, each once")
+    return tuple(names)
+
+
+def _check_names(spec: Spec) -> None:
+    """Each value is set once, and whatever a rule reads is there by then."""
+    keys = (*spec.parameters, *spec.derive)
+    if repeated := [name for name in keys if keys.count(name) > 1] or sorted({*keys} & {*spec.factors}):
+        raise CampaignError(f"derive.{repeated[0]}: is dispersed already; a value can be set once")
+    for section, names in (("parameters", spec.parameters), ("derive", spec.derive)):
+        for name in names:
+            _check_not_reserved(name, place=section)
+    for inner, outer in _nested(keys):
+        raise CampaignError(f"parameters.{inner}: lies within {outer}, which is set too; set one of them")
+    for factor in spec.factors:
+        if "." in factor or factor in spec.base:
+            raise CampaignError(f"factors.{factor}: must be a free name, not a scenario key; see 'parameters'")
+        if not any(factor in rule.sources for rule in spec.derive.values()):
+            raise CampaignError(f"factors.{factor}: no rule of 'derive' uses it")
+    known = {*spec.parameters, *spec.factors}
+    for name, rule in spec.derive.items():
+        for source in rule.sources:
+            if source in known:
+                continue
+            if source in spec.derive:
+                raise CampaignError(f"derive.{name}: reads {source}, which must be derived before it")
+            try:
+                get_value(spec.base, source)
+            except FfsmError:
+                raise CampaignError(f"derive.{name}: '{source}' is neither a factor nor a scenario value") from None
+        known.add(name)
+
+
+def _nested(keys: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    for outer in keys:
+        yield from ((inner, outer) for inner in keys if inner.startswith(f"{outer}."))
+
+
+def _check_not_reserved(key: str, *, place: str) -> None:
+    if key in _RESERVED:
+        raise CampaignError(f"{place}.{key}: {_RESERVED[key]}")

@@ -1,0 +1,111 @@
+"""The predicted stability boundary over two of a campaign's values, the others at their medians."""
+
+import dataclasses
+import functools
+import itertools
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from ffsm_drake.campaign.cases import make_case, scenario_of
+from ffsm_drake.campaign.distributions import LogUniform
+from ffsm_drake.campaign.errors import CampaignError
+from ffsm_drake.campaign.prediction import predict_stability
+from ffsm_drake.campaign.spec import Spec
+from ffsm_drake.errors import FfsmError
+
+POINTS = 11  # along each axis
+REFINEMENT = 3  # finer by this near the boundary
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class StabilityMap:
+    """Predicted spectral radius over a grid; below 1 is stable, NaN where nothing can be predicted."""
+
+    x_name: str
+    y_name: str
+    x: np.ndarray  # (m,)
+    y: np.ndarray  # (n,)
+    x_log: bool
+    y_log: bool
+    radius: Mapping[str, np.ndarray]  # controller -> (n, m)
+    fixed: Mapping[str, object]  # the other sampled values
+
+    def side(self, controller: str) -> np.ndarray:
+        """(n, m) the radius held within 1 +- 0.1: the boundary is drawn midway between points on either side."""
+        return np.clip(np.nan_to_num(self.radius[controller], nan=np.inf), 0.9, 1.1)
+
+
+def predict_map(
+    spec: Spec,
+    axes: tuple[str, str],
+    values: Mapping[str, np.ndarray],
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> StabilityMap:
+    """Predict over the range that the cases cover.
+
+    Args:
+      spec: the campaign.
+      axes: names of two sampled values.
+      values: all cases' numbers by name.
+      progress: called with (done, total) controllers.
+
+    Raises:
+      CampaignError: an axis is not a sampled number, or both are the same.
+    """
+    for name in axes:
+        if name not in values:
+            raise CampaignError(f"--map: '{name}' is no sampled number; choose two of {', '.join(values)}")
+    if axes[0] == axes[1]:
+        raise CampaignError("--map: needs two different values")
+    log = [isinstance(spec.distributions[name], LogUniform) for name in axes]
+    x, y = (_axis(values[name], is_log) for name, is_log in zip(axes, log, strict=True))
+    fixed = {name: distribution.value(0.5, 0) for name, distribution in spec.distributions.items() if name not in axes}
+
+    def predict(controller: str, i: int, j: int) -> float:
+        drawn = {**fixed, axes[0]: float(x[j]), axes[1]: float(y[i])}
+        try:
+            case = make_case(spec, 0, {name: drawn[name] for name in spec.distributions})
+            return predict_stability(scenario_of(spec, case, controller)).radius
+        except (FfsmError, ArithmeticError, ValueError):
+            return math.nan  # no boundary here
+
+    radius = {}
+    for k, controller in enumerate(spec.controllers):
+        radius[controller] = _refined(functools.partial(predict, controller), x.size)
+        if progress is not None:
+            progress(k + 1, len(spec.controllers))
+    return StabilityMap(
+        x_name=axes[0], y_name=axes[1], x=x, y=y, x_log=log[0], y_log=log[1], radius=radius, fixed=fixed
+    )
+
+
+def _refined(predict: Callable[[int, int], float], size: int) -> np.ndarray:
+    """The grid (size, size): every REFINEMENT-th point, all of those in cells that the boundary crosses.
+
+    The other cells are filled with their first corner: they lie on one side.
+    """
+    grid, known = np.full((size, size), np.nan), np.zeros((size, size), dtype=bool)
+
+    def fill(i: int, j: int) -> None:
+        if not known[i, j]:
+            grid[i, j], known[i, j] = predict(i, j), True
+
+    coarse = range(0, size, REFINEMENT)
+    for i, j in itertools.product(coarse, coarse):
+        fill(i, j)
+    for i, j in itertools.product(coarse[:-1], coarse[:-1]):
+        cell = np.ix_((i, i + REFINEMENT), (j, j + REFINEMENT))
+        if len({bool(value < 1.0) for value in grid[cell].ravel()}) > 1:
+            for m, n in itertools.product(range(REFINEMENT + 1), repeat=2):
+                fill(i + m, j + n)
+    nearest = (np.arange(size) // REFINEMENT) * REFINEMENT
+    return np.where(known, grid, grid[np.ix_(nearest, nearest)])
+
+
+def _axis(values: np.ndarray, is_log: bool) -> np.ndarray:
+    low, high = float(values.min()), float(values.max())
+    number = (POINTS - 1) * REFINEMENT + 1
+    return np.geomspace(low, high, number) if is_log else np.linspace(low, high, number)

@@ -1,0 +1,262 @@
+"""What a campaign's runs say: success rates, paired differences, sensitivities, agreement with the prediction."""
+
+import dataclasses
+import functools
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
+from ffsm_drake.campaign.store import Store
+
+CONFIDENCE = 0.95
+BINS = 10  # equally filled, for the share of variance that a value explains
+_RESAMPLES = 2000
+_PERMUTATIONS = 500
+_COMPARED = 10  # fewer pairs than this are not judged
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Runs:
+    """The stored runs of one controller, by case: arrays (n,) in the order of the cases, NaN for no value."""
+
+    controller: str
+    case: np.ndarray
+    outcome: np.ndarray  # text
+    metrics: Mapping[str, np.ndarray]  # METRICS, PREDICTIONS, outcome_time and wall_time
+
+    @functools.cached_property
+    def settled(self) -> np.ndarray:
+        return self.outcome == "settled"
+
+    @functools.cached_property
+    def valid(self) -> np.ndarray:
+        """Whether the run came to a result; an error is none."""
+        return self.outcome != "error"
+
+    @functools.cached_property
+    def radius(self) -> np.ndarray:
+        """Predicted spectral radius, the larger of both."""
+        return np.fmax(*(self.metrics[name] for name in PREDICTIONS))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Table:
+    """A campaign's results in memory: some hundred bytes per run."""
+
+    runs: Mapping[str, Runs]  # by controller
+    values: Mapping[str, np.ndarray]  # the sampled values that are numbers, by name, (number of cases,)
+
+    def at(self, name: str, runs: Runs) -> np.ndarray:
+        """A sampled value for each run."""
+        return self.values[name][runs.case]
+
+
+def read_table(store: Store) -> Table:
+    """Read what a database holds so far."""
+    columns = ("outcome_time", "wall_time", *METRICS, *PREDICTIONS)
+    runs = {}
+    for controller in store.spec.controllers:
+        rows = list(
+            store.query(
+                f"SELECT case_index, outcome, {', '.join(columns)} FROM results WHERE controller = ? ORDER BY 1",
+                (controller,),
+            )
+        )
+        cells = list(zip(*rows, strict=True)) or [()] * (2 + len(columns))
+        runs[controller] = Runs(
+            controller=controller,
+            case=np.array(cells[0], dtype=int),
+            outcome=np.array(cells[1], dtype=str),
+            metrics={name: np.array(cell, dtype=float) for name, cell in zip(columns, cells[2:], strict=True)},
+        )
+    values = {}
+    for name in store.spec.distributions:
+        quoted = '"' + name.replace('"', '""') + '"'
+        column = [row[0] for row in store.query(f"SELECT {quoted} FROM cases ORDER BY case_index")]
+        if all(isinstance(value, (int, float)) for value in column) and len(set(column)) > 1:
+            values[name] = np.array(column, dtype=float)
+    return Table(runs=runs, values=values)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Interval:
+    """An estimate with its confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def success_rate(runs: Runs) -> Interval:
+    """Share of settled runs, with the Clopper-Pearson interval. An error row counts as not settled."""
+    if runs.case.size == 0:
+        return Interval(value=math.nan, low=0.0, high=1.0)
+    found = stats.binomtest(int(runs.settled.sum()), int(runs.case.size)).proportion_ci(CONFIDENCE, method="exact")
+    return Interval(value=float(runs.settled.mean()), low=float(found.low), high=float(found.high))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Difference:
+    """Two controllers on the same cases."""
+
+    first: str
+    second: str
+    cases: int  # that both have run
+    success: Interval  # success rate of the first minus that of the second
+    both: int  # cases that both settled
+    itae_ratio: Interval | None  # median over those of ITAE, first over second; None with too few
+    ratios: np.ndarray  # (both,)
+
+
+def paired_differences(table: Table, *, seed: int) -> list[Difference]:
+    """Every pair of controllers; intervals by a seeded bootstrap over cases."""
+    return [
+        _difference(table.runs[first], table.runs[second], seed=seed)
+        for first, second in itertools.combinations(table.runs, 2)
+    ]
+
+
+def _difference(first: Runs, second: Runs, *, seed: int) -> Difference:
+    _, i, j = np.intersect1d(first.case, second.case, assume_unique=True, return_indices=True)
+    settled = first.settled[i].astype(float) - second.settled[j]
+    both = first.settled[i] & second.settled[j]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = (first.metrics["itae"][i] / second.metrics["itae"][j])[both]
+    ratios = ratios[np.isfinite(ratios)]
+    return Difference(
+        first=first.controller,
+        second=second.controller,
+        cases=int(i.size),
+        success=_bootstrap(settled, np.mean, seed=seed),
+        both=int(both.sum()),
+        itae_ratio=_bootstrap(ratios, np.median, seed=seed) if ratios.size >= _COMPARED else None,
+        ratios=ratios,
+    )
+
+
+def _bootstrap(sample: np.ndarray, statistic: Callable[..., Any], *, seed: int) -> Interval:
+    if sample.size < 2:
+        return Interval(value=float(statistic(sample)) if sample.size else math.nan, low=math.nan, high=math.nan)
+    interval = stats.bootstrap(
+        (sample,), statistic, n_resamples=_RESAMPLES, batch=50, confidence_level=CONFIDENCE, method="percentile",
+        vectorized=True, random_state=np.random.default_rng(seed),
+    ).confidence_interval  # fmt: skip
+    return Interval(value=float(statistic(sample)), low=float(interval.low), high=float(interval.high))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    """How a value bears on whether runs fail."""
+
+    name: str
+    controller: str
+    correlation: float  # Spearman's, with failure; positive: larger values fail more
+    share: float  # of the variance of failure that the value alone explains, by equally filled bins
+    chance: float  # the share that a value without any effect would reach in one of twenty campaigns
+
+    @property
+    def matters(self) -> bool:
+        return self.share > self.chance
+
+
+def sensitivities(table: Table, *, seed: int) -> list[Sensitivity]:
+    """Every sampled value and controller; NaN where all runs end alike."""
+    return [
+        _sensitivity(name, table.at(name, runs), runs, seed=seed)
+        for runs in table.runs.values()
+        for name in table.values
+    ]
+
+
+def _sensitivity(name: str, values: np.ndarray, runs: Runs, *, seed: int) -> Sensitivity:
+    failed = (~runs.settled).astype(float)
+    if failed.size < 2 * BINS or failed.min() == failed.max():
+        return Sensitivity(name=name, controller=runs.controller, correlation=math.nan, share=math.nan, chance=math.nan)
+    bins = np.minimum(((stats.rankdata(values) - 0.5) * BINS / values.size).astype(int), BINS - 1)
+    generator = np.random.default_rng(seed)
+    by_chance = [_explained(bins, generator.permutation(failed)) for _ in range(_PERMUTATIONS)]
+    return Sensitivity(
+        name=name,
+        controller=runs.controller,
+        correlation=float(stats.spearmanr(values, failed).statistic),
+        share=_explained(bins, failed),
+        chance=float(np.quantile(by_chance, CONFIDENCE)),
+    )
+
+
+def _explained(bins: np.ndarray, failed: np.ndarray) -> float:
+    """Variance of the bins' means over the variance of all: the correlation ratio."""
+    count = np.bincount(bins, minlength=BINS)
+    mean = np.bincount(bins, weights=failed, minlength=BINS) / np.maximum(count, 1)
+    return float(np.sum(count * (mean - failed.mean()) ** 2) / (failed.size * failed.var()))
+
+
+def most_influential(found: list[Sensitivity]) -> list[str]:
+    """The names by the share they explain, summed over the controllers, largest first."""
+    names = list(dict.fromkeys(item.name for item in found))
+    total = {name: np.nansum([item.share for item in found if item.name == name]) for name in names}
+    return sorted(names, key=lambda name: -total[name])
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Agreement:
+    """The linear prediction against what happened, in runs."""
+
+    controller: str
+    stable_settled: int
+    stable_failed: int
+    unstable_settled: int
+    unstable_failed: int
+
+    @property
+    def total(self) -> int:
+        return self.stable_settled + self.stable_failed + self.unstable_settled + self.unstable_failed
+
+    @property
+    def share(self) -> float:
+        """Share of the runs that ended as predicted."""
+        return (self.stable_settled + self.unstable_failed) / self.total if self.total else math.nan
+
+
+def agreement(runs: Runs) -> Agreement:
+    """Count predictions and outcomes; errors and runs without a prediction are left out."""
+    known = runs.valid & ~np.isnan(runs.radius)
+    stable = runs.radius < 1.0
+
+    def number(which: np.ndarray) -> int:
+        return int((which & known).sum())
+
+    return Agreement(
+        controller=runs.controller,
+        stable_settled=number(stable & runs.settled),
+        stable_failed=number(stable & ~runs.settled),
+        unstable_settled=number(~stable & runs.settled),
+        unstable_failed=number(~stable & ~runs.settled),
+    )
+
+
+def worst_runs(runs: Runs, *, count: int = 5) -> np.ndarray:
+    """Positions of the ``count`` worst runs: errors, then the earliest divergences, then the largest final errors."""
+    final = np.nanmax(
+        np.vstack(
+            [np.zeros(runs.case.size), *(runs.metrics[name] for name in METRICS if name.startswith("final_error"))]
+        ),
+        axis=0,
+    )
+    order = np.select([runs.outcome == "error", runs.outcome == "diverged", ~runs.settled], [0, 1, 2], default=3)
+    time = np.where(runs.outcome == "diverged", runs.metrics["outcome_time"], 0.0)
+    return np.lexsort((-final, time, order))[:count]
+
+
+def quantiles(runs: Runs, metric: str) -> tuple[float, float, float]:
+    """5 %, 50 % and 95 % quantile of a metric over the settled runs; NaN where there is none."""
+    values = runs.metrics[metric][runs.settled]
+    if values.size == 0:
+        return math.nan, math.nan, math.nan
+    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
+    return float(low), float(middle), float(high)

@@ -1,0 +1,140 @@
+"""What the campaign tests share: a small specification, tables to compare, a driver in a process of its own."""
+
+import contextlib
+import os
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import yaml
+
+from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
+from ffsm_drake.campaign.executor import Stop, local_workers
+from ffsm_drake.campaign.run import start_campaign
+from ffsm_drake.campaign.spec import load_spec
+
+DRIVER = "from ffsm_drake.campaign.commands import campaign; campaign(prog_name='ffsm campaign')"
+SMALL = {
+    "description": "a small campaign",
+    "scenario": "postcapture",
+    "overrides": {"duration": 0.3},
+    "controllers": ["tdc", "asmc"],
+    "cases": 8,
+    "seed": 5,
+    "parameters": {
+        "payload.truth.mass": {"distribution": "uniform", "low": 20, "high": 300},
+        "sensing.velocity_noise": {"distribution": "log_uniform", "low": "1e-7", "high": 1e-5},
+    },
+    "factors": {"belief_error": {"distribution": "uniform", "low": -0.5, "high": 0.2}},
+    "derive": {
+        "payload.truth.inertia": {"rule": "solid_cube", "mass": "payload.truth.mass", "side": 1.0},
+        "payload.belief.mass": {"rule": "relative", "of": "payload.truth.mass", "error": "belief_error"},
+        "payload.belief.inertia": {"rule": "relative", "of": "payload.truth.inertia", "error": "belief_error"},
+    },
+    "settled": {"hold": 0.1},
+}
+
+
+def write_spec(path: Path, **changes) -> Path:
+    path.write_text(yaml.safe_dump({**SMALL, **changes}, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def run_here(spec_file: Path, database: Path, *, workers: int = 1) -> Path:
+    """Run a campaign from this process."""
+    with local_workers(workers) as crew:
+        start_campaign(load_spec(spec_file), database, workers=crew, stop=Stop())
+    return database
+
+
+def table(database: Path) -> list[tuple]:
+    """All that must be the same however a campaign was run."""
+    columns = ", ".join(("case_index", "controller", "random_seed", "outcome", "outcome_time", "message"))
+    values = '"payload.truth.mass", "sensing.velocity_noise", "payload.belief.inertia"'
+    with contextlib.closing(sqlite3.connect(database)) as connection:
+        return connection.execute(
+            f"SELECT {columns}, {values}, {', '.join((*METRICS, *PREDICTIONS))} FROM runs ORDER BY 1, 2"
+        ).fetchall()
+
+
+def count(database: Path) -> int:
+    """Stored runs; 0 before the database is there."""
+    if not database.exists():
+        return 0
+    with contextlib.closing(sqlite3.connect(database, timeout=10)) as connection:
+        return connection.execute("SELECT count(*) FROM results").fetchone()[0]
+
+
+def start_driver(*arguments: str) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, "-c", DRIVER, *arguments],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+    )  # fmt: skip
+
+
+def worker_processes(driver: int) -> list[int]:
+    """The processes that a driver, or a Dask nanny, has spawned to work."""
+    found = []
+    for thread in Path(f"/proc/{driver}/task").iterdir():
+        with contextlib.suppress(OSError):
+            for pid in (thread / "children").read_text().split():
+                if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
+                    found.append(int(pid))
+    return found
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def run_with_kills(spec: Path, database: Path, *, kills: int, seed: int, mean_delay: float = 1.0) -> list[str]:
+    """Run a campaign to its end while workers and the driver are killed at random moments; says what was killed.
+
+    Kills alternate between a worker and the driver, each after a few more results.
+    """
+    chance = random.Random(seed)
+    events: list[str] = []
+    workers_seen: set[int] = set()
+    driver = start_driver("run", str(spec), "--database", str(database), "--workers", "2")
+    while len(events) < kills:
+        target = count(database) + 1
+        while driver.poll() is None and count(database) < target:
+            time.sleep(0.02)
+        time.sleep(chance.expovariate(1.0 / mean_delay))
+        workers = worker_processes(driver.pid) if driver.poll() is None else []
+        workers_seen.update(workers)
+        if driver.poll() is not None:
+            assert driver.returncode == 0, driver.communicate()[0]
+            break  # it has finished before it could be killed
+        if len(events) % 2 == 0 and workers:
+            os.kill(chance.choice(workers), signal.SIGKILL)
+            events.append(f"worker at {count(database)}")
+        elif len(events) % 2 == 1:
+            driver.kill()
+            driver.wait()
+            events.append(f"driver at {count(database)}")
+            driver = start_driver("resume", str(database), "--workers", "2")
+    output, _ = driver.communicate(timeout=300)
+    assert driver.returncode == 0, output
+    # No worker outlives its driver.
+    end = time.monotonic() + 10.0
+    while any(alive(pid) for pid in workers_seen) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not [pid for pid in workers_seen if alive(pid)]
+    return events
+
+
+def die_if(task: int, victims: list[int], memory: str) -> int:
+    """A task for the executor: the victims kill their process, once each; ``memory`` is a folder for what was done."""
+    mark = Path(memory) / str(task)
+    if task in victims and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 10 * task

@@ -1,0 +1,185 @@
+"""The judgement of a campaign: statistics against known answers, and the page as a reader meets it."""
+
+import html.parser
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+from campaign_tools import run_here, write_spec
+from click.testing import CliRunner
+
+from ffsm_drake.campaign.commands import campaign
+from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
+from ffsm_drake.campaign.findings import find
+from ffsm_drake.campaign.stability_map import predict_map
+from ffsm_drake.campaign.statistics import (
+    Runs,
+    Table,
+    agreement,
+    most_influential,
+    paired_differences,
+    sensitivities,
+    success_rate,
+    worst_runs,
+)
+from ffsm_drake.campaign.store import open_store
+
+
+def make_runs(settled, *, controller="tdc", **metrics):
+    settled = np.asarray(settled, dtype=bool)
+    columns = {name: np.full(settled.size, np.nan) for name in ("outcome_time", "wall_time", *METRICS, *PREDICTIONS)}
+    return Runs(
+        controller=controller,
+        case=np.arange(settled.size),
+        outcome=np.where(settled, "settled", "diverged"),
+        metrics={**columns, **{name: np.asarray(values, dtype=float) for name, values in metrics.items()}},
+    )
+
+
+def test_success_rate_has_the_exact_interval():
+    # Nothing fails in n runs: the lower limit solves p^n = 2.5 %.
+    rate = success_rate(make_runs([True] * 20))
+    assert rate.value == rate.high == 1.0
+    assert rate.low == pytest.approx(0.025 ** (1 / 20))
+    # 8 of 10, published: 44.39 % to 97.48 %.
+    rate = success_rate(make_runs([True] * 8 + [False] * 2))
+    assert (rate.low, rate.high) == (pytest.approx(0.4439, abs=1e-4), pytest.approx(0.9748, abs=1e-4))
+
+
+def test_paired_differences_find_a_known_factor():
+    generator = np.random.default_rng(0)
+    itae = np.exp(generator.normal(size=400))  # cases differ by far more than controllers
+    ratio = np.exp(generator.normal(math.log(1.1), 0.05, size=400))
+    table = Table(
+        runs={
+            "tdc": make_runs([True] * 400, itae=itae * ratio),
+            "asmc": make_runs([True] * 300 + [False] * 100, controller="asmc", itae=itae),
+        },
+        values={},
+    )
+    (found,) = paired_differences(table, seed=1)
+    assert (found.cases, found.both) == (400, 300)
+    assert found.success.value == 0.25
+    assert found.success.low == pytest.approx(0.25 - 1.96 * math.sqrt(0.25 * 0.75 / 400), abs=0.01)
+    assert found.itae_ratio.low < 1.1 < found.itae_ratio.high
+    assert found.itae_ratio.high - found.itae_ratio.low < 0.03
+    assert paired_differences(table, seed=1)[0].itae_ratio == found.itae_ratio
+
+
+def test_sensitivity_tells_the_cause_from_the_bystander():
+    generator = np.random.default_rng(3)
+    cause, bystander = generator.random(600), generator.random(600)
+    table = Table(
+        runs={"tdc": make_runs(cause < 0.8), "asmc": make_runs(np.abs(cause - 0.5) < 0.4, controller="asmc")},
+        values={"bystander": bystander, "cause": cause},
+    )
+    found = {(item.name, item.controller): item for item in sensitivities(table, seed=0)}
+    assert found["cause", "tdc"].share == pytest.approx(1.0, abs=0.15)  # one bin straddles the limit
+    assert found["cause", "tdc"].correlation > 0.5
+    # Failing at both ends: no direction, and yet the cause.
+    assert found["cause", "asmc"].share > 0.8
+    assert abs(found["cause", "asmc"].correlation) < 0.2
+    assert not found["bystander", "tdc"].matters
+    assert not found["bystander", "asmc"].matters
+    assert most_influential(list(found.values())) == ["cause", "bystander"]
+
+
+def test_agreement_and_worst_runs():
+    runs = make_runs(
+        [True, False, True, False],
+        predicted_radius_starting=[0.9, 0.9, 0.9, 0.9],
+        predicted_radius_expected=[0.9, 1.1, 1.2, 0.8],
+        outcome_time=[20, 7, 20, 3],
+        final_error_joints=[1e-6, 5, 1e-5, 4],
+    )
+    found = agreement(runs)
+    assert (found.stable_settled, found.unstable_failed, found.unstable_settled, found.stable_failed) == (1, 1, 1, 1)
+    assert found.share == 0.5
+    assert worst_runs(runs).tolist() == [3, 1, 2, 0]
+
+
+@pytest.fixture(scope="module")
+def database(tmp_path_factory):
+    """A second of flight with beliefs on both sides of ASMC's limit."""
+    folder = tmp_path_factory.mktemp("report")
+    spec = write_spec(
+        folder / "s.yaml",
+        overrides={"duration": 1.0},
+        controllers=["tdc", "asmc"],
+        cases=24,
+        factors={"belief_error": {"distribution": "uniform", "low": -0.5, "high": 0.6}},
+        description="with <angle> brackets & </script>",
+    )
+    return run_here(spec, folder / "x.db", workers=1)
+
+
+def test_the_predicted_boundary_agrees_with_the_outcomes(database):
+    with open_store(database) as store:
+        findings = find(store, axes=("belief_error", "payload.truth.mass"))
+    asmc = next(item for item in findings.agreement if item.controller == "asmc")
+    assert asmc.total == 24
+    assert asmc.unstable_failed > 2
+    assert asmc.stable_settled > 8
+    assert asmc.share >= 0.9
+    radius = findings.map.radius["asmc"]
+    # No inertia is over-estimated by more than the payload's; one axis bears eta = 4 / (2 + (K_D + K_s) L) = 1.0526.
+    assert (radius[:, findings.map.x < 0.0526] < 1.0).all()
+    assert (radius[:, findings.map.x > 0.2] > 1.0).all()
+
+
+def test_the_map_wants_two_sampled_numbers(database):
+    from ffsm_drake.campaign.errors import CampaignError
+
+    with open_store(database) as store, pytest.raises(CampaignError, match="'sample_time' is no sampled number"):
+        predict_map(store.spec, ("sample_time", "belief_error"), {"belief_error": np.arange(3.0)})
+
+
+class Reader(html.parser.HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.outside, self.ids = [], []
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        self.ids.append(attributes.get("id"))
+        self.outside += [
+            value for name, value in attributes.items() if name in ("src", "href") and value[:5] != "data:"
+        ]
+
+
+def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path):
+    pytest.importorskip("plotly")
+    result = CliRunner().invoke(
+        campaign, ["report", str(database), "--out", str(tmp_path), "--map", "belief_error", "payload.truth.mass"]
+    )
+    assert result.exit_code == 0, result.output
+    assert re.search(r"predicted unstable +\d+ +[1-9]", result.output)
+    page = (tmp_path / "report.html").read_text()
+    reader = Reader()
+    reader.feed(page)
+    assert reader.outside == []
+    charts = {"success", "accuracy", "difference", "sensitivity", "map"}
+    assert {f"chart-{name}" for name in charts} <= set(reader.ids)
+    assert "with &lt;angle&gt; brackets &amp; &lt;/script&gt;" in page
+    data = [json.loads(line) for line in re.findall(r"var chart = (\{.*\});\n", page)]
+    assert len(data) == len(charts)
+    assert all(len(chart["data"]) > 0 for chart in data)
+    for name in charts:
+        assert (tmp_path / f"{name}.png").read_bytes()[1:4] == b"PNG"
+    assert (tmp_path / "runs.csv").read_text().count("\n") == 49
+    assert f"ffsm campaign rerun {database} --case" in page
+
+
+def test_a_report_of_nothing(database, tmp_path):
+    import contextlib
+    import sqlite3
+
+    path = tmp_path / "empty.db"
+    path.write_bytes(database.read_bytes())
+    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("DELETE FROM results")
+    result = CliRunner().invoke(campaign, ["report", str(path)])
+    assert result.exit_code == 2
+    assert result.output.strip().endswith("holds no result yet")

@@ -1,0 +1,242 @@
+"""A campaign's specification: what it means, and how each mistake is told."""
+
+import math
+import statistics
+
+import pytest
+import yaml
+from campaign_tools import SMALL, write_spec
+from click.testing import CliRunner
+from scipy.stats import kstest
+
+from ffsm_drake.campaign.cases import make_cases, scenario_of
+from ffsm_drake.campaign.commands import campaign
+from ffsm_drake.campaign.distributions import parse_distribution
+from ffsm_drake.campaign.errors import CampaignError
+from ffsm_drake.campaign.rules import parse_rule
+from ffsm_drake.campaign.sampling import case_seed, unit_points
+from ffsm_drake.campaign.settled import parse_settled
+from ffsm_drake.campaign.spec import load_spec, shipped_campaigns, spec_from_json
+from ffsm_drake.campaign.values import set_value
+from ffsm_drake.scenario import CONTROLLER_NAMES
+
+
+def changed(section, **entries):
+    return {section: {**SMALL.get(section, {}), **entries}}
+
+
+BAD = {
+    "unknown key": ({"contrllers": ["tdc"]}, "contrllers: unknown key"),
+    "unknown scenario": ({"scenario": "nowhere"}, "nowhere"),
+    "unknown controller": ({"controllers": ["pid"]}, "'pid' is unknown"),
+    "controller twice": ({"controllers": ["tdc", "tdc"]}, "each once"),
+    "no cases": ({"cases": 0}, "cases: must be a whole number of at least 1, not 0"),
+    "half a case": ({"cases": 2.5}, "cases: must be a whole number"),
+    "unknown sampling": ({"sampling": "halton"}, "'halton' is unknown"),
+    "no parameters": ({"parameters": {}, "factors": {}, "derive": {}}, "at least one"),
+    "unknown distribution": (
+        changed("parameters", sample_time={"distribution": "gamma", "low": 1, "high": 2}),
+        "distribution 'gamma' is unknown",
+    ),
+    "low above high": (
+        changed("parameters", sample_time={"distribution": "uniform", "low": 2, "high": 1}),
+        "parameters.sample_time: low must be below high",
+    ),
+    "not a number": (
+        changed("parameters", sample_time={"distribution": "uniform", "low": float("nan"), "high": 1}),
+        "must be finite, not nan",
+    ),
+    "log of zero": (
+        changed("parameters", sample_time={"distribution": "log_uniform", "low": 0, "high": 1}),
+        "low: must be > 0",
+    ),
+    "no spread": (
+        changed("parameters", sample_time={"distribution": "normal", "mean": 1, "deviation": 0}),
+        "deviation: must be > 0",
+    ),
+    "missing bound": (changed("parameters", sample_time={"distribution": "uniform", "low": 0}), "needs high"),
+    "unknown scenario key": (
+        changed("parameters", **{"payload.truth.mas": {"distribution": "uniform", "low": 1, "high": 2}}),
+        "payload.truth.mas: unknown key",
+    ),
+    "unknown coordinate": (
+        changed("parameters", **{"initial_velocity.joint_9": {"distribution": "uniform", "low": 0, "high": 1}}),
+        "joint_9: unknown coordinate",
+    ),
+    "past the list": (
+        changed("parameters", **{"payload.truth.center_of_mass.3": {"distribution": "uniform", "low": 0, "high": 1}}),
+        "must be a number from 0 to 2",
+    ),
+    "reserved": (
+        changed("parameters", random_seed={"distribution": "choice", "values": [1, 2]}),
+        "follows from 'seed'",
+    ),
+    "set twice": (changed("derive", **{"payload.truth.mass": {"rule": "scale", "of": "belief_error"}}), "set once"),
+    "one within another": (
+        changed("parameters", **{"payload.truth": {"distribution": "choice", "values": [1]}}),
+        "lies within payload.truth",
+    ),
+    "idle factor": (
+        changed("factors", idle={"distribution": "uniform", "low": 0, "high": 1}), "no rule of 'derive' uses it"
+    ),
+    "factor named as a key": (
+        changed("factors", sample_time={"distribution": "uniform", "low": 0, "high": 1}), "must be a free name"
+    ),
+    "unknown rule": (changed("derive", duration={"rule": "exec", "of": "belief_error"}), "rule 'exec' is unknown"),
+    "unknown source": (changed("derive", duration={"rule": "scale", "of": "nothing"}), "'nothing' is neither"),
+    "list as a number": (
+        changed("derive", duration={"rule": "relative", "of": "sample_time", "error": "payload.truth.inertia"}),
+        "a list stands where a single number is needed",
+    ),
+    "bad tolerance": ({"settled": {"tolerance": {"joints": 0}}}, "joints: must be > 0"),
+    "impossible value": (
+        {"parameters": {"payload.truth.mass": {"distribution": "uniform", "low": -9, "high": -8}}},
+        "payload.truth.mass: must be > 0 kg",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_specification_is_one_line(name, tmp_path):
+    changes, said = BAD[name]
+    spec = write_spec(tmp_path / "bad.yaml", **changes)
+    result = CliRunner().invoke(campaign, ["run", str(spec), "--database", str(tmp_path / "x.db")])
+    assert result.exit_code == 2, result.output
+    assert said in result.output
+    assert result.output.count("\n") == 1
+    assert not (tmp_path / "x.db").exists()
+
+
+@pytest.mark.parametrize(("text", "said"), [("[1, 2]", "must be a mapping"), ("a: [", "is not valid YAML")])
+def test_a_file_that_is_no_specification(text, said, tmp_path):
+    (tmp_path / "bad.yaml").write_text(text)
+    result = CliRunner().invoke(campaign, ["plan", str(tmp_path / "bad.yaml")])
+    assert result.exit_code == 2
+    assert said in result.output
+    assert result.output.count("\n") == 1
+
+
+def test_a_missing_file():
+    result = CliRunner().invoke(campaign, ["plan", "nothing"])
+    assert result.exit_code == 2
+    assert "no such campaign; choose one of payload_uncertainty" in result.output
+
+
+@pytest.mark.parametrize("sampling", ["latin_hypercube", "sobol", "random"])
+def test_points_are_uniform_and_repeatable(sampling):
+    points = unit_points(sampling, cases=512, dimensions=3, seed=7)
+    assert (points == unit_points(sampling, cases=512, dimensions=3, seed=7)).all()
+    assert (points != unit_points(sampling, cases=512, dimensions=3, seed=8)).any()
+    assert 0.0 < points.min() < points.max() < 1.0
+    for column in points.T:
+        assert kstest(column, "uniform").pvalue > 1e-3
+    if sampling == "latin_hypercube":
+        assert all(len({int(512 * x) for x in column}) == 512 for column in points.T)
+
+
+def test_distributions_have_their_quantiles():
+    make = lambda **data: parse_distribution(data, place="x")  # noqa: E731
+    uniform = make(distribution="uniform", low=2, high=6)
+    assert [uniform.value(u, 0) for u in (0.25, 0.5)] == [3.0, 4.0]
+    log = make(distribution="log_uniform", low="1e-7", high=1e-5)
+    assert log.value(0.5, 0) == pytest.approx(1e-6)
+    assert 1e-7 <= log.value(1e-12, 0) <= log.value(1 - 1e-12, 0) <= 1e-5
+    normal = make(distribution="normal", mean=5, deviation=2)
+    assert normal.value(0.5, 0) == 5.0
+    assert normal.value(0.975, 0) == pytest.approx(5 + 2 * 1.959964, rel=1e-6)
+    choice = make(distribution="choice", values=["one_sample", "kalman", [1, 2]])
+    assert [choice.value(u, 0) for u in (0.1, 0.5, 0.999999)] == ["one_sample", "kalman", [1, 2]]
+    listed = make(distribution="list", values=[3, 1])
+    assert [listed.value(0.5, case) for case in range(3)] == [3, 1, 3]
+
+
+def test_rules():
+    apply = lambda values, **data: parse_rule(data, place="x").apply(values)  # noqa: E731
+    assert apply([100.0], rule="solid_cube", mass="m", side=1.0) == pytest.approx([100 / 6] * 3)
+    assert apply([10.0], rule="solid_sphere", mass="m", radius=2.0) == pytest.approx([16.0] * 3)
+    assert apply([100.0, -0.2], rule="relative", of="m", error="f") == pytest.approx(80.0)
+    assert apply([[1.0, 2.0], 0.5], rule="relative", of="i", error="f") == [1.5, 3.0]
+    assert apply([3.0, 2.0], rule="scale", of=["a", "b"], by=[1, 0, 2]) == [6.0, 0.0, 12.0]
+    assert apply([1.0, 2.5], rule="sum", of=["a", "b"]) == 3.5
+    assert apply([[1.0, 2.0], [3.0, 4.0]], rule="sum", of=["a", "b"]) == [4.0, 6.0]
+    with pytest.raises(CampaignError, match="only one"):
+        apply([[1.0], [2.0]], rule="scale", of=["a", "b"])
+    with pytest.raises(CampaignError, match="same length"):
+        apply([[1.0], [2.0, 3.0]], rule="sum", of=["a", "b"])
+
+
+def test_cases_follow_from_the_specification_alone(tmp_path):
+    spec = load_spec(write_spec(tmp_path / "s.yaml"))
+    cases = list(make_cases(spec))
+    assert cases == list(make_cases(spec_from_json(spec.to_json())))
+    assert len({case.seed for case in cases}) == len(cases)
+    for case in cases:
+        assert case.seed == case_seed(spec.seed, case.index)
+        mass, error = case.values["payload.truth.mass"], case.values["belief_error"]
+        tdc, asmc = (scenario_of(spec, case, name) for name in ("tdc", "asmc"))
+        assert tdc.payload.belief.mass == pytest.approx(mass * (1 + error))
+        assert tdc.payload.belief.inertia == pytest.approx([mass / 6 * (1 + error)] * 3)
+        # Paired: all but the controller is the same.
+        assert tdc.random_seed == asmc.random_seed == case.seed
+        assert (tdc.payload, tdc.sensing) == (asmc.payload, asmc.sensing)
+    other = load_spec(write_spec(tmp_path / "t.yaml", seed=6))
+    assert other.fingerprint != spec.fingerprint
+    assert [case.seed for case in make_cases(other)] != [case.seed for case in cases]
+    assert load_spec(write_spec(tmp_path / "u.yaml", description="other words")).fingerprint == spec.fingerprint
+
+
+def test_the_shipped_campaign():
+    spec = load_spec("payload_uncertainty")
+    assert spec.controllers == CONTROLLER_NAMES
+    cases = list(make_cases(spec))
+    masses = [case.values["payload.truth.mass"] for case in cases]
+    ratios = [case.values["payload.belief.mass"] / case.values["payload.truth.mass"] for case in cases]
+    noises = [math.log10(case.values["sensing.velocity_noise"]) for case in cases]
+    assert 20 <= min(masses) < 21
+    assert 299 < max(masses) <= 300
+    assert 0.5 <= min(ratios) < 0.501
+    assert 1.199 < max(ratios) <= 1.2
+    assert -7 <= min(noises) < -6.99
+    assert statistics.fmean(noises) == pytest.approx(-6, abs=1e-3)
+    assert all(yaml.safe_load(path.read_text())["description"] for path in shipped_campaigns().values())
+
+
+def test_set_value_reaches_lists_and_absent_mappings():
+    data = {"a": [1, 2], "b": {"c": None}}
+    set_value(data, "a.1", 5)
+    set_value(data, "b.c.joint_1", 7)
+    assert data == {"a": [1, 5], "b": {"c": {"joint_1": 7}}}
+    with pytest.raises(CampaignError, match="within a single value"):
+        set_value(data, "a.1.x", 0)
+
+
+def test_settled_means_until_the_end():
+    import numpy as np
+
+    criterion = parse_settled({"hold": 2.0, "tolerance": {"joints": 0.1, "base_position": 1.0}}, place="settled")
+    time = np.arange(0.0, 10.5, 0.5)
+    group_of = ("base_position", "joints")
+    error = np.zeros((time.size, 2))
+    assert criterion.time(time, error, group_of) == 0.0
+    error[:, 0] = 0.5
+    error[time < 6.0, 1] = 0.2
+    assert criterion.time(time, error, group_of) == 6.0
+    error[time == 8.0, 1] = -0.2
+    assert criterion.time(time, error, group_of) is None
+    assert parse_settled({"hold": 0.0}, place="s").time(time, error * 0.0, group_of) == 0.0
+    error[time == 8.0, 1] = 0.0
+    error[-1, 0] = np.nan
+    assert criterion.time(time, error, group_of) is None
+
+
+def test_help_needs_no_drake():
+    import subprocess
+    import sys
+
+    # The package itself may load Drake; what the commands add must not.
+    script = (
+        "import sys, ffsm_drake; before = set(sys.modules); import ffsm_drake.campaign.commands; "
+        "heavy = {name.partition('.')[0] for name in set(sys.modules) - before}; "
+        "print(heavy & {'pydrake', 'numpy', 'scipy', 'xarray', 'plotly', 'distributed', 'jinja2'})"
+    )
+    assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout == "set()\n"
