@@ -210,4 +210,6 @@ def _checked_disturbance(source: System, coordinates: Coordinates) -> System:
     size = len(coordinates.names)
     if not source.HasOutputPort("generalized_force") or source.GetOutputPort("generalized_force").size() != size:
         raise ScenarioError("own_disturbance", f"needs an output port 'generalized_force' of size {size}")
+    if not source.get_name():
+        source.set_name(type(source).__name__)  # Drake's own choice differs from run to run
     return source

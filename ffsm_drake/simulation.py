@@ -6,7 +6,7 @@ import functools
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
@@ -90,9 +90,12 @@ class Rollout:
         ApplySimulatorConfig(scenario.simulator_config, self._simulator)
         config = scenario.simulator_config
         logs_every_step = not config.use_error_control and config.max_step_size >= scenario.sample_time
-        own = own_disturbance is not None or scenario.controller not in CONTROLLER_NAMES
+        self._from_elsewhere = [
+            *([] if scenario.controller in CONTROLLER_NAMES else [f"controller '{scenario.controller}'"]),
+            *([] if own_disturbance is None else [f"disturbance '{self.loop.disturbance.get_name()}'"]),
+        ]
         # Not so where somebody watches or takes part, or a system from elsewhere may do otherwise next time.
-        repeatable = meshcat is None and make_operator is None and not own
+        repeatable = meshcat is None and make_operator is None and not self._from_elsewhere
         self._judged_by_log = logs_every_step and repeatable
         self._built_for = _built_from(scenario)
         self._build_time = time.perf_counter() - start
@@ -195,7 +198,7 @@ class Rollout:
         except Exception as error:
             # Numbers that are no longer finite are refused; any other refusal is a fault to be seen.
             if monitor.check(context) and monitor.check_force(context):
-                _raise_for(error, loop.scenario, context.get_time())
+                _raise_for(error, self._from_elsewhere, context.get_time())
         return interrupted, time.perf_counter() - start
 
     def _read_log(self, *, interrupted: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -221,13 +224,13 @@ class Rollout:
         return times, series
 
 
-def _raise_for(error: Exception, scenario: Scenario, time: float) -> NoReturn:
-    """Of a controller from elsewhere, say where it failed; any other fault is ours and passes as it is."""
-    if scenario.controller in CONTROLLER_NAMES:
+def _raise_for(error: Exception, suspects: Sequence[str], time: float) -> NoReturn:
+    """Say where a system from elsewhere failed; where none takes part, the fault is ours and passes as it is."""
+    if not suspects:
         raise error
     place = traceback.extract_tb(error.__traceback__)[-1]
     raise ControllerError(
-        f"controller '{scenario.controller}' failed at t = {time:.2f} s: {type(error).__name__}: {one_line(error)} "
+        f"{' or '.join(suspects)} failed at t = {time:.2f} s: {type(error).__name__}: {one_line(error)} "
         f"({place.filename}, line {place.lineno})"
     ) from error
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
 
-from ffsm_drake import ScenarioError, block_diagram, load_scenario, make_closed_loop, simulate
+from ffsm_drake import ControllerError, ScenarioError, block_diagram, load_scenario, make_closed_loop, simulate
 from ffsm_drake.closed_loop import SIGNALS
 from ffsm_drake.visualization import quiet_drake, start_meshcat
 
@@ -146,3 +146,16 @@ def test_an_own_disturbance_takes_the_place_of_the_harmonics():
     assert record.dataset.attrs["disturbance"] == "pulse"
     with pytest.raises(ScenarioError, match="own_disturbance: needs an output port 'generalized_force' of size 11"):
         simulate(load_scenario("postcapture"), own_disturbance=lambda coordinates: ConstantVectorSource([0.0]))
+
+
+def test_a_failing_own_disturbance_gets_one_line():
+    class Fails(LeafSystem):
+        def __init__(self, coordinates):
+            super().__init__()
+            self.DeclareVectorOutputPort("generalized_force", len(coordinates.names), self.calc)
+
+        def calc(self, context, output):
+            output.SetFromVector(np.full(output.size(), np.nan if context.get_time() > 0.02 else 0.0))
+
+    with pytest.raises(ControllerError, match=r"disturbance 'Fails' failed at t = 0.0\d s: RuntimeError: .*NaN"):
+        simulate(load_scenario("postcapture", ["duration=0.1"]), own_disturbance=Fails)
