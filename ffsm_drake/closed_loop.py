@@ -1,24 +1,33 @@
 """The closed loop: reference, controller, disturbance, plant and sensing wired into one Diagram."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 from pydrake.common import RandomGenerator
-from pydrake.geometry import Meshcat, MeshcatVisualizer
+from pydrake.geometry import CollisionFilterDeclaration, Meshcat, MeshcatVisualizer
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
-from pydrake.systems.primitives import Adder
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort, System
+from pydrake.systems.primitives import Adder, LogVectorOutput, Multiplexer, VectorLogSink
 
 from ffsm_drake.actuation import make_actuation
 from ffsm_drake.controllers import make_controller
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.disturbance import make_disturbance
-from ffsm_drake.plant import add_combined_plant, configuration, coordinates_of, make_nominal_plant, set_payload
+from ffsm_drake.plant import (
+    add_combined_plant,
+    configuration,
+    coordinates_of,
+    make_nominal_plant,
+    make_plant,
+    set_payload,
+)
 from ffsm_drake.reference import QuinticReference, make_reference
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.sensing import make_sensing
 
-# Outputs of the diagram that every closed loop has; a controller's optional outputs come on top.
+# Outputs of the diagram that every closed loop has; those of OPTIONAL_SIGNALS come on top that the controller gives.
 SIGNALS = (
     "state",
     "estimated_state",
@@ -29,13 +38,15 @@ SIGNALS = (
     "applied_force",
     "disturbance_force",
 )
+OPTIONAL_SIGNALS = ("sliding_variable", "reaching_gain", "switching_gain")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ClosedLoop:
     """The closed loop's diagram and handles to its parts.
 
-    The diagram's outputs are ``SIGNALS``, then those of the controller's optional outputs that it has.
+    The diagram's outputs are ``SIGNALS``, then those of ``OPTIONAL_SIGNALS`` that the controller has. With a logger
+    they are recorded every control sample (but for ``estimated_state``), stacked as ``logged`` says.
     """
 
     scenario: Scenario
@@ -47,6 +58,8 @@ class ClosedLoop:
     actuation: Diagram
     disturbance: Diagram
     sensing: Diagram
+    logger: VectorLogSink | None
+    logged: Mapping[str, slice]  # signal -> its rows of the log
 
     def initialize(self, root: System, root_context: Context) -> None:
         """Seed the noise, give the plant its payload and put it into the initial posture, at the initial velocity.
@@ -71,15 +84,20 @@ class ClosedLoop:
             delay_context.SetDiscreteState(np.tile(state, self.scenario.sensing.delay))
 
 
-def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> ClosedLoop:
-    """Build the closed loop of a scenario; with ``meshcat``, its visualizer is part of the diagram.
+def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None, log: bool = False) -> ClosedLoop:
+    """Build the closed loop of a scenario.
+
+    Args:
+      scenario: the scenario.
+      meshcat: makes its visualizer part of the diagram.
+      log: makes a logger of all signals part of the diagram: one, behind a multiplexer, is cheaper than one for each.
 
     Raises:
       ModelError: the model does not load.
       ScenarioError: a coordinate named in the scenario does not exist, or one lacks a gain.
     """
     builder = DiagramBuilder()
-    plant = add_combined_plant(builder, scenario.model)
+    plant = _add_plant(builder, scenario.model, shown=meshcat is not None)
     coordinates = coordinates_of(plant)
     for name in ("initial_posture", "target_posture"):
         configuration(plant, getattr(scenario, name), key=name)
@@ -99,14 +117,15 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> C
     builder.Connect(controller.GetOutputPort("generalized_force"), actuation.get_input_port())
     applied_force = actuation.GetOutputPort("applied_force")
     builder.Connect(applied_force, total_force.get_input_port(0))
-    builder.Connect(applied_force, controller.GetInputPort("applied_force"))
+    if controller.HasInputPort("applied_force"):
+        builder.Connect(applied_force, controller.GetInputPort("applied_force"))
     builder.Connect(disturbance.GetOutputPort("generalized_force"), total_force.get_input_port(1))
     builder.Connect(total_force.get_output_port(), plant.get_applied_generalized_force_input_port())
     if meshcat is not None:
         visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), meshcat)
         visualizer.set_name("meshcat_visualizer")
 
-    sources = (
+    outputs = (
         plant.get_state_output_port(),
         sensing.GetOutputPort("estimated_state"),
         sensing.GetOutputPort("measurement"),
@@ -116,11 +135,12 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> C
         applied_force,
         disturbance.GetOutputPort("generalized_force"),
     )
-    for name, port in zip(SIGNALS, sources, strict=True):
+    sources = dict(zip(SIGNALS, outputs, strict=True))
+    sources |= {name: controller.GetOutputPort(name) for name in OPTIONAL_SIGNALS if controller.HasOutputPort(name)}
+    for name, port in sources.items():
         builder.ExportOutput(port, name)
-    for name in controller.OPTIONAL_OUTPUTS:
-        if controller.HasOutputPort(name):
-            builder.ExportOutput(controller.GetOutputPort(name), name)
+    del sources["estimated_state"]  # what was read of it is the measurement
+    logger, logged = _add_logger(builder, sources, scenario.sample_time) if log else (None, {})
     diagram = builder.Build()
     diagram.set_name("closed_loop")
     return ClosedLoop(
@@ -133,4 +153,31 @@ def make_closed_loop(scenario: Scenario, *, meshcat: Meshcat | None = None) -> C
         actuation=actuation,
         disturbance=disturbance,
         sensing=sensing,
+        logger=logger,
+        logged=logged,
     )
+
+
+def _add_plant(builder: DiagramBuilder, model: Model, *, shown: bool) -> MultibodyPlant:
+    """Add the plant; the geometry is dear to load, so it is there only to be shown. Bodies never touch."""
+    if not shown:
+        return builder.AddNamedSystem("plant", make_plant(model))
+    plant = add_combined_plant(builder, model)
+    scene_graph = builder.GetSubsystemByName("scene_graph")
+    bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
+    nothing_touches = CollisionFilterDeclaration().ExcludeWithin(plant.CollectRegisteredGeometries(bodies))
+    scene_graph.collision_filter_manager().Apply(nothing_touches)
+    return plant
+
+
+def _add_logger(
+    builder: DiagramBuilder, sources: Mapping[str, OutputPort], period: float
+) -> tuple[VectorLogSink, dict[str, slice]]:
+    """A logger of all sources, sampled together, and each one's rows in its log."""
+    sizes = [port.size() for port in sources.values()]
+    stacked = builder.AddNamedSystem("signals", Multiplexer(sizes))
+    for index, port in enumerate(sources.values()):
+        builder.Connect(port, stacked.get_input_port(index))
+    logger = LogVectorOutput(stacked.get_output_port(), builder, period)
+    ends = np.cumsum(sizes).tolist()
+    return logger, {name: slice(end - size, end) for name, size, end in zip(sources, sizes, ends, strict=True)}

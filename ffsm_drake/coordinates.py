@@ -110,3 +110,23 @@ def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
     error[:3] = rotation_error(q_d[:4], q[:4])
     np.subtract(q_d[4:], q[4:], out=error[3:])
     return error
+
+
+def position_errors(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """``position_error`` of many configurations at once: (n, nq) each -> (n, nv)."""
+    dw, dx, dy, dz = q_d[:, :4].T
+    w, x, y, z = q[:, :4].T
+    # The product quaternion_d * conjugate(quaternion), the shorter way round.
+    ew = dw * w + dx * x + dy * y + dz * z
+    axis = np.stack(
+        [
+            dx * w - dw * x - dy * z + dz * y,
+            dy * w - dw * y - dz * x + dx * z,
+            dz * w - dw * z - dx * y + dy * x,
+        ],
+        axis=1,
+    )
+    sine = np.sqrt((axis * axis).sum(axis=1))
+    angle = np.where(ew < 0.0, -2.0, 2.0) * np.arctan2(sine, np.abs(ew))
+    factor = np.divide(angle, sine, out=np.zeros_like(sine), where=sine > 0.0)
+    return np.hstack([factor[:, None] * axis, q_d[:, 4:] - q[:, 4:]])

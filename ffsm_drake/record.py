@@ -124,12 +124,15 @@ class RunRecord:
 def software_versions() -> dict[str, str]:
     """Versions of everything that shapes a result."""
     versions = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in ("ffsm-drake", "drake", "numpy", "scipy", "xarray"):
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            versions[package] = "not installed"
-    return versions
+    return versions | {package: _version(package) for package in ("ffsm-drake", "drake", "numpy", "scipy", "xarray")}
+
+
+@functools.cache  # reads a file each time
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
 
 
 def to_json(data: Any) -> str:

@@ -5,24 +5,18 @@ velocity and acceleration follow from them exactly. With zero boundary rates and
 s(x) = 10 x^3 - 15 x^4 + 6 x^5 (Section 4 of the paper; peak speed 1.875 D/T, peak acceleration 5.7735 D/T^2).
 """
 
-import math
-
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, OutputPort
 
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.scenario import Posture, Scenario
 
-Triple = tuple[float, float, float]
+_BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
 
 
-def quintic_blend(time: float, duration: float) -> Triple:
+def quintic_blend(time: np.ndarray | float, duration: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The blend s in [0, 1] with its first (1/s) and second (1/s^2) derivative; constant outside [0, duration]."""
-    if time <= 0.0:
-        return 0.0, 0.0, 0.0
-    if time >= duration:
-        return 1.0, 0.0, 0.0
-    x = time / duration
+    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
     return (
         x * x * x * (10.0 + x * (6.0 * x - 15.0)),
         30.0 * x * x * (1.0 + x * (x - 2.0)) / duration,
@@ -30,33 +24,35 @@ def quintic_blend(time: float, duration: float) -> Triple:
     )
 
 
-def rpy_motion(rpy: Triple, rate: Triple, acceleration: Triple) -> tuple[tuple[float, ...], Triple, Triple]:
-    """Quaternion (w, x, y, z) of R_WB, angular velocity w_WB_W (rad/s) and acceleration alpha_WB_W (rad/s^2).
+def rpy_motion(
+    rpy: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations alpha_WB_W (n, 3).
 
     Args:
-      rpy: roll, pitch, yaw (rad), R_WB = R_z(yaw) R_y(pitch) R_x(roll).
-      rate, acceleration: their time derivatives.
+      rpy: roll, pitch, yaw (n, 3), rad, R_WB = R_z(yaw) R_y(pitch) R_x(roll).
+      rate, acceleration: their time derivatives (n, 3).
     """
-    r, p, y = rpy
-    dr, dp, dy = rate
-    ddr, ddp, ddy = acceleration
-    sp, cp, sy, cy = math.sin(p), math.cos(p), math.sin(y), math.cos(y)
+    r, p, y = rpy.T
+    dr, dp, dy = rate.T
+    ddr, ddp, ddy = acceleration.T
+    sp, cp, sy, cy = np.sin(p), np.cos(p), np.sin(y), np.cos(y)
     omega = (cp * cy * dr - sy * dp, cp * sy * dr + cy * dp, dy - sp * dr)
     alpha = (
         cp * cy * ddr - sy * ddp - (sp * cy * dp + cp * sy * dy) * dr - cy * dy * dp,
         cp * sy * ddr + cy * ddp - (sp * sy * dp - cp * cy * dy) * dr - sy * dy * dp,
         ddy - sp * ddr - cp * dp * dr,
     )
-    sr2, cr2 = math.sin(0.5 * r), math.cos(0.5 * r)
-    sp2, cp2 = math.sin(0.5 * p), math.cos(0.5 * p)
-    sy2, cy2 = math.sin(0.5 * y), math.cos(0.5 * y)
+    sr2, cr2 = np.sin(0.5 * r), np.cos(0.5 * r)
+    sp2, cp2 = np.sin(0.5 * p), np.cos(0.5 * p)
+    sy2, cy2 = np.sin(0.5 * y), np.cos(0.5 * y)
     quaternion = (
         cr2 * cp2 * cy2 + sr2 * sp2 * sy2,
         sr2 * cp2 * cy2 - cr2 * sp2 * sy2,
         cr2 * sp2 * cy2 + sr2 * cp2 * sy2,
         cr2 * cp2 * sy2 - sr2 * sp2 * cy2,
     )
-    return quaternion, omega, alpha
+    return np.stack(quaternion, axis=1), np.stack(omega, axis=1), np.stack(alpha, axis=1)
 
 
 class QuinticReference(LeafSystem):
@@ -67,18 +63,31 @@ class QuinticReference(LeafSystem):
       desired_acceleration: time derivative of v_d (nv).
     """
 
-    def __init__(self, *, coordinates: Coordinates, start: Posture, target: Posture, duration: float) -> None:
-        """Args: start and target posture (SI units), duration in s; the target is held afterwards."""
+    def __init__(
+        self, *, coordinates: Coordinates, start: Posture, target: Posture, duration: float, sample_time: float
+    ) -> None:
+        """Args: start and target posture (SI units), duration in s; the target is held afterwards.
+
+        At multiples of ``sample_time`` (s) the outputs are cheap.
+        """
         super().__init__()
         self._duration = duration
-        rpy_0, rpy_t = start.base_rpy, target.base_rpy
-        linear_0, linear_t = (
-            [*posture.base_position, *coordinates.vector(posture.joints, key="joints", default=0.0)[6:].tolist()]
+        self._sample_time = sample_time
+        # Roll, pitch, yaw, position, joints.
+        first, last = (
+            np.concatenate(
+                [
+                    posture.base_rpy,
+                    posture.base_position,
+                    coordinates.vector(posture.joints, key="joints", default=0.0)[6:],
+                ]
+            )
             for posture in (start, target)
         )
-        # (start, change) of each coordinate, as floats: NumPy is slower on so few numbers.
-        self._rpy = [(a, b - a) for a, b in zip(rpy_0, rpy_t, strict=True)]
-        self._linear = [(a, b - a) for a, b in zip(linear_0, linear_t, strict=True)]
+        self._start, self._change = first, last - first
+        # The motion at the control samples from self._first_sample on: no more than a memory of what was computed.
+        self._first_sample = 0
+        self._states, self._accelerations = self.motion(self._sample_time * np.arange(_BLOCK))
         num_velocities = len(coordinates.names)
         self.DeclareVectorOutputPort("desired_state", 2 * num_velocities + 1, self._calc_state, {self.time_ticket()})
         self.DeclareVectorOutputPort(
@@ -93,31 +102,38 @@ class QuinticReference(LeafSystem):
 
     def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """q_d (nq), v_d (nv) and dv_d/dt (nv) at a time in s."""
-        state = np.array(self._state(time))
-        num_positions = len(self._linear) + 4
-        return state[:num_positions], state[num_positions:], np.array(self._acceleration(time))
+        row = self._row(time)
+        state, acceleration = self._states[row].copy(), self._accelerations[row].copy()
+        num_positions = state.size - acceleration.size
+        return state[:num_positions], state[num_positions:], acceleration
 
-    def _state(self, time: float) -> list[float]:
-        s, ds, dds = quintic_blend(time, self._duration)
-        quaternion, omega, _ = self._base_rotation(s, ds, dds)
-        return [*quaternion, *[a + s * d for a, d in self._linear], *omega, *[ds * d for _, d in self._linear]]
+    def motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Desired states (n, nq + nv) and accelerations (n, nv) at times (n,)."""
+        s, ds, dds = (column[:, None] for column in quintic_blend(times, self._duration))
+        value, rate, acceleration = self._start + s * self._change, ds * self._change, dds * self._change
+        quaternion, omega, alpha = rpy_motion(value[:, :3], rate[:, :3], acceleration[:, :3])
+        return np.hstack([quaternion, value[:, 3:], omega, rate[:, 3:]]), np.hstack([alpha, acceleration[:, 3:]])
 
-    def _acceleration(self, time: float) -> list[float]:
-        s, ds, dds = quintic_blend(time, self._duration)
-        _, _, alpha = self._base_rotation(s, ds, dds)
-        return [*alpha, *[dds * d for _, d in self._linear]]
-
-    def _base_rotation(self, s: float, ds: float, dds: float) -> tuple[tuple[float, ...], Triple, Triple]:
-        (r, dr), (p, dp), (y, dy) = self._rpy
-        return rpy_motion(
-            (r + s * dr, p + s * dp, y + s * dy), (ds * dr, ds * dp, ds * dy), (dds * dr, dds * dp, dds * dy)
-        )
+    def _row(self, time: float) -> int:
+        """The row of ``_states`` and ``_accelerations`` that holds a time; they are computed anew where none does."""
+        sample = round(time / self._sample_time)
+        if sample * self._sample_time != time:  # between the control samples
+            self._first_sample = -_BLOCK
+            self._states, self._accelerations = self.motion(np.array([time]))
+            return 0
+        row = sample - self._first_sample
+        if not 0 <= row < _BLOCK:
+            self._first_sample, row = sample, 0
+            self._states, self._accelerations = self.motion(self._sample_time * np.arange(sample, sample + _BLOCK))
+        return row
 
     def _calc_state(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._state(context.get_time()))
+        row = self._row(context.get_time())
+        output.SetFromVector(self._states[row])
 
     def _calc_acceleration(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._acceleration(context.get_time()))
+        row = self._row(context.get_time())
+        output.SetFromVector(self._accelerations[row])
 
 
 def make_reference(scenario: Scenario, coordinates: Coordinates) -> QuinticReference:
@@ -127,4 +143,5 @@ def make_reference(scenario: Scenario, coordinates: Coordinates) -> QuinticRefer
         start=scenario.initial_posture,
         target=scenario.target_posture,
         duration=scenario.reference.duration,
+        sample_time=scenario.sample_time,
     )

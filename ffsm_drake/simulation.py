@@ -1,5 +1,6 @@
 """Running a scenario: Rollout builds the closed loop once and logs its runs; simulate makes one run a RunRecord."""
 
+import contextlib
 import dataclasses
 import functools
 import time
@@ -10,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
-from pydrake.systems.primitives import LogVectorOutput
+from pydrake.systems.framework import Context, EventStatus
 
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
-from ffsm_drake.coordinates import Coordinates, position_error
+from ffsm_drake.coordinates import Coordinates, position_errors
 from ffsm_drake.errors import ScenarioError
 from ffsm_drake.metrics import tracking_metrics
-from ffsm_drake.plant import PlantModel, base_rpy, find_frame, make_true_plant
+from ffsm_drake.plant import PlantModel, find_frame, make_true_plant
 from ffsm_drake.record import Outcome, RunRecord, software_versions
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
 _HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable")
-# ... while these show what the update at t_k is about to use.
-_CURRENT = ("state", "desired_state", "desired_acceleration", "disturbance_force", "reaching_gain", "switching_gain")
+# ... while all others show what the update at t_k is about to use.
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +42,7 @@ class RunLog:
     coordinates: Coordinates
     time: np.ndarray  # (n,), control samples t_k, s
     series: Mapping[str, np.ndarray]
-    wall_time: dict[str, float]  # s: build, advance_to, total
+    wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
 
     @property
     def generalized_force(self) -> np.ndarray:
@@ -54,8 +53,7 @@ class RunLog:
     def error(self) -> np.ndarray:
         """True tracking error e = q_d - q (n, nv), base rotation as a rotation vector in the world frame."""
         num_positions = len(self.coordinates.position_names)
-        pairs = zip(self.series["desired_state"], self.series["state"], strict=True)
-        return np.array([position_error(desired[:num_positions], state[:num_positions]) for desired, state in pairs])
+        return position_errors(self.series["desired_state"][:, :num_positions], self.series["state"][:, :num_positions])
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
@@ -77,17 +75,11 @@ class Rollout:
 
     def __init__(self, scenario: Scenario, *, meshcat: Meshcat | None = None) -> None:
         start = time.perf_counter()
-        self._loop = make_closed_loop(scenario, meshcat=meshcat)
-        builder = DiagramBuilder()
-        builder.AddSystem(self._loop.diagram)
-        self._loggers = {
-            name: LogVectorOutput(self._loop.diagram.GetOutputPort(name), builder, scenario.sample_time)
-            for name in _HELD + _CURRENT
-            if self._loop.diagram.HasOutputPort(name)
-        }
-        self._root = builder.Build()
-        self._simulator = Simulator(self._root)
+        self._loop = make_closed_loop(scenario, meshcat=meshcat, log=True)
+        self._simulator = Simulator(self._loop.diagram)
         ApplySimulatorConfig(scenario.simulator_config, self._simulator)
+        config = scenario.simulator_config
+        self._logs_every_step = not config.use_error_control and config.max_step_size >= scenario.sample_time
         self._built_for = _built_from(scenario)
         self._build_time = time.perf_counter() - start
 
@@ -122,28 +114,17 @@ class Rollout:
                 )
             loop = dataclasses.replace(loop, scenario=scenario)
         scenario = loop.scenario
-        self._simulator.reset_context(self._root.CreateDefaultContext())
-        context = self._simulator.get_mutable_context()
-        loop.initialize(self._root, context)
         monitor = _Monitor(loop, progress)
-        self._simulator.set_monitor(monitor)
-        end = scenario.num_control_periods * scenario.sample_time
-
-        initialized = time.perf_counter()
-        interrupted = False
-        try:
-            self._simulator.Initialize()
-            self._simulator.AdvanceTo(end)
-            self._simulator.AdvancePendingEvents()  # the control update of the last sample
-        except KeyboardInterrupt:
-            interrupted = True
-        except RuntimeError:
-            # Drake refuses numbers that are no longer finite; any other refusal is a fault to be seen.
-            if monitor.check(context) and monitor.check_force(context):
-                raise
-        advanced = time.perf_counter()
-
-        times, series = self._read_logs(context)
+        # A monitor calls Python in every step. Where all steps are in the log, that shows afterwards whether a monitor
+        # would have stopped the run; if so, it is run again with the monitor.
+        watched = not self._logs_every_step
+        interrupted, advance_time = self._advance(monitor, watched=watched)
+        times, series = self._read_log()
+        if not (watched or interrupted) and (monitor.message or not monitor.bounds(series["state"])):
+            monitor.forget()
+            interrupted, more_time = self._advance(monitor, watched=True)
+            advance_time += more_time
+            times, series = self._read_log()
         last = float(times[-1])
         if monitor.coordinate:
             outcome = Outcome(status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message)
@@ -158,23 +139,66 @@ class Rollout:
             time=times,
             series=series,
             wall_time={
-                "build": self._build_time + initialized - start,
-                "advance_to": advanced - initialized,
-                "total": self._build_time + time.perf_counter() - start,
+                "build": self._build_time,
+                "advance_to": advance_time,
+                "total": time.perf_counter() - start,
             },
         )
 
-    def _read_logs(self, context: Context) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _advance(self, monitor: "_Monitor", *, watched: bool) -> tuple[bool, float]:
+        """Run from the start to the end, or to where it cannot go on, which ``monitor`` then notes.
+
+        Returns: whether it was interrupted from the keyboard, and the wall time spent advancing, s.
+        """
+        simulator, loop = self._simulator, monitor.loop
+        simulator.reset_context(loop.diagram.CreateDefaultContext())
+        context = simulator.get_mutable_context()
+        loop.initialize(loop.diagram, context)
+        if watched:
+            simulator.set_monitor(monitor)
+        else:
+            simulator.clear_monitor()
+        sample_time, num_periods = loop.scenario.sample_time, loop.scenario.num_control_periods
+        # Stops at control samples do not change the steps.
+        stop_periods = max(1, round(1.0 / sample_time))
+        start = time.perf_counter()
+        interrupted = False
+        # What a run does beyond the point where it is to be stopped concerns nobody.
+        unremarked = contextlib.nullcontext() if watched else np.errstate(over="ignore", invalid="ignore")
+        try:
+            with unremarked:
+                simulator.Initialize()
+                for period in (*range(0, num_periods, stop_periods), num_periods):
+                    simulator.AdvanceTo(period * sample_time)
+                    if monitor.message or not monitor.check(context):
+                        break
+                    monitor.report(context)
+                simulator.AdvancePendingEvents()  # the control update of the last sample
+        except KeyboardInterrupt:
+            interrupted = True
+        except Exception as error:
+            # Drake refuses numbers that are no longer finite, and unwatched they may reach others who do. Any other
+            # refusal is a fault to be seen.
+            may_refuse = isinstance(error, RuntimeError) or not watched
+            if not may_refuse or (monitor.check(context) and monitor.check_force(context)):
+                raise
+        return interrupted, time.perf_counter() - start
+
+    def _read_log(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Sample times and the aligned series (copied)."""
-        logs = {name: logger.FindLog(context) for name, logger in self._loggers.items()}
-        series = {name: np.array(log.data().T) for name, log in logs.items()}
-        # Sample k of a held signal is its log entry k + 1; that of the last sample stands in the context.
-        diagram = self._loop.diagram
-        diagram_context = diagram.GetMyContextFromRoot(context)
-        for name in _HELD:
-            if name in series:
-                series[name] = np.vstack([series[name][1:], diagram.GetOutputPort(name).Eval(diagram_context)])
-        return np.array(logs["state"].sample_times()), series
+        loop, context = self._loop, self._simulator.get_context()
+        assert loop.logger is not None
+        log = loop.logger.FindLog(context)
+        rows = log.data()
+        series = {}
+        for name, part in loop.logged.items():
+            if name in _HELD:
+                # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
+                last = loop.diagram.GetOutputPort(name).Eval(context)
+                series[name] = np.vstack([rows[part, 1:].T, last])
+            else:
+                series[name] = rows[part].T.copy()
+        return log.sample_times().copy(), series
 
 
 def _built_from(scenario: Scenario) -> dict[str, Any]:
@@ -229,7 +253,7 @@ def simulate(
 
 @dataclasses.dataclass
 class _Monitor:
-    """Watches every step: stops a run that diverges, and reports progress."""
+    """Judges whether a run diverges and reports its progress; as a simulator's monitor, it stops one that does."""
 
     loop: ClosedLoop
     progress: Callable[[float, float], None] | None
@@ -244,16 +268,28 @@ class _Monitor:
     def __call__(self, context: Context) -> EventStatus:
         if not self.check(context):
             return EventStatus.ReachedTermination(self.loop.diagram, self.message)
+        return EventStatus.DidNothing()
+
+    def forget(self) -> None:
+        """Take back the verdict; what was reported stays reported."""
+        self.message = self.coordinate = ""
+
+    def report(self, context: Context) -> None:
+        """Report the progress, every whole second once."""
         if self.progress is not None and context.get_time() >= self.next_report - 1e-9:
             self.next_report += 1.0
             self.progress(context.get_time(), self.loop.scenario.duration)
-        return EventStatus.DidNothing()
+
+    def bounds(self, states: np.ndarray) -> bool:
+        """Whether every velocity in states (..., nq + nv) is within the bound."""
+        return bool(np.abs(states[..., self._first_velocity :]).max() <= self._bound)  # false for NaN too
 
     def check(self, context: Context) -> bool:
         """Whether every velocity is within the bound; otherwise ``message`` and ``coordinate`` say which is not."""
-        velocity = context.get_continuous_state_vector().CopyToVector()[self._first_velocity :]
-        if np.abs(velocity).max() <= self._bound:  # false for NaN too
+        state = context.get_continuous_state_vector().CopyToVector()
+        if self.bounds(state):
             return True
+        velocity = state[self._first_velocity :]
         # The first that is not finite, else the fastest.
         worst = int(np.argmax(np.where(np.isfinite(velocity), np.abs(velocity), np.inf)))
         coordinates = self.loop.coordinates
@@ -268,7 +304,7 @@ class _Monitor:
     def check_force(self, context: Context) -> bool:
         """Whether the controller's force is finite; otherwise as ``check``."""
         diagram = self.loop.diagram
-        force = diagram.GetOutputPort("generalized_force").Eval(diagram.GetMyContextFromRoot(context))
+        force = diagram.GetOutputPort("generalized_force").Eval(context)
         if np.isfinite(force).all():
             return True
         worst = int(np.argmin(np.isfinite(force)))
@@ -290,8 +326,8 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     desired_position, desired_velocity = np.split(series["desired_state"], [num_positions], axis=1)
     measured_position, measured_velocity = np.split(series["measurement"], [num_positions], axis=1)
     model = make_true_plant(scenario)
-    derived = _derive(model, scenario, position, velocity)
-    desired_derived = _derive(model, scenario, desired_position, desired_velocity)
+    momentum, energy = _momentum_and_energy(model, series["state"])
+    end_effector, desired_end_effector = (_end_effector(model, scenario, q) for q in (position, desired_position))
     unit = "rad (rotations) or m (translations)"
     force = "N m (rotations) or N (translations)"
     by_coordinate, by_position, by_axis = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
@@ -316,15 +352,15 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
         "disturbance_force": (
             by_coordinate, series["disturbance_force"], "external disturbance tau_d at this instant", force,
         ),
-        "end_effector_position": (by_axis, derived["end_effector"], "end effector in the world frame", "m"),
-        "desired_end_effector_position": (by_axis, desired_derived["end_effector"], "its reference", "m"),
-        "base_rpy": (by_axis, derived["rpy"], "roll, pitch, yaw of the base", "rad"),
-        "desired_base_rpy": (by_axis, desired_derived["rpy"], "their reference", "rad"),
-        "linear_momentum": (by_axis, derived["linear_momentum"], "total linear momentum", "N s"),
+        "end_effector_position": (by_axis, end_effector, "end effector in the world frame", "m"),
+        "desired_end_effector_position": (by_axis, desired_end_effector, "its reference", "m"),
+        "base_rpy": (by_axis, _base_rpy(position), "roll, pitch, yaw of the base", "rad"),
+        "desired_base_rpy": (by_axis, _base_rpy(desired_position), "their reference", "rad"),
+        "linear_momentum": (by_axis, momentum[:, 3:], "total linear momentum", "N s"),
         "angular_momentum": (
-            by_axis, derived["angular_momentum"], "total angular momentum about the world's origin", "N m s",
+            by_axis, momentum[:, :3], "total angular momentum about the world's origin", "N m s",
         ),
-        "kinetic_energy": (("time",), derived["kinetic_energy"], "total kinetic energy", "J"),
+        "kinetic_energy": (("time",), energy, "total kinetic energy", "J"),
     }  # fmt: skip
     for name, meaning in (
         ("sliding_variable", "sliding variable s of this sample"),
@@ -355,20 +391,38 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     )
 
 
-def _derive(model: PlantModel, scenario: Scenario, position: np.ndarray, velocity: np.ndarray) -> dict[str, np.ndarray]:
-    """What follows from the state at every sample: end effector, base angles, momentum, energy."""
+def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Momentum about the world's origin (n, 6; angular, then linear) and kinetic energy (n) of states (n, nq + nv)."""
+    plant, context = model.plant, model.context
+    origin = np.zeros(3)
+    momentum, energy = np.empty((len(states), 6)), np.empty(len(states))
+    for i, state in enumerate(states):
+        plant.SetPositionsAndVelocities(context, state)
+        momentum[i] = plant.CalcSpatialMomentumInWorldAboutPoint(context, origin).get_coeffs()
+        energy[i] = plant.CalcKineticEnergy(context)
+    return momentum, energy
+
+
+def _end_effector(model: PlantModel, scenario: Scenario, positions: np.ndarray) -> np.ndarray:
+    """The end effector's place in the world (n, 3) in configurations q (n, nq)."""
     plant, context = model.plant, model.context
     frame = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
-    rows: dict[str, list[np.ndarray]] = {
-        name: [] for name in ("end_effector", "rpy", "linear_momentum", "angular_momentum", "kinetic_energy")
-    }
-    for q, v in zip(position, velocity, strict=True):
+    places = np.empty((len(positions), 3))
+    for i, q in enumerate(positions):
         plant.SetPositions(context, q)
-        plant.SetVelocities(context, v)
-        momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, np.zeros(3))
-        rows["end_effector"].append(frame.CalcPoseInWorld(context).translation())
-        rows["rpy"].append(base_rpy(q))
-        rows["linear_momentum"].append(momentum.translational())
-        rows["angular_momentum"].append(momentum.rotational())
-        rows["kinetic_energy"].append(plant.CalcKineticEnergy(context))
-    return {name: np.array(values) for name, values in rows.items()}
+        places[i] = frame.CalcPoseInWorld(context).translation()
+    return places
+
+
+def _base_rpy(positions: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw (n, 3) of the base in configurations q (n, nq), rad; as ``plant.base_rpy``."""
+    w, x, y, z = positions[:, :4].T / np.linalg.norm(positions[:, :4], axis=1)
+    cosines = np.hypot(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z))  # of the pitch
+    return np.stack(
+        [
+            np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            np.arctan2(2.0 * (w * y - x * z), cosines),
+            np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)),
+        ],
+        axis=1,
+    )

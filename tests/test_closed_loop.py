@@ -9,6 +9,7 @@ import pytest
 
 from ffsm_drake import block_diagram, load_scenario, make_closed_loop
 from ffsm_drake.closed_loop import SIGNALS
+from ffsm_drake.visualization import quiet_drake, start_meshcat
 
 DIAGRAMS = Path(__file__).parents[1] / "diagrams"
 
@@ -17,10 +18,48 @@ def test_systems_and_signals_have_names():
     loop = make_closed_loop(load_scenario("postcapture"))
     names = {system.get_name() for system in loop.diagram.GetSystems()}
     assert names == {
-        "plant", "scene_graph", "reference", "tde_aismc", "actuation", "disturbance", "sensing", "total_force",
+        "plant", "reference", "tde_aismc", "actuation", "disturbance", "sensing", "total_force",
     }  # fmt: skip
     outputs = [loop.diagram.get_output_port(i).get_name() for i in range(loop.diagram.num_output_ports())]
     assert outputs == [*SIGNALS, "sliding_variable", "reaching_gain", "switching_gain"]
+
+
+def test_the_geometry_is_loaded_only_to_be_shown():
+    """It takes longer than all the rest of the build."""
+    scenario = load_scenario("postcapture")
+    with quiet_drake():
+        shown = make_closed_loop(scenario, meshcat=start_meshcat())
+    names = {system.get_name() for system in shown.diagram.GetSystems()}
+    plain = make_closed_loop(scenario)
+    assert names - {system.get_name() for system in plain.diagram.GetSystems()} == {"scene_graph", "meshcat_visualizer"}
+
+
+def test_showing_the_bodies_does_not_make_them_collide(tmp_path):
+    """A box that reaches deep into another leaves it alone, with the picture and without."""
+    box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    (tmp_path / "robot.urdf").write_text(
+        f"""<robot name="robot"><link name="base">{inertial}{box}</link>
+        <link name="middle">{inertial}</link><link name="debris">{inertial}{box}</link>
+        <joint name="joint_1" type="revolute"><parent link="base"/><child link="middle"/><axis xyz="0 0 1"/></joint>
+        <joint name="joint_2" type="revolute"><parent link="middle"/><child link="debris"/>
+        <origin xyz="0.8 0 0"/><axis xyz="0 0 1"/></joint></robot>"""
+    )
+    directives = tmp_path / "robot.dmd.yaml"
+    directives.write_text(f"directives:\n- add_model: {{name: robot, file: file://{tmp_path / 'robot.urdf'}}}\n")
+    zero = "{joint_1: 0, joint_2: 0}"
+    scenario = load_scenario(
+        "postcapture",
+        [f"model.directives={directives}", "model.end_effector=robot::debris", "payload.body=robot::debris",
+         f"initial_posture.joints={zero}", f"target_posture.joints={zero}", "disturbance.harmonics={}"],
+    )  # fmt: skip
+    for meshcat in (None, start_meshcat()):
+        with quiet_drake():
+            loop = make_closed_loop(scenario, meshcat=meshcat)
+        context = loop.diagram.CreateDefaultContext()
+        loop.initialize(loop.diagram, context)
+        derivatives = loop.diagram.EvalTimeDerivatives(context).CopyToVector()
+        assert np.array_equal(derivatives, np.zeros(17)), meshcat
 
 
 def test_the_plant_is_continuous_weightless_and_free():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ffsm_drake.coordinates import Coordinates, position_error, rotation_error
+from ffsm_drake.coordinates import Coordinates, position_error, position_errors, rotation_error
 from ffsm_drake.errors import ScenarioError
 
 COORDINATES = Coordinates(("joint_1", "slider"), ("rad", "m"))
@@ -50,3 +50,14 @@ def test_position_error_is_desired_minus_actual():
     q = np.array([1.0, 0, 0, 0, 1, 2, 3, 0.1, 0.2])
     q_d = q + np.array([0, 0, 0, 0, 1, 0, 0, 0, 0.5])
     assert position_error(q_d, q).tolist() == pytest.approx([0, 0, 0, 1, 0, 0, 0, 0.5])
+
+
+def test_many_position_errors_at_once_are_those_of_one_by_one():
+    rng = np.random.default_rng(4)
+    q_d, q = rng.normal(size=(2, 50, 9))
+    q[0] = q_d[0]  # no rotation at all
+    q[1, :4] = -q_d[1, :4]
+    q[2, :4] = q_d[2, :4] + 1e-9 * rng.normal(size=4)
+    expected = np.array([position_error(a, b) for a, b in zip(q_d, q, strict=True)])
+    assert position_errors(q_d, q) == pytest.approx(expected, rel=1e-13, abs=1e-24)
+    assert not position_errors(q_d, q)[0].any()

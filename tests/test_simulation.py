@@ -16,7 +16,7 @@ from ffsm_drake import (
     simulate,
 )
 from ffsm_drake.coordinates import position_error
-from ffsm_drake.plant import make_plant, set_payload
+from ffsm_drake.plant import base_rpy, make_plant, set_payload
 
 
 def test_dataset_is_labelled_and_complete(run):
@@ -246,6 +246,13 @@ def test_momentum_and_energy_balance(run):
     work = np.sum(average * (tau[:-1] + 0.5 * (tau_d[1:] + tau_d[:-1]))) * 0.01
     energy = data["kinetic_energy"].values
     assert work == pytest.approx(energy[-1] - energy[0], abs=1e-4 * energy.max())
+
+
+def test_base_angles_are_those_of_the_plant(run):
+    data = run("postcapture").dataset
+    for name in ("", "desired_"):
+        expected = [base_rpy(q) for q in data[f"{name}position"].values]
+        assert data[f"{name}base_rpy"].values == pytest.approx(np.array(expected), abs=1e-15)
 
 
 def test_final_posture_is_the_target(run):

@@ -77,10 +77,7 @@ class OneSampleEstimator:
         """One sample; see Estimator. Nothing is known of the acceleration at the very first: it counts as zero."""
         (delayed_velocity,) = state
         acceleration = (measured.v - delayed_velocity) * (measured.has_previous / self.sample_time)
-        estimate = Estimate(
-            e=measured.e, e_dot=measured.e_dot, base_force=measured.applied_force, base_acceleration=acceleration
-        )
-        return estimate, (measured.v,)
+        return Estimate(measured.e, measured.e_dot, measured.applied_force, acceleration), (measured.v,)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -143,9 +140,9 @@ def kalman_gain(*, position_noise: float, velocity_noise: float, walk: float, sa
 
 def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
     """The scenario's estimator. Raises ScenarioError for unknown or missing coordinates."""
-    settings = scenario.estimator
+    settings, sample_time = scenario.estimator, scenario.sample_time
     if settings.kind == "one_sample":
-        return OneSampleEstimator(sample_time=scenario.sample_time, num_velocities=len(coordinates.names))
+        return OneSampleEstimator(sample_time=sample_time, num_velocities=len(coordinates.names))
     position, velocity = (
         coordinates.vector(getattr(settings, name), key=f"estimator.{name}", default=0.0)
         if getattr(settings, name) is not None
@@ -153,14 +150,13 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
         for name in ("position_noise", "velocity_noise")
     )
     walk = coordinates.vector(settings.walk, key="estimator.walk")
+    axes = list(zip(position.tolist(), velocity.tolist(), walk.tolist(), strict=True))
     try:
-        gain = np.array(
-            [
-                kalman_gain(position_noise=p, velocity_noise=v, walk=q, sample_time=scenario.sample_time)
-                for p, v, q in zip(position, velocity, walk, strict=True)
-            ]
-        )
+        gains = {  # the equation is solved once for all coordinates that share their noises
+            axis: kalman_gain(position_noise=axis[0], velocity_noise=axis[1], walk=axis[2], sample_time=sample_time)
+            for axis in dict.fromkeys(axes)
+        }
     except np.linalg.LinAlgError as error:
         remedy = "bring walk, position_noise and velocity_noise closer together"
         raise ScenarioError("estimator", f"has no stationary filter ({one_line(error)}); {remedy}") from error
-    return KalmanEstimator(sample_time=scenario.sample_time, gain=gain)
+    return KalmanEstimator(sample_time=sample_time, gain=np.array([gains[axis] for axis in axes]))
