@@ -148,20 +148,21 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
       CampaignError: the database holds no such run.
     """
     stored = store.result(case.index, controller)
-    start, record = time.perf_counter(), None
+    start, log = time.perf_counter(), None
     try:
-        scenario = scenario_of(store.spec, case, controller)
-        log = Rollout(scenario).run()
+        log = Rollout(scenario_of(store.spec, case, controller)).run()
         if log.outcome.status == "interrupted":
             raise KeyboardInterrupt
+        repeated = judge(store.spec, log)
+    except Exception as error:
+        repeated = error_row(described(error))
+    record = None
+    if log is not None:
         record = RunRecord(
-            scenario=scenario,
+            scenario=log.scenario,
             outcome=log.outcome,
             dataset=make_dataset(log),
             wall_time=log.wall_time | {"total": time.perf_counter() - start},
             software=software_versions(),
         )
-        repeated = judge(store.spec, log)
-    except Exception as error:
-        repeated = error_row(described(error))
     return Repeated(record=record, stored=stored, repeated=repeated, differences=same_verdict(stored, repeated))
