@@ -19,6 +19,7 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.errors import FfsmError, one_line
+from ffsm_drake.lifetime import weak_callback
 from ffsm_drake.plant import PlantModel, configuration, find_body, make_true_plant
 from ffsm_drake.record import RunRecord
 from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario
@@ -144,7 +145,7 @@ class OperatorInputs(LeafSystem):
         self._state = self.DeclareVectorInputPort("state", num_states)
         self._acting = self.DeclareDiscreteState(initial)
         self._next = self.DeclareDiscreteState(initial)
-        self.DeclarePeriodicDiscreteUpdateEvent(scenario.sample_time, 0.0, self._update)
+        self.DeclarePeriodicDiscreteUpdateEvent(scenario.sample_time, 0.0, weak_callback(self._update))
         for name, index in (("external_force", self._acting), ("next_external_force", self._next)):
             self.DeclareVectorOutputPort(
                 name,

@@ -9,6 +9,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, OutputPort
 
 from ffsm_drake.coordinates import Coordinates
+from ffsm_drake.lifetime import weak_callback
 from ffsm_drake.scenario import Posture, Scenario
 
 _BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
@@ -89,9 +90,11 @@ class QuinticReference(LeafSystem):
         self._first_sample = 0
         self._states, self._accelerations = self.motion(self._sample_time * np.arange(_BLOCK))
         num_velocities = len(coordinates.names)
-        self.DeclareVectorOutputPort("desired_state", 2 * num_velocities + 1, self._calc_state, {self.time_ticket()})
         self.DeclareVectorOutputPort(
-            "desired_acceleration", num_velocities, self._calc_acceleration, {self.time_ticket()}
+            "desired_state", 2 * num_velocities + 1, weak_callback(self._calc_state), {self.time_ticket()}
+        )
+        self.DeclareVectorOutputPort(
+            "desired_acceleration", num_velocities, weak_callback(self._calc_acceleration), {self.time_ticket()}
         )
 
     def get_desired_state_output_port(self) -> OutputPort:

@@ -18,6 +18,7 @@ from pydrake.systems.primitives import (
 from ffsm_drake import scenario as schema
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.errors import ScenarioError
+from ffsm_drake.lifetime import weak_callback
 
 
 def quantize(values: np.ndarray, resolution: np.ndarray) -> np.ndarray:
@@ -35,7 +36,7 @@ class Quantizer(LeafSystem):
         self._input = self.DeclareVectorInputPort("u", resolution.size)
         # Depends on its input alone: while that is held, the integrator's stages read the cached value.
         self.DeclareVectorOutputPort(
-            "y", resolution.size, self._calc, {self.input_port_ticket(self._input.get_index())}
+            "y", resolution.size, weak_callback(self._calc), {self.input_port_ticket(self._input.get_index())}
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:

@@ -17,6 +17,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, System
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
 from ffsm_drake.coordinates import Coordinates, position_errors
 from ffsm_drake.errors import ControllerError, FfsmError, ScenarioError, one_line
+from ffsm_drake.lifetime import release
 from ffsm_drake.metrics import tracking_metrics
 from ffsm_drake.plant import PlantModel, find_frame, make_true_plant
 from ffsm_drake.record import Outcome, RunRecord, software_versions
@@ -28,6 +29,10 @@ if TYPE_CHECKING:
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
 _HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable")
 # ... while all others show what the update at t_k is about to use.
+
+
+# Besides the payload's true mass properties, what a run takes from its scenario without a new build.
+_OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,10 +105,15 @@ class Rollout:
         self._built_for = _built_from(scenario)
         self._build_time = time.perf_counter() - start
 
+    def release(self) -> None:
+        """Free the closed loop, which Drake would otherwise keep; nothing of it may be used any more."""
+        release(self.loop.diagram)
+
     def accepts(self, scenario: Scenario) -> bool:
         """Whether ``run`` takes the scenario: it differs from the built one only in what a context can change.
 
-        That is the description, the seed, the duration, the divergence speed and the payload's true mass properties.
+        That is the description, the seed, the duration, the divergence speed, the initial velocity and the payload's
+        true mass properties.
         """
         return _built_from(scenario) == self._built_for
 
@@ -242,7 +252,7 @@ def _built_from(scenario: Scenario) -> dict[str, Any]:
         dataclasses.replace(
             scenario,
             payload=dataclasses.replace(scenario.payload, truth=neutral.payload.truth),
-            **{name: getattr(neutral, name) for name in ("description", "random_seed", "duration", "divergence_speed")},
+            **{name: getattr(neutral, name) for name in _OF_THE_CONTEXT},
         )
     )
 

@@ -7,10 +7,10 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "ffsm_drake"
 ROOMS = (
-    "errors", "files", "strict_yaml", "scenario", "schema", "coordinates", "plant", "reference", "controllers",
-    "disturbance", "sensing", "actuation", "closed_loop", "stability", "design", "onboarding", "metrics", "record",
-    "simulation", "visualization", "interactive", "plotting", "noise_study", "analysis", "report", "outputs", "doctor",
-    "campaign", "block_diagram", "testing", "reproduction", "cli",
+    "errors", "files", "lifetime", "strict_yaml", "scenario", "schema", "coordinates", "plant", "reference",
+    "controllers", "disturbance", "sensing", "actuation", "closed_loop", "stability", "design", "onboarding",
+    "metrics", "record", "simulation", "visualization", "interactive", "plotting", "noise_study", "analysis",
+    "report", "outputs", "doctor", "campaign", "block_diagram", "testing", "reproduction", "cli",
 )  # fmt: skip
 
 

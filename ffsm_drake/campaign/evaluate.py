@@ -87,7 +87,10 @@ class Evaluator:
 
     def _run(self, scenario: Scenario) -> RunLog:
         rollout = self._rollouts.get(scenario.controller)
-        if rollout is None or not rollout.accepts(scenario):
+        if rollout is not None and not rollout.accepts(scenario):
+            rollout.release()
+            rollout = None
+        if rollout is None:
             self._rollouts[scenario.controller] = rollout = Rollout(scenario)
         return rollout.run(scenario)
 

@@ -18,6 +18,7 @@ from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSy
 from ffsm_drake.controllers.base import OPTIONAL_OUTPUTS
 from ffsm_drake.controllers.estimators import Arrays, Estimator, Measurement
 from ffsm_drake.coordinates import position_error
+from ffsm_drake.lifetime import weak_callback
 from ffsm_drake.plant import PlantModel
 
 _ONE = np.ones(1)
@@ -95,7 +96,7 @@ class TimeDelayController(LeafSystem):
         for name in OPTIONAL_OUTPUTS:
             if name in self._state_index:
                 self.DeclareStateOutputPort(name, self._state_index[name])
-        self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, self._update)
+        self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
 
     def get_estimated_state_input_port(self) -> InputPort:
         return self._estimated_state

@@ -1,0 +1,40 @@
+"""Letting go of diagrams that hold Python systems, so that thousands can be built in one process.
+
+Drake's bindings (1.51) keep such a diagram for ever, for two reasons. A callback that is a bound method holds its
+system from the C++ side, where the garbage collector sees nothing. And a Python system and its ports hold each other
+through an attribute that the collector visits twice, which makes it take the system for one in use.
+"""
+
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+from pydrake.systems.framework import Diagram, System
+
+_PEERS = "_pydrake_internal_ref_cycle_peers"
+
+
+def weak_callback(method: Callable[..., None]) -> Callable[..., None]:
+    """A callback for a system's own event or output that does not hold the system."""
+    reference: Any = weakref.WeakMethod(method)
+
+    def call(*arguments: Any) -> None:
+        reference()(*arguments)
+
+    return call
+
+
+def release(system: System) -> None:
+    """Free a system and all that it contains, as soon as nobody else refers to it; it must not be used any more."""
+    if isinstance(system, Diagram):
+        for part in system.GetSystems():
+            release(part)
+    peers = _peers(system)
+    for peer in peers:
+        _peers(peer).discard(system)
+    peers.clear()
+
+
+def _peers(thing: Any) -> set[Any]:
+    found: set[Any] = getattr(thing, "__dict__", {}).get(_PEERS, set())
+    return found
