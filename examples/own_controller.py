@@ -22,12 +22,8 @@ class MyPdPlus(ffsm_drake.SampledController):
 
 def main():
     print(check_controller(MyPdPlus))
-    scenarios = [
-        ffsm_drake.load_scenario(
-            "postcapture", ["controller=own_controller:MyPdPlus", "controllers.own.MyPdPlus.k_p=400"]
-        ),
-        ffsm_drake.load_scenario("postcapture", ["controller=tde_aismc"]),
-    ]
+    mine = ["controller=own_controller:MyPdPlus", "controllers.own.MyPdPlus.k_p.joints=20"]
+    scenarios = [ffsm_drake.load_scenario("postcapture", overrides) for overrides in (mine, ["controller=tde_aismc"])]
     records = [ffsm_drake.simulate(scenario) for scenario in scenarios]
     print(results_table(records))
     ffsm_drake.write_outputs(records, "out/own_controller", figures=False)

@@ -67,7 +67,12 @@ def check_cases(spec: Spec) -> None:
 
 
 def start_campaign(
-    spec: Spec, path: Path, *, workers: Workers, stop: Stop, progress: Callable[[Progress], None] | None = None
+    spec: Spec,
+    path: Path,
+    *,
+    workers: Workers,
+    stop: Stop | None = None,
+    progress: Callable[[Progress], None] | None = None,
 ) -> None:
     """Run a campaign into a new database.
 
@@ -75,7 +80,7 @@ def start_campaign(
       spec: what to run.
       path: the database to make.
       workers: where to run it.
-      stop: set it to end early.
+      stop: set it from elsewhere to end early.
       progress: called after every batch of results.
 
     Raises:
@@ -88,14 +93,14 @@ def start_campaign(
 
 
 def resume_campaign(
-    path: Path, *, workers: Workers, stop: Stop, progress: Callable[[Progress], None] | None = None
+    path: Path, *, workers: Workers, stop: Stop | None = None, progress: Callable[[Progress], None] | None = None
 ) -> None:
     """Run what a database still lacks; arguments and errors as for ``start_campaign``."""
     with open_store(path, writing=True) as store:
         _drive(store, workers, stop, progress)
 
 
-def _drive(store: Store, workers: Workers, stop: Stop, progress: Callable[[Progress], None] | None) -> None:
+def _drive(store: Store, workers: Workers, stop: Stop | None, progress: Callable[[Progress], None] | None) -> None:
     campaign, start, total = store.spec.to_json(), time.perf_counter(), store.spec.runs
     before = store.num_results()
     counted = {"session": 0, "failed": 0, "unsettled": 0}
@@ -111,7 +116,7 @@ def _drive(store: Store, workers: Workers, stop: Stop, progress: Callable[[Progr
         store.pending(),
         arguments=lambda task: (campaign, *task),
         workers=workers,
-        stop=stop,
+        stop=stop or Stop(),
         worn=lambda row: row["rss_mib"] > MEMORY_LIMIT,
     )
     with contextlib.closing(results):

@@ -1,0 +1,45 @@
+"""A few dispersed runs, paired between two controllers; from the shell, with the specification in a file,
+
+ffsm campaign run small.yaml --database out/small_campaign/small.db
+ffsm campaign report out/small_campaign/small.db
+"""
+
+import shutil
+from pathlib import Path
+
+from ffsm_drake.campaign import load_spec, local_workers, open_store, start_campaign
+
+SPEC = """
+description: Captured mass and belief of it
+scenario: postcapture
+controllers: [tdc, asmc]
+cases: 8
+overrides: {duration: 2.0, reference.duration: 1.5}
+parameters:
+  payload.truth.mass: {distribution: uniform, low: 50, high: 200}
+factors:
+  belief_error: {distribution: uniform, low: -0.5, high: 0.2}
+derive:
+  payload.truth.inertia: {rule: solid_cube, mass: payload.truth.mass, side: 1.0}
+  payload.belief.mass: {rule: relative, of: payload.truth.mass, error: belief_error}
+  payload.belief.inertia: {rule: relative, of: payload.truth.inertia, error: belief_error}
+"""
+
+
+def main():
+    folder = Path("out/small_campaign")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / "small.yaml").write_text(SPEC)
+    with local_workers(2) as workers:
+        start_campaign(load_spec(folder / "small.yaml"), folder / "small.db", workers=workers)
+    with open_store(folder / "small.db") as store:
+        for controller, outcome, number in store.query(
+            "SELECT controller, outcome, count(*) FROM results GROUP BY controller, outcome"
+        ):
+            print(f"{controller}: {number} {outcome}")
+        store.export(folder / "runs.csv")
+
+
+if __name__ == "__main__":  # the workers import this file
+    main()
