@@ -767,7 +767,13 @@ def test_the_table_is_long_and_its_names_differ():
     assert len({row.id for row in TABLE}) == len(TABLE)
 
 
-FFSM = (sys.executable, "-c", "from ffsm_drake.cli import main; main(prog_name='ffsm')")
+# With Ctrl-C as on a terminal: a process that was started in the background inherits that it is ignored.
+FFSM = (
+    sys.executable,
+    "-c",
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    "from ffsm_drake.cli import main; main(prog_name='ffsm')",
+)
 OWN_PROCESS = {
     "env": os.environ | {"PYTHONPATH": str(Path(files.__file__).parents[1]), "PYTHONDONTWRITEBYTECODE": "1"},
     "text": True,

@@ -51,6 +51,8 @@ SPECIAL = {
     "description": TEXT,
     "random_seed": st.integers(0, 2**31 - 1),
     "duration": st.floats(1.0, 100.0),
+    "divergence_speed": st.floats(1.0, 1e6),
+    "initial_velocity": st.floats(-1.0, 1.0) | st.dictionaries(COORDINATES, st.floats(-1.0, 1.0), max_size=3),
     "sample_time": st.floats(1e-3, 1.0),
     "start_time": st.just(0.0),
     "max_step_size": st.floats(1e-3, 1.0),

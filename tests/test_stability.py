@@ -222,7 +222,7 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
         (["stability", "nowhere"], 2, "error: nowhere: no such scenario; choose one of"),
         (["stability", "--set", "controllers.tdc.kd=1"], 2, "error: override: controllers.tdc.kd: unknown key"),
         (["stability", "--set", "controllers.tde_aismc.k_d.joint_9=1"], 2, "joint_9: unknown coordinate"),
-        (["stability", "--controller", "pid"], 2, "'pid' is not one of"),
+        (["stability", "--controller", "pid"], 2, "controller: 'pid' is unknown"),
     ],
 )
 def test_command_line(arguments, code, words):
