@@ -300,6 +300,29 @@ def design_table(found: Design) -> str:
     return "\n".join(lines)
 
 
+def design_data(found: Design) -> dict[str, Any]:
+    """The table's figures as plain data."""
+
+    def figures(prediction: Prediction) -> dict[str, Any]:
+        return {
+            "spectral_radius": prediction.spectral_radius,
+            "isv": prediction.isv,
+            "rms_error": prediction.by_group(),
+            "peak_effort": dict(zip(prediction.coordinates.names, prediction.peak_effort.tolist(), strict=True)),
+        }
+
+    name = found.chosen.scenario.controller
+    return {
+        "controller": name,
+        "gains": dataclasses.asdict(getattr(found.chosen.scenario.controllers, name)),
+        "budget": found.budget,
+        "ideal_isv": found.ideal_isv,
+        "chosen": figures(found.chosen.prediction),
+        "before": figures(found.reference),
+        "by_payload_mass": {f"{mass:g}": figures(prediction) for mass, prediction in found.robustness.items()},
+    }
+
+
 def plot_design(found: Design) -> "Figure":
     """The front of accuracy against effort, with the scenario's own gains and the published ones on it."""
     from matplotlib.figure import Figure

@@ -1,5 +1,7 @@
 """The mission with real sensors: what flight_sensors promises, how that is predicted, and how gains are designed."""
 
+import json
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -125,11 +127,15 @@ def test_design_from_the_shell(tmp_path):
         "150",
         "--out",
         str(tmp_path),
+        "--json",
     ]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
-    assert "effort ISV" in result.output
     scenario = load_scenario(tmp_path / "design.yaml")
+    data = json.loads(result.stdout)
+    assert data["gains"]["k_s"] == scenario.controllers.asmc.k_s
+    assert data["chosen"]["isv"] <= data["budget"]
+    assert set(data["by_payload_mass"]) >= {"60", "150"}
     assert scenario.controller == "asmc"
     assert scenario.estimator.kind == "kalman"
     assert simulate(scenario).metrics["isv"] < 420

@@ -104,7 +104,14 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     "--payload-range", type=FiniteFloat(), nargs=2, metavar="LOW HIGH", help="True masses to be stable for, kg."
 )
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/design"), show_default=True)
-def design(scenario: "Scenario", budget: float | None, payload_range: tuple[float, float] | None, out: Path) -> None:
+@json_option
+def design(
+    scenario: "Scenario",
+    budget: float | None,
+    payload_range: tuple[float, float] | None,
+    out: Path,
+    as_json: bool,
+) -> None:
     """Choose gains and estimator for a scenario's sensors, period and payload range, without simulating it.
 
     Writes design.yaml, a scenario to run, and design.png, accuracy against effort. Exits with 3 when the chosen gains
@@ -117,16 +124,19 @@ def design(scenario: "Scenario", budget: float | None, payload_range: tuple[floa
       ffsm run out/mine/design.yaml
     """
     from ffsm_drake.design import design as design_gains
-    from ffsm_drake.design import design_table, plot_design
+    from ffsm_drake.design import design_data, design_table, plot_design
     from ffsm_drake.files import check_writable, write_text, written_whole
     from ffsm_drake.scenario import scenario_to_yaml
 
     check_writable(out)
     found = design_gains(scenario, budget=budget, payload_range=payload_range, progress=count_progress("prices"))
-    click.echo(design_table(found))
+    if as_json:
+        print_json(design_data(found))
+    else:
+        click.echo(design_table(found))
     write_text(out / "design.yaml", scenario_to_yaml(found.chosen.scenario))
     with written_whole(out / "design.png") as temporary:
         plot_design(found).savefig(temporary, dpi=130)
-    click.echo(f"\nWritten to {out}: design.yaml, design.png")
+    click.echo(f"\nWritten to {out}: design.yaml, design.png", err=as_json)
     stable = all(prediction.spectral_radius < 1.0 for prediction in found.robustness.values())
     sys.exit(0 if stable else EXIT_UNSTABLE)
