@@ -13,6 +13,7 @@ from pydrake.systems.primitives import Adder, LogVectorOutput, Multiplexer, Vect
 
 from ffsm_drake.actuation import make_actuation
 from ffsm_drake.controllers import OPTIONAL_OUTPUTS, make_controller
+from ffsm_drake.controllers.tde import TimeDelayController
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.disturbance import make_disturbance
 from ffsm_drake.errors import ScenarioError
@@ -163,7 +164,7 @@ def make_closed_loop(
     for name, port in sources.items():
         builder.ExportOutput(port, name)
     del sources["estimated_state"]  # what was read of it is the measurement
-    logger, logged = _add_logger(builder, sources, scenario.sample_time) if log else (None, {})
+    logger, logged = _add_logger(builder, sources, controller, scenario.sample_time) if log else (None, {})
     diagram = builder.Build()
     diagram.set_name("closed_loop")
     return ClosedLoop(
@@ -194,16 +195,23 @@ def _add_plant(builder: DiagramBuilder, model: Model, *, shown: bool) -> Multibo
 
 
 def _add_logger(
-    builder: DiagramBuilder, sources: Mapping[str, OutputPort], period: float
+    builder: DiagramBuilder, sources: Mapping[str, OutputPort], controller: LeafSystem, period: float
 ) -> tuple[VectorLogSink, dict[str, slice]]:
     """A logger of all sources, sampled together, and each one's rows in its log."""
-    sizes = [port.size() for port in sources.values()]
+    # What stands in a controller's memory is read there, without a call of Python.
+    within = controller.recorded_memory if isinstance(controller, TimeDelayController) else {}
+    ports = {name: port for name, port in sources.items() if name not in within}
+    if within:
+        ports["memory"] = controller.GetOutputPort("memory")
+    sizes = [port.size() for port in ports.values()]
     stacked = builder.AddNamedSystem("signals", Multiplexer(sizes))
-    for index, port in enumerate(sources.values()):
+    for index, port in enumerate(ports.values()):
         builder.Connect(port, stacked.get_input_port(index))
     logger = LogVectorOutput(stacked.get_output_port(), builder, period)
-    ends = np.cumsum(sizes).tolist()
-    return logger, {name: slice(end - size, end) for name, size, end in zip(sources, sizes, ends, strict=True)}
+    starts = dict(zip(ports, [0, *np.cumsum(sizes).tolist()], strict=False))
+    rows = {name: slice(starts[name], starts[name] + ports[name].size()) for name in sources if name in ports}
+    rows |= {name: slice(starts["memory"] + part.start, starts["memory"] + part.stop) for name, part in within.items()}
+    return logger, rows
 
 
 def _checked_disturbance(source: System, coordinates: Coordinates) -> System:
