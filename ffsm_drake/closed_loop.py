@@ -56,7 +56,7 @@ class ClosedLoop:
     coordinates: Coordinates
     reference: QuinticReference
     controller: LeafSystem
-    actuation: Diagram
+    actuation: Diagram | None  # None: what is commanded acts
     disturbance: System
     sensing: Diagram
     logger: VectorLogSink | None
@@ -123,7 +123,7 @@ def make_closed_loop(
         disturbance = _checked_disturbance(own_disturbance(coordinates), coordinates)
     builder.AddSystem(disturbance)
     sensing = builder.AddSystem(make_sensing(scenario.sensing, coordinates, sample_time=scenario.sample_time))
-    actuation = builder.AddSystem(make_actuation(scenario.actuation, coordinates, sample_time=scenario.sample_time))
+    actuation = make_actuation(scenario.actuation, coordinates, sample_time=scenario.sample_time)
     total_force = builder.AddNamedSystem("total_force", Adder(2, len(coordinates.names)))
 
     builder.Connect(plant.get_state_output_port(), sensing.GetInputPort("state"))
@@ -131,10 +131,16 @@ def make_closed_loop(
     for name in ("desired_state", "desired_acceleration"):
         builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
     # tau_d acts on the plant from outside: H q'' + C = tau + tau_d.
-    builder.Connect(controller.GetOutputPort("generalized_force"), actuation.get_input_port())
-    applied_force = actuation.GetOutputPort("applied_force")
+    commanded_force = applied_force = controller.GetOutputPort("generalized_force")
+    if actuation is not None:
+        builder.AddSystem(actuation)
+        builder.Connect(commanded_force, actuation.get_input_port())
+        applied_force = actuation.GetOutputPort("applied_force")
     builder.Connect(applied_force, total_force.get_input_port(0))
-    if controller.HasInputPort("applied_force"):
+    # Ours knows what it commanded; to read it elsewhere takes time.
+    if controller.HasInputPort("applied_force") and not (
+        actuation is None and isinstance(controller, TimeDelayController)
+    ):
         builder.Connect(applied_force, controller.GetInputPort("applied_force"))
     external_force = recorded_force = disturbance.GetOutputPort("generalized_force")
     if make_operator is not None:
@@ -152,10 +158,10 @@ def make_closed_loop(
     outputs = (
         plant.get_state_output_port(),
         sensing.GetOutputPort("estimated_state"),
-        sensing.GetOutputPort("measurement"),
+        sensing.GetOutputPort("estimated_state"),
         reference.GetOutputPort("desired_state"),
         reference.GetOutputPort("desired_acceleration"),
-        controller.GetOutputPort("generalized_force"),
+        commanded_force,
         applied_force,
         recorded_force,
     )
@@ -163,7 +169,7 @@ def make_closed_loop(
     sources |= {name: controller.GetOutputPort(name) for name in OPTIONAL_OUTPUTS if controller.HasOutputPort(name)}
     for name, port in sources.items():
         builder.ExportOutput(port, name)
-    del sources["estimated_state"]  # what was read of it is the measurement
+    del sources["estimated_state"]  # at the control samples it is the measurement
     logger, logged = _add_logger(builder, sources, controller, scenario.sample_time) if log else (None, {})
     diagram = builder.Build()
     diagram.set_name("closed_loop")
@@ -200,18 +206,27 @@ def _add_logger(
     """A logger of all sources, sampled together, and each one's rows in its log."""
     # What stands in a controller's memory is read there, without a call of Python.
     within = controller.recorded_memory if isinstance(controller, TimeDelayController) else {}
-    ports = {name: port for name, port in sources.items() if name not in within}
+    ports: list[OutputPort] = []
+    for name, port in sources.items():
+        if name not in within and not any(port is other for other in ports):
+            ports.append(port)
     if within:
-        ports["memory"] = controller.GetOutputPort("memory")
-    sizes = [port.size() for port in ports.values()]
+        ports.append(controller.GetOutputPort("memory"))
+    sizes = [port.size() for port in ports]
     stacked = builder.AddNamedSystem("signals", Multiplexer(sizes))
-    for index, port in enumerate(ports.values()):
+    for index, port in enumerate(ports):
         builder.Connect(port, stacked.get_input_port(index))
     logger = LogVectorOutput(stacked.get_output_port(), builder, period)
-    starts = dict(zip(ports, [0, *np.cumsum(sizes).tolist()], strict=False))
-    rows = {name: slice(starts[name], starts[name] + ports[name].size()) for name in sources if name in ports}
-    rows |= {name: slice(starts["memory"] + part.start, starts["memory"] + part.stop) for name, part in within.items()}
-    return logger, rows
+    starts = [0, *np.cumsum(sizes).tolist()]
+    rows = {
+        name: slice(starts[index], starts[index + 1])
+        for name, port in sources.items()
+        for index, other in enumerate(ports)
+        if port is other
+    }
+    return logger, rows | {
+        name: slice(starts[-2] + part.start, starts[-2] + part.stop) for name, part in within.items()
+    }
 
 
 def _checked_disturbance(source: System, coordinates: Coordinates) -> System:
