@@ -66,19 +66,25 @@ class Arm(NamedTuple):
     masses: Sequence[float]  # kg
     lengths: Sequence[float]  # m
     axes: Sequence[str]
+    drive: float = 0.0  # kg m^2, moment of inertia of a joint's drive, which its link carries, about any axis
 
     @classmethod
     def of(cls, joints: int) -> "Arm":
-        """The shipped arm for five joints; for any other number one of its mass and length, in equal links."""
+        """The shipped arm for five joints; for any other number one of its mass and length, in equal links.
+
+        Those get drives: without, so short and slender links hardly have inertia about the axes between them, the
+        disturbance throws them about, and what is compared is how it is sampled.
+        """
         if joints == 5:
             return cls((3.0, 10.0, 10.0, 1.5, 1.5), (0.18, 0.62, 0.62, 0.09, 0.09), ("z", "y", "y", "y", "x"))
         axes = [("z", "y", "y", "x")[i % 4] for i in range(joints)]
-        return cls((26.0 / joints,) * joints, (1.6 / joints,) * joints, axes)
+        return cls((26.0 / joints,) * joints, (1.6 / joints,) * joints, axes, drive=0.5)
 
     def parts(self) -> Iterator[tuple[float, float, float, str, float, float]]:
         """Of each link: place along the link before, mass, length, axis, moment of inertia across and along."""
         for place, mass, length, axis in zip((1.0, *self.lengths), self.masses, self.lengths, self.axes, strict=False):
-            yield place, mass, length, axis, mass * length**2 / 12, mass * 0.05**2 / 2
+            across, along = mass * length**2 / 12, mass * 0.05**2 / 2
+            yield place, mass, length, axis, across + self.drive, along + self.drive
 
     def urdf(self) -> str:
         def body(name: str, mass: float, z: float, across: float, along: float) -> str:
