@@ -158,7 +158,7 @@ def make_closed_loop(
     outputs = (
         plant.get_state_output_port(),
         sensing.GetOutputPort("estimated_state"),
-        sensing.GetOutputPort("estimated_state"),
+        sensing.GetOutputPort("measurement"),
         reference.GetOutputPort("desired_state"),
         reference.GetOutputPort("desired_acceleration"),
         commanded_force,
@@ -169,7 +169,7 @@ def make_closed_loop(
     sources |= {name: controller.GetOutputPort(name) for name in OPTIONAL_OUTPUTS if controller.HasOutputPort(name)}
     for name, port in sources.items():
         builder.ExportOutput(port, name)
-    del sources["estimated_state"]  # at the control samples it is the measurement
+    del sources["estimated_state"]  # what was read of it is the measurement
     logger, logged = _add_logger(builder, sources, controller, scenario.sample_time) if log else (None, {})
     diagram = builder.Build()
     diagram.set_name("closed_loop")

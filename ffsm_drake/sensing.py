@@ -12,6 +12,7 @@ from pydrake.systems.primitives import (
     Gain,
     MatrixGain,
     RandomSource,
+    ZeroOrderHold,
 )
 
 from ffsm_drake import scenario as schema
@@ -43,6 +44,8 @@ class Quantizer(LeafSystem):
 
 def make_sensing(settings: schema.Sensing, coordinates: Coordinates, *, sample_time: float) -> Diagram:
     """A diagram from ``state`` to ``estimated_state``, both [q; v] (nq + nv).
+
+    A second output, ``measurement``, holds what was read at the last control sample, for logging.
 
     Noise is one independent Gaussian sample per coordinate and control period, held in between. Rotation noise of
     standard deviation sigma is added to the quaternion of the base as sigma/2 per component: along the quaternion it
@@ -101,7 +104,11 @@ def make_sensing(settings: schema.Sensing, coordinates: Coordinates, *, sample_t
     builder.ExportInput(stages[0][0], "state")
     for before, after in itertools.pairwise(stages):
         builder.Connect(before[1], after[0])
-    builder.ExportOutput(stages[-1][1], "estimated_state")
+    signal = stages[-1][1]
+    hold = builder.AddNamedSystem("hold", ZeroOrderHold(sample_time, size))
+    builder.Connect(signal, hold.get_input_port())
+    builder.ExportOutput(signal, "estimated_state")
+    builder.ExportOutput(hold.get_output_port(), "measurement")
     diagram = builder.Build()
     diagram.set_name("sensing")
     return diagram

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
-_HELD = ("generalized_force", "applied_force", "sliding_variable")
+_HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable")
 # ... while all others show what the update at t_k is about to use.
 
 
