@@ -170,7 +170,11 @@ def make_closed_loop(
     for name, port in sources.items():
         builder.ExportOutput(port, name)
     del sources["estimated_state"]  # what was read of it is the measurement
-    logger, logged = _add_logger(builder, sources, controller, scenario.sample_time) if log else (None, {})
+    if actuation is None:
+        del sources["applied_force"]
+    logger, logged = _add_logger(builder, sources, scenario.sample_time) if log else (None, {})
+    if log and actuation is None:
+        logged["applied_force"] = logged["generalized_force"]
     diagram = builder.Build()
     diagram.set_name("closed_loop")
     return ClosedLoop(
@@ -201,32 +205,16 @@ def _add_plant(builder: DiagramBuilder, model: Model, *, shown: bool) -> Multibo
 
 
 def _add_logger(
-    builder: DiagramBuilder, sources: Mapping[str, OutputPort], controller: LeafSystem, period: float
+    builder: DiagramBuilder, sources: Mapping[str, OutputPort], period: float
 ) -> tuple[VectorLogSink, dict[str, slice]]:
     """A logger of all sources, sampled together, and each one's rows in its log."""
-    # What stands in a controller's memory is read there, without a call of Python.
-    within = controller.recorded_memory if isinstance(controller, TimeDelayController) else {}
-    ports: list[OutputPort] = []
-    for name, port in sources.items():
-        if name not in within and not any(port is other for other in ports):
-            ports.append(port)
-    if within:
-        ports.append(controller.GetOutputPort("memory"))
-    sizes = [port.size() for port in ports]
+    sizes = [port.size() for port in sources.values()]
     stacked = builder.AddNamedSystem("signals", Multiplexer(sizes))
-    for index, port in enumerate(ports):
+    for index, port in enumerate(sources.values()):
         builder.Connect(port, stacked.get_input_port(index))
     logger = LogVectorOutput(stacked.get_output_port(), builder, period)
-    starts = [0, *np.cumsum(sizes).tolist()]
-    rows = {
-        name: slice(starts[index], starts[index + 1])
-        for name, port in sources.items()
-        for index, other in enumerate(ports)
-        if port is other
-    }
-    return logger, rows | {
-        name: slice(starts[-2] + part.start, starts[-2] + part.stop) for name, part in within.items()
-    }
+    ends = np.cumsum(sizes).tolist()
+    return logger, {name: slice(end - size, end) for name, size, end in zip(sources, sizes, ends, strict=True)}
 
 
 def _checked_disturbance(source: System, coordinates: Coordinates) -> System:

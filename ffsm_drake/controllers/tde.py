@@ -8,12 +8,11 @@ q''(t-L) - Hhat^-1 tau(t-L) (equation (5)), and taking that for the present N gi
 in which the *injected dynamics* u is all that tells one controller from another (equations (6), (17), (18), (20)).
 """
 
-import functools
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, InputPort, LeafSystem, OutputPort
+from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort
 
 from ffsm_drake.controllers.base import OPTIONAL_OUTPUTS
 from ffsm_drake.controllers.estimators import Arrays, Estimator, Measurement
@@ -61,15 +60,13 @@ class TimeDelayController(LeafSystem):
       desired_acceleration: (nv).
       applied_force: optional (nv), the force that really acted over the last period (saturated, quantised); without it
         the commanded force is taken to have acted.
-    Outputs, all functions of the state, and the first two it itself, so that no integrator stage and no logger runs
-    Python:
+    Outputs, all read straight from the state so that no integrator stage runs Python:
       generalized_force: tau (nv), held over the period: base torque and force in world axes, joint torques.
-      memory: all state but that; ``recorded_memory`` says where the following stand in it.
       sliding_variable: s at the last update; reaching_gain, switching_gain: K_s and G for the next. Only where the law
         has them.
     Discrete state, updated every ``sample_time``:
-      delayed_force (tau of the last sample), then in one vector the estimator's own (delayed_velocity for the published
-      one), the law's, and has_previous (0 before the first update, when the acceleration is taken as zero).
+      delayed_force (tau of the last sample), has_previous (0 before the first update, when the acceleration is taken
+      as zero), then the estimator's own (delayed_velocity for the published one), then the law's.
     """
 
     def __init__(self, *, nominal: PlantModel, estimator: Estimator, law: InjectedDynamics, sample_time: float) -> None:
@@ -85,22 +82,18 @@ class TimeDelayController(LeafSystem):
         self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", num_velocities)
         self._applied_force = self.DeclareVectorInputPort("applied_force", num_velocities)
         self._num_estimator_states = len(estimator.initial_state())
-        memory = {**estimator.initial_state(), **law.initial_state()}
-        self._shape = len(memory), num_velocities
-        parts = {name: slice(i * num_velocities, (i + 1) * num_velocities) for i, name in enumerate(memory)}
-        self._parts = parts | {"has_previous": slice(len(memory) * num_velocities, None)}
-        self._force = self.DeclareDiscreteState(num_velocities)
-        # All in one vector, which is sooner read, written and logged than seven.
-        self._memory = self.DeclareDiscreteState(np.concatenate([*memory.values(), np.zeros(1)]))
-        self.DeclareStateOutputPort("generalized_force", self._force)
-        self.DeclareStateOutputPort("memory", self._memory)
-        for name in self.recorded_memory:
-            self.DeclareVectorOutputPort(
-                name,
-                num_velocities,
-                functools.partial(self._calc_part, parts[name]),
-                {self.discrete_state_ticket(self._memory)},
-            )
+        groups = {
+            "delayed_force": np.zeros(num_velocities),
+            "has_previous": np.zeros(1),
+            **estimator.initial_state(),
+            **law.initial_state(),
+        }
+        self._state_index = {name: self.DeclareDiscreteState(value) for name, value in groups.items()}
+        self._groups = range(len(groups))
+        self.DeclareStateOutputPort("generalized_force", self._state_index["delayed_force"])
+        for name in OPTIONAL_OUTPUTS:
+            if name in self._state_index:
+                self.DeclareStateOutputPort(name, self._state_index[name])
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, self._update)
 
     def get_estimated_state_input_port(self) -> InputPort:
@@ -116,18 +109,8 @@ class TimeDelayController(LeafSystem):
         return self.GetOutputPort("generalized_force")
 
     def state(self, context: Context, name: str) -> np.ndarray:
-        """A copy of one named piece of the discrete state; the names are those of the class docstring."""
-        if name == "delayed_force":
-            return np.array(context.get_discrete_state(self._force).value())
-        return np.array(context.get_discrete_state(self._memory).value()[self._parts[name]])
-
-    @property
-    def recorded_memory(self) -> dict[str, slice]:
-        """Of the optional outputs those that the law has, and where they stand in the output ``memory``."""
-        return {name: self._parts[name] for name in OPTIONAL_OUTPUTS if name in self._parts}
-
-    def _calc_part(self, part: slice, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_discrete_state(self._memory).value()[part])
+        """A copy of one named group of the discrete state; the names are those of the class docstring."""
+        return np.array(context.get_discrete_state(self._state_index[name]).value())
 
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         estimated = self._estimated_state.Eval(context)
@@ -139,8 +122,7 @@ class TimeDelayController(LeafSystem):
         e, e_dot = difference[1:split], difference[split:]
         e[:3] = rotation_error(desired[:4], estimated[:4])
         old = context.get_discrete_state()
-        delayed_force, memory = old.value(self._force), old.value(self._memory)
-        state = [*memory[:-1].reshape(self._shape)]
+        delayed_force, has_previous, *state = map(old.value, self._groups)
         measured = Measurement(
             e,
             e_dot,
@@ -148,7 +130,7 @@ class TimeDelayController(LeafSystem):
             desired[split:],
             self._applied_force.Eval(context) if self._applied_force.HasValue(context) else delayed_force,
             mass_matrix,
-            memory.item(-1),
+            has_previous.item(),
         )
         split = self._num_estimator_states
         estimate, next_estimator_state = self._estimator.step(measured, state[:split])
@@ -161,5 +143,8 @@ class TimeDelayController(LeafSystem):
             delayed_acceleration=estimate.base_acceleration,
             u=u,
         )
-        discrete_values.set_value(self._force, force)
-        discrete_values.set_value(self._memory, np.concatenate((*next_estimator_state, *next_law_state, _ONE)))
+        discrete_values.set_value(0, force)
+        if not measured.has_previous:  # unset, a value stays what it was
+            discrete_values.set_value(1, _ONE)
+        for index, value in enumerate((*next_estimator_state, *next_law_state), start=2):
+            discrete_values.set_value(index, value)
