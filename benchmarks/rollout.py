@@ -1,10 +1,10 @@
 """What one rollout costs, as ratios: against the bare plant, against the same loop on MuJoCo, by degrees of freedom.
 
-    python benchmarks/rollout.py [--repeats 20]
+    python benchmarks/rollout.py [--repeats 20] [--duration 20]
 
 All compared runs take turns within one process, and what is printed are medians of the repeats, because a machine's
 speed changes from minute to minute; the minima, which other work on the machine disturbs less, stand in brackets. The
-scenario is ``postcapture`` with the proposed controller: 20 s at 10 ms.
+scenario is ``postcapture`` with the proposed controller: 20 s, or what is asked for, at 10 ms.
 
 (a) the bare plant: the same plant, integrator and step under a constant generalized force, AdvanceTo only;
 (b) our closed loop: AdvanceTo, with everything that a run records;
@@ -120,13 +120,13 @@ class Arm(NamedTuple):
         return f"<mujoco>{option}<worldbody>{text}</worldbody></mujoco>"
 
 
-def arm_scenario(joints: int, folder: Path) -> Scenario:
+def arm_scenario(joints: int, folder: Path, *overrides: str) -> Scenario:
     """``postcapture`` with a generated arm; joints beyond the fifth stay at zero."""
     model, directives = folder / f"arm_{joints}.urdf", folder / f"arm_{joints}.dmd.yaml"
     model.write_text(Arm.of(joints).urdf())
     directives.write_text(f"directives:\n- add_model: {{name: arm, file: 'file://{model}'}}\n")
-    overrides = (f"model.directives={directives}", "model.end_effector=arm::payload", "payload.body=arm::payload")
-    return load_scenario("postcapture", overrides)
+    arm = (f"model.directives={directives}", "model.end_effector=arm::payload", "payload.body=arm::payload")
+    return load_scenario("postcapture", (*arm, *overrides))
 
 
 class MujocoLoop:
@@ -274,15 +274,17 @@ def compare(scenario: Scenario, repeats: int) -> tuple[dict[str, Timing], RunLog
     return times, log, loop.run(noise)
 
 
-def start_times(repeats: int) -> dict[str, Timing]:
+def start_times(repeats: int, duration: str) -> dict[str, Timing]:
     """Wall time of fresh interpreters, less that of an empty one."""
+    scenario = f"f.load_scenario('postcapture', ['{duration}'])"
     codes = {
         "empty": "pass",
         "import pydrake.multibody.plant": "import pydrake.multibody.plant",
-        "import ffsm_drake": "import ffsm_drake",
-        "first metrics, simulate": "import ffsm_drake as f; f.simulate(f.load_scenario('postcapture')).metrics",
+        "import ffsm_drake": "import ffsm_drake",  # which loads the rest when it is used
+        "import ffsm_drake.simulation": "import ffsm_drake.simulation",
+        "first metrics, simulate": f"import ffsm_drake as f; f.simulate({scenario}).metrics",
         "first metrics, Rollout": "import ffsm_drake as f; from ffsm_drake.simulation import Rollout; "
-        "Rollout(f.load_scenario('postcapture')).run().metrics",
+        f"Rollout({scenario}).run().metrics",
     }
     commands = {name: [sys.executable, "-c", code] for name, code in codes.items()}
     contestants = {
@@ -294,15 +296,17 @@ def start_times(repeats: int) -> dict[str, Timing]:
     return {name: Timing(t.median - empty.median, t.minimum - empty.minimum) for name, t in times.items()}
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--repeats", type=int, default=20, help="repeats of each measurement (default: 20)")
-    repeats = parser.parse_args().repeats
-    fewer = max(5, repeats // 4)
+    parser.add_argument("--duration", type=float, default=20.0, help="simulated time of a run, s (default: 20)")
+    arguments = parser.parse_args(argv)
+    repeats, duration = arguments.repeats, f"duration={arguments.duration:g}"
+    fewer = min(repeats, max(5, repeats // 4))
 
-    times, log, mujoco_error = compare(load_scenario("postcapture"), repeats)
+    times, log, mujoco_error = compare(load_scenario("postcapture", [duration]), repeats)
     a, b, c = (times[name] for name in "abc")
-    print(f"postcapture, tde_aismc, 20 s: medians of {repeats} interleaved repeats (minima)")
+    print(f"postcapture, tde_aismc, {arguments.duration:g} s: medians of {repeats} interleaved repeats (minima)")
     print(f"  (a) bare plant         {a}")
     print(f"  (b) closed loop        {b}   b/a {b.over(a)}")
     print(f"  (c) same on MuJoCo     {c}   b/c {b.over(c)}")
@@ -319,7 +323,7 @@ def main() -> None:
     columns: dict[str, list[float]] = {name: [] for name in "abc"}
     with tempfile.TemporaryDirectory() as folder:
         for joints in JOINTS:
-            times, log, mujoco_error = compare(arm_scenario(joints, Path(folder)), fewer)
+            times, log, mujoco_error = compare(arm_scenario(joints, Path(folder), duration), fewer)
             a, b, c = (times[name] for name in "abc")
             for name, column in columns.items():
                 column.append(times[name].minimum)
@@ -330,7 +334,7 @@ def main() -> None:
     exponents = {name: np.polyfit(degrees, np.log(column), 1)[0] for name, column in columns.items()}
     print("  minima ~ (degrees of freedom)^p: " + ", ".join(f"({name}) p = {p:.2f}" for name, p in exponents.items()))
 
-    start = start_times(fewer)
+    start = start_times(fewer, duration)
     print(f"start-up, medians of {fewer} fresh interpreters (minima), less an empty one's")
     for name, timing in start.items():
         ratio = timing.over(start["import pydrake.multibody.plant"])

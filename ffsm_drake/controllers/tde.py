@@ -117,7 +117,7 @@ class TimeDelayController(LeafSystem):
         desired = self._desired_state.Eval(context)
         split = self._num_positions
         mass_matrix = self._nominal.calc_mass_matrix(estimated[:split])  # which refuses what is not finite
-        # As coordinates.position_error, with the rate in the same step: a difference of quaternions is none of rotations.
+        # As coordinates.position_error, and the rate in the same step.
         difference = desired - estimated
         e, e_dot = difference[1:split], difference[split:]
         e[:3] = rotation_error(desired[:4], estimated[:4])
