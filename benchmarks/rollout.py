@@ -253,25 +253,26 @@ def interleaved(contestants: Mapping[str, Callable[[], float]], repeats: int) ->
     return {name: Timing(statistics.median(values), min(values)) for name, values in times.items()}
 
 
-def compare(scenario: Scenario, repeats: int) -> tuple[dict[str, Timing], RunLog, np.ndarray]:
-    """Times of (a), (b), (c) and of the steps around a run; the log of (b) and the errors of (c)."""
+class Contest(NamedTuple):
+    """(a), (b) and (c) of one scenario."""
+
+    rollout: Rollout
+    contestants: dict[str, Callable[[], float]]  # seconds
+    difference: np.ndarray  # (n, nv) between the errors of (b) and (c)
+
+
+def contest(scenario: Scenario) -> Contest:
     rollout = Rollout(scenario)
     log = rollout.run()
     if not log.outcome.completed:
         raise SystemExit(log.outcome.message)
     bare, loop, noise = BarePlant(scenario), MujocoLoop(scenario, log.coordinates), sensor_noise(log)
-    times = interleaved(
-        {
-            "a": bare.advance_time,
-            "b": lambda: rollout.run().wall_time["advance_to"],
-            "c": lambda: timed(lambda: loop.run(noise)),
-            "build": lambda: timed(lambda: Rollout(scenario)),
-            "run": lambda: timed(lambda: rollout.run().metrics),
-            "simulate": lambda: timed(lambda: simulate(scenario, check_stability=False)),
-        },
-        repeats,
-    )
-    return times, log, loop.run(noise)
+    contestants = {
+        "a": bare.advance_time,
+        "b": lambda: rollout.run().wall_time["advance_to"],
+        "c": lambda: timed(lambda: loop.run(noise)),
+    }
+    return Contest(rollout, contestants, log.error - loop.run(noise))
 
 
 def start_times(repeats: int, duration: str) -> dict[str, Timing]:
@@ -304,32 +305,44 @@ def main(argv: Sequence[str] | None = None) -> None:
     repeats, duration = arguments.repeats, f"duration={arguments.duration:g}"
     fewer = min(repeats, max(5, repeats // 4))
 
-    times, log, mujoco_error = compare(load_scenario("postcapture", [duration]), repeats)
+    scenario = load_scenario("postcapture", [duration])
+    rollout, contestants, difference = contest(scenario)
+    times = interleaved(
+        contestants
+        | {
+            "build": lambda: timed(lambda: Rollout(scenario)),
+            "run": lambda: timed(lambda: rollout.run().metrics),
+            "simulate": lambda: timed(lambda: simulate(scenario, check_stability=False)),
+        },
+        repeats,
+    )
     a, b, c = (times[name] for name in "abc")
     print(f"postcapture, tde_aismc, {arguments.duration:g} s: medians of {repeats} interleaved repeats (minima)")
     print(f"  (a) bare plant         {a}")
     print(f"  (b) closed loop        {b}   b/a {b.over(a)}")
     print(f"  (c) same on MuJoCo     {c}   b/c {b.over(c)}")
-    samples = len(log.time) - 1
+    samples = scenario.num_control_periods
     print(f"  (b) - (a) per control sample: {(b.median - a.median) / samples * 1e6:.0f} us", end=" ")
     print(f"({(b.minimum - a.minimum) / samples * 1e6:.0f})")
-    print(f"  final error, largest difference (b) - (c): {np.abs(log.error[-1] - mujoco_error[-1]).max():.1e}")
-    print(f"  error of the whole run, likewise:          {np.abs(log.error - mujoco_error).max():.1e}")
+    print(f"  final error, largest difference (b) - (c): {np.abs(difference[-1]).max():.1e}")
+    print(f"  error of the whole run, likewise:          {np.abs(difference).max():.1e}")
     print(f"  Rollout(scenario)      {times['build']}   {times['build'].over(b)} of (b)")
     print(f"  run() and its metrics  {times['run']}   {times['run'].over(b)} of (b)")
     print(f"  simulate()             {times['simulate']}   {times['simulate'].over(b)} of (b)")
 
     print(f"cost against joints, generated arms, medians of {fewer} (minima)")
-    columns: dict[str, list[float]] = {name: [] for name in "abc"}
     with tempfile.TemporaryDirectory() as folder:
-        for joints in JOINTS:
-            times, log, mujoco_error = compare(arm_scenario(joints, Path(folder), duration), fewer)
-            a, b, c = (times[name] for name in "abc")
-            for name, column in columns.items():
-                column.append(times[name].minimum)
-            difference = np.abs(log.error[-1] - mujoco_error[-1]).max()
-            print(f"  {joints:2d}: (a) {a}  (b) {b}  (c) {c}")
-            print(f"      b/a {b.over(a)}  b/c {b.over(c)}  final error, (b) - (c): {difference:.1e}")
+        arms = {joints: contest(arm_scenario(joints, Path(folder), duration)) for joints in JOINTS}
+    # All arms take turns, too: a machine whose speed changes would show in the exponents.
+    times = interleaved(
+        {f"{name}{joints}": work for joints, arm in arms.items() for name, work in arm.contestants.items()}, fewer
+    )
+    for joints, arm in arms.items():
+        a, b, c = (times[f"{name}{joints}"] for name in "abc")
+        print(f"  {joints:2d}: (a) {a}  (b) {b}  (c) {c}")
+        final = np.abs(arm.difference[-1]).max()
+        print(f"      b/a {b.over(a)}  b/c {b.over(c)}  final error, (b) - (c): {final:.1e}")
+    columns = {name: [times[f"{name}{joints}"].minimum for joints in JOINTS] for name in "abc"}
     degrees = np.log([joints + 6 for joints in JOINTS])
     exponents = {name: np.polyfit(degrees, np.log(column), 1)[0] for name, column in columns.items()}
     print("  minima ~ (degrees of freedom)^p: " + ", ".join(f"({name}) p = {p:.2f}" for name, p in exponents.items()))
