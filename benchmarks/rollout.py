@@ -1,10 +1,10 @@
 """What one rollout costs, as ratios: against the bare plant, against the same loop on MuJoCo, by degrees of freedom.
 
-    python benchmarks/rollout.py [--repeats 20]
+    python benchmarks/rollout.py [--repeats 20] [--duration 20]
 
 All compared runs take turns within one process, and what is printed are medians of the repeats, because a machine's
 speed changes from minute to minute; the minima, which other work on the machine disturbs less, stand in brackets. The
-scenario is ``postcapture`` with the proposed controller: 20 s at 10 ms.
+scenario is ``postcapture`` with the proposed controller: 20 s, or what is asked for, at 10 ms.
 
 (a) the bare plant: the same plant, integrator and step under a constant generalized force, AdvanceTo only;
 (b) our closed loop: AdvanceTo, with everything that a run records;
@@ -66,19 +66,25 @@ class Arm(NamedTuple):
     masses: Sequence[float]  # kg
     lengths: Sequence[float]  # m
     axes: Sequence[str]
+    drive: float = 0.0  # kg m^2, moment of inertia of a joint's drive, which its link carries, about any axis
 
     @classmethod
     def of(cls, joints: int) -> "Arm":
-        """The shipped arm for five joints; for any other number one of its mass and length, in equal links."""
+        """The shipped arm for five joints; for any other number one of its mass and length, in equal links.
+
+        Those get drives: without, so short and slender links hardly have inertia about the axes between them, the
+        disturbance throws them about, and what is compared is how it is sampled.
+        """
         if joints == 5:
             return cls((3.0, 10.0, 10.0, 1.5, 1.5), (0.18, 0.62, 0.62, 0.09, 0.09), ("z", "y", "y", "y", "x"))
         axes = [("z", "y", "y", "x")[i % 4] for i in range(joints)]
-        return cls((26.0 / joints,) * joints, (1.6 / joints,) * joints, axes)
+        return cls((26.0 / joints,) * joints, (1.6 / joints,) * joints, axes, drive=0.5)
 
     def parts(self) -> Iterator[tuple[float, float, float, str, float, float]]:
         """Of each link: place along the link before, mass, length, axis, moment of inertia across and along."""
         for place, mass, length, axis in zip((1.0, *self.lengths), self.masses, self.lengths, self.axes, strict=False):
-            yield place, mass, length, axis, mass * length**2 / 12, mass * 0.05**2 / 2
+            across, along = mass * length**2 / 12, mass * 0.05**2 / 2
+            yield place, mass, length, axis, across + self.drive, along + self.drive
 
     def urdf(self) -> str:
         def body(name: str, mass: float, z: float, across: float, along: float) -> str:
@@ -114,13 +120,13 @@ class Arm(NamedTuple):
         return f"<mujoco>{option}<worldbody>{text}</worldbody></mujoco>"
 
 
-def arm_scenario(joints: int, folder: Path) -> Scenario:
+def arm_scenario(joints: int, folder: Path, *overrides: str) -> Scenario:
     """``postcapture`` with a generated arm; joints beyond the fifth stay at zero."""
     model, directives = folder / f"arm_{joints}.urdf", folder / f"arm_{joints}.dmd.yaml"
     model.write_text(Arm.of(joints).urdf())
     directives.write_text(f"directives:\n- add_model: {{name: arm, file: 'file://{model}'}}\n")
-    overrides = (f"model.directives={directives}", "model.end_effector=arm::payload", "payload.body=arm::payload")
-    return load_scenario("postcapture", overrides)
+    arm = (f"model.directives={directives}", "model.end_effector=arm::payload", "payload.body=arm::payload")
+    return load_scenario("postcapture", (*arm, *overrides))
 
 
 class MujocoLoop:
@@ -247,36 +253,39 @@ def interleaved(contestants: Mapping[str, Callable[[], float]], repeats: int) ->
     return {name: Timing(statistics.median(values), min(values)) for name, values in times.items()}
 
 
-def compare(scenario: Scenario, repeats: int) -> tuple[dict[str, Timing], RunLog, np.ndarray]:
-    """Times of (a), (b), (c) and of the steps around a run; the log of (b) and the errors of (c)."""
+class Contest(NamedTuple):
+    """(a), (b) and (c) of one scenario."""
+
+    rollout: Rollout
+    contestants: dict[str, Callable[[], float]]  # seconds
+    difference: np.ndarray  # (n, nv) between the errors of (b) and (c)
+
+
+def contest(scenario: Scenario) -> Contest:
     rollout = Rollout(scenario)
     log = rollout.run()
     if not log.outcome.completed:
         raise SystemExit(log.outcome.message)
     bare, loop, noise = BarePlant(scenario), MujocoLoop(scenario, log.coordinates), sensor_noise(log)
-    times = interleaved(
-        {
-            "a": bare.advance_time,
-            "b": lambda: rollout.run().wall_time["advance_to"],
-            "c": lambda: timed(lambda: loop.run(noise)),
-            "build": lambda: timed(lambda: Rollout(scenario)),
-            "run": lambda: timed(lambda: rollout.run().metrics),
-            "simulate": lambda: timed(lambda: simulate(scenario, check_stability=False)),
-        },
-        repeats,
-    )
-    return times, log, loop.run(noise)
+    contestants = {
+        "a": bare.advance_time,
+        "b": lambda: rollout.run().wall_time["advance_to"],
+        "c": lambda: timed(lambda: loop.run(noise)),
+    }
+    return Contest(rollout, contestants, log.error - loop.run(noise))
 
 
-def start_times(repeats: int) -> dict[str, Timing]:
+def start_times(repeats: int, duration: str) -> dict[str, Timing]:
     """Wall time of fresh interpreters, less that of an empty one."""
+    scenario = f"f.load_scenario('postcapture', ['{duration}'])"
     codes = {
         "empty": "pass",
         "import pydrake.multibody.plant": "import pydrake.multibody.plant",
-        "import ffsm_drake": "import ffsm_drake",
-        "first metrics, simulate": "import ffsm_drake as f; f.simulate(f.load_scenario('postcapture')).metrics",
+        "import ffsm_drake": "import ffsm_drake",  # which loads the rest when it is used
+        "import ffsm_drake.simulation": "import ffsm_drake.simulation",
+        "first metrics, simulate": f"import ffsm_drake as f; f.simulate({scenario}).metrics",
         "first metrics, Rollout": "import ffsm_drake as f; from ffsm_drake.simulation import Rollout; "
-        "Rollout(f.load_scenario('postcapture')).run().metrics",
+        f"Rollout({scenario}).run().metrics",
     }
     commands = {name: [sys.executable, "-c", code] for name, code in codes.items()}
     contestants = {
@@ -288,43 +297,57 @@ def start_times(repeats: int) -> dict[str, Timing]:
     return {name: Timing(t.median - empty.median, t.minimum - empty.minimum) for name, t in times.items()}
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--repeats", type=int, default=20, help="repeats of each measurement (default: 20)")
-    repeats = parser.parse_args().repeats
-    fewer = max(5, repeats // 4)
+    parser.add_argument("--duration", type=float, default=20.0, help="simulated time of a run, s (default: 20)")
+    arguments = parser.parse_args(argv)
+    repeats, duration = arguments.repeats, f"duration={arguments.duration:g}"
+    fewer = min(repeats, max(5, repeats // 4))
 
-    times, log, mujoco_error = compare(load_scenario("postcapture"), repeats)
+    scenario = load_scenario("postcapture", [duration])
+    rollout, contestants, difference = contest(scenario)
+    times = interleaved(
+        contestants
+        | {
+            "build": lambda: timed(lambda: Rollout(scenario)),
+            "run": lambda: timed(lambda: rollout.run().metrics),
+            "simulate": lambda: timed(lambda: simulate(scenario, check_stability=False)),
+        },
+        repeats,
+    )
     a, b, c = (times[name] for name in "abc")
-    print(f"postcapture, tde_aismc, 20 s: medians of {repeats} interleaved repeats (minima)")
+    print(f"postcapture, tde_aismc, {arguments.duration:g} s: medians of {repeats} interleaved repeats (minima)")
     print(f"  (a) bare plant         {a}")
     print(f"  (b) closed loop        {b}   b/a {b.over(a)}")
     print(f"  (c) same on MuJoCo     {c}   b/c {b.over(c)}")
-    samples = len(log.time) - 1
+    samples = scenario.num_control_periods
     print(f"  (b) - (a) per control sample: {(b.median - a.median) / samples * 1e6:.0f} us", end=" ")
     print(f"({(b.minimum - a.minimum) / samples * 1e6:.0f})")
-    print(f"  final error, largest difference (b) - (c): {np.abs(log.error[-1] - mujoco_error[-1]).max():.1e}")
-    print(f"  error of the whole run, likewise:          {np.abs(log.error - mujoco_error).max():.1e}")
+    print(f"  final error, largest difference (b) - (c): {np.abs(difference[-1]).max():.1e}")
+    print(f"  error of the whole run, likewise:          {np.abs(difference).max():.1e}")
     print(f"  Rollout(scenario)      {times['build']}   {times['build'].over(b)} of (b)")
     print(f"  run() and its metrics  {times['run']}   {times['run'].over(b)} of (b)")
     print(f"  simulate()             {times['simulate']}   {times['simulate'].over(b)} of (b)")
 
     print(f"cost against joints, generated arms, medians of {fewer} (minima)")
-    columns: dict[str, list[float]] = {name: [] for name in "abc"}
     with tempfile.TemporaryDirectory() as folder:
-        for joints in JOINTS:
-            times, log, mujoco_error = compare(arm_scenario(joints, Path(folder)), fewer)
-            a, b, c = (times[name] for name in "abc")
-            for name, column in columns.items():
-                column.append(times[name].minimum)
-            difference = np.abs(log.error[-1] - mujoco_error[-1]).max()
-            print(f"  {joints:2d}: (a) {a}  (b) {b}  (c) {c}")
-            print(f"      b/a {b.over(a)}  b/c {b.over(c)}  final error, (b) - (c): {difference:.1e}")
+        arms = {joints: contest(arm_scenario(joints, Path(folder), duration)) for joints in JOINTS}
+    # All arms take turns, too: a machine whose speed changes would show in the exponents.
+    times = interleaved(
+        {f"{name}{joints}": work for joints, arm in arms.items() for name, work in arm.contestants.items()}, fewer
+    )
+    for joints, arm in arms.items():
+        a, b, c = (times[f"{name}{joints}"] for name in "abc")
+        print(f"  {joints:2d}: (a) {a}  (b) {b}  (c) {c}")
+        final = np.abs(arm.difference[-1]).max()
+        print(f"      b/a {b.over(a)}  b/c {b.over(c)}  final error, (b) - (c): {final:.1e}")
+    columns = {name: [times[f"{name}{joints}"].minimum for joints in JOINTS] for name in "abc"}
     degrees = np.log([joints + 6 for joints in JOINTS])
     exponents = {name: np.polyfit(degrees, np.log(column), 1)[0] for name, column in columns.items()}
     print("  minima ~ (degrees of freedom)^p: " + ", ".join(f"({name}) p = {p:.2f}" for name, p in exponents.items()))
 
-    start = start_times(fewer)
+    start = start_times(fewer, duration)
     print(f"start-up, medians of {fewer} fresh interpreters (minima), less an empty one's")
     for name, timing in start.items():
         ratio = timing.over(start["import pydrake.multibody.plant"])

@@ -4,15 +4,15 @@ import itertools
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturation
+from pydrake.systems.primitives import DiscreteTimeDelay, Saturation
 
 from ffsm_drake import scenario as schema
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.sensing import Quantizer
 
 
-def make_actuation(settings: schema.Actuation, coordinates: Coordinates, *, sample_time: float) -> Diagram:
-    """A diagram from ``commanded_force`` to ``applied_force``, both (nv): N m and N.
+def make_actuation(settings: schema.Actuation, coordinates: Coordinates, *, sample_time: float) -> Diagram | None:
+    """A diagram from ``commanded_force`` to ``applied_force``, both (nv): N m and N; None where they are the same.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate.
@@ -30,7 +30,7 @@ def make_actuation(settings: schema.Actuation, coordinates: Coordinates, *, samp
         # A delay block reads its input before the controller's update of the same instant: one sample late by itself.
         chain.append(builder.AddNamedSystem("delay", DiscreteTimeDelay(sample_time, settings.delay - 1, size)))
     if not chain:
-        chain.append(builder.AddNamedSystem("ideal", PassThrough(size)))
+        return None
     builder.ExportInput(chain[0].get_input_port(), "commanded_force")
     for before, after in itertools.pairwise(chain):
         builder.Connect(before.get_output_port(), after.get_input_port())

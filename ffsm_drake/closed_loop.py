@@ -13,6 +13,7 @@ from pydrake.systems.primitives import Adder, LogVectorOutput, Multiplexer, Vect
 
 from ffsm_drake.actuation import make_actuation
 from ffsm_drake.controllers import OPTIONAL_OUTPUTS, make_controller
+from ffsm_drake.controllers.tde import TimeDelayController
 from ffsm_drake.coordinates import Coordinates
 from ffsm_drake.disturbance import make_disturbance
 from ffsm_drake.errors import ScenarioError
@@ -55,7 +56,7 @@ class ClosedLoop:
     coordinates: Coordinates
     reference: QuinticReference
     controller: LeafSystem
-    actuation: Diagram
+    actuation: Diagram | None  # None: what is commanded acts
     disturbance: System
     sensing: Diagram
     logger: VectorLogSink | None
@@ -122,7 +123,7 @@ def make_closed_loop(
         disturbance = _checked_disturbance(own_disturbance(coordinates), coordinates)
     builder.AddSystem(disturbance)
     sensing = builder.AddSystem(make_sensing(scenario.sensing, coordinates, sample_time=scenario.sample_time))
-    actuation = builder.AddSystem(make_actuation(scenario.actuation, coordinates, sample_time=scenario.sample_time))
+    actuation = make_actuation(scenario.actuation, coordinates, sample_time=scenario.sample_time)
     total_force = builder.AddNamedSystem("total_force", Adder(2, len(coordinates.names)))
 
     builder.Connect(plant.get_state_output_port(), sensing.GetInputPort("state"))
@@ -130,10 +131,16 @@ def make_closed_loop(
     for name in ("desired_state", "desired_acceleration"):
         builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
     # tau_d acts on the plant from outside: H q'' + C = tau + tau_d.
-    builder.Connect(controller.GetOutputPort("generalized_force"), actuation.get_input_port())
-    applied_force = actuation.GetOutputPort("applied_force")
+    commanded_force = applied_force = controller.GetOutputPort("generalized_force")
+    if actuation is not None:
+        builder.AddSystem(actuation)
+        builder.Connect(commanded_force, actuation.get_input_port())
+        applied_force = actuation.GetOutputPort("applied_force")
     builder.Connect(applied_force, total_force.get_input_port(0))
-    if controller.HasInputPort("applied_force"):
+    # Ours knows what it commanded; to read it elsewhere takes time.
+    if controller.HasInputPort("applied_force") and not (
+        actuation is None and isinstance(controller, TimeDelayController)
+    ):
         builder.Connect(applied_force, controller.GetInputPort("applied_force"))
     external_force = recorded_force = disturbance.GetOutputPort("generalized_force")
     if make_operator is not None:
@@ -154,7 +161,7 @@ def make_closed_loop(
         sensing.GetOutputPort("measurement"),
         reference.GetOutputPort("desired_state"),
         reference.GetOutputPort("desired_acceleration"),
-        controller.GetOutputPort("generalized_force"),
+        commanded_force,
         applied_force,
         recorded_force,
     )
@@ -163,7 +170,11 @@ def make_closed_loop(
     for name, port in sources.items():
         builder.ExportOutput(port, name)
     del sources["estimated_state"]  # what was read of it is the measurement
+    if actuation is None:
+        del sources["applied_force"]
     logger, logged = _add_logger(builder, sources, scenario.sample_time) if log else (None, {})
+    if log and actuation is None:
+        logged["applied_force"] = logged["generalized_force"]
     diagram = builder.Build()
     diagram.set_name("closed_loop")
     return ClosedLoop(

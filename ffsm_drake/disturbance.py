@@ -1,7 +1,8 @@
 """The external disturbance: one harmonic and one constant per coordinate (Table 1), all in C++ systems."""
 
+import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.primitives import Adder, ConstantVectorSource, Sine
+from pydrake.systems.primitives import AffineSystem, Sine
 
 from ffsm_drake import scenario as schema
 from ffsm_drake.coordinates import Coordinates
@@ -33,11 +34,13 @@ def make_disturbance(settings: schema.Disturbance, coordinates: Coordinates) -> 
             phase,
         ),
     )
-    constant = builder.AddNamedSystem("bias", ConstantVectorSource(settings.amplitude_scale * bias))
-    total = builder.AddNamedSystem("total", Adder(2, len(coordinates.names)))
-    builder.Connect(harmonic.get_output_port(0), total.get_input_port(0))
-    builder.Connect(constant.get_output_port(), total.get_input_port(1))
-    builder.ExportOutput(total.get_output_port(), "generalized_force")
+    port = harmonic.get_output_port(0)
+    if bias.any():
+        gain = np.eye(bias.size)
+        biased = builder.AddNamedSystem("biased", AffineSystem(D=gain, y0=settings.amplitude_scale * bias))
+        builder.Connect(port, biased.get_input_port())
+        port = biased.get_output_port()
+    builder.ExportOutput(port, "generalized_force")
     diagram = builder.Build()
     diagram.set_name("disturbance")
     return diagram

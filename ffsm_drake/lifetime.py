@@ -24,15 +24,19 @@ def weak_callback(method: Callable[..., None]) -> Callable[..., None]:
     return call
 
 
-def release(system: System) -> None:
-    """Free a system and all that it contains, as soon as nobody else refers to it; it must not be used any more."""
+def untie(system: System) -> None:
+    """Undo the tie between a system, with all that it contains, and its ports, so that the collector can free it.
+
+    A tie comes back with every look at a port. A port that is kept longer than its system must not be used.
+    """
     if isinstance(system, Diagram):
         for part in system.GetSystems():
-            release(part)
+            untie(part)
     peers = _peers(system)
-    for peer in peers:
-        _peers(peer).discard(system)
-    peers.clear()
+    for peer in list(peers):
+        if not isinstance(peer, tuple):  # which would be a callback, that the C++ side only borrows
+            _peers(peer).discard(system)
+            peers.discard(peer)
 
 
 def _peers(thing: Any) -> set[Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, OutputPort
 
 from ffsm_drake.coordinates import Coordinates
-from ffsm_drake.lifetime import weak_callback
+from ffsm_drake.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Posture, Scenario
 
 _BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
@@ -96,6 +96,7 @@ class QuinticReference(LeafSystem):
         self.DeclareVectorOutputPort(
             "desired_acceleration", num_velocities, weak_callback(self._calc_acceleration), {self.time_ticket()}
         )
+        untie(self)
 
     def get_desired_state_output_port(self) -> OutputPort:
         return self.GetOutputPort("desired_state")

@@ -17,7 +17,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, System
 from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
 from ffsm_drake.coordinates import Coordinates, position_errors
 from ffsm_drake.errors import ControllerError, FfsmError, ScenarioError, one_line
-from ffsm_drake.lifetime import release
+from ffsm_drake.lifetime import untie
 from ffsm_drake.metrics import tracking_metrics
 from ffsm_drake.plant import PlantModel, find_frame, make_true_plant
 from ffsm_drake.record import Outcome, RunRecord, software_versions
@@ -107,7 +107,7 @@ class Rollout:
 
     def release(self) -> None:
         """Free the closed loop, which Drake would otherwise keep; nothing of it may be used any more."""
-        release(self.loop.diagram)
+        untie(self.loop.diagram)
 
     def accepts(self, scenario: Scenario) -> bool:
         """Whether ``run`` takes the scenario: it differs from the built one only in what a context can change.

@@ -20,7 +20,7 @@ def test_systems_and_signals_have_names():
     loop = make_closed_loop(load_scenario("postcapture"))
     names = {system.get_name() for system in loop.diagram.GetSystems()}
     assert names == {
-        "plant", "reference", "tde_aismc", "actuation", "disturbance", "sensing", "total_force",
+        "plant", "reference", "tde_aismc", "disturbance", "sensing", "total_force",
     }  # fmt: skip
     outputs = [loop.diagram.get_output_port(i).get_name() for i in range(loop.diagram.num_output_ports())]
     assert outputs == [*SIGNALS, "sliding_variable", "reaching_gain", "switching_gain"]

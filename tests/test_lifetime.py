@@ -5,7 +5,9 @@ import weakref
 
 import pytest
 
-from ffsm_drake import load_scenario
+from ffsm_drake import load_scenario, make_nominal_plant
+from ffsm_drake.controllers import make_controller
+from ffsm_drake.reference import make_reference
 from ffsm_drake.simulation import Rollout
 
 SCENARIOS = {
@@ -27,6 +29,14 @@ def test_a_released_rollout_is_freed(overrides):
     gc.collect()
     assert [part() for part in parts] == [None] * len(parts)
     assert log.metrics["isv"] > 0  # what it logged stays
+
+
+def test_a_system_that_was_never_wired_is_freed():
+    scenario = load_scenario("postcapture")
+    nominal = make_nominal_plant(scenario)
+    made = [weakref.ref(make_reference(scenario, nominal.coordinates)), weakref.ref(make_controller(scenario, nominal))]
+    gc.collect()
+    assert [there() for there in made] == [None, None]
 
 
 def test_without_release_it_is_not():

@@ -85,7 +85,7 @@ def test_a_diverging_run_ends_where_a_monitor_of_every_step_stops_it(overrides, 
     rollout = Rollout(scenario)
     log = rollout.run()
     assert log.outcome.status == "diverged"
-    rollout._logs_every_step = False
+    rollout._judged_by_log = False
     watched = rollout.run()
     assert log.outcome == watched.outcome
     assert np.array_equal(log.time, watched.time)

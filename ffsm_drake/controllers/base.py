@@ -9,7 +9,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.coordinates import Coordinates, position_error
 from ffsm_drake.errors import ControllerError, ScenarioError, did_you_mean, one_line
-from ffsm_drake.lifetime import weak_callback
+from ffsm_drake.lifetime import untie, weak_callback
 from ffsm_drake.plant import PlantModel
 from ffsm_drake.scenario import PerCoordinate
 
@@ -100,6 +100,7 @@ class SampledController(LeafSystem):
             if name in index:
                 self.DeclareStateOutputPort(name, index[name])
         self.DeclarePeriodicDiscreteUpdateEvent(setup.sample_time, 0.0, weak_callback(self._update))
+        untie(self)
 
     def initial_state(self) -> Mapping[str, np.ndarray]:
         """Name -> initial value (n,) of each piece of the law's memory."""

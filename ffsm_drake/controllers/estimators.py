@@ -14,6 +14,7 @@ disturbance rejection control", doi:10.1109/TIE.2008.2011621).
 """
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
@@ -70,13 +71,19 @@ class OneSampleEstimator:
     sample_time: float
     num_velocities: int
 
+    @functools.cached_property
+    def _rate(self) -> np.ndarray:
+        """Samples per second, (nv): NumPy takes half as long for two arrays as for an array and a number."""
+        return np.full(self.num_velocities, 1.0 / self.sample_time)
+
     def initial_state(self) -> Mapping[str, np.ndarray]:
         return {"delayed_velocity": np.zeros(self.num_velocities)}
 
     def step(self, measured: Measurement, state: Sequence[np.ndarray]) -> tuple[Estimate, Arrays]:
         """One sample; see Estimator. Nothing is known of the acceleration at the very first: it counts as zero."""
         (delayed_velocity,) = state
-        acceleration = (measured.v - delayed_velocity) * (measured.has_previous / self.sample_time)
+        change = measured.v - delayed_velocity
+        acceleration = change * self._rate if measured.has_previous else np.zeros_like(change)
         return Estimate(measured.e, measured.e_dot, measured.applied_force, acceleration), (measured.v,)
 
 

@@ -8,7 +8,6 @@ q''(t-L) - Hhat^-1 tau(t-L) (equation (5)), and taking that for the present N gi
 in which the *injected dynamics* u is all that tells one controller from another (equations (6), (17), (18), (20)).
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
@@ -17,8 +16,8 @@ from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSy
 
 from ffsm_drake.controllers.base import OPTIONAL_OUTPUTS
 from ffsm_drake.controllers.estimators import Arrays, Estimator, Measurement
-from ffsm_drake.coordinates import position_error
-from ffsm_drake.lifetime import weak_callback
+from ffsm_drake.coordinates import rotation_error
+from ffsm_drake.lifetime import untie, weak_callback
 from ffsm_drake.plant import PlantModel
 
 _ONE = np.ones(1)
@@ -97,6 +96,7 @@ class TimeDelayController(LeafSystem):
             if name in self._state_index:
                 self.DeclareStateOutputPort(name, self._state_index[name])
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
+        untie(self)
 
     def get_estimated_state_input_port(self) -> InputPort:
         return self._estimated_state
@@ -117,24 +117,24 @@ class TimeDelayController(LeafSystem):
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         estimated = self._estimated_state.Eval(context)
         desired = self._desired_state.Eval(context)
-        q, v = estimated[: self._num_positions], estimated[self._num_positions :]
-        q_d, v_d = desired[: self._num_positions], desired[self._num_positions :]
+        split = self._num_positions
+        mass_matrix = self._nominal.calc_mass_matrix(estimated[:split])  # which refuses what is not finite
+        # As coordinates.position_error, and the rate in the same step.
+        difference = desired - estimated
+        e, e_dot = difference[1:split], difference[split:]
+        e[:3] = rotation_error(desired[:4], estimated[:4])
         old = context.get_discrete_state()
         delayed_force, has_previous, *state = map(old.value, self._groups)
-        split = self._num_estimator_states
-        e = position_error(q_d, q)
-        if not math.isfinite(sum(e.tolist())):
-            raise RuntimeError("the measured state is not finite")  # Drake would say so at greater length
-        mass_matrix = self._nominal.calc_mass_matrix(q)
         measured = Measurement(
-            e=e,
-            e_dot=v_d - v,
-            v=v,
-            v_d=v_d,
-            applied_force=self._applied_force.Eval(context) if self._applied_force.HasValue(context) else delayed_force,
-            nominal_mass_matrix=mass_matrix,
-            has_previous=has_previous.item(),
+            e,
+            e_dot,
+            estimated[split:],
+            desired[split:],
+            self._applied_force.Eval(context) if self._applied_force.HasValue(context) else delayed_force,
+            mass_matrix,
+            has_previous.item(),
         )
+        split = self._num_estimator_states
         estimate, next_estimator_state = self._estimator.step(measured, state[:split])
         u, next_law_state = self._law.step(
             estimate.e, estimate.e_dot, self._desired_acceleration.Eval(context), state[split:]
@@ -145,5 +145,8 @@ class TimeDelayController(LeafSystem):
             delayed_acceleration=estimate.base_acceleration,
             u=u,
         )
-        for index, value in enumerate((force, _ONE, *next_estimator_state, *next_law_state)):
+        discrete_values.set_value(0, force)
+        if not measured.has_previous:  # unset, a value stays what it was
+            discrete_values.set_value(1, _ONE)
+        for index, value in enumerate((*next_estimator_state, *next_law_state), start=2):
             discrete_values.set_value(index, value)
