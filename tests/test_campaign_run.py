@@ -74,7 +74,8 @@ def test_kills_change_nothing(tmp_path):
 
 
 @linux
-def test_an_interrupted_campaign_is_resumed(spec, database, tmp_path):
+def test_an_interrupted_campaign_is_resumed(tmp_path):
+    spec = write_spec(tmp_path / "long.yaml", cases=60)  # so that it is not over before the signal arrives
     path = tmp_path / "interrupted.db"
     driver = start_driver("run", str(spec), "--database", str(path), "--workers", "1")
     while count(path) < 2 and driver.poll() is None:
@@ -83,14 +84,14 @@ def test_an_interrupted_campaign_is_resumed(spec, database, tmp_path):
     os.killpg(driver.pid, signal.SIGINT)  # as a terminal does: the workers get it too
     output, _ = driver.communicate(timeout=60)
     assert driver.returncode == 130, output
-    assert f"interrupted with {count(path)} of 16 runs stored" in output
+    assert f"interrupted with {count(path)} of 120 runs stored" in output
     assert "Traceback" not in output
     assert not any(alive(worker) for worker in workers)
     with contextlib.closing(sqlite3.connect(path)) as connection:
         assert connection.execute("SELECT count(*) FROM results WHERE outcome = 'error'").fetchone() == (0,)
     result = invoke("resume", path, "--workers", "1")
     assert result.exit_code == 0, result.output
-    assert table(path) == table(database)
+    assert table(path) == table(run_here(spec, tmp_path / "whole.db", workers=2))
 
 
 class Fragile(Executor):
