@@ -116,7 +116,7 @@ def _drive(store: Store, workers: Workers, stop: Stop | None, progress: Callable
         store.pending(),
         arguments=lambda task: (campaign, *task),
         workers=workers,
-        stop=stop or Stop(),
+        stop=Stop() if stop is None else stop,  # a stop that is not set counts as false
         worn=lambda row: row["rss_mib"] > MEMORY_LIMIT,
     )
     with contextlib.closing(results):
