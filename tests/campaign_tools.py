@@ -17,7 +17,7 @@ from ffsm_drake.campaign.executor import Stop, local_workers
 from ffsm_drake.campaign.run import start_campaign
 from ffsm_drake.campaign.spec import load_spec
 
-DRIVER = "from ffsm_drake.campaign.commands import campaign; campaign(prog_name='ffsm campaign')"
+DRIVER = "from ffsm_drake.cli.campaign import campaign; campaign(prog_name='ffsm campaign')"
 SMALL = {
     "description": "a small campaign",
     "scenario": "postcapture",

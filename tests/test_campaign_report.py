@@ -10,7 +10,6 @@ import pytest
 from campaign_tools import run_here, write_spec
 from click.testing import CliRunner
 
-from ffsm_drake.campaign.commands import campaign
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.campaign.findings import find
 from ffsm_drake.campaign.stability_map import predict_map
@@ -25,6 +24,7 @@ from ffsm_drake.campaign.statistics import (
     worst_runs,
 )
 from ffsm_drake.campaign.store import open_store
+from ffsm_drake.cli.campaign import campaign
 
 
 def make_runs(settled, *, controller="tdc", **metrics):

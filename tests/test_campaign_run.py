@@ -29,12 +29,12 @@ from campaign_tools import (
 from click.testing import CliRunner
 
 from ffsm_drake import RunRecord
-from ffsm_drake.campaign.commands import campaign
 from ffsm_drake.campaign.errors import CampaignError
 from ffsm_drake.campaign.executor import Stop, WorkerLost, Workers, local_workers, run_tasks
 from ffsm_drake.campaign.run import start_campaign
 from ffsm_drake.campaign.spec import load_spec
 from ffsm_drake.campaign.store import open_store
+from ffsm_drake.cli.campaign import campaign
 
 linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
 

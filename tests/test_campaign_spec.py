@@ -10,7 +10,6 @@ from click.testing import CliRunner
 from scipy.stats import kstest
 
 from ffsm_drake.campaign.cases import make_cases, scenario_of
-from ffsm_drake.campaign.commands import campaign
 from ffsm_drake.campaign.distributions import parse_distribution
 from ffsm_drake.campaign.errors import CampaignError
 from ffsm_drake.campaign.rules import parse_rule
@@ -18,6 +17,7 @@ from ffsm_drake.campaign.sampling import case_seed, unit_points
 from ffsm_drake.campaign.settled import parse_settled
 from ffsm_drake.campaign.spec import load_spec, shipped_campaigns, spec_from_json
 from ffsm_drake.campaign.values import set_value
+from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.scenario import CONTROLLER_NAMES
 
 
@@ -235,7 +235,7 @@ def test_help_needs_no_drake():
 
     # The package itself may load Drake; what the commands add must not.
     script = (
-        "import sys, ffsm_drake; before = set(sys.modules); import ffsm_drake.campaign.commands; "
+        "import sys, ffsm_drake; before = set(sys.modules); import ffsm_drake.cli.campaign; "
         "heavy = {name.partition('.')[0] for name in set(sys.modules) - before}; "
         "print(heavy & {'pydrake', 'numpy', 'scipy', 'xarray', 'plotly', 'distributed', 'jinja2'})"
     )

@@ -7,9 +7,9 @@ class CampaignError(FfsmError):
     """A campaign that cannot be planned, run or read; its text is one line."""
 
 
-class InterruptedCampaign(Exception):
+class InterruptedCampaign(KeyboardInterrupt):
     """The campaign was told to stop; what it has is stored."""
 
     def __init__(self, done: int, total: int) -> None:
         self.done, self.total = done, total
-        super().__init__(f"interrupted with {done} of {total} runs stored")
+        super().__init__(f"interrupted with {done} of {total} runs stored; 'ffsm campaign resume' finishes them")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from ffsm_drake.campaign.commands import campaign
+from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.cli.common import OrderedGroup
 from ffsm_drake.cli.judge import analyze, design, stability
 from ffsm_drake.cli.new import new

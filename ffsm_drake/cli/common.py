@@ -37,8 +37,8 @@ def reports_errors(command: Callable[..., Any]) -> Callable[..., Any]:
             except FfsmError as error:
                 click.echo(f"error: {error}", err=True)
                 sys.exit(EXIT_BAD_INPUT)
-            except KeyboardInterrupt:
-                click.echo("interrupted", err=True)
+            except KeyboardInterrupt as interruption:
+                click.echo(str(interruption) or "interrupted", err=True)
                 sys.exit(EXIT_INTERRUPTED)
             except BrokenPipeError:  # the reader of our output has gone, as ``| head`` does
                 sys.stderr.close()

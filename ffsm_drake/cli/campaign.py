@@ -1,6 +1,5 @@
 """The commands ``ffsm campaign …``. What they need is imported when they run: ``--help`` stays fast."""
 
-import functools
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -10,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ffsm_drake.campaign.errors import CampaignError, InterruptedCampaign
-from ffsm_drake.errors import FfsmError, warnings_as_lines
+from ffsm_drake.campaign.errors import CampaignError
+from ffsm_drake.cli.common import reports_errors
 
 if TYPE_CHECKING:
     from ffsm_drake.campaign.executor import Workers
     from ffsm_drake.campaign.spec import Spec
     from ffsm_drake.campaign.store import Store
 
-EXIT_BAD_INPUT, EXIT_DIFFERENT, EXIT_INTERRUPTED = 2, 3, 130
+EXIT_DIFFERENT = 3
 _FOLDER = Path("out/campaigns")
 
 
@@ -35,27 +34,6 @@ def campaign() -> None:
       ffsm campaign run payload_uncertainty --cases 100
       ffsm campaign report out/campaigns/payload_uncertainty.db
     """
-
-
-def _reports_errors(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Turn errors into one line and exit code 2, warnings into one line each, interruption into exit code 130."""
-
-    @functools.wraps(command)
-    def wrapped(*args: Any, **kwargs: Any) -> Any:
-        with warnings_as_lines():
-            try:
-                return command(*args, **kwargs)
-            except FfsmError as error:
-                click.echo(f"error: {error}", err=True)
-                sys.exit(EXIT_BAD_INPUT)
-            except InterruptedCampaign as interruption:
-                click.echo(f"{interruption}; 'ffsm campaign resume' finishes them", err=True)
-                sys.exit(EXIT_INTERRUPTED)
-            except KeyboardInterrupt:
-                click.echo("interrupted", err=True)
-                sys.exit(EXIT_INTERRUPTED)
-
-    return wrapped
 
 
 def _worker_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -79,7 +57,7 @@ _cases_option = click.option("--cases", type=click.IntRange(min=1), help="Number
 
 
 @campaign.command()
-@_reports_errors
+@reports_errors
 @click.argument("spec")
 @_cases_option
 @click.option("--workers", type=click.IntRange(min=1), help="Processes to reckon with (default: one per processor).")
@@ -98,7 +76,7 @@ def plan(spec: str, cases: int | None, workers: int | None) -> None:
 
 
 @campaign.command()
-@_reports_errors
+@reports_errors
 @click.argument("spec")
 @_database_option
 @_cases_option
@@ -125,7 +103,7 @@ def run(spec: str, database: Path | None, cases: int | None, workers: int | None
 
 
 @campaign.command()
-@_reports_errors
+@reports_errors
 @_source
 @_database_option
 @_worker_options
@@ -147,7 +125,7 @@ def resume(source: str, database: Path | None, workers: int | None, scheduler: s
 
 
 @campaign.command()
-@_reports_errors
+@reports_errors
 @_source
 @_database_option
 def status(source: str, database: Path | None) -> None:
@@ -162,7 +140,7 @@ def status(source: str, database: Path | None) -> None:
 
 
 @campaign.command()
-@_reports_errors
+@reports_errors
 @_source
 @_database_option
 @click.option("--case", "case_index", type=click.IntRange(min=0), required=True, help="Number of the case, from 0.")
@@ -213,7 +191,7 @@ def rerun(
 
 
 @campaign.command()
-@_reports_errors
+@reports_errors
 @_source
 @_database_option
 @click.option("--out", type=click.Path(path_type=Path), help="Folder (default: beside the database).")
