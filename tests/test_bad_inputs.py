@@ -584,7 +584,7 @@ TABLE = [
     controller("invents-memory", "Invents", "'integral', which initial_state does not name", command="run"),
     controller("raises-in-law", "Raises", "failed at t = 0.00 s: KeyError: 'gain'", "line ", command="run"),
     controller("exits-in-law", "Leaves", "law called sys.exit at t = 0.00 s", command="run"),
-    controller("no-law", "NoLaw", "NotImplementedError: NoLaw must define law(sample, state)", command="run"),
+    controller("no-law", "NoLaw", "error: NoLaw must define law(sample, state)", command="run"),
     controller("nan-configuration", "NanState", "the configuration q is not finite", command="run"),
     Row(
         "unknown-own-gain",

@@ -108,7 +108,7 @@ class SampledController(LeafSystem):
 
     def law(self, sample: Sample, state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
         """The generalized force tau (nv; N m and N) for a sample, and the memory's next value by name."""
-        raise NotImplementedError(f"{type(self).__name__} must define law(sample, state)")
+        raise ControllerError(f"{type(self).__name__} must define law(sample, state)")
 
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         estimated, desired = self._estimated_state.Eval(context), self._desired_state.Eval(context)
