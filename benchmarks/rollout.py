@@ -26,11 +26,11 @@ import mujoco
 import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
-from ffsm_drake.coordinates import Coordinates
-from ffsm_drake.plant import configuration, make_plant, set_payload
-from ffsm_drake.reference import make_reference
+from ffsm_drake.runs.simulation import Rollout, RunLog, simulate
 from ffsm_drake.scenario import MassProperties, Scenario, load_scenario
-from ffsm_drake.simulation import Rollout, RunLog, simulate
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.plant import configuration, make_plant, set_payload
+from ffsm_drake.systems.reference import make_reference
 
 JOINTS = (5, 7, 14)
 _AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
@@ -282,9 +282,9 @@ def start_times(repeats: int, duration: str) -> dict[str, Timing]:
         "empty": "pass",
         "import pydrake.multibody.plant": "import pydrake.multibody.plant",
         "import ffsm_drake": "import ffsm_drake",  # which loads the rest when it is used
-        "import ffsm_drake.simulation": "import ffsm_drake.simulation",
+        "import ffsm_drake.runs.simulation": "import ffsm_drake.runs.simulation",
         "first metrics, simulate": f"import ffsm_drake as f; f.simulate({scenario}).metrics",
-        "first metrics, Rollout": "import ffsm_drake as f; from ffsm_drake.simulation import Rollout; "
+        "first metrics, Rollout": "import ffsm_drake as f; from ffsm_drake.runs.simulation import Rollout; "
         f"Rollout({scenario}).run().metrics",
     }
     commands = {name: [sys.executable, "-c", code] for name, code in codes.items()}

@@ -4,7 +4,7 @@ ffsm compare postcapture -c own_controller:MyPdPlus -c tde_aismc          (in th
 """
 
 import ffsm_drake
-from ffsm_drake.outputs import results_table
+from ffsm_drake.show.outputs import results_table
 from ffsm_drake.testing import check_controller
 
 

@@ -8,8 +8,8 @@ import shutil
 from pathlib import Path
 
 import ffsm_drake
-from ffsm_drake.onboarding import onboard, onboarding_text
-from ffsm_drake.outputs import results_table
+from ffsm_drake.design.first_scenario import onboard, onboarding_text
+from ffsm_drake.show.outputs import results_table
 
 LINK = """<link name="{name}"><inertial><origin xyz="{place}"/><mass value="{mass}"/>
   <inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial></link>"""

@@ -4,39 +4,39 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ffsm_drake.closed_loop import ClosedLoop, make_closed_loop
-    from ffsm_drake.controllers import ControllerSetup, Sample, SampledController
-    from ffsm_drake.errors import ControllerError, FfsmError, ModelError, RecordError, ScenarioError
-    from ffsm_drake.outputs import write_outputs
-    from ffsm_drake.plant import PlantModel, make_nominal_plant, make_true_plant
-    from ffsm_drake.record import Outcome, RunRecord
+    from ffsm_drake.common.errors import ControllerError, FfsmError, ModelError, RecordError, ScenarioError
+    from ffsm_drake.loop.closed_loop import ClosedLoop, make_closed_loop
+    from ffsm_drake.runs.record import Outcome, RunRecord
+    from ffsm_drake.runs.simulation import Rollout, RunLog, simulate
     from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
-    from ffsm_drake.simulation import Rollout, RunLog, simulate
+    from ffsm_drake.show.outputs import write_outputs
+    from ffsm_drake.spacecraft.plant import PlantModel, make_nominal_plant, make_true_plant
+    from ffsm_drake.systems.controllers import ControllerSetup, Sample, SampledController
 
 # Imported on first use: Drake takes a while, and the command line's help should not wait for it.
 _HOMES = {
-    "ClosedLoop": "closed_loop",
-    "make_closed_loop": "closed_loop",
-    "ControllerSetup": "controllers",
-    "Sample": "controllers",
-    "SampledController": "controllers",
-    "ControllerError": "errors",
-    "FfsmError": "errors",
-    "ModelError": "errors",
-    "RecordError": "errors",
-    "ScenarioError": "errors",
-    "write_outputs": "outputs",
-    "PlantModel": "plant",
-    "make_nominal_plant": "plant",
-    "make_true_plant": "plant",
-    "Outcome": "record",
-    "RunRecord": "record",
+    "ClosedLoop": "loop.closed_loop",
+    "make_closed_loop": "loop.closed_loop",
+    "ControllerSetup": "systems.controllers",
+    "Sample": "systems.controllers",
+    "SampledController": "systems.controllers",
+    "ControllerError": "common.errors",
+    "FfsmError": "common.errors",
+    "ModelError": "common.errors",
+    "RecordError": "common.errors",
+    "ScenarioError": "common.errors",
+    "write_outputs": "show.outputs",
+    "PlantModel": "spacecraft.plant",
+    "make_nominal_plant": "spacecraft.plant",
+    "make_true_plant": "spacecraft.plant",
+    "Outcome": "runs.record",
+    "RunRecord": "runs.record",
     "Scenario": "scenario",
     "load_scenario": "scenario",
     "override_scenario": "scenario",
-    "Rollout": "simulation",
-    "RunLog": "simulation",
-    "simulate": "simulation",
+    "Rollout": "runs.simulation",
+    "RunLog": "runs.simulation",
+    "simulate": "runs.simulation",
 }
 
 __all__ = [

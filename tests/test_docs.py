@@ -19,9 +19,6 @@ import pytest
 
 from ffsm_drake import simulate
 from ffsm_drake.cli import main
-from ffsm_drake.controllers import controller_names
-from ffsm_drake.plant import make_nominal_plant, make_true_plant
-from ffsm_drake.reference import make_reference
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,
@@ -30,6 +27,9 @@ from ffsm_drake.scenario import (
     scenario_to_dict,
     shipped_scenarios,
 )
+from ffsm_drake.spacecraft.plant import make_nominal_plant, make_true_plant
+from ffsm_drake.systems.controllers import controller_names
+from ffsm_drake.systems.reference import make_reference
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ffsm_drake import RunRecord, load_scenario, simulate
-from ffsm_drake.visualization import start_meshcat, write_recording
+from ffsm_drake.show.meshcat import start_meshcat, write_recording
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")

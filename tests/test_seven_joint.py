@@ -10,10 +10,17 @@ from pydrake.multibody.tree import BodyIndex
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario
-from ffsm_drake.plant import PlantModel, configuration, coordinates_of, make_nominal_plant, make_true_plant, set_payload
+from ffsm_drake.design.stability import assess
 from ffsm_drake.scenario import CONTROLLER_NAMES, MassProperties
-from ffsm_drake.stability import assess
-from ffsm_drake.visualization.stage import camera_pose
+from ffsm_drake.show.meshcat.stage import camera_pose
+from ffsm_drake.spacecraft.plant import (
+    PlantModel,
+    configuration,
+    coordinates_of,
+    make_nominal_plant,
+    make_true_plant,
+    set_payload,
+)
 
 JOINTS = (
     "shoulder_roll", "shoulder_yaw", "shoulder_pitch", "elbow_pitch", "wrist_pitch", "wrist_yaw", "wrist_roll",

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ffsm_drake.scenario import PerCoordinate, Scenario, schema_fields
-from ffsm_drake.schema import field_comments
+from ffsm_drake.scenario.json_schema import field_comments
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx

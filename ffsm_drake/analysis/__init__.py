@@ -3,7 +3,6 @@
 Nothing here runs during a simulation. A run that ended early is analysed up to there.
 """
 
-from ffsm_drake.analysis.figures import plot_analysis
 from ffsm_drake.analysis.findings import Analysis, Finding, analyze
 
-__all__ = ["Analysis", "Finding", "analyze", "plot_analysis"]
+__all__ = ["Analysis", "Finding", "analyze"]

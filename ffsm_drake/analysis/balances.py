@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ffsm_drake.coordinates import BASE_POSITION, BASE_ROTATION, position_error
+from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, position_error
 
 if TYPE_CHECKING:
     import xarray as xr

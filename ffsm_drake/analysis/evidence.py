@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ffsm_drake.analysis import chattering, estimation
-from ffsm_drake.controllers import LAWS
-from ffsm_drake.coordinates import Coordinates
-from ffsm_drake.plant import make_nominal_plant, make_true_plant
-from ffsm_drake.record import RunRecord
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.plant import make_nominal_plant, make_true_plant
+from ffsm_drake.systems.controllers import LAWS
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -9,9 +9,9 @@ import numpy as np
 from ffsm_drake.analysis import balances, chattering, estimation
 from ffsm_drake.analysis import lyapunov as proof
 from ffsm_drake.analysis.evidence import Evidence, Numbers, largest, ratio, rms
-from ffsm_drake.controllers.tde_aismc import TdeAismcLaw
-from ffsm_drake.metrics import momentum_residual
-from ffsm_drake.record import RunRecord
+from ffsm_drake.runs.metrics import momentum_residual
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.systems.controllers.laws.tde_aismc import TdeAismcLaw
 
 if TYPE_CHECKING:
     import xarray as xr

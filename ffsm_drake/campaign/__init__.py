@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ffsm_drake.campaign.executor import cluster_workers, local_workers
-    from ffsm_drake.campaign.report import write_report
     from ffsm_drake.campaign.run import repeat_run, resume_campaign, start_campaign
     from ffsm_drake.campaign.spec import load_spec
     from ffsm_drake.campaign.store import open_store
@@ -22,7 +21,6 @@ _HOMES = {
     "repeat_run": "run",
     "resume_campaign": "run",
     "start_campaign": "run",
-    "write_report": "report",
 }
 
 __all__ = [
@@ -33,7 +31,6 @@ __all__ = [
     "repeat_run",
     "resume_campaign",
     "start_campaign",
-    "write_report",
 ]
 
 

@@ -1,6 +1,6 @@
 """What can be wrong with a campaign's specification, database or workers."""
 
-from ffsm_drake.errors import FfsmError
+from ffsm_drake.common.errors import FfsmError
 
 
 class CampaignError(FfsmError):

@@ -17,11 +17,11 @@ import numpy as np
 from ffsm_drake.campaign.cases import Case, scenario_of
 from ffsm_drake.campaign.prediction import predict_stability
 from ffsm_drake.campaign.spec import Spec, spec_from_json
-from ffsm_drake.coordinates import GROUPS
-from ffsm_drake.errors import one_line
-from ffsm_drake.record import software_versions
+from ffsm_drake.common.errors import one_line
+from ffsm_drake.runs.record import software_versions
+from ffsm_drake.runs.simulation import Rollout, RunLog
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.simulation import Rollout, RunLog
+from ffsm_drake.spacecraft.coordinates import GROUPS
 
 OUTCOMES = ("settled", "not_settled", "diverged", "error")
 METRICS = (

@@ -18,7 +18,7 @@ from multiprocessing import get_context, parent_process
 from typing import Any, Generic, TypeVar
 
 from ffsm_drake.campaign.errors import CampaignError
-from ffsm_drake.errors import one_line
+from ffsm_drake.common.errors import one_line
 
 ATTEMPTS = 3
 # Library threads per worker process: the workers themselves fill the machine.

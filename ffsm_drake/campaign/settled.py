@@ -8,7 +8,7 @@ import numpy as np
 
 from ffsm_drake.campaign.distributions import check_keys, number
 from ffsm_drake.campaign.errors import CampaignError
-from ffsm_drake.coordinates import GROUPS
+from ffsm_drake.spacecraft.coordinates import GROUPS
 
 DEFAULT_HOLD = 2.0  # s
 DEFAULT_TOLERANCE = dict.fromkeys(GROUPS, 1e-3)  # rad and m

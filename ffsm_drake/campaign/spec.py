@@ -15,7 +15,7 @@ from ffsm_drake.campaign.rules import Rule, parse_rule
 from ffsm_drake.campaign.sampling import SAMPLINGS
 from ffsm_drake.campaign.settled import Settled, parse_settled
 from ffsm_drake.campaign.values import get_value
-from ffsm_drake.errors import FfsmError, ScenarioError, one_line
+from ffsm_drake.common.errors import FfsmError, ScenarioError, one_line
 from ffsm_drake.scenario import CONTROLLER_NAMES, load_scenario, scenario_to_dict, shipped_scenarios
 
 _KEYS = (
@@ -77,7 +77,7 @@ class Spec:
 
 def shipped_campaigns() -> dict[str, Path]:
     """The campaigns that ship with the package: name -> file."""
-    return {path.stem: path for path in sorted((Path(__file__).parents[1] / "campaigns").glob("*.yaml"))}
+    return {path.stem: path for path in sorted((Path(__file__).parent / "shipped").glob("*.yaml"))}
 
 
 def find_spec(name_or_path: str | Path) -> Path:

@@ -13,7 +13,7 @@ from ffsm_drake.campaign.distributions import LogUniform
 from ffsm_drake.campaign.errors import CampaignError
 from ffsm_drake.campaign.prediction import predict_stability
 from ffsm_drake.campaign.spec import Spec
-from ffsm_drake.errors import FfsmError
+from ffsm_drake.common.errors import FfsmError
 
 POINTS = 11  # along each axis
 REFINEMENT = 3  # finer by this near the boundary

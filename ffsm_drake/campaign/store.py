@@ -21,8 +21,8 @@ from ffsm_drake.campaign.cases import Case
 from ffsm_drake.campaign.errors import CampaignError
 from ffsm_drake.campaign.evaluate import METRICS, OUTCOMES, PREDICTIONS, Row
 from ffsm_drake.campaign.spec import Spec, spec_from_json
-from ffsm_drake.errors import RecordError, one_line
-from ffsm_drake.files import written_whole
+from ffsm_drake.common.errors import RecordError, one_line
+from ffsm_drake.common.files import written_whole
 
 FORMAT = 1
 _APPLICATION_ID = 0x66667363  # what makes the file one of ours

@@ -183,7 +183,7 @@ def rerun(
             if repeated.record is not None:
                 repeated.record.save(folder / name)
                 if not no_recording:
-                    from ffsm_drake.visualization import write_recording
+                    from ffsm_drake.show.meshcat import write_recording
 
                     write_recording(repeated.record, folder / name / "recording.html")
                 click.echo(f"  written to {folder / name}")
@@ -204,7 +204,7 @@ def report(source: str, database: Path | None, out: Path | None, axes: tuple[str
       ffsm campaign report payload_uncertainty
       ffsm campaign report mine.db --map payload.truth.mass belief_error
     """
-    from ffsm_drake.campaign.report import write_report
+    from ffsm_drake.show.campaign.page import write_report
 
     with _open(source, database) as store:
         folder = out or store.path.with_suffix("").with_name(f"{store.path.stem}-report")

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ffsm_drake.errors import FfsmError, ModelError, ScenarioError, one_line, warnings_as_lines
+from ffsm_drake.common.errors import FfsmError, ModelError, ScenarioError, one_line, warnings_as_lines
 
 if TYPE_CHECKING:
-    from ffsm_drake.record import RunRecord
+    from ffsm_drake.runs.record import RunRecord
 
 EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE, EXIT_INTERRUPTED = 0, 2, 3, 130
 
@@ -61,7 +61,7 @@ def complete_scenario(ctx: click.Context, param: click.Parameter, incomplete: st
 
 
 def complete_controller(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
-    from ffsm_drake.controllers import controller_names
+    from ffsm_drake.systems.controllers import controller_names
 
     return [name for name in controller_names() if name.startswith(incomplete)]
 
@@ -130,7 +130,7 @@ def scenario_stem() -> str:
 
 
 def print_json(data: Any) -> None:
-    from ffsm_drake.record import to_json
+    from ffsm_drake.runs.record import to_json
 
     click.echo(to_json(data), nl=False)
 

@@ -38,9 +38,9 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
       ffsm stability paper --set simulator_config.integration_scheme=runge_kutta3
       ffsm stability --set payload.belief.mass=125 --out out/stability
     """
-    from ffsm_drake.files import check_writable, written_whole
-    from ffsm_drake.stability import assess
-    from ffsm_drake.stability.report import margins_data, margins_table, plot_margins
+    from ffsm_drake.common.files import check_writable, written_whole
+    from ffsm_drake.design.stability import assess
+    from ffsm_drake.show.stability import margins_data, margins_table, plot_margins
 
     if out is not None:
         check_writable(out)
@@ -78,9 +78,9 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
       ffsm analyze out/mine
     """
     from ffsm_drake.analysis import analyze as analyze_record
-    from ffsm_drake.analysis import plot_analysis
-    from ffsm_drake.files import check_writable, write_text, written_whole
-    from ffsm_drake.record import RunRecord, to_json
+    from ffsm_drake.common.files import check_writable, write_text, written_whole
+    from ffsm_drake.runs.record import RunRecord, to_json
+    from ffsm_drake.show.figures.analysis import plot_analysis
 
     directory = out or run
     check_writable(directory)
@@ -123,9 +123,9 @@ def design(
       ffsm design flight_sensors --controller tde_aismc --budget 410 --out out/mine
       ffsm run out/mine/design.yaml
     """
-    from ffsm_drake.design import design as design_gains
-    from ffsm_drake.design import design_data, design_table, plot_design
-    from ffsm_drake.files import check_writable, write_text, written_whole
+    from ffsm_drake.common.files import check_writable, write_text, written_whole
+    from ffsm_drake.design.gains import design as design_gains
+    from ffsm_drake.design.gains import design_data, design_table, plot_design
     from ffsm_drake.scenario import scenario_to_yaml
 
     check_writable(out)

@@ -23,7 +23,7 @@ def reproduce(what: str, out: Path, seeds: int) -> None:
       ffsm reproduce                 everything, gathered in out/reproduction/reproduction.html
       ffsm reproduce table2 --seeds 5
     """
-    from ffsm_drake.reproduction import reproduce as reproduce_paper
+    from ffsm_drake.studies.paper import reproduce as reproduce_paper
 
     main_file = reproduce_paper(what, out, seeds=seeds, workers=2, progress=batch_progress)
     if main_file is None:
@@ -45,7 +45,7 @@ def noise(out: Path, seeds: int) -> None:
     Example:
       ffsm noise --seeds 3
     """
-    from ffsm_drake.noise_study import study_markdown, study_noise, write_study
+    from ffsm_drake.studies.noise.study import study_markdown, study_noise, write_study
 
     study = study_noise(seeds=seeds, workers=2, progress=batch_progress)
     click.echo(study_markdown(study))

@@ -26,7 +26,7 @@ from ffsm_drake.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from ffsm_drake.record import RunRecord
+    from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.scenario import Scenario
 
 _out = click.option(
@@ -56,8 +56,8 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
       ffsm run mine.yaml --controller my_module:MyController --out out/mine
       ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
     """
-    from ffsm_drake.files import check_writable
-    from ffsm_drake.plant import check_pictures
+    from ffsm_drake.common.files import check_writable
+    from ffsm_drake.spacecraft.plant import check_pictures
 
     directory = out or Path("out") / scenario_stem()
     check_writable(directory)  # before the run, which may take a while
@@ -67,7 +67,7 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
         record = _simulate(scenario)
         record.save(directory)
         sys.exit(_finish([record], directory, as_json=as_json, report=report))
-    from ffsm_drake.interactive import run_interactive
+    from ffsm_drake.show.meshcat.interactive import run_interactive
 
     click.echo("Open Controls, top right in the page, holds the panel.", err=True)
     flights = itertools.count(1)
@@ -105,9 +105,9 @@ def compare(
       ffsm compare flight_sensors -c tdc -c tde_aismc -c computed_torque -c pd_plus
       ffsm compare mine.yaml -c tde_aismc -c my_module:MyController --out out/duel
     """
-    from ffsm_drake.files import check_writable
-    from ffsm_drake.plant import check_pictures
+    from ffsm_drake.common.files import check_writable
     from ffsm_drake.scenario import CONTROLLER_NAMES, load_scenario, override_scenario, own_controller_name
+    from ffsm_drake.spacecraft.plant import check_pictures
 
     names = controller or CONTROLLER_NAMES
     folders = [own_controller_name(name) for name in names]
@@ -133,7 +133,7 @@ def compare(
 
 
 def _simulate(scenario: "Scenario") -> "RunRecord":
-    from ffsm_drake.simulation import simulate
+    from ffsm_drake.runs.simulation import simulate
 
     progress = RunProgress(scenario.controller)
     record = simulate(scenario, progress=progress)
@@ -143,7 +143,7 @@ def _simulate(scenario: "Scenario") -> "RunRecord":
 
 def _finish(records: Sequence["RunRecord"], directory: Path, *, as_json: bool, report: bool) -> int:
     """Report, table and exit code of finished runs."""
-    from ffsm_drake.outputs import results_data, results_table, write_outputs
+    from ffsm_drake.show.outputs import results_data, results_table, write_outputs
 
     if not as_json:
         click.echo(results_table(records))

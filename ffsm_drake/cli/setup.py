@@ -61,10 +61,10 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
       ffsm validate mine.yaml
       ffsm validate postcapture --set payload.truth.mass=-5
     """
-    from ffsm_drake.closed_loop import make_closed_loop
-    from ffsm_drake.errors import FfsmError
-    from ffsm_drake.plant import check_pictures, make_true_plant
+    from ffsm_drake.common.errors import FfsmError
+    from ffsm_drake.loop.closed_loop import make_closed_loop
     from ffsm_drake.scenario import load_scenario
+    from ffsm_drake.spacecraft.plant import check_pictures, make_true_plant
 
     results = {}
     for name in scenarios:
@@ -100,7 +100,7 @@ def schema() -> None:
       ffsm schema > scenario.schema.json
       # first line of a scenario, for editors:  # yaml-language-server: $schema=scenario.schema.json
     """
-    from ffsm_drake.schema import scenario_schema
+    from ffsm_drake.scenario.json_schema import scenario_schema
 
     print_json(scenario_schema())
 
@@ -117,7 +117,7 @@ def doctor(as_json: bool) -> None:
     Example:
       ffsm doctor
     """
-    from ffsm_drake.doctor import examine
+    from ffsm_drake.cli.doctor import examine
 
     checks = examine()
     if as_json:

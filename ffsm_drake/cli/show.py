@@ -23,10 +23,10 @@ def plot(runs: tuple[Path, ...], out: Path | None) -> None:
       ffsm plot out/postcapture
       ffsm plot out/compare_paper/tdc out/compare_paper/tde_aismc --out out/figures
     """
-    from ffsm_drake.errors import RecordError
-    from ffsm_drake.files import check_writable
-    from ffsm_drake.plotting import save_figures
-    from ffsm_drake.record import RunRecord
+    from ffsm_drake.common.errors import RecordError
+    from ffsm_drake.common.files import check_writable
+    from ffsm_drake.runs.record import RunRecord
+    from ffsm_drake.show.figures.run import save_figures
 
     directory = out or runs[0]
     check_writable(directory)
@@ -52,8 +52,8 @@ def diagram(scenario: "Scenario", out: Path | None) -> None:
       ffsm diagram
       ffsm diagram flight_sensors --controller pd_plus --out out/loop.svg
     """
-    from ffsm_drake.block_diagram import closed_loop_dot, write_diagram
-    from ffsm_drake.files import check_writable
+    from ffsm_drake.common.files import check_writable
+    from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
 
     if out is not None:
         if not out.name:
@@ -92,8 +92,8 @@ def replay(run: Path, speed: float, ghost: bool, path: bool, forces: bool, live:
       ffsm replay out/postcapture --speed 2 --no-ghost --out slides/motion.html
       ffsm replay out/postcapture --live
     """
-    from ffsm_drake.record import RunRecord
-    from ffsm_drake.visualization import replay_live, write_recording
+    from ffsm_drake.runs.record import RunRecord
+    from ffsm_drake.show.meshcat import replay_live, write_recording
 
     record = RunRecord.load(run)
     if live:

@@ -1,0 +1,83 @@
+"""Writing files whole: a reader never sees half a file, and a failed write leaves the old one."""
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ffsm_drake.common.errors import RecordError, one_line
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside ``path`` to write to, and rename it into place when the block succeeds.
+
+    Creates missing folders. Raises RecordError when the place cannot be written.
+    """
+    temporary = _temporary(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written: {one_line(error)}") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def write_together(files: Mapping[Path, Callable[[Path], object]]) -> None:
+    """Write files that belong together: each value writes to the path it is given; none takes its place before all are.
+
+    So a failed write leaves the old files, all of them. Raises RecordError naming the file that cannot be written.
+    """
+    temporaries = {path: _temporary(path) for path in files}
+    try:
+        for path, write in files.items():
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write(temporaries[path])
+            except OSError as error:
+                raise RecordError(f"{path}: cannot be written: {one_line(error)}") from error
+        for path, temporary in temporaries.items():
+            try:
+                temporary.replace(path)
+            except OSError as error:
+                raise RecordError(f"{path}: cannot be written: {one_line(error)}") from error
+    finally:
+        for temporary in temporaries.values():
+            with suppress(OSError):
+                temporary.unlink()
+
+
+def check_writable(directory: Path) -> None:
+    """Raise RecordError unless files could be written into a folder, there or yet to be made; creates nothing."""
+    place = directory.absolute()
+    try:
+        while not _exists(place):
+            place = place.parent
+        if not place.is_dir():
+            raise RecordError(f"{directory}: cannot be written: {place} is not a folder; give another one")
+        if not os.access(place, os.W_OK | os.X_OK):
+            raise RecordError(f"{directory}: cannot be written: no permission to write into {place}; give another one")
+    except (OSError, ValueError) as error:  # too long, holds a null character, ...
+        raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
+
+
+def _exists(path: Path) -> bool:
+    """As os.path.lexists, but a name that no file could have, or a folder that hides it, raises OSError."""
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a UTF-8 text file whole."""
+    with written_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -1,0 +1,196 @@
+"""A sensible first motion for an arm that nobody has described beyond its URDF: postures, duration, disturbance."""
+
+import dataclasses
+import math
+
+import numpy as np
+from pydrake.multibody.tree import JacobianWrtVariable
+
+from ffsm_drake.scenario import Harmonic, Posture
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.plant import PlantModel, base_body, find_body, find_frame
+from ffsm_drake.spacecraft.urdf import Joint, Servicer
+from ffsm_drake.systems.reference import QuinticReference
+
+_SAMPLES = 800
+_TURN = 2.2  # rad, the largest joint angle that is looked for
+# Peaks along the motion, of the same size as the paper's mission.
+_PEAK_RATE = {"rad": 0.1, "m": 0.05}  # rad/s, m/s
+_SHARE_OF_VELOCITY, _SHARE_OF_EFFORT = 0.2, 0.3  # of the URDF's limits
+_PEAK_BASE_ACCELERATION = 0.01  # force on the base per mass of the spacecraft, m/s^2
+_SHORTEST, _LONGEST = 20.0, 120.0  # s
+# The disturbance accelerates each coordinate, the others free to react, by this much: rad/s^2 or m/s^2.
+_DISTURBANCE = {"base_rotation": 1.5e-3, "base_position": 8e-4, "rad": 5e-3, "m": 1e-3}
+_FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)  # rad/s, taken in turn
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Motion:
+    """The planned motion and what it asks of the actuators."""
+
+    initial: Posture
+    target: Posture
+    duration: float  # s
+    peak_force: np.ndarray  # (nv,) of perfect tracking, N m or N
+
+
+def plan_motion(true: PlantModel, servicer: Servicer, *, body: str) -> Motion:
+    """Choose postures and duration.
+
+    The target posture is the best of many drawn from the inner part of the joint limits: far from singular, the target
+    clear of the spacecraft. The initial posture is the best of many near it. Seeded, so that the same URDF gets the
+    same motion.
+
+    Args:
+      true: the spacecraft with its payload.
+      servicer: what the URDF holds.
+      body: scoped name of the payload body.
+    """
+    judge = _Judge(true, servicer, body)
+    rng = np.random.default_rng(0)
+    low, high = judge.inner_limits.T
+    target = judge.best([judge.rest, *(low + (high - low) * x for x in rng.random((_SAMPLES, low.size)))])
+    step = np.where(judge.units == "m", 0.35 * (high - low), np.minimum(0.6, 0.5 * (high - low)))
+    draws = rng.uniform(0.35, 1.0, (_SAMPLES // 2, low.size)) * rng.choice([-1.0, 1.0], (_SAMPLES // 2, low.size))
+    near = [start for start in target + draws * step if np.all(start >= low) and np.all(start <= high)]
+    initial = judge.best([*near, 0.5 * (target + judge.rest)])
+    scale = min(max(servicer.tip.reach, 0.2), 10.0)
+    postures = [
+        Posture(base_position=position, base_rpy=rpy, joints=judge.by_name(joints))
+        for position, rpy, joints in (
+            ([float(f"{0.05 * scale * x:.1g}") for x in (1, 2, -1)], [0.1, 0.08, -0.1], initial),
+            ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], target),
+        )
+    ]
+    return _timed(true, servicer, postures[0], postures[1])
+
+
+class _Judge:
+    """Rates postures of the joints that move the tip; the others rest."""
+
+    def __init__(self, true: PlantModel, servicer: Servicer, body: str) -> None:
+        self.true, self.reach = true, max(servicer.tip.reach, 0.05)
+        self.plant = true.plant
+        by_name = {joint.name: joint for joint in servicer.joints}
+        self.joints = [by_name[name] for name in true.coordinates.joints]  # in the plant's order
+        moving = [k for k, joint in enumerate(self.joints) if joint.name in servicer.tip.joints]
+        self.moving = np.array(moving)
+        self.units = np.array([self.joints[k].unit for k in moving])
+        self.inner_limits = np.array([_inner_limits(self.joints[k]) for k in moving])
+        self.rest = self.inner_limits.mean(axis=1)
+        self.tip = find_frame(self.plant, f"servicer::{servicer.tip.frame}", key="tip")
+        self.payload = find_body(self.plant, body, key="payload.body")
+        # What the target must not come near: the base and every link but those that hold it.
+        base = base_body(self.plant)
+        holding = {base.index(), self.payload.index(), self.tip.body().index()}
+        self.links = [
+            other
+            for index in self.plant.GetBodyIndices(base.model_instance())
+            if (other := self.plant.get_body(index)).index() not in holding
+        ]
+        self.base = base
+        fixed = [self.plant.GetBodyByName(name, base.model_instance()).index() for name in servicer.base_links]
+        inertia = self.plant.CalcSpatialInertia(true.context, base.body_frame(), fixed)
+        self.base_centre = inertia.get_com()
+        # Of the solid cube with these moments: between half its side and half its diagonal.
+        moments = np.diagonal(inertia.Shift(self.base_centre).CalcRotationalInertia().CopyToFullMatrix3())
+        self.base_radius = 0.6 * math.sqrt(6.0 * moments.mean() / servicer.base_mass)
+
+    def all_joints(self, values: np.ndarray) -> np.ndarray:
+        """Positions (n) of all joints for those (m) that move the tip."""
+        joints = np.array([_resting(joint) for joint in self.joints])
+        joints[self.moving] = values
+        return joints
+
+    def by_name(self, values: np.ndarray) -> dict[str, float]:
+        return {joint.name: float(value) for joint, value in zip(self.joints, self.all_joints(values), strict=True)}
+
+    def best(self, candidates: list[np.ndarray]) -> np.ndarray:
+        """The best of several (m), rounded to three digits after the point."""
+        return np.round(candidates[int(np.argmax([self.rate(values) for values in candidates]))], 3)
+
+    def rate(self, values: np.ndarray) -> float:
+        """Higher is better: dexterity times clearance, each between 0 and 1."""
+        plant, context = self.plant, self.true.context
+        q = plant.GetPositions(context)
+        q[:NUM_BASE_POSITIONS] = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        q[NUM_BASE_POSITIONS:] = self.all_joints(values)
+        plant.SetPositions(context, q)
+        jacobian = plant.CalcJacobianSpatialVelocity(
+            context, JacobianWrtVariable.kV, self.tip, np.zeros(3), self.base.body_frame(), self.base.body_frame()
+        )[:, NUM_BASE_VELOCITIES + self.moving]
+        jacobian[3:] /= self.reach
+        jacobian[:, self.units == "m"] *= self.reach  # a metre of stroke counts as a radian at full reach
+        singular = np.linalg.svd(jacobian, compute_uv=False)
+        dexterity = singular[-1] / singular[0] if singular[0] > 0.0 else 0.0
+        centre = plant.EvalBodyPoseInWorld(context, self.payload).translation()
+        tip = self.tip.CalcPoseInWorld(context).translation()
+        outward = float(np.linalg.norm(centre - tip))  # the target's half width, as far as the model says
+        nearest = min(
+            [np.linalg.norm(centre - link.EvalPoseInWorld(context).translation()) for link in self.links]
+            + [np.linalg.norm(centre - self.base_centre) - self.base_radius]  # the base stands at the origin
+        )
+        clearance = min(max((float(nearest) - outward) / (0.5 * self.reach), 0.01), 1.0)
+        return float((dexterity + 1e-6) * clearance)
+
+
+def _inner_limits(joint: Joint) -> tuple[float, float]:
+    """The part of a joint's range that the motion may use."""
+    lower, upper = joint.lower, joint.upper
+    if joint.unit == "m" and not joint.is_limited:
+        lower = min(max(lower, 0.0), upper)
+        upper = min(upper, lower + 0.5)
+    if upper - lower < math.inf:
+        margin = 0.1 * (upper - lower)
+        lower, upper = lower + margin, upper - margin
+    if joint.unit == "m" or lower > _TURN or upper < -_TURN:
+        return lower, upper
+    return max(lower, -_TURN), min(upper, _TURN)
+
+
+def _resting(joint: Joint) -> float:
+    """Where a joint that does not move the tip stays: zero, or the limit next to it."""
+    return min(max(0.0, joint.lower), joint.upper)
+
+
+def _timed(true: PlantModel, servicer: Servicer, initial: Posture, target: Posture) -> Motion:
+    """The motion with a duration whose peak rates and forces are moderate."""
+    coordinates = true.coordinates
+    unit_time = QuinticReference(
+        coordinates=coordinates, start=initial, target=target, duration=1.0, sample_time=1.0 / 40.0
+    )
+    forces, rates = [], []
+    for time in np.linspace(0.0, 1.0, 41):
+        q, v, a = unit_time.evaluate(time)
+        forces.append(true.calc_mass_matrix(q) @ a + true.calc_bias(q, v))
+        rates.append(v)
+    force, rate = np.abs(forces).max(axis=0), np.abs(rates).max(axis=0)
+    # Rates fall with the duration, forces with its square.
+    needed = [_SHORTEST]
+    by_name = {joint.name: joint for joint in servicer.joints}
+    for k, name in enumerate(coordinates.joints, start=NUM_BASE_VELOCITIES):
+        joint = by_name[name]
+        needed.append(rate[k] / min(_PEAK_RATE[joint.unit], _SHARE_OF_VELOCITY * joint.velocity))
+        needed.append(math.sqrt(force[k] / (_SHARE_OF_EFFORT * joint.effort)))
+    mass = true.plant.CalcTotalMass(true.context)
+    needed.append(math.sqrt(force[coordinates.groups["base_position"]].max() / (_PEAK_BASE_ACCELERATION * mass)))
+    duration = min(5.0 * math.ceil(max(needed) / 5.0 - 1e-9), _LONGEST)
+    return Motion(initial=initial, target=target, duration=duration, peak_force=force / duration**2)
+
+
+def scaled_disturbance(true: PlantModel, q: np.ndarray) -> dict[str, Harmonic]:
+    """A harmonic per coordinate (names as in the plant), sized by how easily each coordinate is moved at q (nq)."""
+    coordinates = true.coordinates
+    mass_matrix = true.calc_mass_matrix(q)
+    compliance = np.diagonal(np.linalg.inv(mass_matrix))
+    harmonics = {}
+    for k, (name, unit, group) in enumerate(
+        zip(coordinates.names, coordinates.units, coordinates.group_of, strict=True)
+    ):
+        amplitude = _DISTURBANCE[unit if group == "joints" else group] / compliance[k]
+        harmonics[name] = Harmonic(
+            amplitude=float(f"{amplitude:.2g}"),
+            frequency=_FREQUENCIES[k % len(_FREQUENCIES)],
+            phase=1.571 if k % 3 == 1 else 0.0,
+        )
+    return harmonics

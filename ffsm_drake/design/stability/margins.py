@@ -1,0 +1,336 @@
+"""How far a scenario is from instability: sampled-loop margins along its planned motion, and where adaptation leads."""
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+from scipy.special import erf
+
+from ffsm_drake.design.stability.sampled_loop import (
+    LawGains,
+    LoopGains,
+    Sampling,
+    coupled_loop,
+    inertia_ratios,
+    largest_sample_time,
+    largest_stable_k_s,
+    law_gains,
+    tolerated_eta,
+)
+from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.plant import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.systems.controllers import make_controller
+from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_estimator
+from ffsm_drake.systems.disturbance import make_disturbance
+from ffsm_drake.systems.reference import QuinticReference, make_reference
+
+
+class StabilityWarning(UserWarning):
+    """A scenario whose sampled loop is unstable, or whose adaptation may make it so."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Margins:
+    """Sampled-loop margins of a scenario, without a simulation.
+
+    Limits hold for the worst eta met along the planned motion.
+    """
+
+    scenario: Scenario
+    coordinates: Coordinates
+    sampling: Sampling
+    law: LawGains
+    times: np.ndarray  # (m,) s, the postures looked at
+    eta: np.ndarray  # (m, nv) eigenvalues of H^-1 Hhat there
+    spectral_radius: np.ndarray  # (m,) of the coupled loop at the starting gains
+    spectral_radius_expected: np.ndarray  # (m,) with every K_s at its largest expected value
+    k_s_limit: np.ndarray  # (nv,) 1/s, NaN for a law without K_s
+    sample_time_limit: np.ndarray  # (nv,) s
+    eta_tolerated: np.ndarray  # (nv, 2) at the starting gains
+    forecast_times: np.ndarray  # (p,) s
+    forecast_k_s: np.ndarray  # (p, nv) 1/s, where adaptation is expected to take K_s
+
+    @property
+    def starts_stable(self) -> bool:
+        """Whether the coupled loop contracts at the starting gains at every posture looked at."""
+        return bool(self.spectral_radius.max() < 1.0)
+
+    @property
+    def forecast_leaves(self) -> np.ndarray:
+        """(nv,) whether adaptation is expected to take K_s out of its stable range within the run."""
+        return np.nanmax(self.forecast_k_s, axis=0) > np.nan_to_num(self.k_s_limit, nan=np.inf)
+
+    @property
+    def may_leave(self) -> np.ndarray:
+        """(nv,) whether nothing stops adaptation before the limit."""
+        return self.law.k_s_max > np.nan_to_num(self.k_s_limit, nan=np.inf)
+
+    @property
+    def verdict(self) -> str:
+        """One line: "stable", or what is wrong."""
+        if not self.starts_stable:
+            worst = int(np.argmax(self.spectral_radius))
+            return (
+                f"unstable: the sampled loop of {self.scenario.controller} has spectral radius "
+                f"{self.spectral_radius[worst]:.4f} at the posture of t = {self.times[worst]:g} s"
+            )
+        if self.forecast_leaves.any():
+            i = int(np.argmax(self.forecast_leaves))
+            time = self.forecast_times[int(np.argmax(self.forecast_k_s[:, i] > self.k_s_limit[i]))]
+            return (
+                f"unstable: adaptation is expected to take K_s of {self.coordinates.names[i]} past its limit of "
+                f"{self.k_s_limit[i]:.1f} 1/s at t = {time:.1f} s"
+            )
+        if self.may_leave.any():
+            i = int(np.argmax(self.may_leave))
+            return (
+                f"stable as far as can be foreseen, but nothing stops K_s before its limit "
+                f"({self.k_s_limit[i]:.1f} 1/s for {self.coordinates.names[i]}); set k_s_max"
+            )
+        return "stable"
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the run starts inside its margin and is expected to stay there."""
+        return self.starts_stable and not bool(self.forecast_leaves.any())
+
+
+def assess(scenario: Scenario, *, postures: int = 21) -> Margins:
+    """Margins of a scenario along its planned motion. Takes about a second.
+
+    Raises:
+      ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
+    """
+    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    make_controller(scenario, nominal)  # judges the gains' names once more
+    coordinates = nominal.coordinates
+    law = law_gains(scenario, coordinates)
+    reference = make_reference(scenario, coordinates)
+    sampling = sampling_of(scenario, coordinates)
+    times = np.linspace(0.0, scenario.reference.duration, postures)
+    pairs = [_mass_matrices(true, nominal, reference, time) for time in times]
+    eta = np.array([inertia_ratios(h, h_hat) for h, h_hat in pairs])
+    radius = np.array([_radius(law.at(), h, h_hat, sampling) for h, h_hat in pairs])
+
+    # Coordinates with the same gains have the same limits.
+    @functools.cache
+    def limits(*gains: float) -> tuple[float, float, float, float]:
+        axis = kinds.index(gains)
+        etas = np.linspace(eta.min(), eta.max(), 9)
+        k_s_limit = (
+            math.nan
+            if scenario.controller == "tdc"
+            else min(largest_stable_k_s(law, axis, eta=x, sampling=sampling) for x in etas)
+        )
+        period = min(largest_sample_time(law, axis, eta=x, sampling=sampling) for x in etas)
+        return k_s_limit, period, *tolerated_eta(law, axis, sampling=sampling)
+
+    filters = () if sampling.kalman_gain is None else sampling.kalman_gain.reshape(law.k_d.size, -1).T
+    kinds = list(zip(*(column.tolist() for column in (law.k_d, law.k_p, law.k_s, *filters)), strict=True))
+    table = np.array([limits(*gains) for gains in kinds])
+    forecast_times, forecast_k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal)
+    expected = np.array([_radius(law.at(forecast_k_s.max(axis=0)), h, h_hat, sampling) for h, h_hat in pairs])
+    return Margins(
+        scenario=scenario,
+        coordinates=coordinates,
+        sampling=sampling,
+        law=law,
+        times=times,
+        eta=eta,
+        spectral_radius=radius,
+        spectral_radius_expected=expected,
+        k_s_limit=table[:, 0],
+        sample_time_limit=table[:, 1],
+        eta_tolerated=table[:, 2:],
+        forecast_times=forecast_times,
+        forecast_k_s=forecast_k_s,
+    )
+
+
+def stability_warning(scenario: Scenario) -> str:
+    """One line when a scenario starts outside its margin or its adaptation may leave it; empty otherwise.
+
+    A cheap look at three postures, for ``simulate`` to make before every run. Of controllers other than the paper's
+    four it knows nothing.
+    """
+    if scenario.controller not in CONTROLLER_NAMES:
+        return ""
+    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    law = law_gains(scenario, nominal.coordinates)
+    reference = make_reference(scenario, nominal.coordinates)
+    sampling = sampling_of(scenario, nominal.coordinates)
+    pairs = [_mass_matrices(true, nominal, reference, f * scenario.reference.duration) for f in (0.0, 0.5, 1.0)]
+    radius = max(_radius(law.at(), h, h_hat, sampling) for h, h_hat in pairs)
+    remedy = f"see 'ffsm stability' for the margins of {scenario.controller}"
+    if radius >= 1.0:
+        return f"the sampled loop is unstable at the starting gains (spectral radius {radius:.4f}); {remedy}"
+    if np.array_equal(law.k_s_max, law.k_s):
+        return ""
+    unbounded = ~np.isfinite(law.k_s_max)
+    if not unbounded.any() and max(_radius(law.at(law.k_s_max), h, h_hat, sampling) for h, h_hat in pairs) < 1.0:
+        return ""
+    eta = max(inertia_ratios(h, h_hat)[-1] for h, h_hat in pairs)
+    axis = int(np.argmax(law.k_s_max))
+    limit = largest_stable_k_s(law, axis, eta=eta, sampling=sampling)
+    bound = "is not bounded" if unbounded.any() else f"may grow to {law.k_s_max.max():g} 1/s"
+    return f"K_s {bound}, but the sampled loop is stable only below about {limit:.0f} 1/s; set k_s_max, or {remedy}"
+
+
+def forecast_reaching_gain(
+    scenario: Scenario,
+    law: LawGains,
+    sampling: Sampling,
+    true: PlantModel,
+    nominal: PlantModel,
+    *,
+    points: int = 101,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where laws (9) and (21) are expected to take K_s: times (p,) in s, K_s (p, nv) in 1/s.
+
+    The laws see |s|. Its steady part follows the planned motion: what a steadily changing N leaves of s (-Ntilde / K_s
+    for the one-sample estimate, with Ntilde the change of N over one sample). The noise part is Gaussian with the
+    one-axis loop's deviation at eta = 1; the sign term adds its own oscillation at half the sampling rate. The mean of
+    the law over that distribution is integrated.
+    """
+    times = np.linspace(0.0, scenario.num_control_periods * scenario.sample_time, points)
+    gains = getattr(scenario.controllers, scenario.controller)
+    if not hasattr(gains, "alpha"):
+        return times, np.tile(law.k_s, (points, 1))
+    coordinates = nominal.coordinates
+    key = f"controllers.{scenario.controller}"
+    alpha, beta = (coordinates.vector(getattr(gains, name), key=f"{key}.{name}") for name in ("alpha", "beta"))
+    switching = coordinates.vector(getattr(gains, "g_initial", {}), key=key, default=0.0)
+    noise = [
+        coordinates.vector(getattr(scenario.sensing, f"{name}_noise"), key=f"sensing.{name}_noise", default=0.0)
+        for name in ("position", "velocity")
+    ]
+    drift = _lumped_uncertainty_drift(scenario, true, nominal, times)
+    square = scenario.controller == "aismc"
+
+    # Per coordinate, the deviation of s and the sign term's amplitude against K_s, on a grid.
+    grid = np.linspace(1.0, 2.0 / scenario.sample_time, 80)
+    response = _sliding_response(law, grid, noise, sampling)
+
+    k_s = np.empty((points, law.k_s.size))
+    k_s[0] = law.k_s
+    for j in range(points - 1):
+        for i in range(law.k_s.size):
+            now = k_s[j, i]
+            sigma = np.interp(now, grid, response["deviation"][:, i])
+            chatter = switching[i] * np.interp(now, grid, response["sign_amplitude"][:, i])
+            mean = math.hypot(drift[j, i] * np.interp(now, grid, response["drift_gain"][:, i]), chatter)
+            threshold = now * now / beta[i] if square else now / beta[i]
+            rate = alpha[i] * _mean_signed_magnitude(mean, sigma, threshold)
+            k_s[j + 1, i] = min(max(now + rate * (times[j + 1] - times[j]), 0.0), law.k_s_max[i], grid[-1])
+    return times, k_s
+
+
+def _mean_signed_magnitude(mean: float, sigma: float, threshold: float) -> float:
+    """E[|s| sgn(|s| - threshold)] for a Gaussian s."""
+    if sigma <= 0.0:
+        return abs(mean) * math.copysign(1.0, abs(mean) - threshold)
+
+    def partial(a: float, b: float) -> float:
+        """Integral of s times the density from a to b."""
+        za, zb = (a - mean) / (sigma * math.sqrt(2.0)), (b - mean) / (sigma * math.sqrt(2.0))
+        density = sigma / math.sqrt(2.0 * math.pi) * (math.exp(-za * za) - math.exp(-zb * zb))
+        return density + 0.5 * mean * float(erf(zb) - erf(za))
+
+    inside = partial(0.0, threshold) - partial(-threshold, 0.0)
+    far = abs(mean) + 12.0 * sigma + threshold
+    outside = partial(threshold, far) - partial(-far, -threshold)
+    return outside - inside
+
+
+def _sliding_response(
+    law: LawGains, grid: np.ndarray, noise: list[np.ndarray], sampling: Sampling
+) -> dict[str, np.ndarray]:
+    """What s of one axis makes of its inputs, per K_s of the grid and coordinate.
+
+    ``deviation`` under the noise; ``drift_gain``, |s| per unit of dN/dt; ``sign_amplitude``, per unit of G: the sign
+    term's oscillation alternates every sample, so its amplitude is the loop's gain from u to s at z = -1.
+    """
+    names = ("deviation", "drift_gain", "sign_amplitude")
+    result = {name: np.empty((grid.size, law.k_d.size)) for name in names}
+    one = np.ones(1)
+
+    def at(k_s: float, i: int) -> tuple[float, float, float]:
+        k_d, k_p, position, velocity = (float(values[i]) for values in (law.k_d, law.k_p, *noise))
+        single = LawGains(k_d=k_d * one, k_p=k_p * one, integral=True, k_s=one, k_s_max=one)
+        loop = coupled_loop(
+            single.at(k_s), true_mass_matrix=one[:, None], nominal_mass_matrix=one[:, None], sampling=sampling.axis(i)
+        )
+        if loop.spectral_radius > 1.0 - 1e-9:
+            return math.nan, math.nan, math.nan
+        covariance = loop.covariance(position_noise=position * one, velocity_noise=velocity * one)
+        # s = v + K_D e + K_P I of what the law works on, and where a unit of u enters.
+        step = sampling.sample_time
+        enter = np.zeros(loop.a.shape[0])
+        enter[[0, 1, 3]] = 0.0 if sampling.euler else -0.5 * step**2, -step, 1.0
+        if sampling.kalman_gain is None:  # measured values
+            read = np.array([k_d, 1.0, k_p, 0.0, 0.0])
+            direct = (k_d * position) ** 2 + velocity**2
+        else:  # estimates, as the state holds them after the update
+            read = np.array([0.0, 0.0, k_p, 0.0, k_d - step * k_p, 1.0, 0.0])
+            direct = 0.0
+        variance = float(read @ covariance @ read) + direct
+        eye = np.eye(loop.a.shape[0])
+        ramp = np.linalg.solve(eye - loop.a, loop.f[:, 0] * step)
+        drift = float(read @ np.linalg.solve(eye - loop.a, ramp))
+        alternating = float(read @ np.linalg.solve(-eye - loop.a, enter))
+        return math.sqrt(max(variance, 0.0)), abs(drift), abs(alternating)
+
+    # Coordinates that look the same need looking at once.
+    kinds = [law.k_d, law.k_p, *noise]
+    if sampling.kalman_gain is not None:
+        kinds += list(sampling.kalman_gain.reshape(law.k_d.size, -1).T)
+    _, first, inverse = np.unique(np.array(kinds).T, axis=0, return_index=True, return_inverse=True)
+    for j, k_s in enumerate(grid):
+        values = np.array([at(float(k_s), int(i)) for i in first])[inverse.ravel()]
+        for name, column in zip(names, values.T, strict=True):
+            result[name][j] = column
+    for values in result.values():
+        # Past the limit s grows without bound: far beyond any threshold is all that the law needs to know.
+        values[:] = np.where(np.isnan(values), 10.0 * np.nanmax(values, axis=0), values)
+    return result
+
+
+def _lumped_uncertainty_drift(
+    scenario: Scenario, true: PlantModel, nominal: PlantModel, times: np.ndarray
+) -> np.ndarray:
+    """dN/dt (p, nv) along the planned motion under perfect tracking, N = a_d - Hhat^-1 tau (equation (2))."""
+    reference = make_reference(scenario, nominal.coordinates)
+    disturbance = make_disturbance(scenario.disturbance, nominal.coordinates)
+    port, context = disturbance.GetOutputPort("generalized_force"), disturbance.CreateDefaultContext()
+    lumped = []
+    for time in times:
+        q, v, a = reference.evaluate(time)
+        context.SetTime(time)
+        tau = true.calc_mass_matrix(q) @ a + true.calc_bias(q, v) - port.Eval(context)
+        lumped.append(a - np.linalg.solve(nominal.calc_mass_matrix(q), tau))
+    return np.gradient(np.array(lumped), times, axis=0)
+
+
+def _mass_matrices(
+    true: PlantModel, nominal: PlantModel, reference: QuinticReference, time: float
+) -> tuple[np.ndarray, np.ndarray]:
+    q, _, _ = reference.evaluate(time)
+    return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
+
+
+def sampling_of(scenario: Scenario, coordinates: Coordinates) -> Sampling:
+    """How a scenario's loop is sampled, its estimator included."""
+    config = scenario.simulator_config
+    estimator = make_estimator(scenario, coordinates)
+    return Sampling(
+        sample_time=scenario.sample_time,
+        # Explicit Euler at the control period is a plant of its own; with smaller steps it is just inexact.
+        euler=config.integration_scheme == "explicit_euler" and config.max_step_size >= 0.999 * scenario.sample_time,
+        kalman_gain=estimator.gain if isinstance(estimator, KalmanEstimator) else None,
+    )
+
+
+def _radius(gains: LoopGains, h: np.ndarray, h_hat: np.ndarray, sampling: Sampling) -> float:
+    return coupled_loop(gains, true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=sampling).spectral_radius

@@ -1,0 +1,1 @@
+"""Running a scenario: the rollout, its monitor, the record and its metrics."""

@@ -1,0 +1,218 @@
+"""The record of a run: labelled time series, metrics, and the manifest that says how it came about."""
+
+import dataclasses
+import functools
+import json
+import math
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ffsm_drake.common.errors import FfsmError, RecordError, one_line
+from ffsm_drake.common.files import write_together
+from ffsm_drake.runs.metrics import compute_metrics
+from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+DATASET_FILE = "record.nc"
+METRICS_FILE = "metrics.json"
+MANIFEST_FILE = "manifest.json"
+FORMAT = 1
+_BY_COORDINATE, _BY_POSITION, _BY_AXIS = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
+# What every record holds, by dimension; sliding variable and gains come on top where there are any.
+VARIABLES = {
+    "position": _BY_POSITION,
+    "velocity": _BY_COORDINATE,
+    "measured_position": _BY_POSITION,
+    "measured_velocity": _BY_COORDINATE,
+    "desired_position": _BY_POSITION,
+    "desired_velocity": _BY_COORDINATE,
+    "desired_acceleration": _BY_COORDINATE,
+    "error": _BY_COORDINATE,
+    "error_rate": _BY_COORDINATE,
+    "generalized_force": _BY_COORDINATE,
+    "applied_force": _BY_COORDINATE,
+    "disturbance_force": _BY_COORDINATE,
+    "end_effector_position": _BY_AXIS,
+    "desired_end_effector_position": _BY_AXIS,
+    "base_rpy": _BY_AXIS,
+    "desired_base_rpy": _BY_AXIS,
+    "linear_momentum": _BY_AXIS,
+    "angular_momentum": _BY_AXIS,
+    "kinetic_energy": ("time",),
+}
+_COORDINATES = ("time", "coordinate", "position_name", "axis", "group", "unit")
+_STATUSES = ("completed", "diverged", "interrupted")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a run ended."""
+
+    status: str  # "completed", "diverged" or "interrupted"
+    time: float  # s, end of the record
+    message: str  # one line
+    coordinate: str = ""  # the coordinate that diverged
+
+    @property
+    def completed(self) -> bool:
+        return self.status == "completed"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class RunRecord:
+    """All that a run leaves behind.
+
+    ``dataset`` is an xarray Dataset along ``time`` (control samples t_k, s), ``coordinate`` (generalized velocities by
+    name, with ``group`` and ``unit``), ``position_name`` (generalized positions by name) and ``axis`` (x, y, z; world
+    frame). Its variables carry their units and meaning as attributes; ``list(record.dataset)`` names them.
+    """
+
+    scenario: Scenario
+    outcome: Outcome
+    dataset: "xr.Dataset"
+    wall_time: dict[str, float]  # s: build, advance_to, total
+    software: dict[str, str]
+
+    @functools.cached_property
+    def metrics(self) -> dict[str, Any]:
+        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.compute_metrics``."""
+        return compute_metrics(self.dataset)
+
+    @property
+    def realtime_factor(self) -> float:
+        """Simulated seconds per second of wall time inside ``Simulator.AdvanceTo``."""
+        return self.outcome.time / self.wall_time["advance_to"] if self.wall_time["advance_to"] > 0 else math.inf
+
+    def save(self, directory: str | Path) -> Path:
+        """Write record.nc (netCDF-4), metrics.json and manifest.json, each whole. Returns the directory.
+
+        Raises:
+          RecordError: the directory cannot be written.
+        """
+        directory = Path(directory)
+        # Character arrays rather than netCDF strings: every MATLAB reads them.
+        encoding: dict[str, dict[str, Any]] = {
+            str(name): {"dtype": "S1"} for name, array in self.dataset.coords.items() if array.dtype.kind in "UO"
+        }
+        encoding |= {str(name): {"zlib": True, "complevel": 1} for name in self.dataset.data_vars}
+
+        def write_dataset(path: Path) -> None:
+            try:
+                self.dataset.to_netcdf(path, engine="netcdf4", format="NETCDF4", encoding=encoding)
+            except RuntimeError as error:  # what the netCDF library makes of a full disk
+                raise OSError(one_line(error)) from error
+
+        metrics = to_json(self.metrics)
+        manifest = {
+            "format": FORMAT,
+            "outcome": dataclasses.asdict(self.outcome),
+            "random_seed": self.scenario.random_seed,
+            "software": self.software,
+            "wall_time": self.wall_time,
+            "realtime_factor": self.realtime_factor,
+            "scenario": scenario_to_dict(self.scenario),
+        }
+        write_together(
+            {
+                directory / DATASET_FILE: write_dataset,
+                directory / METRICS_FILE: lambda path: path.write_text(metrics, encoding="utf-8"),
+                directory / MANIFEST_FILE: lambda path: path.write_text(to_json(manifest), encoding="utf-8"),
+            }
+        )
+        return directory
+
+    @classmethod
+    def load(cls, directory: str | Path) -> "RunRecord":
+        """Read back what ``save`` wrote.
+
+        Raises:
+          RecordError: a file is missing or cannot be used.
+        """
+        import xarray as xr
+
+        directory = Path(directory)
+        path = directory / MANIFEST_FILE
+        try:
+            manifest = json.loads(path.read_text(encoding="utf-8"))
+            if not isinstance(manifest, dict):
+                raise RecordError(f"is not a run's manifest: must be an object, not {type(manifest).__name__}")
+            if manifest["format"] != FORMAT:
+                raise RecordError(f"format {manifest['format']!r:.40} is not the supported {FORMAT}; run it again")
+            scenario = scenario_from_dict(manifest["scenario"])
+            outcome = _checked_outcome(manifest["outcome"])
+            wall_time = {name: float(manifest["wall_time"][name]) for name in ("build", "advance_to", "total")}
+            software = {str(name): str(text) for name, text in dict(manifest["software"]).items()}
+        except FfsmError as error:
+            raise RecordError(f"{path}: {one_line(error)}") from error
+        except OSError as error:
+            raise RecordError(f"{path}: cannot be read: {one_line(error)}; give the folder of a run") from error
+        except KeyError as error:
+            raise RecordError(f"{path}: is not a run's manifest: lacks {one_line(error)}") from error
+        except (ValueError, TypeError, RecursionError) as error:
+            raise RecordError(f"{path}: is not a run's manifest: {type(error).__name__} {one_line(error)}") from error
+        path = directory / DATASET_FILE
+        try:
+            dataset = xr.load_dataset(path, engine="netcdf4")
+        except FileNotFoundError as error:
+            raise RecordError(f"{path}: cannot be read: no such file; run it again") from error
+        except Exception as error:  # whatever xarray and HDF5 make of a damaged file
+            raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
+        _check_dataset(dataset, path)
+        return cls(scenario=scenario, outcome=outcome, dataset=dataset, wall_time=wall_time, software=software)
+
+
+def _checked_outcome(data: Any) -> Outcome:
+    """The outcome of a manifest. Raises TypeError or ValueError for one that no run writes."""
+    outcome = Outcome(**data)
+    if outcome.status not in _STATUSES:
+        raise ValueError(f"outcome.status must be one of {', '.join(_STATUSES)}, not {outcome.status!r:.40}")
+    if not isinstance(outcome.time, (int, float)) or isinstance(outcome.time, bool):
+        raise TypeError(f"outcome.time must be a number, not {outcome.time!r:.40}")
+    if not isinstance(outcome.message, str) or not isinstance(outcome.coordinate, str):
+        raise TypeError("outcome.message and outcome.coordinate must be text")
+    return outcome
+
+
+def _check_dataset(dataset: "xr.Dataset", path: Path) -> None:
+    """Raise RecordError unless a dataset holds what every record does."""
+    missing = [name for name in (*_COORDINATES, *VARIABLES) if name not in dataset.variables]
+    if missing:
+        raise RecordError(f"{path}: lacks {', '.join(missing)}; it comes from another version or program, run it again")
+    if "sample_time" not in dataset.attrs:
+        raise RecordError(f"{path}: lacks the attribute sample_time; run it again")
+    for name, dims in VARIABLES.items():
+        if dataset[name].dims != dims or dataset[name].dtype.kind not in "fiu":
+            raise RecordError(f"{path}: {name} must hold numbers along {', '.join(dims)}; run it again")
+    if dataset.sizes["time"] == 0:
+        raise RecordError(f"{path}: holds no samples; run it again")
+
+
+def software_versions() -> dict[str, str]:
+    """Versions of everything that shapes a result."""
+    versions = {"python": platform.python_version(), "platform": platform.platform()}
+    return versions | {package: _version(package) for package in ("ffsm-drake", "drake", "numpy", "scipy", "xarray")}
+
+
+@functools.cache  # reads a file each time
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def to_json(data: Any) -> str:
+    """JSON text; numbers that JSON does not know (NaN, infinities) become null."""
+
+    def clean(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: clean(item) for key, item in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [clean(item) for item in value]
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return json.dumps(clean(data), indent=2, allow_nan=False) + "\n"

@@ -1,0 +1,106 @@
+"""Graphviz pictures of the wiring; ``python -m ffsm_drake.show.block_diagram`` writes those kept in ``diagrams/``."""
+
+import re
+import shutil
+import subprocess
+import sys
+from itertools import zip_longest
+from pathlib import Path
+
+from pydrake.systems.framework import System
+
+from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.files import write_text, written_whole
+from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.scenario import Scenario, load_scenario
+from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
+
+NO_GRAPHVIZ = "Graphviz's 'dot' is not installed: no SVG (install the package 'graphviz', or render the .dot elsewhere)"
+
+
+def closed_loop_dot(scenario: Scenario) -> str:
+    """The closed loop, visualizer included, as Graphviz text; the same wiring always gives the same text.
+
+    Of the plant's many ports only the connected ones are drawn.
+    """
+    with quiet_drake():  # the server is there for the wiring only
+        diagram = make_closed_loop(scenario, meshcat=start_meshcat()).diagram
+    return _without_idle_ports(system_dot(diagram, max_depth=1), "plant")
+
+
+def controller_dot(scenario: Scenario) -> str:
+    """The scenario's controller alone, with its ports."""
+    return system_dot(make_closed_loop(scenario).controller)
+
+
+def system_dot(system: System, *, max_depth: int | None = None) -> str:
+    """Any system's wiring as Graphviz text, the same text in every process.
+
+    Args:
+      system: a diagram or a leaf system.
+      max_depth: how many levels of nested diagrams to open; None for all.
+    """
+    text = system.GetGraphvizString(max_depth=max_depth)
+    numbers: dict[str, int] = {}
+
+    def renumber(found: re.Match[str]) -> str:
+        return f"{found[1]}{numbers.setdefault(found[2], len(numbers))}"
+
+    text = re.sub(r"\b(_|s|cluster|clusters)(\d+)(?=in\b|out\b|diagram\b|subsystems\b|\b)", renumber, text)
+    # Drake lists the connections by memory address.
+    edges = re.compile(r"(?:^s\d+\w*:\w+:\w+ -> .*\n)+", re.MULTILINE)
+    return edges.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), text)
+
+
+def _without_idle_ports(dot: str, name: str) -> str:
+    """Leave out the unconnected ports of the block with the given name."""
+    block = re.search(rf"(s\d+) \[[^\]]*?name={name}\n</TD></TR>\n(.*?)</TABLE>", dot, re.DOTALL)
+    if block is None:
+        return dot
+    used = set(re.findall(rf"\b{block[1]}:([uy]\d+):", dot))
+    cells = dict(re.findall(r'(<TD PORT="([uy]\d+)".*?</TD>)\n', block[2]))
+    sides = [[cell for cell, port in cells.items() if port in used and port[0] == side] for side in "uy"]
+    rows = "".join(f"<TR>\n{a or '<TD></TD>'}\n{b or '<TD></TD>'}\n</TR>\n" for a, b in zip_longest(*sides))
+    rows += f'<TR><TD BORDER="0" COLSPAN="2">({len(cells) - len(used)} unconnected ports)</TD></TR>\n'
+    return dot[: block.start(2)] + rows + dot[block.end(2) :]
+
+
+def write_diagram(dot: str, path: Path) -> str:
+    """Write ``path`` (.dot) and, where Graphviz is installed, the .svg beside it.
+
+    Returns: an empty string, or one line that says why there is no SVG.
+
+    Raises:
+      RecordError: a file cannot be written.
+    """
+    write_text(path, dot)
+    if shutil.which("dot") is None:
+        return NO_GRAPHVIZ
+    with written_whole(path.with_suffix(".svg")) as temporary:
+        drawn = subprocess.run(["dot", "-Tsvg", "-o", temporary, path], capture_output=True, text=True, check=False)
+        if drawn.returncode != 0:
+            temporary.unlink(missing_ok=True)
+            temporary.touch()
+    return "" if drawn.returncode == 0 else f"{path}: 'dot' failed: {' '.join(drawn.stderr.split())}"
+
+
+def shipped_diagrams() -> dict[str, str]:
+    """File stem -> Graphviz text of the pictures kept in ``diagrams/``."""
+    scenario = load_scenario("postcapture")
+    return {"closed_loop": closed_loop_dot(scenario), "controller": controller_dot(scenario)}
+
+
+def main(directory: Path) -> int:
+    """Write the shipped diagrams into a directory; returns the exit code."""
+    try:
+        for name, dot in shipped_diagrams().items():
+            remark = write_diagram(dot, directory / f"{name}.dot")
+            print(f"{directory / name}.dot{f': {remark}' if remark else ''}")
+    except FfsmError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1] if len(sys.argv) > 1 else "diagrams")))

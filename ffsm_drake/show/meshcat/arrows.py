@@ -1,0 +1,192 @@
+"""Forces and torques on the base as arrows that follow a run."""
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, Role, SceneGraphInspector
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+
+from ffsm_drake.spacecraft.plant import base_body
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_FOLDER = "forces"
+_NOTHING = 1e-6  # a scale of zero cannot be inverted, which the renderer does
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ArrowKind:
+    """What one arrow shows."""
+
+    label: str
+    variable: str  # of the record's dataset
+    coordinates: str  # base_position: the force, base_rotation: the torque about the base's origin
+    unit: str
+    color_name: str
+    color: tuple[float, float, float]
+
+    @property
+    def is_torque(self) -> bool:
+        return self.coordinates == "base_rotation"
+
+    @property
+    def path(self) -> str:
+        """Its place in Meshcat's tree."""
+        return f"{_FOLDER}/{self.label}"
+
+
+ARROW_KINDS = (
+    ArrowKind(
+        label="control force", variable="applied_force", coordinates="base_position", unit="N",
+        color_name="green", color=(0.25, 0.90, 0.35),
+    ),
+    ArrowKind(
+        label="control torque", variable="applied_force", coordinates="base_rotation", unit="N m",
+        color_name="blue", color=(0.25, 0.60, 1.00),
+    ),
+    ArrowKind(
+        label="disturbance force", variable="disturbance_force", coordinates="base_position", unit="N",
+        color_name="red", color=(1.00, 0.25, 0.20),
+    ),
+    ArrowKind(
+        label="disturbance torque", variable="disturbance_force", coordinates="base_rotation", unit="N m",
+        color_name="pink", color=(1.00, 0.45, 0.85),
+    ),
+)  # fmt: skip
+
+
+class Arrow:
+    """One arrow in Meshcat that nothing hides."""
+
+    def __init__(
+        self, meshcat: Meshcat, path: str, *, size: float, color: tuple[float, float, float], heads: int = 1
+    ) -> None:
+        """Add an arrow of no particular direction; ``size`` (m), the length of a long one, gives it its thickness."""
+        self._meshcat = meshcat
+        self._path = path
+        self._head = 0.12 * size
+        width = 0.012 * size
+        # Along +z, with a shaft of 1 m that is scaled; Drake's cone has its point at the origin and opens along +z.
+        parts = {f"{path}/shaft/cylinder": (Cylinder(width, 1.0), RigidTransform([0.0, 0.0, 0.5]))}
+        for i in range(heads):
+            pose = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0.0, 0.0, -0.6 * self._head * i])
+            parts[f"{path}/tip/head/cone_{i}"] = (MeshcatCone(self._head, 3.0 * width, 3.0 * width), pose)
+        for part, (shape, pose) in parts.items():
+            meshcat.SetObject(part, shape, Rgba(*color, 1.0))
+            meshcat.SetTransform(part, pose)
+            meshcat.SetProperty(f"{part}/<object>", "material.depthTest", False)
+            meshcat.SetProperty(f"{part}/<object>", "renderOrder", 1.0)  # after the spacecraft
+
+    def show(
+        self, tail: np.ndarray, direction: np.ndarray, length: float, *, time_in_recording: float | None = None
+    ) -> None:
+        """Show it from its tail (3; world frame) along a unit vector (3); a length (m) of zero hides it."""
+        # A short arrow has a small head, so that it does not look longer than it is.
+        head = max(_NOTHING, min(1.0, length / (2.0 * self._head)))
+        shaft = max(_NOTHING, length - 0.5 * head * self._head)
+        pose = RigidTransform(RotationMatrix.MakeFromOneVector(direction, 2), tail)
+        self._meshcat.SetTransform(self._path, pose, time_in_recording)
+        self._meshcat.SetProperty(f"{self._path}/shaft", "scale", [head, head, shaft], time_in_recording)
+        self._meshcat.SetTransform(f"{self._path}/tip", RigidTransform([0.0, 0.0, length]), time_in_recording)
+        self._meshcat.SetProperty(f"{self._path}/tip/head", "scale", [head] * 3, time_in_recording)
+
+
+class ForceArrows:
+    """The base's control force and torque and its disturbance in Meshcat, one arrow each (``ARROW_KINDS``).
+
+    The run's largest control force is as long as the base's longest edge, and so is its largest control torque. A
+    disturbance has the scale of its control times a round ``magnification``, because it may be far smaller. A torque's
+    arrow has two heads and points along its axis. Each starts where its line through the base's origin leaves the base
+    (a torque's a little above), and nothing hides it.
+    """
+
+    def __init__(
+        self, meshcat: Meshcat, dataset: "xr.Dataset", plant: MultibodyPlant, inspector: SceneGraphInspector
+    ) -> None:
+        self._position = dataset["position"].values
+        self._vectors = [
+            _finite_rows(dataset[kind.variable].sel(coordinate=[f"{kind.coordinates}_{axis}" for axis in "xyz"]).values)
+            for kind in ARROW_KINDS
+        ]
+        self.peaks = [float(np.linalg.norm(vectors, axis=1).max()) for vectors in self._vectors]
+        self._box_pose, self._box_half_width = base_bounding_box(plant, inspector)
+        self._longest = 2.0 * float(self._box_half_width.max())
+        self.magnifications: list[int] = []
+        self._scales: list[float] = []  # m per N or N m
+        for kind, peak in zip(ARROW_KINDS, self.peaks, strict=True):
+            reference = self.peaks[_control_of(kind)] or peak or 1.0
+            self.magnifications.append(_magnification(peak / reference))
+            self._scales.append(self._longest / reference * self.magnifications[-1])
+        self._arrows = [
+            Arrow(meshcat, kind.path, size=self._longest, color=kind.color, heads=2 if kind.is_torque else 1)
+            for kind in ARROW_KINDS
+        ]
+
+    def show(self, sample: int, *, time_in_recording: float | None = None) -> None:
+        """Show the arrows of one sample of the record."""
+        q = self._position[sample]
+        rotation = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4])))
+        for kind, arrow, vectors, scale in zip(ARROW_KINDS, self._arrows, self._vectors, self._scales, strict=True):
+            vector = vectors[sample]
+            norm = float(np.linalg.norm(vector))
+            direction = vector / norm if norm > 0.0 else np.array([0.0, 0.0, 1.0])
+            tail = q[4:7] + self._distance_to_surface(rotation, direction) * direction
+            if kind.is_torque:  # a free vector: beside a force of the same direction
+                tail[2] += 0.08 * self._longest
+            arrow.show(tail, direction, scale * norm, time_in_recording=time_in_recording)
+
+    def _distance_to_surface(self, rotation: RotationMatrix, direction: np.ndarray) -> float:
+        """From the base's origin along a world direction to the surface of the base's bounding box, m."""
+        in_box = self._box_pose.rotation().inverse() @ (rotation.inverse() @ direction)
+        origin = self._box_pose.inverse().translation()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            exits = (np.copysign(self._box_half_width, in_box) - origin) / in_box
+        return max(0.0, float(np.min(exits, where=in_box != 0.0, initial=np.inf)))
+
+
+def legend(arrows: ForceArrows) -> list[str]:
+    """One line per arrow: its colour, what it shows, how much it is magnified, and the run's peak."""
+    return [
+        f"{kind.color_name}: {kind.label}"
+        + (f" x {magnification}" if magnification > 1 else "")
+        + f", peak {peak:.3g} {kind.unit}"
+        for kind, magnification, peak in zip(ARROW_KINDS, arrows.magnifications, arrows.peaks, strict=True)
+    ]
+
+
+def _finite_rows(vectors: np.ndarray) -> np.ndarray:
+    """A copy with zero vectors for those (rows) that are not finite: a diverged run's last force may be."""
+    return np.where(np.isfinite(vectors).all(axis=1, keepdims=True), vectors, 0.0)
+
+
+def _control_of(kind: ArrowKind) -> int:
+    """Index of the control arrow whose scale an arrow shares."""
+    (index,) = (
+        i
+        for i, other in enumerate(ARROW_KINDS)
+        if other.variable == "applied_force" and other.coordinates == kind.coordinates
+    )
+    return index
+
+
+def _magnification(ratio: float) -> int:
+    """The largest of 1, 2, 5, 10, ... 1000 that leaves a ratio to the longest arrow below one."""
+    allowed = [step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if step * ratio <= 1.0]
+    return allowed[-1] if allowed and ratio > 0.0 else 1
+
+
+def base_bounding_box(plant: MultibodyPlant, inspector: SceneGraphInspector) -> tuple[RigidTransform, np.ndarray]:
+    """Pose in the base's frame and half width (3), m, of a box around the base's largest visible geometry."""
+    frame = plant.GetBodyFrameIdOrThrow(base_body(plant).index())
+    found = (RigidTransform(), np.full(3, 0.5))  # an invisible base: a cube of 1 m
+    largest = 0.0
+    for geometry in inspector.GetGeometries(frame, Role.kIllustration):
+        box = inspector.GetObbInGeometryFrame(geometry)
+        if box is not None and (size := float(np.prod(box.half_width()))) > largest:
+            largest = size
+            found = (inspector.GetPoseInFrame(geometry) @ box.pose(), np.array(box.half_width()))
+    return found

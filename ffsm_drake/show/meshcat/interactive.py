@@ -1,0 +1,390 @@
+"""An operator at the running simulation: a control panel in Meshcat, and records that tell what the operator did.
+
+Two kinds of control are on the page. Those that say "now" act on the run under way from the next control sample on: the
+scale of the disturbance and pushes on the payload. Those that say "next run" shape the scenario of the runs that start
+after it: the controller, by the start button that was clicked, and the payload's true mass. (A body cannot change its
+mass in flight without its momentum jumping, so a new mass needs a new run; the record's scenario then holds it.)
+"""
+
+import copy
+import dataclasses
+import time
+import webbrowser
+from collections.abc import Callable
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.common.lifetime import weak_callback
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.runs.simulation import simulate
+from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario
+from ffsm_drake.show.meshcat import set_stage, start_meshcat
+from ffsm_drake.show.meshcat.arrows import Arrow, base_bounding_box
+from ffsm_drake.show.meshcat.controls import Controls
+from ffsm_drake.show.meshcat.stage import SpacecraftView
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.plant import PlantModel, configuration, find_body, make_true_plant
+
+OPERATOR_ATTRIBUTE = "operator"  # of a record's dataset: what the operator did, in words
+
+PAUSE, QUIT = "Pause / resume (space)", "Quit (Esc)"
+TIME, RATE = "time [s]", "x real time"
+DISTURBANCE, IMPULSE, MASS = "now: disturb. x", "now: push [N s]", "next: mass [kg]"
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}  # world frame
+_PUSH_DURATION = 0.1  # s, rounded to whole control samples
+_PUSH_SHOWN = 1.0  # s (simulated) for which its arrow is seen
+_PUSH_COLOR = (1.0, 0.9, 0.2)
+_LONGEST_WAIT = 0.04  # s, between two looks at the page
+_LARGEST_DEBT = 0.1  # s by which the simulation may lag behind before it stops trying to catch up
+
+
+def start_button(controller: str) -> str:
+    """Label of the button that starts a run with a controller."""
+    return f"Start / restart run: {controller}"
+
+
+def push_button(axis: str) -> str:
+    """Label of the button that pushes the payload along the world's x, y or z axis."""
+    return f"Push the debris now along {axis}"
+
+
+def run_interactive(
+    scenario: Scenario,
+    *,
+    meshcat: Meshcat | None = None,
+    open_browser: bool = False,
+    check_stability: bool = True,
+    keep: Callable[[RunRecord], object] | None = None,
+    wait: Callable[[float], None] = time.sleep,
+) -> list[RunRecord]:
+    """Run a scenario again and again under an operator's hands, until Quit is clicked or Ctrl-C is pressed.
+
+    A run that is restarted, quit or interrupted from the keyboard leaves a record up to then, with the status
+    "interrupted". Every record is true: its scenario has the run's controller and payload, its ``disturbance_force`` is
+    what acted on the plant (scaled disturbance and pushes, as generalized forces), and if the operator did anything,
+    the dataset's attribute ``operator`` says what and the outcome's message that. A run that nobody touched gives the
+    record of ``simulate``. The metric ``momentum_residual`` takes the disturbance to be smooth, which a push is not.
+
+    Args:
+      scenario: what to run; its own pace (``target_realtime_rate``) is replaced by the page's slider.
+      meshcat: where to show it; by default a server of its own, whose address Drake prints.
+      open_browser: open the page in the default browser.
+      check_stability: as in ``simulate``, before each run.
+      keep: called with each record as soon as its run has ended, to save it.
+      wait: called to let wall time pass, with seconds.
+
+    Returns: the records of all runs in their order.
+
+    Raises:
+      ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
+    """
+    operator = _Operator(scenario, start_meshcat() if meshcat is None else meshcat, wait=wait)
+    if open_browser:
+        webbrowser.open(operator.meshcat.web_url())
+    records: list[RunRecord] = []
+    try:
+        while (run_scenario := operator.next_scenario()) is not None:
+            try:
+                record = simulate(run_scenario, check_stability=check_stability, make_operator=operator.make_inputs)
+            except FfsmError as error:  # of a controller whose gains the scenario lacks, say
+                operator.show_status(one_line(error))
+                continue
+            records.append(operator.annotated(record))
+            if keep is not None:
+                keep(records[-1])
+            operator.show_status(records[-1].outcome.message)
+            if record.outcome.status == "interrupted" and not operator.stopped_run:
+                break  # from the keyboard
+    except KeyboardInterrupt:
+        pass  # outside any run
+    finally:
+        operator.close()
+    return records
+
+
+class OperatorInputs(LeafSystem):
+    """What the operator does to the disturbance.
+
+    Inputs:
+      disturbance: (nv).
+      state: [q; v] (nq + nv).
+    Outputs:
+      external_force: scale * disturbance + J^T F (nv), J being that of the payload's centre of mass.
+      next_external_force: the same just after the update of a control sample, for a logger, which sees the state before
+        the update of its instant.
+    State (discrete, period ``sample_time``): [scale, F (3; world frame, N)] that acts, and what will act from the next
+    sample on.
+    """
+
+    def __init__(
+        self,
+        plant_model: PlantModel,
+        scenario: Scenario,
+        *,
+        initial: np.ndarray,
+        poll: Callable[[float, np.ndarray], np.ndarray],
+    ) -> None:
+        """Args:
+        plant_model: with the payload; used as a scratch pad.
+        scenario: names the payload.
+        initial: (4), acts until ``poll`` says otherwise.
+        poll: called with (time, q) at every control sample; returns what acts from the next sample on (4).
+        """
+        super().__init__()
+        self._model = plant_model
+        self._payload_frame = find_body(plant_model.plant, scenario.payload.body, key="payload.body").body_frame()
+        self._center_of_mass = np.array(scenario.payload.truth.center_of_mass)
+        self._poll = poll
+        num_velocities = plant_model.plant.num_velocities()
+        num_states = plant_model.plant.num_multibody_states()
+        self._disturbance = self.DeclareVectorInputPort("disturbance", num_velocities)
+        self._state = self.DeclareVectorInputPort("state", num_states)
+        self._acting = self.DeclareDiscreteState(initial)
+        self._next = self.DeclareDiscreteState(initial)
+        self.DeclarePeriodicDiscreteUpdateEvent(scenario.sample_time, 0.0, weak_callback(self._update))
+        for name, index in (("external_force", self._acting), ("next_external_force", self._next)):
+            self.DeclareVectorOutputPort(
+                name,
+                num_velocities,
+                lambda context, output, index=index: self._calc_force(context, output, index),
+                {
+                    self.input_port_ticket(self._disturbance.get_index()),
+                    self.input_port_ticket(self._state.get_index()),
+                    self.discrete_state_ticket(index),
+                },
+            )
+
+    def _update(self, context: Context, values: DiscreteValues) -> None:
+        q = self._state.Eval(context)[: self._model.plant.num_positions()]
+        values.set_value(self._acting, context.get_discrete_state(self._next).value())
+        values.set_value(self._next, self._poll(context.get_time(), q))
+
+    def _calc_force(self, context: Context, output: BasicVector, index: int) -> None:
+        scale, *push = context.get_discrete_state(index).value()
+        force = scale * self._disturbance.Eval(context)
+        if any(push):
+            q = self._state.Eval(context)[: self._model.plant.num_positions()]
+            force = force + self._calc_jacobian(q).T @ np.array(push)
+        output.SetFromVector(force)
+
+    def _calc_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Of the velocity of the payload's centre of mass in world, (3, nv)."""
+        plant, context = self._model.plant, self._model.context
+        plant.SetPositions(context, q)
+        return plant.CalcJacobianTranslationalVelocity(
+            context,
+            JacobianWrtVariable.kV,
+            self._payload_frame,
+            self._center_of_mass,
+            plant.world_frame(),
+            plant.world_frame(),
+        )
+
+
+@dataclasses.dataclass
+class _Push:
+    force: np.ndarray  # N, world frame
+    samples: int  # for which it still acts
+
+
+class _Operator:
+    """The control panel, and the state of the session."""
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat, *, wait: Callable[[float], None]) -> None:
+        self.meshcat = meshcat
+        self.stopped_run = False  # the last run ended by Quit or by a start button
+        self._scenario = scenario
+        self._run_scenario = scenario
+        self._wait = wait
+        self._quit = False
+        self._paused = False
+        self._requested = ""  # controller whose start button was clicked
+        self._pushes: list[_Push] = []
+        self._scale = 1.0
+        self._events: list[str] = []
+        self._due = self._drawn = 0.0  # wall time, s
+        set_stage(meshcat, scenario)
+        self._view = SpacecraftView(meshcat, scenario.model)
+        self._payload_frame = find_body(self._view.plant, scenario.payload.body, key="payload.body").body_frame()
+        _, half_width = base_bounding_box(self._view.plant, self._view.scene_graph.model_inspector())
+        self._arrow_length = 2.0 * float(half_width.max())
+        self._arrow = Arrow(meshcat, "push", size=self._arrow_length, color=_PUSH_COLOR)
+        self._arrow_direction, self._arrow_until = np.array(_AXES["z"]), 0.0
+        self._show(0.0, configuration(self._view.plant, scenario.initial_posture, key="initial_posture"))
+
+        controls = self._controls = Controls(meshcat)
+        others = [name for name in CONTROLLER_NAMES if name != scenario.controller]
+        for name in (scenario.controller, *others):
+            controls.add_button(start_button(name))
+        controls.add_button(PAUSE, keycode="Space")
+        controls.add_slider(TIME, low=0.0, high=scenario.duration, step=scenario.sample_time, value=0.0)
+        rate = scenario.simulator_config.target_realtime_rate or 1.0
+        controls.add_slider(RATE, low=min(0.1, rate), high=max(10.0, rate), step=0.1, value=rate)
+        controls.add_slider(DISTURBANCE, low=0.0, high=5.0, step=0.25, value=1.0)
+        controls.add_slider(IMPULSE, low=-20.0, high=20.0, step=0.5, value=5.0)
+        for axis in _AXES:
+            controls.add_button(push_button(axis))
+        mass = scenario.payload.truth.mass
+        controls.add_slider(MASS, low=0.1 * mass, high=5.0 * mass, step=0.05 * mass, value=mass)
+        self._initial_mass = controls.value(MASS)  # rounded to the slider's steps
+        controls.add_button(QUIT, keycode="Escape")
+        self._status = ""
+        self.show_status("ready: click a start button")
+
+    def close(self) -> None:
+        """Take the panel away; the scene stays."""
+        self._controls.remove()
+
+    def show_status(self, text: str) -> None:
+        """Meshcat has no labels: the panel's last button, which does nothing, says what goes on."""
+        label = f"[ {text} ]"
+        if label == self._status:
+            return
+        self._controls.remove_button(self._status)
+        self._status = label
+        self._controls.add_button(label)
+
+    def next_scenario(self) -> Scenario | None:
+        """Wait for a start button and return what it asks for; None once Quit was clicked."""
+        while not (self._quit or self._requested):
+            self._wait(_LONGEST_WAIT)
+            self._read_buttons()
+        if self._quit:
+            return None
+        scenario, controller, mass = self._scenario, self._requested, self._controls.value(MASS)
+        self._requested, self.stopped_run, self._paused = "", False, False
+        self._pushes, self._events, self._scale, self._arrow_until = [], [], 1.0, 0.0
+        for axis in _AXES:
+            self._controls.clicked(push_button(axis))  # before the run: pushes nothing
+        if controller != scenario.controller:
+            self._events.append(f"controller {controller} (scenario: {scenario.controller})")
+            scenario = dataclasses.replace(scenario, controller=controller)
+        if mass != self._initial_mass:
+            truth = scenario.payload.truth
+            self._events.append(f"payload.truth.mass {mass:g} kg, inertia in proportion (scenario: {truth.mass:g} kg)")
+            inertia = [mass / truth.mass * entry for entry in truth.inertia]
+            truth = dataclasses.replace(truth, mass=mass, inertia=inertia)
+            scenario = dataclasses.replace(scenario, payload=dataclasses.replace(scenario.payload, truth=truth))
+        self._run_scenario = scenario
+        # The page's slider paces the run; Drake's pacing would race to make up for every pause.
+        config = copy.deepcopy(scenario.simulator_config)
+        config.target_realtime_rate = 0.0
+        self._due = time.perf_counter()
+        self.show_status("starting")
+        return dataclasses.replace(scenario, simulator_config=config)
+
+    def make_inputs(self, _: Coordinates) -> OperatorInputs:
+        """The system for the closed loop of the run that starts."""
+        self._note_scale("from the start")
+        return OperatorInputs(
+            make_true_plant(self._run_scenario),
+            self._run_scenario,
+            initial=np.array([self._scale, 0.0, 0.0, 0.0]),
+            poll=self._poll,
+        )
+
+    def annotated(self, record: RunRecord) -> RunRecord:
+        """The record, with what the operator did written into it."""
+        record = dataclasses.replace(record, scenario=self._run_scenario)
+        if not self._events:
+            return record
+        noun = "input" if len(self._events) == 1 else "inputs"
+        message = f"{record.outcome.message}, with {len(self._events)} {noun} of an operator"
+        return dataclasses.replace(
+            record,
+            outcome=dataclasses.replace(record.outcome, message=message),
+            dataset=record.dataset.assign_attrs({OPERATOR_ATTRIBUTE: "; ".join(self._events)}),
+        )
+
+    def _poll(self, now: float, q: np.ndarray) -> np.ndarray:
+        """Obey the page, let wall time pass, and return what acts from the next sample on: [scale, F] (4).
+
+        Raises:
+          KeyboardInterrupt: the run shall end.
+        """
+        self._pace()
+        self._draw(now, q)
+        while self._paused:
+            self._draw(now, q)
+            self._wait(_LONGEST_WAIT)
+            self._read_buttons()
+            self._stop_if_asked()
+            self._due = time.perf_counter()
+        period = self._scenario.sample_time
+        force = np.zeros(3)
+        if now + 1.5 * period < self._scenario.num_control_periods * period:  # else it would act after the run
+            self._note_scale(f"from t = {now + period:.2f} s")
+            self._read_pushes(now + period)
+            for push in self._pushes:
+                force += push.force
+                push.samples -= 1
+            self._pushes = [push for push in self._pushes if push.samples > 0]
+        return np.array([self._scale, *force])
+
+    def _pace(self) -> None:
+        """Wait until the present sample is due; the page is looked at often enough meanwhile."""
+        now = time.perf_counter()
+        period = self._scenario.sample_time / self._controls.value(RATE)
+        self._due = max(min(self._due, now) + period, now - _LARGEST_DEBT)
+        remaining = max(0.0, self._due - now)
+        while True:
+            self._wait(min(remaining, _LONGEST_WAIT))
+            remaining -= _LONGEST_WAIT
+            self._read_buttons()
+            self._stop_if_asked()
+            if remaining <= 0.0 or self._paused:
+                break
+
+    def _stop_if_asked(self) -> None:
+        if self._quit or self._requested:
+            self.stopped_run = True
+            raise KeyboardInterrupt
+
+    def _read_buttons(self) -> None:
+        for name in CONTROLLER_NAMES:
+            if self._controls.clicked(start_button(name)):
+                self._requested = name
+        if self._controls.clicked(PAUSE):
+            self._paused = not self._paused
+        self._quit = self._quit or self._controls.clicked(QUIT)
+
+    def _note_scale(self, when: str) -> None:
+        scale = self._controls.value(DISTURBANCE)
+        if scale != self._scale:
+            self._scale = scale
+            self._events.append(f"{when}: disturbance x {scale:g}")
+
+    def _read_pushes(self, start: float) -> None:
+        for axis, direction in _AXES.items():
+            if self._controls.clicked(push_button(axis)) and (impulse := self._controls.value(IMPULSE)) != 0.0:
+                samples = max(1, round(_PUSH_DURATION / self._scenario.sample_time))
+                duration = samples * self._scenario.sample_time
+                self._pushes.append(_Push(impulse / duration * np.array(direction), samples))
+                self._arrow_direction = np.sign(impulse) * np.array(direction)
+                self._arrow_until = start + _PUSH_SHOWN
+                body = self._scenario.payload.body
+                self._events.append(
+                    f"from t = {start:.2f} s: push of {impulse:g} N s along {axis} on {body} within {duration:g} s"
+                )
+
+    def _draw(self, now: float, q: np.ndarray) -> None:
+        wall = time.perf_counter()
+        if wall - self._drawn < _LONGEST_WAIT:
+            return
+        self._drawn = wall
+        self._show(now, q)
+        self._controls.set_value(TIME, now)
+        mass = self._run_scenario.payload.truth.mass
+        what = "paused" if self._paused else "running"
+        self.show_status(f"{what}: {self._run_scenario.controller}, {mass:g} kg")
+
+    def _show(self, now: float, q: np.ndarray) -> None:
+        """The spacecraft, and for a while after a push an arrow whose tip is where it acts."""
+        self._view.show(q)
+        length = self._arrow_length if now < self._arrow_until else 0.0
+        tip = self._view.position_of(self._payload_frame, np.array(self._scenario.payload.truth.center_of_mass))
+        self._arrow.show(tip - length * self._arrow_direction, self._arrow_direction, length)

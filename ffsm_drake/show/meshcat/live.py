@@ -1,0 +1,118 @@
+"""Live replay of a record in Meshcat, with time slider, play button, speed slider and quit button."""
+
+import time
+import webbrowser
+
+from pydrake.geometry import Meshcat
+
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
+from ffsm_drake.show.meshcat.controls import Controls
+from ffsm_drake.show.meshcat.replay_view import FRAMES_PER_SECOND, ReplayView, check_speed
+from ffsm_drake.show.meshcat.stage import start_meshcat
+
+PLAY, QUIT = "Play / pause (space)", "Quit (Esc)"
+TIME, SPEED = "time [s]", "speed"
+SLOWEST, FASTEST = 0.1, 10.0
+
+
+class LiveReplay:
+    """A record in Meshcat, moved on by ``step``.
+
+    Moving the time slider pauses and shows that instant. At the end the replay pauses; playing on starts it over. With
+    ``forces``, one button per arrow names its colour and hides or shows it.
+    """
+
+    def __init__(
+        self,
+        record: RunRecord,
+        *,
+        speed: float = 1.0,
+        ghost: bool = True,
+        path: bool = True,
+        forces: bool = False,
+        meshcat: Meshcat | None = None,
+    ) -> None:
+        """Set the scene and add the controls. Arguments and errors as ``recording_html``."""
+        check_speed(speed)
+        self.meshcat = start_meshcat() if meshcat is None else meshcat
+        self._view = ReplayView(self.meshcat, record, ghost=ghost, path=path, forces=forces)
+        self._controls = Controls(self.meshcat)
+        self._controls.add_button(PLAY, keycode="Space")
+        resolution = record.scenario.sample_time
+        self._controls.add_slider(TIME, low=0.0, high=max(self._view.duration, resolution), step=resolution, value=0.0)
+        low, high = min(SLOWEST, speed), max(FASTEST, speed)
+        self._controls.add_slider(SPEED, low=low, high=high, step=min(0.1, low), value=speed)
+        self._arrow_buttons = legend(self._view.arrows) if self._view.arrows is not None else []
+        self._visible = [True] * len(self._arrow_buttons)
+        for label in self._arrow_buttons:
+            self._controls.add_button(label)
+        self._controls.add_button(QUIT, keycode="Escape")
+        self.time = 0.0  # s of the run
+        self.playing = True
+
+    def step(self, wall_dt: float) -> bool:
+        """Obey the controls and show what ``wall_dt`` (s) of wall time later is due; False once Quit was clicked."""
+        if self._controls.clicked(QUIT):
+            return False
+        for i, label in enumerate(self._arrow_buttons):
+            if self._controls.clicked(label):
+                self._visible[i] = not self._visible[i]
+                self.meshcat.SetProperty(ARROW_KINDS[i].path, "visible", self._visible[i])
+        if self._controls.clicked(PLAY):
+            self.playing = not self.playing
+            if self.playing and self.time >= self._view.duration:
+                self.time = 0.0
+        if self._controls.moved(TIME):
+            self.playing = False
+            self.time = min(self._controls.value(TIME), self._view.duration)
+            self._view.show(self.time)
+        elif self.playing:
+            self.time = min(self.time + self._controls.value(SPEED) * wall_dt, self._view.duration)
+            self.playing = self.time < self._view.duration
+            self._view.show(self.time)
+            self._controls.set_value(TIME, self.time)
+        return True
+
+    def close(self) -> None:
+        """Take the controls away; the scene stays."""
+        self._controls.remove()
+
+
+def replay_live(
+    record: RunRecord,
+    *,
+    speed: float = 1.0,
+    ghost: bool = True,
+    path: bool = True,
+    forces: bool = False,
+    meshcat: Meshcat | None = None,
+    open_browser: bool = False,
+) -> None:
+    """Replay a record in Meshcat until its Quit button is clicked or Ctrl-C is pressed.
+
+    Args:
+      record: the run.
+      speed, ghost, path, forces: as in ``recording_html``; a slider changes the speed.
+      meshcat: where to show it; by default a server of its own, whose address Drake prints.
+      open_browser: open the page in the default browser.
+
+    Raises:
+      FfsmError: the speed is not positive.
+      ModelError: the scenario's model does not load any more.
+    """
+    replay = LiveReplay(record, speed=speed, ghost=ghost, path=path, forces=forces, meshcat=meshcat)
+    if open_browser:
+        webbrowser.open(replay.meshcat.web_url())
+    last = time.perf_counter()
+    try:
+        while True:
+            now = time.perf_counter()
+            if not replay.step(now - last):
+                break
+            last = now
+            time.sleep(1.0 / FRAMES_PER_SECOND)
+    except KeyboardInterrupt:
+        pass  # the other way to quit
+    finally:
+        replay.close()

@@ -1,0 +1,80 @@
+"""The self-contained page that plays a record back."""
+
+import html
+import math
+from pathlib import Path
+
+from ffsm_drake.common.files import write_text
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
+from ffsm_drake.show.meshcat.replay_view import FRAMES_PER_SECOND, ReplayView, check_speed
+from ffsm_drake.show.meshcat.stage import quiet_drake, start_meshcat
+
+_CAPTION = """<div style="position:fixed;left:12px;bottom:12px;padding:8px 12px;border-radius:6px;pointer-events:none;
+background:rgba(5,8,20,.72);color:#e8ecf6;font:13px/1.5 sans-serif">{lines}</div>
+"""
+_SWATCH = '<span style="display:inline-block;width:12px;height:12px;background:{color};margin-right:6px"></span>'
+
+
+def recording_html(
+    record: RunRecord, *, speed: float = 1.0, ghost: bool = True, path: bool = True, forces: bool = False
+) -> str:
+    """A self-contained HTML page that plays a run back: no simulation, only the record.
+
+    Args:
+      record: the run.
+      speed: of the playback; 2 shows a run of 20 s in 10 s.
+      ghost: show the target posture as a translucent ghost.
+      path: show the end effector's path.
+      forces: show the base's control force and torque and the disturbance on it as arrows; a caption names them.
+
+    Raises:
+      FfsmError: the speed is not positive.
+      ModelError: the scenario's model does not load any more.
+    """
+    check_speed(speed)
+    # Slow motion has no more frames than the record has samples; the page interpolates.
+    frames_per_second = min(FRAMES_PER_SECOND, speed / record.scenario.sample_time)
+    with quiet_drake():  # the server is only a means to the page; nobody should open its address
+        meshcat = start_meshcat()
+    view = ReplayView(meshcat, record, ghost=ghost, path=path, forces=forces, frames_per_second=frames_per_second)
+    view.spacecraft.visualizer.StartRecording(set_transforms_while_recording=False)
+    for frame in range(math.ceil(view.duration / speed * frames_per_second - 1e-9) + 1):
+        # Drake rounds times down to frames: the middle of a frame is safe from rounding errors.
+        view.show(frame / frames_per_second * speed, time_in_recording=(frame + 0.5) / frames_per_second)
+    view.spacecraft.visualizer.StopRecording()
+    view.spacecraft.visualizer.PublishRecording()
+    return _with_caption(meshcat.StaticHtml(), record, view, speed=speed)
+
+
+def write_recording(
+    record: RunRecord,
+    file: Path,
+    *,
+    speed: float = 1.0,
+    ghost: bool = True,
+    path: bool = True,
+    forces: bool = False,
+) -> None:
+    """Write the page of ``recording_html`` (same arguments and errors).
+
+    Raises:
+      RecordError: the file cannot be written.
+    """
+    write_text(file, recording_html(record, speed=speed, ghost=ghost, path=path, forces=forces))
+
+
+def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: float) -> str:
+    """The page with a title and a caption: which run, how fast, what the arrows mean."""
+    title = record.scenario.description or "Run"
+    lines = [f"<b>{html.escape(title)}</b>", f"{record.scenario.controller}: {html.escape(record.outcome.message)}"]
+    if speed != 1.0:
+        lines.append(f"{speed:g} times real time")
+    if view.arrows is not None:
+        for kind, text in zip(ARROW_KINDS, legend(view.arrows), strict=True):
+            color = "rgb({:.0f},{:.0f},{:.0f})".format(*(255 * part for part in kind.color))
+            lines.append(_SWATCH.format(color=color) + html.escape(text))
+        lines.append("All act on the base; torques have two heads.")
+    page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>", 1)
+    head, end, tail = page.rpartition("</body>")
+    return head + _CAPTION.format(lines="<br>".join(lines)) + end + tail

@@ -1,0 +1,69 @@
+"""A record on Meshcat's stage, one sample at a time: what the recorded page and the live replay share."""
+
+import numpy as np
+from pydrake.geometry import Meshcat, Rgba
+
+from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.show.meshcat.arrows import ForceArrows
+from ffsm_drake.show.meshcat.stage import SpacecraftView, set_stage
+
+FRAMES_PER_SECOND = 25.0
+_PATH_COLOR = Rgba(1.0, 0.62, 0.1, 1.0)
+_PATH_VERTICES = 400
+
+
+class ReplayView:
+    """Stage, spacecraft and, if wanted, ghost of the target posture, end effector's path and force arrows."""
+
+    def __init__(
+        self,
+        meshcat: Meshcat,
+        record: RunRecord,
+        *,
+        ghost: bool,
+        path: bool,
+        forces: bool,
+        frames_per_second: float = FRAMES_PER_SECOND,
+    ) -> None:
+        """Set the scene and show the first sample.
+
+        Raises:
+          ModelError: the scenario's model does not load any more.
+        """
+        dataset = record.dataset
+        # A run that diverged may end in numbers that no picture can show.
+        finite = np.isfinite(dataset["position"].values).all(axis=1)
+        count = finite.size if finite.all() else max(1, int(np.argmin(finite)))
+        dataset = dataset.isel(time=slice(count))
+        self.times = dataset["time"].values
+        self._positions = dataset["position"].values
+        set_stage(meshcat, record.scenario, ghost=ghost)
+        self.spacecraft = SpacecraftView(meshcat, record.scenario.model, frames_per_second=frames_per_second)
+        if path and count > 1:
+            every = max(1, count // _PATH_VERTICES)
+            vertices = dataset["end_effector_position"].values[::every]
+            meshcat.SetLine("end_effector_path", vertices.T, 4.0, _PATH_COLOR)
+        self.arrows: ForceArrows | None = None
+        if forces:
+            inspector = self.spacecraft.scene_graph.model_inspector()
+            self.arrows = ForceArrows(meshcat, dataset, self.spacecraft.plant, inspector)
+        self.show(0.0)
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample that can be shown, s."""
+        return float(self.times[-1])
+
+    def show(self, time: float, *, time_in_recording: float | None = None) -> None:
+        """Show the sample at or next after a time of the run, s."""
+        sample = min(int(np.searchsorted(self.times, time - 1e-9)), self.times.size - 1)
+        self.spacecraft.show(self._positions[sample], time=time_in_recording or 0.0)
+        if self.arrows is not None:
+            self.arrows.show(sample, time_in_recording=time_in_recording)
+
+
+def check_speed(speed: float) -> None:
+    """Raise FfsmError unless a playback speed can be used."""
+    if not (np.isfinite(speed) and speed > 0.0):
+        raise FfsmError(f"speed: must be > 0, not {speed:g}")

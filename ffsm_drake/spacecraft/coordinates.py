@@ -1,0 +1,134 @@
+"""Names of the generalized velocities, and the difference of two configurations.
+
+Everything that acts on single coordinates (gains, disturbances, noise, reports) speaks of them by name or by group; the
+order is Drake's v = [w_WB, v_WB, joint rates], and no other place needs to know it.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from ffsm_drake.common.errors import ScenarioError, did_you_mean
+
+BASE_ROTATION = ("base_rotation_x", "base_rotation_y", "base_rotation_z")
+BASE_POSITION = ("base_position_x", "base_position_y", "base_position_z")
+BASE_QUATERNION = ("base_quaternion_w", "base_quaternion_x", "base_quaternion_y", "base_quaternion_z")
+GROUPS = ("base_rotation", "base_position", "joints")
+
+NUM_BASE_POSITIONS = 7  # quaternion (w, x, y, z) of R_WB, then p_WB
+NUM_BASE_VELOCITIES = 6  # w_WB, v_WB, both in the world frame
+
+
+@dataclasses.dataclass(frozen=True)
+class Coordinates:
+    """The generalized velocities v of a floating-base arm, by name: base rotation, base position, joints."""
+
+    joints: tuple[str, ...]
+    joint_units: tuple[str, ...]  # "rad" or "m", one per joint
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of v, in Drake's order (nv)."""
+        return BASE_ROTATION + BASE_POSITION + self.joints
+
+    @property
+    def position_names(self) -> tuple[str, ...]:
+        """Names of q, in Drake's order (nv + 1: a quaternion stands for the rotation)."""
+        return BASE_QUATERNION + BASE_POSITION + self.joints
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each coordinate (nv): "rad" or "m"."""
+        return ("rad",) * 3 + ("m",) * 3 + self.joint_units
+
+    @property
+    def groups(self) -> dict[str, slice]:
+        """Group name -> its slice of v."""
+        return {"base_rotation": slice(0, 3), "base_position": slice(3, 6), "joints": slice(6, len(self.names))}
+
+    @property
+    def group_of(self) -> tuple[str, ...]:
+        """Group of each coordinate (nv)."""
+        return tuple(group for group, part in self.groups.items() for _ in self.names[part])
+
+    def vector(self, values: Mapping[str, float], *, key: str, default: float | None = None) -> np.ndarray:
+        """The vector (nv) that a mapping by ``all``, group or coordinate name describes.
+
+        Args:
+          values: the mapping; a coordinate's own name wins over its group, a group over ``all``.
+          key: the mapping's place in the scenario, for the error text.
+          default: value of coordinates that are not mentioned; None makes that an error.
+
+        Raises:
+          ScenarioError: an unknown name, or a coordinate without a value.
+        """
+        self.check_names(values, key=key)
+        result = [
+            values.get(name, values.get(group, values.get("all", default)))
+            for name, group in zip(self.names, self.group_of, strict=True)
+        ]
+        missing = [name for name, value in zip(self.names, result, strict=True) if value is None]
+        if missing:
+            raise ScenarioError(key, f"gives no value for {', '.join(missing)}; add them, their group, or 'all'")
+        return np.array(result, dtype=float)
+
+    def check_names(self, names: Mapping[str, object], *, key: str) -> None:
+        """Raise ScenarioError when a key is neither ``all``, nor a group, nor a coordinate."""
+        valid = ("all", *GROUPS, *self.names)
+        for name in names:
+            if name not in valid:
+                raise ScenarioError(
+                    f"{key}.{name}", f"unknown coordinate; valid here: {', '.join(valid)}{did_you_mean(name, valid)}"
+                )
+
+
+def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[float, float, float]:
+    """Rotation vector, in the world frame, that turns R(quaternion) into R(quaternion_d): log(R_d R^T), rad.
+
+    Quaternions are (w, x, y, z); their norms do not matter. Plain floats: this runs in every controller update.
+    """
+    dw, dx, dy, dz = quaternion_d.tolist()
+    w, x, y, z = quaternion.tolist()
+    # The product quaternion_d * conjugate(quaternion).
+    ew = dw * w + dx * x + dy * y + dz * z
+    ex = dx * w - dw * x - dy * z + dz * y
+    ey = dy * w - dw * y - dz * x + dx * z
+    ez = dz * w - dw * z - dx * y + dy * x
+    if ew < 0.0:  # the shorter way round
+        ew, ex, ey, ez = -ew, -ex, -ey, -ez
+    sine = math.sqrt(ex * ex + ey * ey + ez * ez)
+    factor = 2.0 * math.atan2(sine, ew) / sine if sine > 0.0 else 0.0
+    return factor * ex, factor * ey, factor * ez
+
+
+def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Tracking error e (nv) from configuration q to q_d: rotation vector (world), then differences.
+
+    Its rate is v_d - v to first order in the rotation error, exactly for every other coordinate.
+    """
+    error = np.empty(q.size - 1)
+    error[:3] = rotation_error(q_d[:4], q[:4])
+    np.subtract(q_d[4:], q[4:], out=error[3:])
+    return error
+
+
+def position_errors(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """``position_error`` of many configurations at once: (n, nq) each -> (n, nv)."""
+    dw, dx, dy, dz = q_d[:, :4].T
+    w, x, y, z = q[:, :4].T
+    # The product quaternion_d * conjugate(quaternion), the shorter way round.
+    ew = dw * w + dx * x + dy * y + dz * z
+    axis = np.stack(
+        [
+            dx * w - dw * x - dy * z + dz * y,
+            dy * w - dw * y - dz * x + dx * z,
+            dz * w - dw * z - dx * y + dy * x,
+        ],
+        axis=1,
+    )
+    sine = np.sqrt((axis * axis).sum(axis=1))
+    angle = np.where(ew < 0.0, -2.0, 2.0) * np.arctan2(sine, np.abs(ew))
+    factor = np.divide(angle, sine, out=np.zeros_like(sine), where=sine > 0.0)
+    return np.hstack([factor[:, None] * axis, q_d[:, 4:] - q[:, 4:]])

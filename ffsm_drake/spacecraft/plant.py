@@ -1,0 +1,281 @@
+"""The combined spacecraft: model directives -> MultibodyPlant, its coordinates, and the captured payload."""
+
+import dataclasses
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RollPitchYaw
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.tree import Frame, ModelInstanceIndex, RigidBody, RotationalInertia, SpatialInertia
+from pydrake.systems.framework import Context, DiagramBuilder
+
+from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
+from ffsm_drake.scenario import MassProperties, Model, Posture, Scenario, inertia_matrix
+from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS, NUM_BASE_VELOCITIES, Coordinates
+
+_DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError)  # what C++ exceptions arrive as
+_SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues, between rounding and any spacecraft
+
+
+def models_dir() -> Path:
+    """The folder that ``package://ffsm_drake/`` stands for: beside the package when installed, else the checkout's."""
+    package = Path(__file__).parents[1]
+    installed = package / "models"
+    return installed if installed.is_dir() else package.parent / "models"
+
+
+def add_combined_plant(builder: DiagramBuilder, model: Model) -> MultibodyPlant:
+    """Add the finalized plant (continuous, no gravity, quaternion floating base) and its scene graph to a diagram.
+
+    Raises:
+      ModelError: the directives or URDFs do not load, or do not give one floating base with one-degree joints.
+    """
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    plant.set_name("plant")
+    scene_graph.set_name("scene_graph")
+    _load(plant, model)
+    return plant
+
+
+def check_pictures(model: Model) -> None:
+    """Raise ModelError unless the model loads with all that is drawn of it, which a run alone can do without."""
+    add_combined_plant(DiagramBuilder(), model)
+
+
+def make_plant(model: Model) -> MultibodyPlant:
+    """The finalized plant alone, for computations outside a diagram. Raises ModelError as add_combined_plant does."""
+    plant = MultibodyPlant(time_step=0.0)
+    _load(plant, model)
+    return plant
+
+
+def _load(plant: MultibodyPlant, model: Model) -> None:
+    parser = Parser(plant)
+    parser.SetStrictParsing()  # otherwise Drake replaces a non-physical inertia by a solid sphere
+    packages = parser.package_map()
+    packages.PopulateFromRosPackagePath()
+    for name, folder in {"ffsm_drake": str(models_dir()), **model.packages}.items():
+        if not Path(folder).is_dir():
+            raise ModelError(f"model.packages.{name}: no such folder: {folder}")
+        if packages.Contains(name):
+            packages.Remove(name)
+        packages.Add(name, folder)
+    if model.servicer is None:
+        source = f"model.directives: {model.directives}"
+        _add_models(parser, model.directives or "", source)
+    else:
+        source = f"model.servicer: {model.servicer}"
+        for name, file in (("servicer", model.servicer), ("debris", model.debris)):
+            instances = _add_models(parser, file, f"model.{name}: {file}")
+            if len(instances) != 1:
+                raise ModelError(f"model.{name}: {file}: must hold one model, not {len(instances)}")
+            plant.RenameModelInstance(instances[0], name)
+        end_effector = find_frame(plant, model.end_effector, key="model.end_effector")
+        grasp = find_frame(plant, model.grasp, key="model.grasp")
+        for key, frame, instance in (("end_effector", end_effector, "servicer"), ("grasp", grasp, "debris")):
+            if frame.model_instance() != plant.GetModelInstanceByName(instance):
+                raise ModelError(
+                    f"model.{key}: '{frame.scoped_name()}' is not a frame of the {instance}; name one of its"
+                )
+        try:
+            plant.WeldFrames(end_effector, grasp)
+        except _DRAKE_ERRORS as error:
+            raise ModelError(f"model.grasp: {model.grasp}: {_cause(error)}") from error
+    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+    try:
+        plant.Finalize()
+    except _DRAKE_ERRORS as error:
+        raise ModelError(f"{source}: {_cause(error)}") from error
+    if not plant.GetFloatingBaseBodies():
+        raise ModelError(f"{source}: no floating base; the base must not be welded to world")
+    try:
+        coordinates_of(plant)
+    except ModelError as error:
+        raise ModelError(f"{source}: {error}") from None
+    find_frame(plant, model.end_effector, key="model.end_effector")
+
+
+def _cause(error: Exception) -> str:
+    """What Drake says, without the place in its own source."""
+    return re.sub(r"Failure at \S+ in \S+\(\): ", "", one_line(error))
+
+
+def _add_models(parser: Parser, file: str, place: str) -> list[ModelInstanceIndex]:
+    """Parse a file or package:// address; whatever Drake objects to becomes a ModelError."""
+    if "://" not in file:
+        try:
+            found, folder = Path(file).is_file(), Path(file).is_dir()
+        except (OSError, ValueError) as error:  # too long, not allowed to look, ...
+            raise ModelError(f"{place}: cannot be read: {one_line(error)}") from error
+        if not found:
+            fault = "is a folder" if folder else "no such file"
+            raise ModelError(f"{place}: {fault}; give a file or a package:// address")
+    try:
+        instances: list[ModelInstanceIndex] = parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
+    except _DRAKE_ERRORS as error:
+        # Drake starts with the file again, and its line.
+        cause = _cause(error)
+        raise ModelError(
+            place + (cause.removeprefix(file) if cause.startswith(f"{file}:") else f": {cause}")
+        ) from error
+    return instances
+
+
+def base_body(plant: MultibodyPlant) -> RigidBody:
+    """The floating base."""
+    (index,) = plant.GetFloatingBaseBodies()
+    return plant.get_body(index)
+
+
+def coordinates_of(plant: MultibodyPlant) -> Coordinates:
+    """Names of the plant's generalized velocities. Raises ModelError for a layout that the package cannot control."""
+    floating = plant.GetFloatingBaseBodies()
+    if len(floating) != 1:
+        names = sorted(plant.get_body(index).name() for index in floating)
+        raise ModelError(f"the model must have one floating base, not {len(floating)} ({', '.join(names) or 'none'})")
+    joints = sorted(
+        (
+            plant.get_joint(index)
+            for index in plant.GetJointIndices()
+            if plant.get_joint(index).num_velocities() > 0
+            and plant.get_joint(index).velocity_start() >= NUM_BASE_VELOCITIES
+        ),
+        key=lambda joint: joint.velocity_start(),
+    )
+    for joint in joints:
+        if joint.num_velocities() != 1:
+            raise ModelError(
+                f"joint '{joint.name()}' has {joint.num_velocities()} degrees of freedom; it must have one"
+            )
+    names = [joint.name() for joint in joints]
+    reserved = sorted(set(names) & {"all", *GROUPS, *BASE_ROTATION, *BASE_POSITION})
+    if reserved:
+        raise ModelError(f"joint names must not be those of groups or base coordinates; rename {', '.join(reserved)}")
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise ModelError(f"joint names must differ; more than one is called {', '.join(repeated)}")
+    units = tuple("m" if joint.type_name() == "prismatic" else "rad" for joint in joints)
+    return Coordinates(tuple(names), units)
+
+
+def find_body(plant: MultibodyPlant, name: str, *, key: str) -> RigidBody:
+    """The body with a scoped name such as ``debris::debris``. Raises ModelError naming the valid ones."""
+    bodies = {
+        str(plant.get_body(index).scoped_name()): plant.get_body(index)
+        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
+        for index in plant.GetBodyIndices(instance)
+    }
+    if name not in bodies:
+        raise ModelError(f"{key}: no body '{name}'; choose one of {', '.join(bodies)}{did_you_mean(name, bodies)}")
+    return bodies[name]
+
+
+def find_frame(plant: MultibodyPlant, name: str, *, key: str) -> Frame:
+    """The frame with a scoped name such as ``servicer::end_effector``. Raises ModelError naming the valid ones."""
+    frames = {
+        str(plant.get_frame(index).scoped_name()): plant.get_frame(index)
+        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
+        for index in plant.GetFrameIndices(instance)
+    }
+    if name not in frames:
+        raise ModelError(f"{key}: no frame '{name}'; choose one of {', '.join(frames)}{did_you_mean(name, frames)}")
+    return frames[name]
+
+
+def configuration(plant: MultibodyPlant, posture: Posture, *, key: str) -> np.ndarray:
+    """Generalized positions q (nq) of a posture; ``key`` is its place in the scenario, for errors."""
+    coordinates = coordinates_of(plant)
+    joints = coordinates.vector(posture.joints, key=f"{key}.joints", default=0.0)[NUM_BASE_VELOCITIES:]
+    quaternion = RollPitchYaw(posture.base_rpy).ToQuaternion()
+    return np.concatenate([quaternion.wxyz(), posture.base_position, joints])
+
+
+def base_rpy(q: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw (3) of the base in configuration q, rad."""
+    return RollPitchYaw(Quaternion(q[:4] / np.linalg.norm(q[:4]))).vector()
+
+
+def spatial_inertia(properties: MassProperties) -> SpatialInertia:
+    """M_PPo_P of a payload: spatial inertia about its frame's origin, in its own axes."""
+    inertia = inertia_matrix(properties)
+    central = RotationalInertia(
+        Ixx=inertia[0, 0], Iyy=inertia[1, 1], Izz=inertia[2, 2], Ixy=inertia[0, 1], Ixz=inertia[0, 2], Iyz=inertia[1, 2]
+    )
+    return SpatialInertia.MakeFromCentralInertia(
+        mass=properties.mass, p_PScm_E=properties.center_of_mass, I_SScm_E=central
+    )
+
+
+def set_payload(plant: MultibodyPlant, context: Context, *, body: str, properties: MassProperties) -> None:
+    """Give the payload body its mass properties in one context; the parsed model stays as it is.
+
+    Raises ModelError when there is no such body, or when the spacecraft then has a singular mass matrix.
+    """
+    held = find_body(plant, body, key="payload.body")
+    if held.index() == plant.world_body().index():
+        raise ModelError("payload.body: 'WorldModelInstance::world' has no mass; name a body of the spacecraft")
+    try:
+        held.SetSpatialInertiaInBodyFrame(context, spatial_inertia(properties))
+        eigenvalues, directions = np.linalg.eigh(plant.CalcMassMatrix(context))
+    except (*_DRAKE_ERRORS, np.linalg.LinAlgError) as error:
+        raise ModelError(f"payload: mass properties that Drake refuses: {_cause(error)}") from error
+    if not eigenvalues[0] > _SINGULAR * eigenvalues[-1]:
+        coordinates = coordinates_of(plant)
+        weakest = coordinates.names[int(np.argmax(np.abs(directions[:, 0])))]
+        what = f"joint '{weakest}'" if weakest in coordinates.joints else weakest
+        raise ModelError(
+            f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular (eigenvalues "
+            f"{eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves nothing that has inertia beside the rest; "
+            "give every link of the URDF and the payload a mass and inertia of the same kind of size, or fix the joint"
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlantModel:
+    """A plant with a payload, for computations outside any simulation.
+
+    ``context`` is a scratch pad owned by this object; every method sets what it reads.
+    """
+
+    plant: MultibodyPlant
+    context: Context
+    coordinates: Coordinates
+
+    def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """The mass matrix H (nv, nv) in configuration q (nq)."""
+        self._set_positions(q)
+        return self.plant.CalcMassMatrix(self.context)
+
+    def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The Coriolis and centrifugal term C (nv) of H dv/dt + C = tau + tau_d, N m and N."""
+        self._set_positions(q)
+        if not math.isfinite(v.dot(v)):
+            raise ValueError("the velocity v is not finite")
+        self.plant.SetVelocities(self.context, v)
+        return self.plant.CalcBiasTerm(self.context)
+
+    def _set_positions(self, q: np.ndarray) -> None:
+        if not math.isfinite(q.dot(q)):  # on which Drake ends the process
+            raise ValueError("the configuration q is not finite")
+        self.plant.SetPositions(self.context, q)
+
+
+def make_nominal_plant(scenario: Scenario) -> PlantModel:
+    """The plant as the controller believes it (``payload.belief``): its mass matrix is the paper's H with a hat."""
+    return _make_plant_model(scenario, scenario.payload.belief)
+
+
+def make_true_plant(scenario: Scenario) -> PlantModel:
+    """The plant as it is (``payload.truth``)."""
+    return _make_plant_model(scenario, scenario.payload.truth)
+
+
+def _make_plant_model(scenario: Scenario, payload: MassProperties) -> PlantModel:
+    plant = make_plant(scenario.model)
+    context = plant.CreateDefaultContext()
+    set_payload(plant, context, body=scenario.payload.body, properties=payload)
+    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))

@@ -1,0 +1,1 @@
+"""What sensor noise costs each controller."""

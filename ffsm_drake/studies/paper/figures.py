@@ -1,0 +1,280 @@
+# ruff: noqa: RUF001 (the texts use mathematical signs)
+"""The paper's Figures 2 to 5 redrawn, and two that it does not have. Each is written as PNG and SVG."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from ffsm_drake.common.files import written_whole
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.scenario import load_scenario
+from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
+from ffsm_drake.show.figures import run as plotting
+from ffsm_drake.studies.noise.study import NoiseRow, plot_study, study_noise
+from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS, Results
+from ffsm_drake.studies.paper.table import METRICS, Row
+from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, ending, fixed
+
+FOLDER = "figures"
+NOISE_SWEEP = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)  # rad/s and m/s; 'ffsm noise' looks closer
+# The two settings in which every controller reaches the end.
+DRAWN = {"euler": "explicit Euler", "bounded": "exact integration"}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FigureFile:
+    """A written figure; the paths are None where it could not be drawn, and ``caption`` says why."""
+
+    key: str
+    title: str
+    caption: str
+    png: Path | None
+    svg: Path | None
+
+
+def write_figure_2(directory: Path) -> FigureFile:
+    """The block diagram, by Graphviz."""
+    path = directory / FOLDER / "fig2.dot"
+    remark = write_diagram(closed_loop_dot(load_scenario("postcapture")), path)
+    caption = (
+        "Figure 2. The paper draws the inside of its controller; this is the wiring that was simulated, printed from "
+        "the running Drake diagram: reference, controller, disturbance, plant and sensing."
+    )
+    return FigureFile(
+        key="fig2",
+        title="Block diagram",
+        caption=f"{caption} Not drawn: {remark}" if remark else caption,
+        png=None,
+        svg=None if remark else path.with_suffix(".svg"),
+    )
+
+
+def write_figure_3(results: Results, directory: Path) -> list[FigureFile]:
+    """Planned and tracked motion of the proposed controller."""
+    return [
+        _write(
+            plotting.plot_trajectories(results.record(setting, PROPOSED)),
+            f"fig3_{setting}",
+            f"Planned and tracked trajectories, {words}",
+            f"Figure 3 with {words}. Motion under the proposed controller, τ_d1: (a) end effector in task space, "
+            "(b) base attitude as roll, pitch, yaw, (c) base position, (d) joints. Dashed: the planned motion, from "
+            f"which the run departs by at most {_largest_departure(results.record(setting, PROPOSED))}.",
+            directory,
+        )
+        for setting, words in DRAWN.items()
+    ]
+
+
+def write_figure_4(results: Results, directory: Path) -> list[FigureFile]:
+    """Tracking errors of the four controllers."""
+    return _write_overlaid(
+        results,
+        directory,
+        key="fig4",
+        title="Tracking errors",
+        plot=plotting.plot_errors,
+        caption="Upper panels: true error e = q_d − q of every control sample, the largest drawn first. Lower panels: "
+        "rms of that error over one second, logarithmic, since the errors differ by orders of magnitude.",
+    )
+
+
+def write_figure_5(results: Results, directory: Path) -> list[FigureFile]:
+    """Control forces and torques of the four controllers."""
+    return _write_overlaid(
+        results,
+        directory,
+        key="fig5",
+        title="Control forces and torques",
+        plot=plotting.plot_efforts,
+        caption="Upper panels: force or torque held over every control period, the roughest drawn first, so that the "
+        "bands are nested. Lower panels: rms over one second of its change from one sample to the next, logarithmic: "
+        "what the measurement noise and the switching term add to the motion's own force.",
+    )
+
+
+def _write_overlaid(
+    results: Results,
+    directory: Path,
+    *,
+    key: str,
+    title: str,
+    plot: Callable[[list[RunRecord]], Figure],
+    caption: str,
+) -> list[FigureFile]:
+    return [
+        _write(
+            plot([results.record(setting, name) for name in CONTROLLERS]),
+            f"{key}_{setting}",
+            f"{title}, {words}",
+            f"Figure {key[-1]} with {words}, four controllers, τ_d1, seed 0. (a) to (c) base attitude x, y, z; "
+            f"(d) to (f) base position x, y, z; (g) to (k) joints 1 to 5. {caption}",
+            directory,
+        )
+        for setting, words in DRAWN.items()
+    ]
+
+
+def write_overview(rows: list[Row], directory: Path) -> FigureFile:
+    """Table 2 as a picture."""
+    return _write(
+        plot_overview(rows),
+        "table2",
+        "Table 2 as a picture",
+        "Table 2 as a picture: the paper's values and ours, means over the seeds. With exact integration and the "
+        "published gains the proposed controller has no value to show: it diverges.",
+        directory,
+    )
+
+
+def write_divergence(results: Results, directory: Path) -> FigureFile:
+    """What the published gains do on an exactly integrated plant."""
+    return _write(
+        plot_divergence(results),
+        "divergence",
+        "The published gains on an exactly integrated plant",
+        "Not in the paper. The proposed controller, τ_d1, seed 0. Left: the largest K_s of the eleven coordinates, "
+        "which law (9) adapts, and the limit (K_D + K_s) L < 2 of the sampled loop for a perfectly known mass matrix. "
+        "Right: sum of the absolute errors. Explicit Euler at the control period raises the limit and hides the "
+        "divergence.",
+        directory,
+    )
+
+
+def plot_overview(rows: list[Row]) -> Figure:
+    """ITAE and ISV of every row, the paper's and ours."""
+    figure = Figure(figsize=(11.0, 5.2), layout="constrained")
+    panels = figure.subplots(1, len(METRICS), sharey=True)
+    marks: dict[str, dict[str, Any]] = {
+        "euler": {"marker": "o", "color": "#0072B2", "label": "ours, explicit Euler"},
+        "bounded": {"marker": "s", "color": "#D55E00", "label": "ours, exact integration, $K_s$ bounded"},
+    }
+    printed_mark: dict[str, Any] = {
+        "marker": "D", "markersize": 9, "markerfacecolor": "none", "color": "black", "markeredgewidth": 1.4,
+        "label": "paper",
+    }  # fmt: skip
+    places = {
+        (disturbance, name): number * (len(CONTROLLERS) + 1) + k
+        for number, disturbance in enumerate(DISTURBANCES)
+        for k, name in enumerate(CONTROLLERS)
+    }
+    for axes, (metric, title) in zip(panels, METRICS.items(), strict=True):
+        cells = {(row.setting, row.disturbance, row.controller): getattr(row, metric) for row in rows}
+        for case, place in places.items():
+            printed = cells["euler", *case].paper
+            means = {setting: cells[setting, *case].mean for setting in marks}
+            values = [printed, *means.values()]
+            axes.plot([np.nanmin(values), np.nanmax(values)], [place] * 2, color="#CCCCCC", linewidth=2, zorder=1)
+            for setting, mark in marks.items():
+                axes.plot(means[setting], place, linestyle="none", markersize=7, **mark)
+            axes.plot(printed, place, linestyle="none", zorder=3, **printed_mark)
+        axes.set_xlabel({"itae": "ITAE [rad s², m s²], logarithmic", "isv": "ISV [N² s, N² m² s]"}[metric])
+        axes.set_title(title, fontweight="bold", pad=14)
+        axes.grid(True, axis="x", color="#DDDDDD", linewidth=0.6)
+        axes.spines[["top", "right", "left"]].set_visible(False)
+        axes.tick_params(axis="y", length=0)
+    panels[0].set_xscale("log")
+    panels[0].set_yticks(list(places.values()), [NAMES[name] for _, name in places])
+    panels[0].invert_yaxis()
+    for number, disturbance in enumerate(DISTURBANCES):
+        panels[0].text(
+            -0.16, number * (len(CONTROLLERS) + 1) - 0.8, _math(DISTURBANCE_NAMES[disturbance]),
+            transform=panels[0].get_yaxis_transform(),
+        )  # fmt: skip
+    handles = dict(zip(*panels[0].get_legend_handles_labels()[::-1], strict=True))  # one for each label
+    figure.legend(handles=list(handles.values()), loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def plot_divergence(results: Results) -> Figure:
+    """K_s and the error of the proposed controller in the three settings."""
+    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    gain_axes, error_axes = figure.subplots(1, 2)
+    looks: dict[str, dict[str, Any]] = {
+        "exact": {"color": "#D55E00", "linestyle": "-"},
+        "euler": {"color": "#0072B2", "linestyle": "--"},
+        "bounded": {"color": "#009E73", "linestyle": "-."},
+    }
+    top = 0.0
+    for setting, look in looks.items():
+        run, record = results.run(setting, PROPOSED), results.record(setting, PROPOSED)
+        label = _math(SETTINGS[setting].title) + ("" if run.outcome.completed else f": {ending(run)}")
+        time = record.dataset["time"].values
+        gain = record.dataset["reaching_gain"].values.max(axis=1)
+        gain_axes.plot(time, gain, linewidth=1.8, label=label, **look)
+        error = np.abs(record.dataset["error"].values).sum(axis=1)
+        error_axes.plot(time, np.where(error > 0.0, error, np.nan), linewidth=0.8, color=look["color"])
+        if run.outcome.completed:
+            top = max(top, float(gain.max()))
+        else:
+            for axes, series in ((gain_axes, gain), (error_axes, error)):
+                axes.plot(time[-1], series[-1], marker="x", markersize=9, markeredgewidth=2.2, color=look["color"])
+    scenario = results.record("exact", PROPOSED).scenario
+    limit = 2.0 / scenario.sample_time - scenario.controllers.tde_aismc.k_d["all"]
+    gain_axes.axhline(limit, color="black", linewidth=1.0, linestyle=":")
+    gain_axes.text(
+        0.995, limit, f"limit {fixed(limit)}", transform=gain_axes.get_yaxis_transform(), ha="right", va="bottom",
+        fontsize=9,
+    )  # fmt: skip
+    gain_axes.set(
+        xlabel="time [s]", ylabel="largest $K_s$ [1/s]", title="Adapted gain", ylim=(0.0, 1.15 * max(top, limit))
+    )
+    error_axes.set(xlabel="time [s]", ylabel=r"$\|e\|_1$ [rad, m]", title="Tracking error", yscale="log")
+    for axes in (gain_axes, error_axes):
+        plotting.tidy(axes)
+    figure.legend(
+        *gain_axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=9
+    )
+    return figure
+
+
+def _largest_departure(record: RunRecord) -> str:
+    peak = record.metrics["peak_error"]
+    rotation = max(peak["base_rotation"], peak["joints"])
+    return f"{1e6 * rotation:.2g} µrad and {1e6 * peak['base_position']:.2g} µm"
+
+
+def write_noise(directory: Path, *, workers: int, progress: Callable[[int, int, str], None] | None) -> FigureFile:
+    """Error and effort against sensor noise; simulates what it draws."""
+    study = study_noise(sigmas=NOISE_SWEEP, workers=workers, progress=progress)
+    flying = {(row.controller, row.estimator): row for row in study.rows if row.sigma is None}
+
+    def told(row: NoiseRow) -> str:
+        return "diverges" if row.diverged else f"ISV {row.isv:.3g}"
+
+    told_rows = "; ".join(
+        f"{NAMES[name]} {told(flying[name, 'one_sample'])} with the published estimate, "
+        f"{told(flying[name, 'kalman'])} with the Kalman estimate"
+        for name in CONTROLLERS
+    )
+    return _write(
+        plot_study(study),
+        "noise",
+        "What the published gains cost with real sensors",
+        "Not in the paper. Error and effort against white velocity noise σ, published gains with the one-sample "
+        "estimate and bandwidth gains with a Kalman estimate, τ_d1, seed 0. With the sensors of the scenario "
+        "flight_sensors: "
+        f"{told_rows} (perfect tracking: ISV {study.ideal_isv:.3g}).",
+        directory,
+    )
+
+
+def _write(figure: Figure, name: str, title: str, caption: str, directory: Path) -> FigureFile:
+    png, svg = (directory / FOLDER / f"{name}{suffix}" for suffix in (".png", ".svg"))
+    with written_whole(png) as temporary:
+        figure.savefig(temporary, dpi=140)
+    # The same figure gives the same file.
+    with mpl.rc_context({"svg.hashsalt": name}), written_whole(svg) as temporary:
+        figure.savefig(temporary, dpi=200, metadata={"Date": None})
+    return FigureFile(key=name, title=title, caption=caption, png=png, svg=svg)
+
+
+def _math(text: str) -> str:
+    """Subscripts of the few symbols that the texts use, as Matplotlib writes them."""
+    for plain, mathematical in (("K_s", "$K_s$"), *[(f"τ_d{k}", rf"$\tau_{{d{k}}}$") for k in (1, 2, 3)]):
+        text = text.replace(plain, mathematical)
+    return text

@@ -1,0 +1,169 @@
+# ruff: noqa: RUF001 (the texts use mathematical signs)
+"""Table 2: ours beside the paper's."""
+
+import csv
+import dataclasses
+import io
+import math
+import statistics
+
+from ffsm_drake.studies.paper import paper
+from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, SETTINGS, Results, Run
+from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, scientific, span, superscript, times
+
+METRICS = {"itae": "ITAE", "isv": "ISV"}
+_PRINTED = {"itae": paper.ITAE, "isv": paper.ISV}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One metric of one controller under one disturbance; mean, spread and ratio are NaN where runs diverged."""
+
+    mean: float  # over the seeds
+    spread: float  # standard deviation over the seeds (of a sample); 0 for a single one
+    paper: float
+    ratio: float  # mean / paper
+    rank: int  # among the four controllers, 1 the smallest; diverged ones last
+    paper_rank: int
+    correction: str  # why the paper's value is read otherwise than printed, or empty
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Row:
+    """One controller under one disturbance in one setting."""
+
+    setting: str
+    disturbance: str
+    controller: str
+    num_diverged: int
+    num_runs: int
+    diverged: str  # such as "diverged at 5.2 to 5.4 s", or empty
+    itae: Cell
+    isv: Cell
+
+
+def make_table(results: Results) -> list[Row]:
+    """All rows: by setting, disturbance, controller."""
+    rows = []
+    for setting in SETTINGS:
+        for disturbance in DISTURBANCES:
+            runs = {name: results.over_seeds(setting, name, disturbance=disturbance) for name in CONTROLLERS}
+            cells = {metric: _cells(metric, disturbance, runs) for metric in METRICS}
+            for name in CONTROLLERS:
+                ended = [run for run in runs[name] if not run.outcome.completed]
+                rows.append(
+                    Row(
+                        setting=setting,
+                        disturbance=disturbance,
+                        controller=name,
+                        num_diverged=len(ended),
+                        num_runs=len(runs[name]),
+                        diverged=_endings(ended, len(runs[name])),
+                        itae=cells["itae"][name],
+                        isv=cells["isv"][name],
+                    )
+                )
+    return rows
+
+
+def _endings(ended: list[Run], num_runs: int) -> str:
+    if not ended:
+        return ""
+    which = "" if len(ended) == num_runs else f" ({len(ended)} of {num_runs} runs)"
+    return f"{ended[0].outcome.status} at {span((run.outcome.time for run in ended), 2)} s{which}"
+
+
+def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[str, Cell]:
+    means = {name: statistics.fmean(getattr(run, metric) for run in runs[name]) for name in CONTROLLERS}
+    printed = _PRINTED[metric][disturbance]
+    cells = {}
+    for name, mean in means.items():
+        values = [getattr(run, metric) for run in runs[name]]
+        finite = math.isfinite(mean)
+        cells[name] = Cell(
+            mean=mean if finite else math.nan,
+            spread=math.nan if not finite else statistics.stdev(values) if len(values) > 1 else 0.0,
+            paper=printed[name],
+            ratio=mean / printed[name] if finite else math.nan,
+            rank=1 + sum(other < mean for other in means.values()),
+            paper_rank=1 + sum(other < printed[name] for other in printed.values()),
+            correction=paper.CORRECTIONS.get((metric, disturbance, name), ""),
+        )
+    return cells
+
+
+def table_csv(rows: list[Row]) -> str:
+    """The table as comma-separated values, full precision; empty where runs diverged."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    fields = ("mean", "spread", "paper", "ratio", "rank", "paper_rank")
+    writer.writerow(
+        [
+            "setting", "disturbance", "controller", "runs", "diverged_runs", "diverged",
+            *[f"{metric}_{field}" for metric in METRICS for field in fields],
+            *[f"{metric}_paper_correction" for metric in METRICS],
+        ]
+    )  # fmt: skip
+    for row in rows:
+        cells = [getattr(row, metric) for metric in METRICS]
+        numbers = [getattr(cell, field) for cell in cells for field in fields]
+        writer.writerow(
+            [
+                row.setting, row.disturbance, row.controller, row.num_runs, row.num_diverged, row.diverged,
+                *["" if math.isnan(number) else f"{number:.8g}" for number in numbers],
+                *[cell.correction for cell in cells],
+            ]
+        )  # fmt: skip
+    return text.getvalue()
+
+
+def shown(metric: str, value: float) -> str:
+    """A metric's value as the tables write it."""
+    return scientific(value, 4) if metric == "itae" else f"{value:.1f}"
+
+
+def shown_ours(metric: str, cell: Cell) -> str:
+    """Mean and spread over the seeds, with the spread in the mean's exponent."""
+    if metric == "isv":
+        return f"{cell.mean:.2f} ± {cell.spread:.2f}"
+    mantissa, exponent = f"{cell.mean:.3e}".split("e")
+    return f"({mantissa} ± {cell.spread / 10.0 ** int(exponent):.3f})×10{superscript(int(exponent))}"
+
+
+def shown_ratio(cell: Cell) -> str:
+    return "–" if math.isnan(cell.ratio) else times(cell.ratio)
+
+
+def markdown_rows(rows: list[Row]) -> list[list[str]]:
+    """Text of the cells of one setting's table."""
+    lines = []
+    for row in rows:
+        line = [DISTURBANCE_NAMES[row.disturbance], NAMES[row.controller]]
+        for metric in METRICS:
+            cell: Cell = getattr(row, metric)
+            mark = " †" if cell.correction else ""
+            # When, is said once.
+            ended = row.diverged and (row.diverged if metric == "itae" else "diverged")
+            ours = ended or shown_ours(metric, cell)
+            line += [shown(metric, cell.paper) + mark, ours, shown_ratio(cell), f"{cell.rank} ({cell.paper_rank})"]
+        lines.append(line)
+    return lines
+
+
+HEADER = [
+    "disturbance", "controller", "ITAE, paper", "ITAE, ours", "ratio", "rank", "ISV, paper", "ISV, ours", "ratio",
+    "rank",
+]  # fmt: skip
+
+
+def table_notes() -> list[str]:
+    """What the reader of the table must know."""
+    return [
+        "Ours: mean ± standard deviation over the seeds of the measurement noise. Ratio: ours over the paper's. Rank: "
+        "our place among the four controllers, 1 for the smallest value, and the paper's in brackets; diverged runs "
+        "rank last.",
+        *[
+            f"† {METRICS[metric]}, {DISTURBANCE_NAMES[disturbance]}, {NAMES[controller]}: {why}."
+            for (metric, disturbance, controller), why in paper.CORRECTIONS.items()
+        ],
+    ]

@@ -1,0 +1,94 @@
+# ruff: noqa: RUF001, RUF002 (the texts use mathematical signs)
+"""Numbers as text."""
+
+import math
+from collections.abc import Callable, Iterable
+
+from ffsm_drake.studies.paper.runs import Run
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+NAMES = {"tde_aismc": "proposed", "aismc": "AISMC", "asmc": "ASMC", "tdc": "TDC"}
+DISTURBANCE_NAMES = {"tau_d1": "τ_d1", "tau_d2": "τ_d2 (3 × frequency)", "tau_d3": "τ_d3 (3 × amplitude)"}
+
+
+def scientific(value: float, digits: int = 3) -> str:
+    """Such as 1.70×10⁻⁴; infinity, which stands for a diverged run, becomes words."""
+    if not math.isfinite(value):
+        return "diverged"
+    if value == 0.0:
+        return "0"
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return f"{mantissa}×10{superscript(int(exponent))}"
+
+
+def superscript(number: int) -> str:
+    """Such as ⁻⁴."""
+    return str(number).translate(_SUPERSCRIPTS)
+
+
+def fixed(value: float, digits: int = 3) -> str:
+    """Significant digits without an exponent; infinity as in ``scientific``."""
+    if not math.isfinite(value):
+        return "diverged"
+    if abs(value) < 1e-3:
+        return scientific(value, digits)
+    exponent = int(f"{value:.{digits - 1}e}".split("e")[1])  # of the rounded value: 0.9999 is 1.00
+    return f"{value:.{max(digits - 1 - exponent, 0)}f}"
+
+
+def percent(share: float) -> str:
+    """Such as 25 % or 0.3 %."""
+    return f"{fixed(100.0 * share, 2)} %" if math.isfinite(share) else "diverged"
+
+
+def times(value: float) -> str:
+    """Such as 0.984 or 1.016; of numbers far from one, three digits."""
+    return f"{value:.3f}" if 0.1 <= value < 10.0 else fixed(value)
+
+
+def span(values: Iterable[float], digits: int = 3) -> str:
+    """'smallest to largest', or the one value that all of them show."""
+    return _between(values, lambda value: fixed(value, digits))
+
+
+def times_span(values: Iterable[float]) -> str:
+    """As ``span``, of ratios."""
+    return _between(values, times)
+
+
+def _between(values: Iterable[float], write: Callable[[float], str]) -> str:
+    everything = list(values)
+    finite = sorted(value for value in everything if math.isfinite(value))
+    if not finite:
+        return "diverged"
+    low, high = write(finite[0]), write(finite[-1])
+    text = low if low == high else f"{low} to {high}"
+    return text if len(finite) == len(everything) else f"{text} (others diverged)"
+
+
+def itae_of(run: Run) -> str:
+    """The run's ITAE, or when it diverged."""
+    return scientific(run.itae) if run.outcome.completed else ending(run)
+
+
+def ending(run: Run) -> str:
+    """Such as 'diverged at 5.3 s'."""
+    return f"{run.outcome.status} at {run.outcome.time:.1f} s"
+
+
+def listed(items: Iterable[str]) -> str:
+    """'a, b and c'."""
+    *first, last = list(items) or [""]
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def fate(run: Run) -> str:
+    """'completes', or how it ended."""
+    return "completes" if run.outcome.completed else ending(run)
+
+
+def signed(share: float) -> str:
+    """Such as +1.2 %."""
+    if not math.isfinite(share):
+        return "divergence"
+    return f"{100.0 * share:+.1f} %" if abs(share) >= 5e-4 else "less than 0.1 %"

@@ -1,0 +1,1 @@
+"""The blocks of the closed loop's diagram: reference, sensing, controllers, actuation, forces."""

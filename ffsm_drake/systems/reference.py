@@ -1,0 +1,151 @@
+"""The planned motion: a fifth-order polynomial from one posture to another, with exact rates and accelerations.
+
+Position and joints follow q(t) = q_0 + (q_T - q_0) s(t/T); the base's roll, pitch and yaw do the same, and its angular
+velocity and acceleration follow from them exactly. With zero boundary rates and accelerations the blend is
+s(x) = 10 x^3 - 15 x^4 + 6 x^5 (Section 4 of the paper; peak speed 1.875 D/T, peak acceleration 5.7735 D/T^2).
+"""
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, LeafSystem, OutputPort
+
+from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.scenario import Posture, Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+
+_BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
+
+
+def quintic_blend(time: np.ndarray | float, duration: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The blend s in [0, 1] with its first (1/s) and second (1/s^2) derivative; constant outside [0, duration]."""
+    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+    return (
+        x * x * x * (10.0 + x * (6.0 * x - 15.0)),
+        30.0 * x * x * (1.0 + x * (x - 2.0)) / duration,
+        60.0 * x * (1.0 + x * (2.0 * x - 3.0)) / (duration * duration),
+    )
+
+
+def rpy_motion(
+    rpy: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations alpha_WB_W (n, 3).
+
+    Args:
+      rpy: roll, pitch, yaw (n, 3), rad, R_WB = R_z(yaw) R_y(pitch) R_x(roll).
+      rate, acceleration: their time derivatives (n, 3).
+    """
+    r, p, y = rpy.T
+    dr, dp, dy = rate.T
+    ddr, ddp, ddy = acceleration.T
+    sp, cp, sy, cy = np.sin(p), np.cos(p), np.sin(y), np.cos(y)
+    omega = (cp * cy * dr - sy * dp, cp * sy * dr + cy * dp, dy - sp * dr)
+    alpha = (
+        cp * cy * ddr - sy * ddp - (sp * cy * dp + cp * sy * dy) * dr - cy * dy * dp,
+        cp * sy * ddr + cy * ddp - (sp * sy * dp - cp * cy * dy) * dr - sy * dy * dp,
+        ddy - sp * ddr - cp * dp * dr,
+    )
+    sr2, cr2 = np.sin(0.5 * r), np.cos(0.5 * r)
+    sp2, cp2 = np.sin(0.5 * p), np.cos(0.5 * p)
+    sy2, cy2 = np.sin(0.5 * y), np.cos(0.5 * y)
+    quaternion = (
+        cr2 * cp2 * cy2 + sr2 * sp2 * sy2,
+        sr2 * cp2 * cy2 - cr2 * sp2 * sy2,
+        cr2 * sp2 * cy2 + sr2 * cp2 * sy2,
+        cr2 * cp2 * sy2 - sr2 * sp2 * cy2,
+    )
+    return np.stack(quaternion, axis=1), np.stack(omega, axis=1), np.stack(alpha, axis=1)
+
+
+class QuinticReference(LeafSystem):
+    """Source of the planned motion, a function of time alone.
+
+    Outputs:
+      desired_state: [q_d; v_d] (nq + nv).
+      desired_acceleration: time derivative of v_d (nv).
+    """
+
+    def __init__(
+        self, *, coordinates: Coordinates, start: Posture, target: Posture, duration: float, sample_time: float
+    ) -> None:
+        """Args: start and target posture (SI units), duration in s; the target is held afterwards.
+
+        At multiples of ``sample_time`` (s) the outputs are cheap.
+        """
+        super().__init__()
+        self._duration = duration
+        self._sample_time = sample_time
+        # Roll, pitch, yaw, position, joints.
+        first, last = (
+            np.concatenate(
+                [
+                    posture.base_rpy,
+                    posture.base_position,
+                    coordinates.vector(posture.joints, key="joints", default=0.0)[6:],
+                ]
+            )
+            for posture in (start, target)
+        )
+        self._start, self._change = first, last - first
+        # The motion at the control samples from self._first_sample on: no more than a memory of what was computed.
+        self._first_sample = 0
+        self._states, self._accelerations = self.motion(self._sample_time * np.arange(_BLOCK))
+        num_velocities = len(coordinates.names)
+        self.DeclareVectorOutputPort(
+            "desired_state", 2 * num_velocities + 1, weak_callback(self._calc_state), {self.time_ticket()}
+        )
+        self.DeclareVectorOutputPort(
+            "desired_acceleration", num_velocities, weak_callback(self._calc_acceleration), {self.time_ticket()}
+        )
+        untie(self)
+
+    def get_desired_state_output_port(self) -> OutputPort:
+        return self.GetOutputPort("desired_state")
+
+    def get_desired_acceleration_output_port(self) -> OutputPort:
+        return self.GetOutputPort("desired_acceleration")
+
+    def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """q_d (nq), v_d (nv) and dv_d/dt (nv) at a time in s."""
+        row = self._row(time)
+        state, acceleration = self._states[row].copy(), self._accelerations[row].copy()
+        num_positions = state.size - acceleration.size
+        return state[:num_positions], state[num_positions:], acceleration
+
+    def motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Desired states (n, nq + nv) and accelerations (n, nv) at times (n,)."""
+        s, ds, dds = (column[:, None] for column in quintic_blend(times, self._duration))
+        value, rate, acceleration = self._start + s * self._change, ds * self._change, dds * self._change
+        quaternion, omega, alpha = rpy_motion(value[:, :3], rate[:, :3], acceleration[:, :3])
+        return np.hstack([quaternion, value[:, 3:], omega, rate[:, 3:]]), np.hstack([alpha, acceleration[:, 3:]])
+
+    def _row(self, time: float) -> int:
+        """The row of ``_states`` and ``_accelerations`` that holds a time; they are computed anew where none does."""
+        sample = round(time / self._sample_time)
+        if sample * self._sample_time != time:  # between the control samples
+            self._first_sample = -_BLOCK
+            self._states, self._accelerations = self.motion(np.array([time]))
+            return 0
+        row = sample - self._first_sample
+        if not 0 <= row < _BLOCK:
+            self._first_sample, row = sample, 0
+            self._states, self._accelerations = self.motion(self._sample_time * np.arange(sample, sample + _BLOCK))
+        return row
+
+    def _calc_state(self, context: Context, output: BasicVector) -> None:
+        row = self._row(context.get_time())
+        output.SetFromVector(self._states[row])
+
+    def _calc_acceleration(self, context: Context, output: BasicVector) -> None:
+        row = self._row(context.get_time())
+        output.SetFromVector(self._accelerations[row])
+
+
+def make_reference(scenario: Scenario, coordinates: Coordinates) -> QuinticReference:
+    """The planned motion of a scenario."""
+    return QuinticReference(
+        coordinates=coordinates,
+        start=scenario.initial_posture,
+        target=scenario.target_posture,
+        duration=scenario.reference.duration,
+        sample_time=scenario.sample_time,
+    )

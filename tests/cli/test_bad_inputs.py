@@ -1,0 +1,1036 @@
+"""Bad input of every kind gets one line that says where, what is wrong and what would be right, and leaves no files."""
+
+import dataclasses
+import errno
+import json
+import os
+import resource
+import shlex
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from ffsm_drake import RecordError, RunRecord, load_scenario, simulate
+from ffsm_drake.analysis import analyze
+from ffsm_drake.cli import main
+from ffsm_drake.common import files
+
+SHORT = "--set duration=0.05"
+
+SERVICER = """<robot name="mine">
+  <link name="base"><inertial><mass value="400"/>
+    <inertia ixx="200" iyy="200" izz="200" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="arm"><inertial><origin xyz="0 0 0.5"/><mass value="10"/>
+    <inertia ixx="0.9" iyy="0.9" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="shoulder" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/></joint>
+  <link name="hand"><inertial><mass value="5"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="wrist" type="continuous"><parent link="arm"/><child link="hand"/><origin xyz="0 0 1"/>
+    <axis xyz="1 0 0"/></joint>
+  <frame name="end_effector" link="hand" xyz="0 0 0.1" rpy="0 0 0"/>
+</robot>
+"""
+DEBRIS = """<robot name="rock"><link name="debris"><inertial><mass value="100"/>
+  <inertia ixx="16" iyy="16" izz="16" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <frame name="grasp" link="debris" xyz="0 0 -0.5" rpy="0 0 0"/></robot>
+"""
+STRAY_LINK = """<link name="stray"><inertial><mass value="1"/>
+  <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+"""
+URDFS = {"servicer.urdf": SERVICER, "debris.urdf": DEBRIS}
+MINE = "model: {servicer: servicer.urdf, debris: debris.urdf}\n"
+
+CONTROLLERS = """
+import sys
+import numpy as np
+from pydrake.systems.framework import LeafSystem
+from ffsm_drake import SampledController
+
+class Good(SampledController):
+    GAINS = {"k": 1.0}
+    def law(self, sample, state):
+        return 0.0 * sample.v, {}
+
+class NanForce(Good):
+    def law(self, sample, state):
+        return np.full(sample.v.size, np.nan), {}
+
+class NanState(Good):
+    def law(self, sample, state):
+        self.nominal.calc_mass_matrix(sample.q * np.nan)
+
+class WrongSize(Good):
+    def law(self, sample, state):
+        return np.zeros(3), {}
+
+class ReturnsNone(Good):
+    def law(self, sample, state):
+        pass
+
+class OnlyForce(Good):
+    def law(self, sample, state):
+        return 0.0 * sample.v
+
+class TextForce(Good):
+    def law(self, sample, state):
+        return ["much"] * sample.v.size, {}
+
+class Forgets(Good):
+    def initial_state(self):
+        return {"integral": np.zeros(3)}
+
+class Invents(Good):
+    def law(self, sample, state):
+        return 0.0 * sample.v, {"integral": sample.v}
+
+class ListMemory(Good):
+    def initial_state(self):
+        return [np.zeros(3)]
+
+class Raises(Good):
+    def law(self, sample, state):
+        return {}["gain"]
+
+class Leaves(Good):
+    def law(self, sample, state):
+        sys.exit(0)
+
+class NoLaw(SampledController):
+    pass
+
+class RaisesAtOnce(SampledController):
+    def __init__(self, setup):
+        raise OSError("no table of gains")
+
+class NoSuperInit(SampledController):
+    def __init__(self, setup):
+        self.table = {}
+
+class TextGain(SampledController):
+    GAINS = {"k": "high"}
+
+class ShortGain(Good):
+    def initial_state(self):
+        return {"switching_gain": np.zeros(3)}
+
+class NoPorts(LeafSystem):
+    def __init__(self, setup):
+        super().__init__()
+
+class WrongPortSize(LeafSystem):
+    def __init__(self, setup):
+        super().__init__()
+        self.DeclareVectorInputPort("estimated_state", 4)
+        self.DeclareVectorInputPort("desired_state", 23)
+        self.DeclareVectorInputPort("desired_acceleration", 11)
+        self.DeclareVectorOutputPort("generalized_force", 11, lambda context, output: None)
+
+class StrangePort(WrongPortSize):
+    def __init__(self, setup):
+        super().__init__(setup)
+        self.DeclareVectorInputPort("estimate", 4)
+
+class Loop(LeafSystem):
+    def __init__(self, setup):
+        super().__init__()
+        self.DeclareVectorInputPort("estimated_state", 23)
+        self.DeclareVectorInputPort("desired_state", 23)
+        self.DeclareVectorInputPort("desired_acceleration", 11)
+        self.DeclareVectorInputPort("applied_force", 11)
+        self.DeclareVectorOutputPort("generalized_force", 11, lambda context, output: None)
+
+def returns_none(setup):
+    return None
+
+table = {"k": 1}
+"""
+MODULES = {"mine_bad.py": CONTROLLERS}
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One bad input: what to type, what the one line must say, and the files that are there."""
+
+    id: str
+    command: str
+    expected: tuple[str, ...]
+    files: Mapping[str, str | bytes] = dataclasses.field(default_factory=dict)
+    prepare: Callable[[Path], object] | None = None
+
+
+def bad(id: str, command: str, *expected: str, prepare: Callable[[Path], object] | None = None) -> Row:
+    return Row(id, command, expected, {}, prepare)
+
+
+def scenario(id: str, text: str | bytes, *expected: str, command: str = "validate") -> Row:
+    """A broken scenario file."""
+    return Row(id, f"{command} mine.yaml", ("mine.yaml: ", *expected), {"mine.yaml": text})
+
+
+def override(id: str, text: str, *expected: str) -> Row:
+    return Row(id, f"validate postcapture --set {shlex.quote(text)}", ("override: ", *expected))
+
+
+def urdf(id: str, old: str, new: str, *expected: str, file: str = "servicer.urdf", close: str = "") -> Row:
+    """The two small URDFs with one fault: the first ``old`` becomes ``new``; ``close`` ends the last joint."""
+    text = URDFS[file]
+    assert old in text
+    if close:
+        at = text.rindex("</joint>")
+        text = text[:at] + close + text[at + len("</joint>") :]
+    texts = URDFS | {"mine.yaml": MINE, file: text.replace(old, new, 1)}
+    return Row(id, "validate mine.yaml", expected, texts)
+
+
+def model(id: str, text: str, *expected: str) -> Row:
+    """A scenario whose model section is at fault; the URDFs are good."""
+    return Row(id, "validate mine.yaml", expected, URDFS | {"mine.yaml": text})
+
+
+def directives(id: str, text: str, *expected: str) -> Row:
+    given = {"mine.yaml": "model: {directives: mine.dmd.yaml}\n", "mine.dmd.yaml": text}
+    return Row(id, "validate mine.yaml", ("mine.dmd.yaml", *expected), URDFS | given)
+
+
+def controller(id: str, name: str, *expected: str, command: str = "validate", text: str = CONTROLLERS) -> Row:
+    """A controller of one's own; each row has a module of its own name, since modules are imported once."""
+    module = f"bad_{id.replace('-', '_')}"
+    words = {"run": f"run --no-report {SHORT} -c", "validate": "validate postcapture --set"}[command]
+    value = f"{module}:{name}" if command == "run" else f"controller={module}:{name}"
+    return Row(id, f"{words} {value}", (name, *expected), {f"{module}.py": text})
+
+
+def record(id: str, damage: Callable[[Path], object], *expected: str, command: str = "analyze run") -> Row:
+    """A damaged run directory ``run``."""
+    return Row(id, command, expected, prepare=damage)
+
+
+def edit_manifest(change: Callable[[dict], object]) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        path = folder / "run" / "manifest.json"
+        data = json.loads(path.read_text())
+        change(data)
+        path.write_text(json.dumps(data))
+
+    return damage
+
+
+def edit_dataset(change: Callable) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        import xarray as xr
+
+        path = folder / "run" / "record.nc"
+        dataset = change(xr.load_dataset(path))
+        path.unlink()
+        dataset.to_netcdf(path, unlimited_dims=["time"])
+
+    return damage
+
+
+def truncate(folder: Path) -> None:
+    path = folder / "run" / "record.nc"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def manifest_text(text: str | bytes) -> Callable[[Path], object]:
+    data = text if isinstance(text, bytes) else text.encode()
+    return lambda folder: (folder / "run" / "manifest.json").write_bytes(data)
+
+
+BOMB = "_a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
+    f"_{b}: &{b} [{', '.join([f'*{a}'] * 10)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+)
+ADD = "directives:\n- add_model: {name: servicer, file: package://ffsm_drake/urdf/servicer.urdf}\n"
+ADD_DEBRIS = "- add_model: {name: debris, file: package://ffsm_drake/urdf/debris.urdf}\n"
+
+TABLE = [
+    # Files that are no scenario.
+    bad(
+        "no-such-name",
+        "validate postcaptur",
+        "postcaptur: no such scenario",
+        "choose one of",
+        "did you mean 'postcapture'",
+    ),
+    bad("no-such-file", "run none.yaml", "none.yaml: no such scenario file"),
+    bad("empty-name", "validate ''", "no such scenario", "choose one of"),
+    bad("folder", "validate .", ".: is a folder; give a YAML file"),
+    bad("parent-folder", "run --no-report ..", "..: is a folder; give a YAML file"),
+    bad("escaping-name", "stability ../../nowhere/postcapture", "../../nowhere/postcapture: no such scenario file"),
+    bad("long-name", f"validate {'x' * 300}.yaml", "x.yaml: ", "too long"),
+    bad("device", "validate /dev/zero", "/dev/zero: is not a regular file; give a YAML file"),
+    bad("print-of-nothing", "scenarios none.yaml", "none.yaml: no such scenario file"),
+    scenario("not-utf-8", b"description: caf\xe9\n", "is not UTF-8 text"),
+    scenario("binary", b"\x00\x01\x02", "is not valid YAML", "character 1"),
+    scenario("huge-file", "# " + "x" * 1_100_000, "larger than 1000000 bytes"),
+    # YAML that is broken or dangerous.
+    scenario("not-yaml", "duration: [1\n", "is not valid YAML: line 2, column 1"),
+    scenario("tabs", "payload:\n\tbody: x\n", "is not valid YAML: line 2, column 1", "indent with spaces"),
+    scenario("list", "- 1\n", "must be a mapping with keys description"),
+    scenario("text", "postcapture\n", "must be a mapping with keys description", "'postcapture'"),
+    scenario("two-documents", "duration: 1\n---\nduration: 2\n", "is not valid YAML: line 2", "single document"),
+    scenario(
+        "key-twice", "duration: 1\nrandom_seed: 2\nduration: 3\n", "line 3", "'duration' is given twice", "line 1"
+    ),
+    scenario("inner-key-twice", "payload:\n  truth: {mass: 1, mass: 2}\n", "line 2", "'mass' is given twice"),
+    scenario("python-object", "!!python/object/apply:os.system ['true']\n", "line 1", "python/object", "leave it out"),
+    scenario("tag-on-top", "!!python/object:os.x\nduration: 1\n", "line 1", "python/object", "leave it out"),
+    scenario("own-tag", "payload: !Stone {mass: 3}\n", "line 1", "'!Stone'", "leave it out"),
+    scenario("unknown-alias", "duration: *d\n", "line 1", "undefined alias"),
+    scenario("alias-bomb", BOMB + "description: *i\n", "aliases (*name) expand to more than"),
+    scenario("circular-alias", "payload: &p {truth: *p}\n", "line 1", "contains itself"),
+    scenario("deep-nesting", "description: " + "[" * 5000, "nested deeper than 50 levels"),
+    scenario(
+        "impossible-date", "duration: 2020-13-45\n", "is not valid YAML: line 1, column 11: month must be in 1..12"
+    ),
+    # Keys and types.
+    scenario("unknown-key", "controler: tdc\n", "controler: unknown key; valid here", "did you mean 'controller'?"),
+    scenario("unknown-inner-key", "payload: {truth: {masss: 1}}\n", "payload.truth.masss", "did you mean 'mass'?"),
+    scenario("number-key", "3: 4\n", "3: unknown key"),
+    scenario("number-as-name", "disturbance: {harmonics: {3: {bias: 1}}}\n", "harmonics.3: a name must be text"),
+    scenario("text-for-number", "duration: long\n", "duration: must be a number, not 'long'"),
+    scenario("date-for-number", "duration: 2020-01-01\n", "duration: must be a number, not datetime.date(2020, 1, 1)"),
+    scenario("nothing-for-number", "duration:\n", "duration: must be a number, not null (no value)"),
+    scenario("bool-for-number", "duration: true\n", "duration: must be a number, not True"),
+    scenario("list-for-number", "duration: [1]\n", "duration: must be a number, not [1]"),
+    scenario("fraction-for-whole", "random_seed: 1.5\n", "random_seed: must be a whole number, not 1.5"),
+    scenario(
+        "text-for-bool", "simulator_config: {use_error_control: 'no'}\n", "use_error_control: must be true or false"
+    ),
+    scenario("number-for-text", "description: 3\n", "description: must be text, not 3"),
+    scenario("zero-in-text", 'description: "a\\0b"\n', "description: must be text that a file can hold"),
+    scenario("number-for-group", "payload: 3\n", "payload: must be a mapping with keys body, truth, belief, not 3"),
+    scenario("number-for-list", "initial_posture: {base_rpy: 3}\n", "base_rpy: must be a list, not 3"),
+    scenario("text-in-list", "initial_posture: {base_rpy: [0, x, 0]}\n", "base_rpy[1]: must be a number, not 'x'"),
+    scenario(
+        "gain-as-vector", "controllers: {tdc: {k_d: [1, 2]}}\n", "controllers.tdc.k_d.all: must be a number", "by name"
+    ),
+    # Values.
+    scenario("nan", "duration: .nan\n", "duration: must be finite, not nan"),
+    scenario("infinite", "payload: {truth: {mass: .inf}}\n", "payload.truth.mass: must be finite, not inf"),
+    scenario("nan-gain", "controllers: {tdc: {k_d: {joints: .nan}}}\n", "controllers.tdc.k_d.joints: must be finite"),
+    scenario("500-digits", f"duration: {'9' * 500}\n", "duration: must be finite"),
+    scenario("5000-digits", f"duration: {'9' * 5000}\n", "line 1, column 11", "4300 digits"),
+    scenario(
+        "huge-number", "initial_posture: {base_position: [1e300, 0, 0]}\n", "base_position[0]: must be at most 1e+20"
+    ),
+    scenario("negative-mass", "payload: {truth: {mass: -5}}\n", "payload.truth.mass: must be > 0 kg, not -5.0"),
+    scenario("zero-mass", "payload: {belief: {mass: 0}}\n", "payload.belief.mass: must be > 0 kg, not 0.0"),
+    scenario(
+        "triangle-inequality",
+        "payload: {truth: {inertia: [1, 1, 5]}}\n",
+        "payload.truth.inertia",
+        "triangle inequality",
+    ),
+    scenario("indefinite-inertia", "payload: {truth: {inertia: [1, 1, 1, 2, 0, 0]}}\n", "must be positive definite"),
+    scenario("two-moments", "payload: {truth: {inertia: [1, 1]}}\n", "inertia: must hold three moments"),
+    scenario("two-coordinates", "payload: {truth: {center_of_mass: [1, 1]}}\n", "must hold three numbers [x, y, z]"),
+    scenario("negative-gain", "controllers: {asmc: {k_s: -1}}\n", "controllers.asmc.k_s.all: must be >= 0, not -1.0"),
+    scenario(
+        "file-fault-stays-the-file's",
+        "controllers: {asmc: {k_s: -1}}\n",
+        "k_s.all",
+        command="validate --set controller=tdc",
+    ),
+    scenario(
+        "unknown-estimator", "estimator: {kind: kalmann}\n", "choose one of one_sample, kalman; did you mean 'kalman'?"
+    ),
+    # Overrides.
+    override("no-equals", "duration", "'duration': must have the form key=value"),
+    override("no-key", "=3", "must have the form key=value"),
+    override("no-value", "duration=", "duration: must be a number, not null (no value)"),
+    override("nan-override", "duration=nan", "duration: must be finite, not 'nan'"),
+    override("inf-override", "disturbance.amplitude_scale=.inf", "disturbance.amplitude_scale: must be finite"),
+    override(
+        "override-unknown-key", "controllers.tdc.kd=3", "kd: unknown key; valid here: k_d, k_p; did you mean 'k_d'?"
+    ),
+    override("override-in-list", "payload.truth.inertia.0=3", "payload.truth.inertia holds a list; give it whole"),
+    override("override-too-deep", "duration.x=3", "duration holds a single value"),
+    override("override-not-yaml", "duration=[1", "duration: value is not valid YAML"),
+    override("override-tag", "duration=!!python/name:os.system", "duration: value is not valid YAML", "python/name"),
+    override("override-dots", "payload..mass=3", "payload.: unknown key"),
+    override(
+        "tiny-sample-time", "sample_time=1e-9", "sample_time: 20 s in samples of 1e-09 s are 2e+10", "at most 10000000"
+    ),
+    override("endless", "duration=1e19", "duration: 1e+19 s", "GB", "shorten duration"),
+    override("tiny-steps", "simulator_config.max_step_size=1e-15", "max_step_size: 1e-15 s gives 2e+16 steps"),
+    override("denormal-sample-time", "sample_time=5e-324", "sample_time: ", "at most 10000000"),
+    override("sample-longer-than-run", "sample_time=30", "sample_time: must be at most duration (20.0 s)"),
+    override(
+        "unknown-scheme",
+        "simulator_config.integration_scheme=runge_kutta4",
+        "choose one of",
+        "did you mean 'runge_kutta",
+    ),
+    override("scheme-of-another-diagram", "simulator_config.integration_scheme=cenic", "'cenic' is unknown"),
+    override(
+        "no-error-estimate",
+        "simulator_config={integration_scheme: explicit_euler, use_error_control: true}",
+        "set false",
+    ),
+    override("negative-accuracy", "simulator_config.accuracy=-1", "simulator_config.accuracy: must be > 0"),
+    override("late-start", "simulator_config.start_time=5", "simulator_config.start_time: must be 0"),
+    override(
+        "unknown-coordinate",
+        "sensing.velocity_noise.joint_9=1",
+        "sensing.velocity_noise.joint_9",
+        "did you mean 'joint_",
+    ),
+    override("unknown-group", "controllers.tde_aismc.k_d.joint=1", "k_d.joint: unknown coordinate", "did you mean"),
+    override(
+        "unknown-harmonic", "disturbance.harmonics.arm.bias=1", "harmonics.arm: unknown coordinate; valid here: all"
+    ),
+    override(
+        "unknown-posture-joint",
+        "initial_posture.joints.joint_6=1",
+        "initial_posture.joints.joint_6: unknown coordinate",
+    ),
+    override(
+        "missing-gain", "controllers.tde_aismc.k_d={joints: 1}", "k_d: gives no value for base_rotation_x", "or 'all'"
+    ),
+    bad(
+        "singular-payload",
+        "validate postcapture --set payload.truth.mass=1e19",
+        "payload.body: with 1e+19 kg",
+        "singular",
+    ),
+    bad(
+        "unknown-body",
+        "validate postcapture --set payload.body=debris::debri",
+        "payload.body: no body",
+        "did you mean 'debris::debris'?",
+    ),
+    bad(
+        "world-as-payload",
+        "validate postcapture --set payload.body=WorldModelInstance::world",
+        "payload.body",
+        "has no mass",
+    ),
+    bad(
+        "unknown-frame",
+        "validate postcapture --set model.end_effector=servicer::endeffector",
+        "model.end_effector: no frame",
+        "did you mean 'servicer::end_effector'?",
+    ),
+    bad("negative-seed", "validate postcapture --set random_seed=-1", "random_seed: must be from 0 to 2147483647"),
+    bad("seed-option", "stability --seed -1", "override: random_seed: must be from 0 to 2147483647"),
+    bad("large-seed", "run --seed 99999999999", "override: random_seed: must be from 0 to 2147483647"),
+    bad("text-seed", "run --seed x", "'x' is not a valid integer"),
+    bad("nan-budget", "design flight_sensors --budget nan", "--budget", "not a finite number"),
+    bad("infinite-payload", "design flight_sensors --payload-range 1 inf", "--payload-range", "not a finite number"),
+    bad(
+        "reversed-payload",
+        "design flight_sensors --payload-range 9 5",
+        "payload range: must be two masses 0 < LOW < HIGH",
+    ),
+    # Models.
+    model("no-such-servicer", "model: {servicer: none.urdf}\n", "model.servicer: ", "none.urdf: no such file"),
+    model("folder-as-servicer", "model: {servicer: .}\n", "model.servicer: ", "is a folder; give a file"),
+    model(
+        "two-models",
+        "model: {servicer: servicer.urdf, directives: x.yaml}\n",
+        "model: give either directives or servicer",
+    ),
+    model("text-as-urdf", "model: {servicer: mine.yaml}\n", "model.servicer: ", "mine.yaml"),
+    model(
+        "no-such-package",
+        "model: {servicer: 'package://nowhere/x.urdf'}\n",
+        "model.servicer: package://nowhere/x.urdf",
+        "nowhere",
+    ),
+    model(
+        "no-package-folder",
+        MINE.replace("}", ", packages: {meshes: none}}"),
+        "model.packages.meshes: no such folder",
+        "none",
+    ),
+    model(
+        "escaping-package",
+        "model: {directives: 'package://ffsm_drake/../none.dmd.yaml'}\n",
+        "model.directives: package://ffsm_drake/../none",
+    ),
+    model(
+        "wrong-end-effector",
+        MINE.replace("}", ", end_effector: servicer::hnad}"),
+        "no frame 'servicer::hnad'",
+        "did you mean 'servicer::hand'?",
+    ),
+    model(
+        "wrong-grasp",
+        MINE.replace("}", ", grasp: debris::grip}"),
+        "model.grasp: no frame 'debris::grip'",
+        "choose one of",
+    ),
+    model(
+        "grasp-on-the-servicer",
+        MINE.replace("}", ", grasp: servicer::hand}"),
+        "model.grasp: 'servicer::hand' is not a frame of the debris",
+    ),
+    urdf("not-xml", '<link name="arm">', '<link name="arm', "model.servicer", "servicer.urdf"),
+    urdf("empty-urdf", SERVICER, "", "model.servicer", "servicer.urdf"),
+    urdf(
+        "urdf-negative-mass",
+        '<mass value="10"/>',
+        '<mass value="-10"/>',
+        "model.servicer",
+        "servicer.urdf:4: ",
+        "'mass > 0' failed",
+    ),
+    urdf("urdf-nan-mass", '<mass value="10"/>', '<mass value="nan"/>', "model.servicer", "servicer.urdf"),
+    urdf("urdf-text-mass", '<mass value="10"/>', '<mass value="ten"/>', "model.servicer", "servicer.urdf"),
+    urdf(
+        "urdf-zero-mass",
+        SERVICER[SERVICER.index('<link name="base">') : SERVICER.index('  <link name="arm">')],
+        '<link name="base"/>\n',
+        "mass matrix is singular",
+        "every link of the URDF",
+    ),
+    urdf("urdf-triangle-inequality", 'ixx="0.9" iyy="0.9"', 'ixx="0.1" iyy="0.9"', "model.servicer", "servicer.urdf"),
+    urdf(
+        "urdf-debris-unphysical",
+        'ixx="16" iyy="16"',
+        'ixx="1" iyy="1"',
+        "model.debris",
+        "debris.urdf",
+        file="debris.urdf",
+    ),
+    urdf("urdf-unknown-parent", '<parent link="base"/>', '<parent link="bus"/>', "model.servicer", "bus"),
+    urdf("urdf-joint-twice", 'name="wrist"', 'name="shoulder"', "shoulder"),
+    urdf("urdf-link-twice", '<link name="hand">', '<link name="arm">', "arm"),
+    urdf("urdf-zero-axis", '<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "servicer.urdf", "shoulder"),
+    urdf("urdf-unknown-joint-type", 'type="continuous"', 'type="bendy"', "servicer.urdf", "bendy"),
+    urdf(
+        "urdf-ball-joint",
+        '<joint name="wrist" type="continuous">',
+        '<drake:joint xmlns:drake="x" name="wrist" type="ball">',
+        "joint 'wrist' has 3 degrees",
+        close="</drake:joint>",
+    ),
+    urdf("urdf-planar-joint", '<joint name="wrist" type="continuous">', '<joint name="wrist" type="planar">', "wrist"),
+    urdf(
+        "urdf-joint-called-joints",
+        'name="wrist"',
+        'name="joints"',
+        "joint names must not be those of groups",
+        "rename joints",
+    ),
+    urdf(
+        "urdf-loose-link",
+        '<frame name="end',
+        STRAY_LINK + '<frame name="end',
+        "one floating base, not 2",
+        "stray",
+    ),
+    urdf(
+        "urdf-missing-mesh",
+        "</link>",
+        '<visual><geometry><mesh filename="none.obj"/></geometry></visual></link>',
+        "none.obj",
+    ),
+    directives("directives-not-yaml", "directives: [", "mine.dmd.yaml"),
+    directives("directives-unknown-key", "directives:\n- add_mdl: {name: x}\n", "add_mdl"),
+    directives("directives-unknown-model", ADD.replace("servicer.urdf", "none.urdf"), "none.urdf"),
+    directives(
+        "directives-unknown-frame",
+        ADD + ADD_DEBRIS + "- add_weld: {parent: servicer::hand, child: debris::grasp}\n",
+        "hand",
+    ),
+    directives(
+        "directives-welded-to-world", ADD + "- add_weld: {parent: world, child: servicer::base}\n", "no floating base"
+    ),
+    directives("directives-two-bases", ADD + ADD_DEBRIS, "must have one floating base, not 2 (base, debris)"),
+    directives("directives-name-twice", ADD + ADD.replace("directives:\n", ""), "servicer"),
+    # Controllers of one's own.
+    bad(
+        "controller-typo",
+        "validate postcapture --set controller=tde_aimsc",
+        "controller: 'tde_aimsc' is unknown",
+        "did you mean 'tde_aismc'?",
+    ),
+    bad("controller-path", "run -c ../evil.py", "controller: '../evil.py' is unknown", "module:Class"),
+    bad("compare-path", "compare -c tdc -c ../../x", "controller: '../../x' is unknown", "module:Class"),
+    bad("compare-twice", "compare -c tdc -c tdc", "--controller: tdc is given more than once"),
+    bad("no-such-module", "run -c nowhere_at_all:Law", "No module named 'nowhere_at_all'", "PYTHONPATH"),
+    controller("no-such-class", "Goood", "has no 'Goood'", "did you mean 'Good'?"),
+    controller("syntax-error", "Law", "SyntaxError", "line 1", text="class Law(\n"),
+    controller("module-raises", "Law", "ZeroDivisionError", text="1 / 0\n"),
+    controller("module-exits", "Law", "SystemExit", text="raise SystemExit(0)\n"),
+    controller("not-callable", "table", "must be a class or function, not dict"),
+    controller("factory-of-nothing", "returns_none", "must be a LeafSystem, not NoneType"),
+    controller("raises-in-init", "RaisesAtOnce", "cannot be built: OSError: no table of gains"),
+    controller("no-super-init", "NoSuperInit", "cannot be built: TypeError", "__init__"),
+    controller("text-as-gain", "TextGain", "cannot be built: ValueError", "high"),
+    controller("list-as-memory", "ListMemory", "initial_state must return a mapping"),
+    controller("no-ports", "NoPorts", "needs an input port 'estimated_state' of size 23"),
+    controller("wrong-port-size", "WrongPortSize", "input port 'estimated_state' must have size 23, not 4"),
+    controller("strange-port", "StrangePort", "unknown input port 'estimate'; known: estimated_state"),
+    controller("feedthrough", "Loop", "'generalized_force' must not follow an input at once", "DeclareStateOutput"),
+    controller("short-optional-output", "ShortGain", "output port 'switching_gain' must have size 11, not 3"),
+    controller("wrong-force-size", "WrongSize", "'generalized_force' of shape (3,); it must be (11,)", command="run"),
+    controller(
+        "returns-none", "ReturnsNone", "law must return (generalized_force, memory)", "not NoneType", command="run"
+    ),
+    controller("returns-force-only", "OnlyForce", "law must return (generalized_force, memory)", command="run"),
+    controller("text-as-force", "TextForce", "not an array of numbers", command="run"),
+    controller("forgets-memory", "Forgets", "law returned no 'integral'; it must return all its memory", command="run"),
+    controller("invents-memory", "Invents", "'integral', which initial_state does not name", command="run"),
+    controller("raises-in-law", "Raises", "failed at t = 0.00 s: KeyError: 'gain'", "line ", command="run"),
+    controller("exits-in-law", "Leaves", "law called sys.exit at t = 0.00 s", command="run"),
+    controller("no-law", "NoLaw", "error: NoLaw must define law(sample, state)", command="run"),
+    controller("nan-configuration", "NanState", "the configuration q is not finite", command="run"),
+    Row(
+        "unknown-own-gain",
+        "validate postcapture --set controller=mine_bad:Good --set controllers.own.Good.kk=1",
+        ("controllers.own.Good.kk: unknown gain; Good has k; did you mean 'k'?",),
+        MODULES,
+    ),
+    Row(
+        "margins-of-own", "stability -c mine_bad:Good", ("controller", "sampled-loop margins are those of tdc"), MODULES
+    ),
+    # Where results go.
+    Row(
+        "out-is-a-file",
+        f"run --no-report {SHORT} --out taken",
+        ("taken: cannot be written", "taken is not a folder"),
+        {"taken": ""},
+    ),
+    Row(
+        "out-inside-a-file",
+        f"run --no-report {SHORT} --out taken/x",
+        ("taken/x: cannot be written", "is not a folder; give another"),
+        {"taken": ""},
+    ),
+    bad("out-read-only", f"run --no-report {SHORT} --out /proc/ffsm", "/proc/ffsm", "cannot be written"),
+    bad("out-too-long", f"run --no-report {SHORT} --out {'x' * 300}", "cannot be written", "too long"),
+    bad(
+        "compare-out-is-a-file",
+        f"compare --no-report {SHORT} --out taken",
+        "taken: cannot be written",
+        prepare=lambda at: (at / "taken").touch(),
+    ),
+    bad(
+        "stability-out-is-a-file",
+        "stability --out taken",
+        "taken: cannot be written",
+        prepare=lambda at: (at / "taken").touch(),
+    ),
+    bad(
+        "design-out-is-a-file",
+        "design --out taken",
+        "taken: cannot be written",
+        prepare=lambda at: (at / "taken").touch(),
+    ),
+    bad(
+        "plot-out-is-a-file",
+        "plot run --out taken",
+        "taken: cannot be written",
+        prepare=lambda at: (at / "taken").touch(),
+    ),
+    bad(
+        "diagram-out-inside-a-file",
+        "diagram --out taken/x.svg",
+        "taken: cannot be written",
+        prepare=lambda at: (at / "taken").touch(),
+    ),
+    bad("diagram-out-is-a-folder", "diagram --out .", "is a directory"),
+    # Run directories.
+    bad("no-run", "analyze nothing", "nothing/manifest.json: cannot be read", "give the folder of a run"),
+    bad("no-run-to-plot", "plot nothing", "nothing/manifest.json: cannot be read"),
+    Row("run-is-a-file", "plot taken", ("taken", "not a folder"), {"taken": ""}),
+    record(
+        "no-record",
+        lambda at: (at / "run" / "record.nc").unlink(),
+        "run/record.nc: cannot be read: no such file; run it again",
+    ),
+    record("no-manifest", lambda at: (at / "run" / "manifest.json").unlink(), "run/manifest.json: cannot be read"),
+    record("truncated", truncate, "run/record.nc: cannot be read", "run it again"),
+    record("empty-record", lambda at: (at / "run" / "record.nc").write_bytes(b""), "run/record.nc: cannot be read"),
+    record(
+        "text-as-record", lambda at: (at / "run" / "record.nc").write_text("hello"), "run/record.nc: cannot be read"
+    ),
+    record(
+        "record-is-a-folder",
+        lambda at: ((at / "run" / "record.nc").unlink(), (at / "run" / "record.nc").mkdir()),
+        "run/record.nc: cannot be read",
+    ),
+    record("zero-samples", edit_dataset(lambda data: data.isel(time=slice(0, 0))), "run/record.nc: holds no samples"),
+    record(
+        "zero-samples-plot",
+        edit_dataset(lambda data: data.isel(time=slice(0, 0))),
+        "run/record.nc: holds no samples",
+        command="plot run",
+    ),
+    record(
+        "missing-variable",
+        edit_dataset(lambda data: data.drop_vars("error")),
+        "run/record.nc: lacks error; ",
+        "run it again",
+    ),
+    record("missing-names", edit_dataset(lambda data: data.drop_vars("coordinate")), "run/record.nc: lacks coordinate"),
+    record(
+        "wrong-shape",
+        edit_dataset(lambda data: data.assign(error=data["error"].T)),
+        "error must hold numbers along time, coordinate",
+    ),
+    record(
+        "no-sample-time", edit_dataset(lambda data: data.drop_attrs()), "run/record.nc: lacks the attribute sample_time"
+    ),
+    record("manifest-not-json", manifest_text("{"), "run/manifest.json: is not a run's manifest", "JSONDecodeError"),
+    record("manifest-not-utf-8", manifest_text(b"\xff"), "run/manifest.json: is not a run's manifest"),
+    record("manifest-is-a-list", manifest_text("[1]"), "is not a run's manifest: must be an object, not list"),
+    record("manifest-too-deep", manifest_text("[" * 100_000), "is not a run's manifest", "RecursionError"),
+    record("manifest-empty", manifest_text("{}"), "is not a run's manifest: lacks 'format'"),
+    record("other-format", edit_manifest(lambda data: data.update(format=9)), "format 9 is not the supported 1"),
+    record("manifest-without-scenario", edit_manifest(lambda data: data.pop("scenario")), "lacks 'scenario'"),
+    record(
+        "manifest-bad-scenario",
+        edit_manifest(lambda data: data["scenario"].update(duration=-1)),
+        "run/manifest.json: duration: must be > 0 s",
+    ),
+    record(
+        "manifest-scenario-list",
+        edit_manifest(lambda data: data.update(scenario=[1])),
+        "run/manifest.json: must be a mapping",
+    ),
+    record(
+        "manifest-outcome-list",
+        edit_manifest(lambda data: data.update(outcome=[1])),
+        "is not a run's manifest: TypeError",
+    ),
+    record(
+        "manifest-outcome-status",
+        edit_manifest(lambda data: data["outcome"].update(status="fine")),
+        "outcome.status must be one of completed",
+    ),
+    record(
+        "manifest-outcome-time",
+        edit_manifest(lambda data: data["outcome"].update(time="late")),
+        "outcome.time must be a number",
+    ),
+    record("manifest-wall-time", edit_manifest(lambda data: data.update(wall_time={})), "lacks 'build'"),
+]
+
+
+@pytest.fixture(scope="module")
+def good_run(tmp_path_factory, run):
+    return run("postcapture", "duration=0.05").save(tmp_path_factory.mktemp("good") / "run")
+
+
+def _files(folder: Path) -> set[Path]:
+    return {path for path in folder.rglob("*") if "__pycache__" not in path.parts}
+
+
+def check_line(stderr: str, expected: tuple[str, ...]) -> None:
+    lines = stderr.splitlines()
+    if stderr.startswith("Usage:"):  # click's own
+        found = [line for line in lines if line.startswith("Error: ")]
+    else:
+        found = [line for line in lines if line.startswith("error: ")]
+        others = [line for line in lines if line not in found and not line.startswith("warning: ")]
+        assert all(" of 0.05 s" in line or ": completed" in line for line in others), others  # progress
+    assert len(found) == 1, stderr
+    for fragment in expected:
+        assert fragment in found[0]
+
+
+@pytest.mark.parametrize("row", TABLE, ids=lambda row: row.id)
+def test_one_line(row, tmp_path, monkeypatch, capfd, good_run):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    if "run" in shlex.split(row.command)[1:]:
+        shutil.copytree(good_run, tmp_path / "run")
+    for name, content in row.files.items():
+        (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    if row.prepare is not None:
+        row.prepare(tmp_path)
+    before = _files(tmp_path)
+    result = CliRunner().invoke(main, shlex.split(row.command))
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    check_line(result.stderr, row.expected)
+    assert "Traceback" not in result.output
+    assert result.exit_code == 2
+    assert _files(tmp_path) == before
+    out, err = capfd.readouterr()
+    assert out + err == ""  # nothing past Python's streams either
+
+
+def test_the_table_is_long_and_its_names_differ():
+    assert len(TABLE) >= 70
+    assert len({row.id for row in TABLE}) == len(TABLE)
+
+
+# With Ctrl-C as on a terminal: a process that was started in the background inherits that it is ignored.
+FFSM = (
+    sys.executable,
+    "-c",
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    "from ffsm_drake.cli import main; main(prog_name='ffsm')",
+)
+OWN_PROCESS = {
+    "env": os.environ | {"PYTHONPATH": str(Path(files.__file__).parents[2]), "PYTHONDONTWRITEBYTECODE": "1"},
+    "text": True,
+    "stderr": subprocess.PIPE,
+}
+
+
+def ffsm(*argv: str, cwd: Path, **settings) -> subprocess.CompletedProcess:
+    """The command line in a process of its own."""
+    settings = {"stdout": subprocess.PIPE} | OWN_PROCESS | settings
+    return subprocess.run([*FFSM, *argv], cwd=cwd, check=False, timeout=120, **settings)
+
+
+@pytest.mark.parametrize("id", ["key-twice", "urdf-triangle-inequality", "no-super-init", "nan-configuration"])
+def test_one_line_from_a_process_of_its_own(id, tmp_path):
+    (row,) = (row for row in TABLE if row.id == id)
+    for name, content in row.files.items():
+        (tmp_path / name).write_text(content)
+    finished = ffsm(*shlex.split(row.command), cwd=tmp_path)
+    check_line(finished.stderr, row.expected)
+    assert finished.returncode == 2
+    assert "Traceback" not in finished.stderr + finished.stdout
+
+
+def test_standard_output_on_a_full_disk(tmp_path):
+    with open("/dev/full", "w") as full:
+        finished = ffsm("scenarios", cwd=tmp_path, stdout=full)
+    assert "Traceback" not in finished.stderr
+    assert finished.stderr.startswith("error: [Errno 28] No space left on device")
+    assert finished.returncode != 0
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_unreadable_scenario(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("duration: 1\n")
+    path.chmod(0)
+    result = CliRunner().invoke(main, ["validate", str(path)])
+    assert result.exit_code == 2
+    check_line(result.stderr, ("mine.yaml: cannot be read", "Permission denied"))
+
+
+def test_empty_scenario_is_the_defaults(tmp_path):
+    (tmp_path / "mine.yaml").write_text("")
+    assert load_scenario(tmp_path / "mine.yaml").duration == 20.0
+    result = CliRunner().invoke(main, ["validate", str(tmp_path / "mine.yaml")])
+    assert result.exit_code == 0, result.output
+
+
+def test_several_scenarios_one_line_each(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.yaml").write_text("duration: -1\n")
+    Path("b.yaml").write_text("sensing: {velocity_noise: {arm: 1}}\n")
+    result = CliRunner().invoke(main, ["validate", "a.yaml", "postcapture", "b.yaml"])
+    assert result.exit_code == 2
+    first, second = result.stderr.splitlines()
+    assert first == "error: a.yaml: duration: must be > 0 s"
+    assert second.startswith("error: b.yaml: sensing.velocity_noise.arm: unknown coordinate")
+    assert "postcapture: valid" in result.stdout
+
+
+# A disk that fills up.
+
+
+def test_full_disk_keeps_the_old_record_whole(tmp_path, good_run, monkeypatch):
+    """The disk fills up at the last of the three files: all three stay what they were."""
+    shutil.copytree(good_run, tmp_path / "run")
+    before = {path: path.read_bytes() for path in (tmp_path / "run").iterdir()}
+    write_text = Path.write_text
+
+    def full(path, text, **settings):
+        if "manifest" in path.name:
+            path.touch()
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write_text(path, text, **settings)
+
+    monkeypatch.setattr(Path, "write_text", full)
+    record = simulate(load_scenario("postcapture", ["duration=0.1"]), check_stability=False)
+    with pytest.raises(RecordError, match=r"run/manifest\.json: cannot be written: .*No space left on device$"):
+        record.save(tmp_path / "run")
+    assert {path: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
+
+
+def test_full_disk_under_the_netcdf_library(tmp_path):
+    """Files may not grow beyond a limit, as on a full disk: the netCDF library meets it in its own code."""
+    command = shlex.split("run --no-report --set duration=1 --out new")
+
+    def limited() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))
+
+    finished = ffsm(*command, cwd=tmp_path, preexec_fn=limited)
+    assert finished.returncode == 2, finished.stderr
+    errors = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1
+    assert "cannot be written" in errors[0]
+    assert "Traceback" not in finished.stderr
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_written_together_or_not_at_all(tmp_path):
+    old, blocked = tmp_path / "old.txt", tmp_path / "taken" / "new.txt"
+    old.write_text("old")
+    (tmp_path / "taken").touch()
+    with pytest.raises(RecordError, match=r"taken/new\.txt: cannot be written"):
+        files.write_together({old: lambda path: path.write_text("new"), blocked: lambda path: path.write_text("new")})
+    assert old.read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["old.txt", "taken"]
+
+
+# Runs that end early keep their record.
+
+
+def check_kept(folder: Path, status: str) -> RunRecord:
+    kept = RunRecord.load(folder)
+    assert kept.outcome.status == status
+    assert kept.dataset.sizes["time"] >= 1
+    assert not list(folder.glob(".*partial*"))
+    return kept
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("-c mine_bad:NanForce", "the force on base_rotation_x is nan"),
+        ("--set controllers.tde_aismc.k_d=1e20", "beyond divergence_speed = 10"),
+        ("--set divergence_speed=1e-6", "beyond divergence_speed = 1e-06"),
+        ("--set sensing.velocity_noise=1e20", "beyond divergence_speed = 10"),
+        ("--set initial_posture.base_position=[1e20,0,0]", "beyond divergence_speed = 10"),
+        ("--set divergence_speed=1e20 --set payload.belief.mass=1e10", "beyond divergence_speed = 1e+20"),
+    ],
+)
+def test_divergence_exits_with_3_and_keeps_the_record(tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    Path("mine_bad.py").write_text(CONTROLLERS)
+    result = CliRunner().invoke(main, ["run", "--no-report", "--out", "new", *shlex.split(SHORT), *shlex.split(words)])
+    assert result.exit_code == 3, result.output
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+    assert "diverged at t = " in result.stderr
+    assert message in result.stderr
+    assert "Traceback" not in result.output
+    kept = check_kept(tmp_path / "new", "diverged")
+    assert message in kept.outcome.message
+    analyze(kept)  # what is kept can be looked at
+    if kept.dataset.sizes["time"] == 1:  # the shortest there is
+        looked = CliRunner().invoke(main, ["plot", "new"])
+        assert looked.exit_code == 0, looked.output
+
+
+def _started(process: subprocess.Popen) -> None:
+    """Wait until the run has begun: its first progress line."""
+    for line in process.stderr:
+        if "tde_aismc:" in line:
+            return
+    raise AssertionError("the run never began")
+
+
+@pytest.mark.parametrize("signals", [1, 2])
+def test_interrupted_runs_keep_their_record(tmp_path, signals):
+    """Ctrl-C in mid-run ends with 130 and a record; a second one, whenever it comes, leaves a whole record or none."""
+    command = [*FFSM, "run", "--no-report", "--out", "new", "--set", "duration=5000"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, **OWN_PROCESS)
+    try:
+        _started(process)
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        if signals == 2:
+            time.sleep(0.05)
+            process.send_signal(signal.SIGINT)
+        _, stderr = process.communicate(timeout=120)
+    finally:
+        process.kill()
+    assert process.returncode == 130, stderr
+    assert "Traceback" not in stderr
+    assert "interrupted" in stderr
+    if signals == 1:
+        kept = check_kept(tmp_path / "new", "interrupted")
+        assert 0.0 < kept.outcome.time < 5000.0
+    else:
+        assert not list(tmp_path.rglob("*partial*"))
+        if (tmp_path / "new" / "manifest.json").exists():
+            check_kept(tmp_path / "new", "interrupted")
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_second_interrupt_at_any_moment_of_saving(tmp_path, good_run, monkeypatch, number):
+    """Ctrl-C at each call that saving makes into the file system: the old record or the new one, never a mixture."""
+    shutil.copytree(good_run, tmp_path / "run")
+    calls = 0
+
+    def interrupting(original):
+        def call(*args, **kwargs):
+            nonlocal calls
+            calls += 1
+            if calls == number + 1:
+                raise KeyboardInterrupt
+            return original(*args, **kwargs)
+
+        return call
+
+    record = simulate(load_scenario("postcapture", ["duration=0.1"]), check_stability=False)
+    with monkeypatch.context() as patched:
+        for name in ("mkdir", "write_text"):
+            patched.setattr(Path, name, interrupting(getattr(Path, name)))
+        patched.setattr(type(record.dataset), "to_netcdf", interrupting(type(record.dataset).to_netcdf))
+        with suppress(KeyboardInterrupt):
+            record.save(tmp_path / "run")
+    kept = RunRecord.load(tmp_path / "run")
+    assert kept.scenario.duration == pytest.approx(kept.outcome.time)
+    assert kept.dataset["time"].values[-1] == pytest.approx(kept.outcome.time)
+    assert len(list((tmp_path / "run").iterdir())) == 3
+
+
+# The browser view.
+
+
+def test_the_browser_view_passes_over_a_port_in_use():
+    from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
+
+    with socket.socket() as taken, quiet_drake():
+        try:
+            taken.bind(("127.0.0.1", 7000))
+            taken.listen()
+        except OSError:
+            pass  # in use already, which serves as well
+        meshcat = start_meshcat()
+        assert 7000 < meshcat.port() < 8000
+        assert "127.0.0.1" in meshcat.web_url() or "localhost" in meshcat.web_url()
+
+
+@pytest.mark.parametrize("where", ["logging", "update"])
+def test_an_interrupted_record_is_the_whole_one_up_to_its_end(where, run, monkeypatch):
+    """Ctrl-C between two loggers of one instant, or within a control update: every sample that is kept is right."""
+    from ffsm_drake.systems import reference
+    from ffsm_drake.systems.controllers import tde
+
+    owner, name = {"logging": (reference.QuinticReference, "_calc_acceleration"), "update": (tde, "time_delay_force")}[
+        where
+    ]
+    original, calls = getattr(owner, name), 0
+
+    def interrupting(*args, **kwargs):
+        nonlocal calls
+        calls += 1
+        if calls == 4:
+            raise KeyboardInterrupt
+        return original(*args, **kwargs)
+
+    whole = run("postcapture", "duration=0.2").dataset
+    with monkeypatch.context() as patched:
+        patched.setattr(owner, name, interrupting)
+        record = simulate(load_scenario("postcapture", ["duration=0.2"]), check_stability=False)
+    assert record.outcome.status == "interrupted"
+    size = record.dataset.sizes["time"]
+    assert 1 <= size < whole.sizes["time"]
+    assert record.outcome.time == whole["time"].values[size - 1]
+    for variable in whole.data_vars:
+        assert (record.dataset[variable].values == whole[variable].values[:size]).all(), variable

@@ -1,0 +1,210 @@
+"""The command line: what it prints, writes and answers with."""
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+from click.testing import CliRunner
+
+from ffsm_drake import RunRecord
+from ffsm_drake.cli import main
+from ffsm_drake.scenario import shipped_scenarios
+
+SHORT = ["--set", "duration=0.3"]
+
+
+def ffsm(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.mark.parametrize("command", [[], *[[name] for name in main.commands]], ids=lambda command: " ".join(command))
+def test_help_has_examples(command):
+    result = ffsm(*command, "--help")
+    assert result.exit_code == 0
+    assert "Usage:" in result.output
+    assert "Example" in result.output
+
+
+def test_help_needs_no_drake():
+    code = "import sys, ffsm_drake.cli as c; c.main(['--help'], standalone_mode=False); print(sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = done.stdout.splitlines()[-1]
+    for heavy in ("pydrake", "numpy", "matplotlib", "scipy", "xarray"):
+        assert f"'{heavy}'" not in loaded
+
+
+def test_run_writes_record_and_report(tmp_path):
+    result = ffsm("run", "postcapture", *SHORT, "--seed", 4, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    record = RunRecord.load(tmp_path)
+    assert record.scenario.random_seed == 4
+    assert {path.name for path in tmp_path.iterdir()} == {"record.nc", "metrics.json", "manifest.json", "report.html"}
+    row = next(line for line in result.stdout.splitlines() if line.startswith("tde_aismc  "))
+    assert f"{record.metrics['itae']:.4g}" in row
+    assert f"{record.metrics['isv']:.5g}" in row
+
+
+def test_run_as_json(tmp_path):
+    result = ffsm("run", *SHORT, "--no-report", "--json", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    (run,) = json.loads(result.stdout)["runs"]
+    assert run["status"] == "completed"
+    assert run["metrics"] == RunRecord.load(tmp_path).metrics
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_run_goes_to_a_folder_of_the_scenarios_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert ffsm("run", "paper", *SHORT, "--no-report").exit_code == 0
+    assert RunRecord.load("out/paper").outcome.completed
+
+
+def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
+    unstable = ["--set", "controllers.tde_aismc.k_s_initial=150", "--set", "controllers.tde_aismc.k_s_max=null"]
+    result = ffsm("run", *unstable, "--no-report", "--out", tmp_path)
+    assert result.exit_code == 3
+    assert re.search(r"tde_aismc diverged at t = [\d.]+ s: \S+ moves at", result.stderr)
+    assert RunRecord.load(tmp_path).outcome.status == "diverged"
+
+
+def test_compare_overlays_and_ranks(tmp_path):
+    result = ffsm("compare", *SHORT, "--seed", 2, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    for name in ("tdc", "asmc", "aismc", "tde_aismc"):
+        record = RunRecord.load(tmp_path / name)
+        assert record.scenario.controller == name
+        assert record.scenario.random_seed == 2
+    assert (tmp_path / "report.html").is_file()
+
+
+def test_compare_refuses_the_same_twice():
+    result = ffsm("compare", "-c", "tdc", "-c", "tdc")
+    assert result.exit_code == 2
+    assert "tdc is given more than once" in result.output
+
+
+def test_stability(tmp_path):
+    result = ffsm("stability", "--out", tmp_path)
+    assert result.exit_code == 0
+    assert "stable" in result.stdout.splitlines()[-2]
+    assert (tmp_path / "stability.png").stat().st_size > 20_000
+    unstable = ffsm("stability", "--set", "controllers.tde_aismc.k_s_initial=150", "--json")
+    assert unstable.exit_code == 3
+    data = json.loads(unstable.stdout)
+    assert data["stable"] is False
+    assert data["coordinates"]["joint_1"]["k_s_limit"] == pytest.approx(100, rel=1e-6)
+    other = ffsm("stability", "-c", "pd_plus")
+    assert other.exit_code == 2
+    assert "the sampled-loop margins are those of tdc, asmc, aismc, tde_aismc; 'pd_plus' is another" in other.stderr
+
+
+def test_analyze(run, tmp_path):
+    directory = run("postcapture").save(tmp_path / "run")
+    result = ffsm("analyze", directory)
+    assert result.exit_code == 0, result.output
+    assert "[does not hold] Lemma 1, premise" in result.output
+    findings = json.loads((directory / "analysis.json").read_text())
+    assert findings["momentum_balance"]["verdict"] == "holds"
+    assert (directory / "analysis.png").stat().st_size > 50_000
+    elsewhere = ffsm("analyze", directory, "--out", tmp_path / "new", "--json")
+    assert elsewhere.exit_code == 0
+    assert json.loads((tmp_path / "new" / "analysis.json").read_text()) == findings == json.loads(elsewhere.stdout)
+
+
+def test_analyze_needs_a_record(tmp_path):
+    result = ffsm("analyze", tmp_path / "nothing")
+    assert result.exit_code == 2
+    assert "manifest.json: cannot be read" in result.output
+    assert result.output.count("\n") == 1
+
+
+def test_plot_overlays_runs(run, tmp_path):
+    for name in ("one", "two"):
+        run("postcapture", "duration=0.5").save(tmp_path / name)
+    result = ffsm("plot", tmp_path / "one", tmp_path / "two", "--out", tmp_path / "figures")
+    assert result.exit_code == 0, result.output
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {
+        "trajectories.png", "errors.png", "efforts.png", "gains.png",
+    }  # fmt: skip
+
+
+def test_diagram(tmp_path):
+    printed = ffsm("diagram", "--controller", "pd_plus")
+    assert printed.exit_code == 0
+    assert printed.stdout.startswith("digraph")
+    assert "name=pd_plus" in printed.stdout
+    written = ffsm("diagram", "--controller", "pd_plus", "--out", tmp_path / "loop.svg")
+    assert written.exit_code == 0
+    assert (tmp_path / "loop.dot").read_text().strip() == printed.stdout.strip()
+
+
+def test_scenarios_and_validate(tmp_path):
+    listed = json.loads(ffsm("scenarios", "--json").stdout)
+    assert set(listed) == set(shipped_scenarios())
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(ffsm("scenarios", "flight_sensors").stdout)
+    good = ffsm("validate", *shipped_scenarios(), mine)
+    assert good.exit_code == 0, good.output
+    assert f"{mine}: valid; tde_aismc, free base and 5 joints" in good.stdout
+    mine.write_text("payload: {truth: {mass: -1}}")
+    bad = ffsm("validate", "postcapture", mine, "--json")
+    assert bad.exit_code == 2
+    results = json.loads(bad.stdout)
+    assert results["postcapture"]["valid"]
+    assert results[str(mine)]["error"] == f"{mine}: payload.truth.mass: must be > 0 kg, not -1.0"
+
+
+def test_schema_describes_every_shipped_scenario():
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads(ffsm("schema").stdout)
+    assert schema["properties"]["duration"]["description"].startswith("s; ")
+    assert "kg" in schema["properties"]["payload"]["properties"]["truth"]["properties"]["mass"]["description"]
+    for name in shipped_scenarios():
+        jsonschema.validate(json.loads(ffsm("scenarios", name, "--json").stdout), schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({"duration": "long"}, schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({"durations": 1.0}, schema)
+
+
+def test_doctor(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = ffsm("doctor", "--json")
+    assert result.exit_code == 0, result.output
+    status = {check["name"]: check["status"] for check in json.loads(result.stdout)}
+    assert status["a short run"] == "ok"
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr("ffsm_drake.cli.doctor._models", lambda: (_ for _ in ()).throw(OSError("no models")))
+    sick = ffsm("doctor")
+    assert sick.exit_code == 2
+    assert "[missing] models: no models" in sick.stdout
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion(shell):
+    result = ffsm("completion", shell)
+    assert result.exit_code == 0
+    assert "_FFSM_COMPLETE" in result.stdout
+
+
+def test_completion_knows_scenarios_and_controllers(monkeypatch):
+    from click.shell_completion import ShellComplete
+
+    completer = ShellComplete(main, {}, "ffsm", "_FFSM_COMPLETE")
+    assert "flight_sensors" in [item.value for item in completer.get_completions(["run"], "fl")]
+    assert "computed_torque" in [item.value for item in completer.get_completions(["run", "--controller"], "comp")]
+
+
+def test_reproduce_a_figure(tmp_path):
+    result = ffsm("reproduce", "fig3", "--out", tmp_path / "new")
+    assert result.exit_code == 0, result.output
+    assert "runs: tables, figures, page" in result.output
+    assert (tmp_path / "new" / "figures" / "fig3_euler.png").stat().st_size > 50_000
+
+
+def test_reproduce_refuses_what_the_paper_has_not(tmp_path):
+    result = ffsm("reproduce", "fig9", "--out", tmp_path)
+    assert result.exit_code == 2
+    assert "'fig9' is not one of" in result.output

@@ -1,0 +1,166 @@
+"""The mission with real sensors: what flight_sensors promises, how that is predicted, and how gains are designed."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ffsm_drake import load_scenario, override_scenario, simulate
+from ffsm_drake.cli import main
+from ffsm_drake.design.gains import design
+from ffsm_drake.design.stability import assess
+from ffsm_drake.design.stability.margins import sampling_of
+from ffsm_drake.design.stability.prediction import make_plan, predict
+from ffsm_drake.design.stability.sampled_loop import law_gains
+
+
+def rms_after(record, seconds=5.0):
+    """Root mean square error by group after a time."""
+    data = record.dataset
+    error = data["error"].values[data["time"].values > seconds]
+    group = data["group"].values
+    return {name: float(np.sqrt(np.mean(error[:, group == name] ** 2))) for name in np.unique(group)}
+
+
+@pytest.mark.parametrize("controller", ["tde_aismc", "tdc"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_it_flies(run, controller, seed):
+    record = run("flight_sensors", f"controller={controller}", f"random_seed={seed}")
+    assert record.outcome.completed
+    assert record.metrics["isv"] <= 420
+    effort = record.metrics["peak_effort"]
+    assert effort["base_position"] <= 6.0
+    assert max(effort["base_rotation"], effort["joints"]) <= 6.0
+    rms = rms_after(record)
+    assert rms["base_rotation"] <= 4e-6
+    assert rms["joints"] <= 1.2e-5
+    assert rms["base_position"] <= 2e-4
+
+
+@pytest.mark.parametrize("controller", ["tde_aismc", "tdc"])
+@pytest.mark.parametrize("belief", [40, 50, 100, 125, 150])
+def test_it_flies_with_a_wrong_payload(run, controller, belief):
+    inertia = [0.167 * belief] * 3
+    payload = (f"payload.belief.mass={belief}", f"payload.belief.inertia={inertia}")
+    record = run("flight_sensors", f"controller={controller}", *payload)
+    assert record.outcome.completed
+    assert record.metrics["isv"] <= 480
+
+
+@pytest.mark.parametrize("scale", ["frequency_scale", "amplitude_scale"])
+def test_it_flies_under_other_disturbances(run, scale):
+    override = f"disturbance.{scale}=3"
+    ideal = make_plan(load_scenario("flight_sensors", [override])).ideal_isv
+    record = run("flight_sensors", override)
+    assert record.outcome.completed
+    assert record.metrics["isv"] <= 1.1 * ideal + 50
+
+
+@pytest.mark.parametrize("controller", ["tde_aismc", "tdc"])
+def test_the_published_estimate_does_not_fly(run, controller):
+    """Published gains and estimate with the same sensors: the thrusters saturate and the effort is a thousandfold."""
+    published = {
+        "tdc": ["controllers.tdc.k_d=100", "controllers.tdc.k_p={all: 100, base_position: 200}"],
+        "tde_aismc": ["controllers.tde_aismc.k_d=100", "controllers.tde_aismc.k_p={all: 100, base_position: 200}",
+                      "controllers.tde_aismc.k_s_initial=80", "controllers.tde_aismc.k_s_max=90"],
+    }[controller]  # fmt: skip
+    record = run("flight_sensors", f"controller={controller}", "estimator.kind=one_sample", *published)
+    commanded, applied = (record.dataset[name].values for name in ("generalized_force", "applied_force"))
+    assert record.metrics["isv"] > 1e5
+    assert (np.abs(commanded) > np.abs(applied) + 1e-9)[:, 3:6].mean() > 0.5  # saturated more than half of the time
+
+
+def test_prediction_against_twenty_seeds():
+    """Rms error and effort from the linear analysis agree with Monte Carlo within 10 %."""
+    scenario = load_scenario("flight_sensors", ["controller=aismc"])
+    plan = make_plan(scenario)
+    predicted = predict(plan, law_gains(scenario, plan.coordinates).at(), sampling_of(scenario, plan.coordinates))
+    runs = [simulate(override_scenario(scenario, [f"random_seed={seed}"]), check_stability=False) for seed in range(20)]
+    assert predicted.isv == pytest.approx(np.mean([record.metrics["isv"] for record in runs]), rel=0.02)
+    square = np.mean([(record.dataset["error"].values[501:] ** 2).mean(axis=0) for record in runs], axis=0)
+    groups = plan.coordinates.groups
+    for name, value in predicted.by_group().items():
+        assert value == pytest.approx(np.sqrt(square[groups[name]].mean()), rel=0.1), name
+    peaks = np.mean([np.abs(record.dataset["generalized_force"].values).max(axis=0) for record in runs], axis=0)
+    assert predicted.peak_effort == pytest.approx(peaks, rel=0.3)
+
+
+def test_perfect_tracking_effort_is_that_of_a_noiseless_run(run):
+    plan = make_plan(load_scenario("postcapture", ["controller=aismc", "sensing.velocity_noise=0"]))
+    simulated = run("postcapture", "controller=aismc", "sensing.velocity_noise=0").metrics["isv"]
+    assert plan.ideal_isv == pytest.approx(simulated, rel=2e-3)
+
+
+def test_design_beats_the_hand_made_gains():
+    """No more error in any group, at no more effort, than w = 2, 5, 10 rad/s with walks 1e-3, 1e-3, 1e-2."""
+    hand_made = load_scenario(
+        "flight_sensors",
+        ["controller=tdc", "controllers.tdc.k_d={base_position: 4, base_rotation: 10, joints: 20}",
+         "controllers.tdc.k_p={base_position: 4, base_rotation: 25, joints: 100}",
+         "estimator.walk={base_position: 1e-3, base_rotation: 1e-3, joints: 1e-2}"],
+    )  # fmt: skip
+    found = design(hand_made, budget=405.0)
+    assert found.chosen.prediction.isv <= 405.0 < found.reference.isv
+    before, after = found.reference.by_group(), found.chosen.prediction.by_group()
+    for name in before:
+        assert after[name] <= before[name] * 1.001, name
+    assert all(prediction.spectral_radius < 1.0 for prediction in found.robustness.values())
+    # Along the front effort buys accuracy.
+    errors = [sum(np.log(list(point.prediction.by_group().values()))) for point in found.front]
+    efforts = [point.prediction.isv for point in found.front]
+    assert efforts == sorted(efforts)
+    assert errors == sorted(errors, reverse=True)
+    # ... and the simulation agrees.
+    record = simulate(found.chosen.scenario)
+    assert record.metrics["isv"] == pytest.approx(found.chosen.prediction.isv, rel=0.02)
+
+
+def test_design_from_the_shell(tmp_path):
+    arguments = [
+        "design",
+        "flight_sensors",
+        "--controller",
+        "asmc",
+        "--payload-range",
+        "60",
+        "150",
+        "--out",
+        str(tmp_path),
+        "--json",
+    ]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    scenario = load_scenario(tmp_path / "design.yaml")
+    data = json.loads(result.stdout)
+    assert data["gains"]["k_s"] == scenario.controllers.asmc.k_s
+    assert data["chosen"]["isv"] <= data["budget"]
+    assert set(data["by_payload_mass"]) >= {"60", "150"}
+    assert scenario.controller == "asmc"
+    assert scenario.estimator.kind == "kalman"
+    assert simulate(scenario).metrics["isv"] < 420
+    assert (tmp_path / "design.png").stat().st_size > 20_000
+
+
+def test_design_says_when_a_budget_cannot_be_met(tmp_path):
+    arguments = ["design", "flight_sensors", "--controller", "tdc", "--budget", "300", "--out", str(tmp_path)]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2
+    assert "error: budget: ISV 300.0 cannot be met; the cheapest gains found need" in result.output
+
+
+def test_margins_know_the_estimator():
+    """The Kalman estimate tolerates over-estimated inertia that the one-sample estimate does not."""
+    kalman = assess(load_scenario("flight_sensors", ["controller=tdc"]))
+    one_sample = assess(load_scenario("postcapture", ["controller=aismc"]))
+    assert kalman.is_stable
+    assert kalman.eta_tolerated[:, 1].min() > 1.6 > one_sample.eta_tolerated[:, 1].max()
+    assert kalman.sample_time_limit.min() > 0.015
+
+
+@pytest.mark.parametrize("payload_range", [("150", "60"), ("-5", "60"), ("60", "60")])
+def test_design_refuses_a_payload_range_that_is_none(tmp_path, payload_range):
+    arguments = ["design", "flight_sensors", "--out", str(tmp_path), "--payload-range", *payload_range]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2
+    assert "error: payload range: must be two masses 0 < LOW < HIGH in kg" in result.output

@@ -1,0 +1,243 @@
+"""Sampled-loop stability: closed forms, and the predictions against the simulated plant."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.optimize import brentq
+
+from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
+from ffsm_drake.cli import main
+from ffsm_drake.design.stability import StabilityWarning, assess, stability_warning
+from ffsm_drake.design.stability.sampled_loop import (
+    LawGains,
+    LoopGains,
+    Sampling,
+    axis_poles,
+    coupled_loop,
+    inertia_ratios,
+    largest_sample_time,
+    largest_stable_k_s,
+    law_gains,
+    tolerated_eta,
+)
+from ffsm_drake.spacecraft.plant import configuration
+
+L = 0.01
+SAMPLED = Sampling(sample_time=L)
+ONE = np.ones(1)
+PUBLISHED = LawGains(k_d=100 * ONE, k_p=200 * ONE, integral=True, k_s=80 * ONE, k_s_max=80 * ONE)
+
+
+@pytest.mark.parametrize(
+    ("gains", "expected"),
+    [
+        (LoopGains(k_v=180.0, k_p=8200.0, k_i=16000.0), [0.97957, -0.73921, 0.54964]),
+        (LoopGains(k_v=180.0, k_p=8100.0, k_i=8000.0), [0.98990, -0.73976, 0.54487]),
+        (LoopGains(k_v=180.0, k_p=8000.0, k_i=0.0), [-0.74031, 0.54031]),
+        (LoopGains(k_v=100.0, k_p=200.0, k_i=0.0), [0.97979, 0.01021]),
+    ],
+)
+def test_poles_at_eta_1(gains, expected):
+    poles = axis_poles(gains, eta=1.0, sampling=SAMPLED)
+    assert poles[: len(expected)] == pytest.approx(expected, abs=1e-5)
+    assert poles[len(expected) :] == pytest.approx(0.0, abs=1e-9)  # the delayed acceleration, cancelled exactly
+
+
+@pytest.mark.parametrize(
+    ("eta", "expected"),
+    [(0.3, 51), (0.5, 197), (0.7, 271), (0.8, 199), (0.9, 144), (1.0, 99.5), (1.05, 80.5), (1.1, 63.5), (1.2, 33)],
+)
+def test_largest_stable_k_s(eta, expected):
+    limit = largest_stable_k_s(PUBLISHED, 0, eta=eta, sampling=SAMPLED)
+    assert limit == pytest.approx(expected, rel=0.0102)
+    if eta > 0.6:  # there the pole at z = -1 decides
+        assert (100.0 + limit) * L == pytest.approx(2 * (2 - eta) / eta, rel=1e-6)
+
+
+def test_other_limits_follow_from_the_pole_at_minus_one():
+    assert largest_sample_time(PUBLISHED, 0, eta=1.0, sampling=SAMPLED) == pytest.approx(2.0 / 180.0, rel=1e-5)
+    low, high = tolerated_eta(PUBLISHED, 0, sampling=SAMPLED)
+    assert high == pytest.approx(4.0 / (2.0 + 180.0 * L), rel=1e-6)
+    for eta, stable in ((low - 1e-4, False), (low + 1e-4, True), (high - 1e-4, True), (high + 1e-4, False)):
+        gains = LoopGains(k_v=180.0, k_p=8200.0, k_i=16000.0)
+        assert (np.abs(axis_poles(gains, eta=eta, sampling=SAMPLED)).max() < 1.0) == stable
+    # Explicit Euler doubles the room: the limit of the paper's own simulation.
+    assert largest_stable_k_s(PUBLISHED, 0, eta=1.0, sampling=Sampling(sample_time=L, euler=True)) == pytest.approx(
+        200.0, rel=1e-6
+    )
+
+
+def at_start(*overrides):
+    """Gains and mass matrices of a scenario in its initial posture."""
+    scenario = load_scenario("postcapture", overrides)
+    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    q = configuration(nominal.plant, scenario.initial_posture, key="initial_posture")
+    return scenario, law_gains(scenario, nominal.coordinates), true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
+
+
+def test_coupled_loop_without_coupling_is_the_axis_loop():
+    _, law, h, _ = at_start("controller=aismc")
+    coupled = coupled_loop(law.at(), true_mass_matrix=h, nominal_mass_matrix=0.8 * h, sampling=SAMPLED)
+    single = [
+        axis_poles(LoopGains(k_v=180.0, k_p=k_p + 8000.0, k_i=80.0 * k_p), eta=0.8, sampling=SAMPLED)
+        for k_p in (100, 200)
+    ]
+    expected = np.sort(np.abs(np.concatenate([single[0]] * 8 + [single[1]] * 3)))[::-1]
+    found = np.sort(np.abs(np.linalg.eigvals(coupled.a)))[::-1]
+    assert found[: expected.size] == pytest.approx(expected, abs=1e-6)
+    assert coupled.spectral_radius == pytest.approx(expected[0], abs=1e-9)
+
+
+def test_inertia_ratios_are_free_of_units():
+    _, _, h, h_hat = at_start()
+    eta = inertia_ratios(h, h_hat)
+    assert eta == pytest.approx(np.sort(np.linalg.eigvals(np.linalg.solve(h, h_hat)).real), abs=1e-9)
+    millimetres = np.diag([1.0] * 3 + [1e3] * 3 + [1.0] * 5)
+    assert inertia_ratios(millimetres @ h @ millimetres, millimetres @ h_hat @ millimetres) == pytest.approx(eta)
+    assert inertia_ratios(h, h) == pytest.approx(np.ones(11))
+    # A payload changes ten numbers of a rigid body: at least five modes do not feel it.
+    assert np.sum(np.abs(eta - 1.0) < 1e-9) >= 5
+
+
+HOLD = (
+    "target_posture.base_position=[0.1, 0.3, -0.2]",
+    "target_posture.base_rpy=[0.11, 0.08, -0.1]",
+    *(f"target_posture.joints.joint_{i}={np.deg2rad(angle)}" for i, angle in enumerate((10, 20, 60, 35, -40), start=1)),
+)
+
+
+@pytest.mark.parametrize("belief", [40.0, 80.0, 110.0])
+def test_predicted_boundary_against_the_simulated_plant(belief):
+    """3 % inside the predicted K_s the eleven-coordinate plant settles, 3 % outside it the oscillation grows."""
+    payload = [f"payload.belief.mass={belief}", f"payload.belief.inertia={[0.167 * belief] * 3}"]
+    frozen = [
+        "controller=aismc",
+        "controllers.aismc.alpha=0",
+        "sensing.velocity_noise=0",
+        "duration=12",
+        *HOLD,
+        *payload,
+    ]
+    _, law, h, h_hat = at_start(*frozen)
+
+    def excess(k_s):
+        loop = coupled_loop(law.at(k_s), true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=SAMPLED)
+        return loop.spectral_radius - 1.0
+
+    boundary = brentq(excess, 30.0, 300.0)
+    growth = {}
+    for factor in (0.97, 1.03):
+        record = simulate(load_scenario("postcapture", [*frozen, f"controllers.aismc.k_s_initial={factor * boundary}"]))
+        rate = np.abs(record.dataset["error_rate"].values).max(axis=1)
+        early = rate[10:60].max()
+        growth[factor] = (np.inf if not record.outcome.completed else rate[-100:].max()) / early
+    assert growth[0.97] < 0.5, (boundary, growth)
+    assert growth[1.03] > 2.0, (boundary, growth)
+
+
+@pytest.mark.parametrize(("controller", "noise"), [("tdc", "velocity"), ("aismc", "velocity"), ("aismc", "position")])
+def test_noise_amplification_against_the_simulated_plant(controller, noise):
+    quiet = {"velocity": "position", "position": "velocity"}[noise]
+    sigma = {"velocity": 1e-6, "position": 1e-8}[noise]
+    overrides = [f"controller={controller}", *HOLD, "duration=120", "disturbance.amplitude_scale=0",
+                 "controllers.aismc.alpha=0", f"sensing.{noise}_noise={sigma}", f"sensing.{quiet}_noise=0"]  # fmt: skip
+    scenario, law, h, h_hat = at_start(*overrides)
+    loop = coupled_loop(law.at(), true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=SAMPLED)
+    level = {f"{name}_noise": np.full(11, sigma if name == noise else 0.0) for name in (noise, quiet)}
+    predicted = loop.noise_response(**level)
+    data = simulate(scenario).dataset.isel(time=slice(1000, -1))
+    for name, variable in (("force", "generalized_force"), ("error", "error"), ("error_rate", "error_rate")):
+        measured = np.sqrt((data[variable].values ** 2).mean(axis=0))
+        for group in (slice(0, 3), slice(3, 6), slice(6, 11)):
+            ratio = np.sqrt(np.mean(measured[group] ** 2)) / np.sqrt(np.mean(predicted[name][group] ** 2))
+            assert ratio == pytest.approx(1.0, abs=0.1), (name, group)
+
+
+def test_noise_figures_of_the_published_gains():
+    """White velocity noise sigma costs an rms acceleration command of about 375 sigma (TDC), 1325 sigma (AISMC)."""
+    one = np.eye(1)
+    for gains, expected in ((LoopGains(k_v=100.0, k_p=100.0, k_i=0.0), 375), (PUBLISHED.at(), 1325)):
+        loop = coupled_loop(gains, true_mass_matrix=one, nominal_mass_matrix=one, sampling=SAMPLED)
+        response = loop.noise_response(position_noise=0 * ONE, velocity_noise=ONE)
+        assert response["force"][0] == pytest.approx(expected, rel=0.1)
+
+
+PUBLISHED_UNBOUNDED = ("controllers.tde_aismc.k_s_initial=80", "controllers.tde_aismc.k_s_max=null")
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "stable", "words"),
+    [
+        ("postcapture", (), True, "stable"),
+        ("postcapture", ("controller=tdc",), True, "stable"),
+        ("postcapture", ("controller=asmc",), True, "stable"),
+        ("postcapture", ("controller=aismc",), True, "nothing stops K_s before its limit (100.0 1/s"),
+        ("paper", (), True, "nothing stops K_s before its limit (200.0 1/s"),
+        ("postcapture", PUBLISHED_UNBOUNDED, False, "adaptation is expected to take K_s of base_rotation_x past"),
+        ("postcapture", ("payload.belief.mass=125",), False, "the sampled loop of tde_aismc has spectral radius 1."),
+        ("postcapture", ("sample_time=0.02", "controller=asmc"), False, "spectral radius"),
+    ],
+)
+def test_verdicts(name, overrides, stable, words):
+    margins = assess(load_scenario(name, overrides))
+    assert margins.is_stable == stable
+    assert words in margins.verdict
+
+
+def test_expected_adaptation_against_simulation(run):
+    """The forecast ends within 3 % of the simulated K_s, and puts the published gains' end at about the right time."""
+    for controller in ("tde_aismc", "aismc"):
+        scenario = load_scenario("postcapture", [f"controller={controller}"])
+        simulated = run("postcapture", f"controller={controller}").dataset["reaching_gain"].values[-1]
+        expected = assess(scenario).forecast_k_s[-1]
+        base = slice(0, 6)  # the joints' errors follow from the motion, which the forecast treats more coarsely
+        assert expected[base] == pytest.approx(simulated[base], rel=0.03)
+        assert expected == pytest.approx(simulated, rel=0.2)
+    margins = assess(load_scenario("postcapture", PUBLISHED_UNBOUNDED))
+    first = margins.forecast_times[np.argmax((margins.forecast_k_s > 100.0).any(axis=1))]
+    assert first == pytest.approx(run("postcapture", *PUBLISHED_UNBOUNDED).outcome.time, abs=2.0)
+
+
+def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
+    with pytest.warns(
+        StabilityWarning, match="K_s is not bounded, but the sampled loop is stable only below about 100"
+    ):
+        simulate(load_scenario("postcapture", ["duration=0.1", *PUBLISHED_UNBOUNDED]))
+    with pytest.warns(StabilityWarning, match="unstable at the starting gains") as caught:
+        simulate(load_scenario("postcapture", ["duration=0.1", "payload.belief.mass=125"]))
+    assert len([w for w in caught if w.category is StabilityWarning]) == 1
+    for quiet in ([], ["controller=tdc"], ["controller=asmc"]):
+        assert stability_warning(load_scenario("postcapture", quiet)) == ""
+    bounded = "controllers.tde_aismc.k_s_max="
+    assert "may grow to 120 1/s" in stability_warning(load_scenario("postcapture", [f"{bounded}120"]))
+    assert stability_warning(load_scenario("postcapture", [f"{bounded}95"])) == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["stability"], 0, "base_rotation_x            60         70       70      100     1.43       12.50"),
+        (["stability", "paper", "--controller", "tdc"], 0, "plant explicit Euler"),
+        (["stability", "--set", "payload.belief.mass=125"], 3, "unstable: the sampled loop of tde_aismc"),
+        (["stability", "nowhere"], 2, "error: nowhere: no such scenario; choose one of"),
+        (["stability", "--set", "controllers.tdc.kd=1"], 2, "error: override: controllers.tdc.kd: unknown key"),
+        (["stability", "--set", "controllers.tde_aismc.k_d.joint_9=1"], 2, "joint_9: unknown coordinate"),
+        (["stability", "--controller", "pid"], 2, "controller: 'pid' is unknown"),
+    ],
+)
+def test_command_line(arguments, code, words):
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == code, result.output
+    assert words in result.output
+    assert "Traceback" not in result.output
+
+
+@pytest.mark.parametrize("controller", ["tde_aismc", "tdc"])
+def test_stability_picture(tmp_path, controller):
+    from matplotlib import image
+
+    result = CliRunner().invoke(main, ["stability", "--controller", controller, "--out", str(tmp_path / "new")])
+    assert result.exit_code == 0, result.output
+    pixels = image.imread(tmp_path / "new" / "stability.png")
+    assert pixels.shape[1] > 1000
+    assert pixels[..., :3].std() > 0.1

@@ -1,0 +1,143 @@
+"""Many runs of one build: the bits of a fresh build, what a run may change, and metrics without the dataset."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import LeafSystem
+
+from ffsm_drake import ScenarioError, load_scenario, override_scenario, simulate
+from ffsm_drake.loop import closed_loop
+from ffsm_drake.runs.simulation import Rollout
+
+SCENARIO = load_scenario("flight_sensors", ["duration=1", "sensing.delay=2", "actuation.delay=1"])
+
+
+@pytest.fixture(scope="module")
+def rollout():
+    return Rollout(SCENARIO)
+
+
+def assert_same_bits(log, scenario):
+    fresh = Rollout(scenario).run()
+    assert log.outcome == fresh.outcome
+    assert log.scenario is scenario
+    assert np.array_equal(log.time, fresh.time)
+    assert set(log.series) == set(fresh.series)
+    for name, values in log.series.items():
+        assert np.array_equal(values, fresh.series[name]), name
+    assert log.metrics == fresh.metrics
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["random_seed=7", "duration=0.5", "payload.truth={mass: 140, inertia: [20, 20, 20]}", "divergence_speed=1e-3"],
+)
+def test_a_run_has_the_bits_of_a_fresh_build(rollout, override):
+    scenario = override_scenario(SCENARIO, [override])
+    assert rollout.accepts(scenario)
+    first = rollout.run()
+    changed = rollout.run(scenario)
+    assert_same_bits(changed, scenario)
+    assert changed.time.size != first.time.size or not np.array_equal(changed.error, first.error)
+    # Nothing stays behind for the next.
+    assert_same_bits(rollout.run(), SCENARIO)
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["controller=tdc", "controllers.tde_aismc.k_d=3", "sample_time=0.02", "payload.belief.mass=70",
+     "sensing.velocity_noise=1e-5", "disturbance.amplitude_scale=2", "simulator_config.max_step_size=0.005"],
+)  # fmt: skip
+def test_what_needs_another_build_is_refused(rollout, override):
+    scenario = override_scenario(SCENARIO, [override])
+    assert not rollout.accepts(scenario)
+    with pytest.raises(ScenarioError, match="build another") as error:
+        rollout.run(scenario)
+    assert "\n" not in str(error.value)
+
+
+def test_metrics_of_the_log_are_those_of_the_record(rollout):
+    log, record = rollout.run(), simulate(SCENARIO)
+    expected = {key: value for key, value in record.metrics.items() if key != "momentum_residual"}
+    assert log.metrics == expected
+    assert np.array_equal(log.error, record.dataset["error"].values)
+    assert np.array_equal(log.generalized_force, record.dataset["generalized_force"].values)
+    assert np.array_equal(log.time, record.dataset["time"].values)
+    assert log.outcome == record.outcome
+
+
+def test_a_log_is_frozen(rollout):
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        rollout.run().time = np.zeros(1)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["payload.belief.mass=250", "payload.belief.inertia=[42, 42, 42]"],  # numbers soon cease to be finite
+        ["controllers.tde_aismc.k_s_initial=105", "controllers.tde_aismc.k_s_max=105", "duration=5"],
+        # Leaves the bound for a while only, and so is unremarkable at every stop.
+        ["divergence_speed=0.012", "duration=20"],
+    ],
+)
+def test_a_diverging_run_ends_where_a_monitor_of_every_step_stops_it(overrides, capfd, recwarn):
+    scenario = load_scenario("postcapture", overrides)
+    rollout = Rollout(scenario)
+    log = rollout.run()
+    assert log.outcome.status == "diverged"
+    rollout._judged_by_log = False
+    watched = rollout.run()
+    assert log.outcome == watched.outcome
+    assert np.array_equal(log.time, watched.time)
+    for name, values in watched.series.items():
+        assert np.array_equal(log.series[name], values), name
+    assert capfd.readouterr().err == ""
+    assert not recwarn.list
+
+
+def test_steps_between_the_samples_are_watched_too():
+    """The velocity leaves the bound between two samples; the run stops there."""
+    scenario = load_scenario("postcapture", ["divergence_speed=0.012", "simulator_config.max_step_size=0.0025"])
+    log = Rollout(scenario).run()
+    assert log.outcome.status == "diverged"
+    stopped = float(log.outcome.message.split("t = ")[1].split(" s:")[0])
+    assert stopped == pytest.approx(log.time[-1], abs=0.01)
+    assert np.abs(log.series["state"][:-1, 12:]).max() <= 0.012
+
+
+class Damper(LeafSystem):
+    """The least that a controller must have: no optional outputs, no applied_force."""
+
+    def __init__(self, damping):
+        super().__init__()
+        self.damping = damping
+        self.state = self.DeclareVectorInputPort("estimated_state", 23)
+        self.DeclareVectorInputPort("desired_state", 23)
+        self.DeclareVectorInputPort("desired_acceleration", 11)
+        self.DeclareStateOutputPort("generalized_force", self.DeclareDiscreteState(11))
+        self.DeclarePeriodicDiscreteUpdateEvent(0.01, 0.0, self.update)
+
+    def update(self, context, values):
+        velocity = self.state.Eval(context)[12:]
+        if not np.abs(velocity).max() < 1e3:
+            raise ValueError("too fast for me")
+        values.set_value(0, -self.damping * velocity)
+
+
+def test_a_controller_of_ones_own_needs_the_contract_only(monkeypatch):
+    monkeypatch.setattr(closed_loop, "make_controller", lambda scenario, nominal: Damper(10.0))
+    record = simulate(load_scenario("postcapture", ["duration=2", "sensing.velocity_noise=0"]), check_stability=False)
+    assert record.outcome.completed
+    assert not {"sliding_variable", "reaching_gain", "switching_gain"} & set(record.dataset)
+    force, velocity = record.dataset["generalized_force"].values, record.dataset["measured_velocity"].values
+    assert np.array_equal(force, -10.0 * velocity)
+    assert force.any()
+
+
+def test_what_a_controller_refuses_after_the_run_diverged_does_not_matter(monkeypatch):
+    monkeypatch.setattr(closed_loop, "make_controller", lambda scenario, nominal: Damper(-200.0))
+    scenario = load_scenario("postcapture", ["duration=3"])
+    assert Rollout(scenario).run().outcome.status == "diverged"
+    with pytest.raises(ValueError, match="too fast for me"):
+        Rollout(override_scenario(scenario, ["divergence_speed=1e9"])).run()

@@ -1,0 +1,282 @@
+"""Runs and their records: alignment, reproducibility, saving, early ends, physics balances."""
+
+import json
+
+import netCDF4
+import numpy as np
+import pytest
+
+from ffsm_drake import (
+    RecordError,
+    RunRecord,
+    load_scenario,
+    make_closed_loop,
+    make_nominal_plant,
+    override_scenario,
+    simulate,
+)
+from ffsm_drake.spacecraft.coordinates import position_error
+from ffsm_drake.spacecraft.plant import base_rpy, make_plant, set_payload
+
+
+def test_dataset_is_labelled_and_complete(run):
+    data = run("postcapture").dataset
+    assert data.sizes == {"time": 2001, "position_name": 12, "coordinate": 11, "axis": 3}
+    assert data["time"].values == pytest.approx(0.01 * np.arange(2001), abs=1e-9)
+    assert data["coordinate"].values[0] == "base_rotation_x"
+    assert set(data.data_vars) == {
+        "position", "velocity", "measured_position", "measured_velocity", "desired_position", "desired_velocity",
+        "desired_acceleration", "error", "error_rate", "generalized_force", "applied_force",
+        "disturbance_force", "sliding_variable",
+        "reaching_gain", "switching_gain", "end_effector_position", "desired_end_effector_position", "base_rpy",
+        "desired_base_rpy", "linear_momentum", "angular_momentum", "kinetic_energy",
+    }  # fmt: skip
+    for name, variable in data.data_vars.items():
+        assert variable.attrs["units"], name
+        assert variable.attrs["long_name"], name
+        assert np.isfinite(variable.values).all(), name
+
+
+@pytest.mark.parametrize("controller", ["tdc", "asmc", "aismc", "tde_aismc"])
+def test_every_sample_satisfies_the_control_law(run, controller):
+    """Recomputing the law from the recorded measurements gives the recorded force: the record is aligned."""
+    from ffsm_drake.systems.controllers import LAWS
+
+    record = run("postcapture", f"controller={controller}")
+    data, scenario = record.dataset, record.scenario
+    nominal = make_nominal_plant(scenario)
+    law = LAWS[controller].from_gains(getattr(scenario.controllers, controller), nominal.coordinates, 0.01)
+    names = list(law.initial_state())
+    state = tuple(law.initial_state().values())
+    q, v = data["measured_position"].values, data["measured_velocity"].values
+    tau = data["generalized_force"].values
+    for k in range(data.sizes["time"]):
+        for name in ("reaching_gain", "switching_gain"):
+            if name in names:
+                assert data[name].values[k] == pytest.approx(state[names.index(name)], rel=1e-9), (name, k)
+        e = position_error(data["desired_position"].values[k], q[k])
+        u, state = law.step(e, data["desired_velocity"].values[k] - v[k], data["desired_acceleration"].values[k], state)
+        if "sliding_variable" in names:
+            assert data["sliding_variable"].values[k] == pytest.approx(
+                state[names.index("sliding_variable")], abs=1e-12
+            )
+        previous = tau[k - 1] - nominal.calc_mass_matrix(q[k]) @ ((v[k] - v[k - 1]) / 0.01) if k else np.zeros(11)
+        assert tau[k] == pytest.approx(previous + nominal.calc_mass_matrix(q[k]) @ u, abs=1e-9), k
+
+
+def test_motion_follows_from_the_recorded_forces(run):
+    """True plant, recorded tau and tau_d: the acceleration over a period is the change of velocity."""
+    record = run("postcapture", "controller=tdc", "sensing.velocity_noise=0")
+    data, scenario = record.dataset, record.scenario
+    plant = make_plant(scenario.model)
+    context = plant.CreateDefaultContext()
+    set_payload(plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
+    v = data["velocity"].values
+    for k in range(0, 2000, 97):
+        average = [0.5 * (data[name].values[k] + data[name].values[k + 1]) for name in ("position", "velocity")]
+        plant.SetPositions(context, average[0])
+        plant.SetVelocities(context, average[1])
+        disturbance = 0.5 * (data["disturbance_force"].values[k] + data["disturbance_force"].values[k + 1])
+        force = data["generalized_force"].values[k] + disturbance
+        acceleration = np.linalg.solve(plant.CalcMassMatrix(context), force - plant.CalcBiasTerm(context))
+        assert (v[k + 1] - v[k]) / 0.01 == pytest.approx(acceleration, abs=2e-6), k
+
+
+def test_same_seed_same_bits_other_seed_other_bits(tmp_path):
+    scenario = load_scenario("postcapture", ["duration=2"])
+    first, second = simulate(scenario), simulate(scenario)
+    assert first.dataset.identical(second.dataset)
+    assert first.metrics == second.metrics
+    first.save(tmp_path / "a")
+    second.save(tmp_path / "b")
+    assert (tmp_path / "a/record.nc").read_bytes() == (tmp_path / "b/record.nc").read_bytes()
+    other = simulate(override_scenario(scenario, ["random_seed=1"]))
+    assert not np.array_equal(first.dataset["measured_velocity"], other.dataset["measured_velocity"])
+    assert not np.array_equal(first.dataset["position"], other.dataset["position"])
+
+
+def test_without_noise_the_seed_does_not_matter():
+    overrides = ["duration=1", "sensing.velocity_noise=0"]
+    runs = [simulate(load_scenario("postcapture", [*overrides, f"random_seed={seed}"])) for seed in (1, 2)]
+    assert np.array_equal(runs[0].dataset["position"], runs[1].dataset["position"])
+    assert np.array_equal(runs[0].dataset["velocity"], runs[0].dataset["measured_velocity"])
+
+
+def test_noise_has_the_given_spread_and_is_white():
+    overrides = ["duration=20", "controller=tdc", "sensing.velocity_noise={all: 1e-6, base_position: 3e-6}",
+                 "sensing.position_noise={base_rotation: 2e-8, base_position: 1e-8, joint_2: 4e-8}"]  # fmt: skip
+    data = simulate(load_scenario("postcapture", overrides)).dataset
+    velocity = (data["measured_velocity"] - data["velocity"]).values
+    assert velocity.std(axis=0) == pytest.approx([1e-6] * 3 + [3e-6] * 3 + [1e-6] * 5, rel=0.08)
+    assert np.abs(velocity.mean(axis=0)).max() < 3e-7
+    neighbours = [np.corrcoef(velocity[:-1, i], velocity[1:, i])[0, 1] for i in range(11)]
+    assert np.abs(neighbours).max() < 0.1
+    pairs = zip(data["measured_position"].values, data["position"].values, strict=True)
+    angles = np.array([position_error(measured, true) for measured, true in pairs])
+    assert angles.std(axis=0) == pytest.approx([2e-8] * 3 + [1e-8] * 3 + [0, 4e-8, 0, 0, 0], rel=0.08, abs=1e-20)
+
+
+def test_save_and_load(run, tmp_path):
+    record = run("postcapture")
+    loaded = RunRecord.load(record.save(tmp_path / "new" / "folder"))
+    assert loaded.dataset.identical(record.dataset)
+    assert loaded.metrics == record.metrics
+    assert loaded.outcome == record.outcome
+    written = sorted(path.name for path in (tmp_path / "new" / "folder").iterdir())
+    assert written == ["manifest.json", "metrics.json", "record.nc"]
+    metrics = json.loads((tmp_path / "new/folder/metrics.json").read_text())
+    assert metrics["itae"] == record.metrics["itae"]
+    manifest = json.loads((tmp_path / "new/folder/manifest.json").read_text())
+    assert manifest["random_seed"] == 0
+    assert manifest["scenario"]["controllers"]["tde_aismc"]["k_s_max"] == {"all": 70.0}
+    assert set(manifest["software"]) >= {"drake", "ffsm-drake", "numpy", "python"}
+    assert manifest["wall_time"]["advance_to"] > 0
+
+
+def test_the_netcdf_file_is_plain_enough_for_matlab(run, tmp_path):
+    """Numeric variables are doubles, names are character arrays."""
+    run("postcapture").save(tmp_path)
+    with netCDF4.Dataset(tmp_path / "record.nc") as file:
+        assert file.data_model == "NETCDF4"
+        assert file["error"].dimensions == ("time", "coordinate")
+        assert file["error"].dtype == np.float64
+        assert file["coordinate"].dtype == np.dtype("S1")
+        assert file["coordinate"][:][6] == "joint_1"
+        assert {variable.dtype.kind for variable in file.variables.values()} <= {"f", "S"}
+
+
+@pytest.mark.parametrize(
+    ("damage", "expected"),
+    [
+        (lambda d: (d / "record.nc").unlink(), "record.nc: cannot be read"),
+        (lambda d: (d / "record.nc").write_bytes((d / "record.nc").read_bytes()[:5000]), "record.nc: cannot be read"),
+        (lambda d: (d / "manifest.json").unlink(), "manifest.json: cannot be read"),
+        (lambda d: (d / "manifest.json").write_text("{"), "manifest.json: is not a run's manifest"),
+        (lambda d: (d / "manifest.json").write_text("{}"), "manifest.json: is not a run's manifest"),
+        (lambda d: (d / "manifest.json").write_text('{"format": 99}'), "format 99 is not the supported 1"),
+    ],
+)
+def test_damaged_records_get_one_clear_line(run, tmp_path, damage, expected):
+    directory = run("postcapture", "duration=0.2").save(tmp_path)
+    damage(directory)
+    with pytest.raises(RecordError) as error:
+        RunRecord.load(directory)
+    assert expected in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_failed_save_leaves_the_old_files(run, tmp_path, monkeypatch):
+    record = run("postcapture", "duration=0.2")
+    record.save(tmp_path)
+    before = (tmp_path / "record.nc").read_bytes()
+
+    def full(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(type(record.dataset), "to_netcdf", full)
+    with pytest.raises(RecordError, match=r"record\.nc: cannot be written: .*No space left"):
+        record.save(tmp_path)
+    assert (tmp_path / "record.nc").read_bytes() == before
+    assert len(list(tmp_path.iterdir())) == 3
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordError, match="cannot be written"):
+        record.save(tmp_path / "file")
+
+
+def test_interruption_keeps_the_record():
+    def interrupt(time, duration):
+        if time >= 1.0:
+            raise KeyboardInterrupt
+
+    whole = simulate(load_scenario("postcapture", ["duration=2"]))
+    record = simulate(load_scenario("postcapture", ["duration=2"]), progress=interrupt)
+    assert record.outcome.status == "interrupted"
+    assert 0.9 < record.outcome.time < 1.1
+    n = record.dataset.sizes["time"]
+    assert np.array_equal(record.dataset["position"], whole.dataset["position"][:n])
+    assert np.array_equal(record.dataset["generalized_force"][:-1], whole.dataset["generalized_force"][: n - 1])
+    assert record.metrics["itae"] > 0
+
+
+def test_watching_does_not_change_the_bits():
+    times = []
+    scenario = load_scenario("postcapture", ["duration=3"])
+    watched = simulate(scenario, progress=lambda time, duration: times.append(time))
+    assert watched.dataset.identical(simulate(scenario).dataset)
+    assert times == pytest.approx([0.0, 1.0, 2.0, 3.0], abs=0.02)
+
+
+def test_a_state_that_is_not_finite_stops_the_run(monkeypatch):
+    """A force that is not a number ends the run with a message that names the coordinate."""
+    from ffsm_drake.systems.controllers import tde
+
+    def broken(*, delayed_force, **_):
+        return np.where(np.arange(11) == 7, np.nan, delayed_force)
+
+    monkeypatch.setattr(tde, "time_delay_force", broken)
+    record = simulate(load_scenario("postcapture", ["duration=1"]))
+    assert record.outcome.status == "diverged"
+    assert record.outcome.coordinate == "joint_2"
+    assert "diverged at t = 0.00 s: the force on joint_2 is nan" in record.outcome.message
+    assert record.dataset.sizes["time"] >= 1
+    assert record.metrics["itae"] == 0.0
+
+
+def test_other_faults_are_not_taken_for_divergence(monkeypatch):
+    from ffsm_drake.systems.controllers import tde
+
+    def broken(**_):
+        raise RuntimeError("a fault of ours")
+
+    monkeypatch.setattr(tde, "time_delay_force", broken)
+    with pytest.raises(RuntimeError, match="a fault of ours"):
+        simulate(load_scenario("postcapture", ["duration=1"]))
+
+
+def test_momentum_and_energy_balance(run):
+    """The exact plant keeps momentum to rounding; the work of all forces is the change of energy."""
+    record = run("postcapture", "sensing.velocity_noise=0", "controller=aismc")
+    residual = record.metrics["momentum_residual"]
+    assert residual["linear"] < 1e-8
+    assert residual["angular"] < 1e-7
+    assert run("paper").metrics["momentum_residual"]["linear"] > 1e-4  # Euler's error is seen
+    data = record.dataset
+    v, tau, tau_d = (data[name].values for name in ("velocity", "generalized_force", "disturbance_force"))
+    average = 0.5 * (v[1:] + v[:-1])
+    work = np.sum(average * (tau[:-1] + 0.5 * (tau_d[1:] + tau_d[:-1]))) * 0.01
+    energy = data["kinetic_energy"].values
+    assert work == pytest.approx(energy[-1] - energy[0], abs=1e-4 * energy.max())
+
+
+def test_base_angles_are_those_of_the_plant(run):
+    data = run("postcapture").dataset
+    for name in ("", "desired_"):
+        expected = [base_rpy(q) for q in data[f"{name}position"].values]
+        assert data[f"{name}base_rpy"].values == pytest.approx(np.array(expected), abs=1e-15)
+
+
+def test_final_posture_is_the_target(run):
+    data = run("postcapture").dataset
+    assert data["base_rpy"].values[-1] == pytest.approx([0, 0, 0], abs=1e-7)
+    target = np.deg2rad([-25, 65, 50, 65, -25])
+    assert data["position"].values[-1, 7:] == pytest.approx(target, abs=1e-7)
+    assert data["velocity"].values[-1] == pytest.approx(np.zeros(11), abs=1e-4)
+
+
+def test_payload_belief_reaches_the_nominal_plant_only():
+    scenario = load_scenario("postcapture", ["payload.belief.mass=60"])
+    loop = make_closed_loop(scenario)
+    nominal = make_nominal_plant(scenario)
+    context = loop.diagram.CreateDefaultContext()
+    loop.initialize(loop.diagram, context)
+    assert nominal.plant.CalcTotalMass(nominal.context) == pytest.approx(486.0)
+    assert loop.plant.CalcTotalMass(loop.plant.GetMyContextFromRoot(context)) == pytest.approx(526.0)
+
+
+def test_truth_of_the_payload_shapes_the_motion():
+    overrides = ["duration=3", "controller=aismc", "sensing.velocity_noise=0"]
+    published = simulate(load_scenario("postcapture", overrides))
+    heavy = simulate(load_scenario("postcapture", [*overrides, "payload.truth.mass=200"]))
+    assert published.outcome.completed
+    assert heavy.outcome.completed
+    assert heavy.metrics["isv"] > 1.2 * published.metrics["isv"]

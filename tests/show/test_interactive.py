@@ -1,0 +1,294 @@
+"""The operator's panel: what it does to a run, and that the record tells it. The tests play the operator's hands."""
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+from meshcat_page import click
+
+from ffsm_drake import RunRecord, load_scenario, make_true_plant, simulate
+from ffsm_drake.show.meshcat import start_meshcat
+from ffsm_drake.show.meshcat.controls import Controls
+from ffsm_drake.show.meshcat.interactive import (
+    DISTURBANCE,
+    IMPULSE,
+    MASS,
+    OPERATOR_ATTRIBUTE,
+    PAUSE,
+    QUIT,
+    RATE,
+    TIME,
+    push_button,
+    run_interactive,
+    start_button,
+)
+from ffsm_drake.spacecraft.plant import find_body
+
+PERIOD = 0.01
+
+
+@pytest.fixture(scope="module")
+def meshcat():
+    return start_meshcat()
+
+
+@pytest.fixture
+def scenario():
+    return load_scenario("postcapture", ["duration=1"])
+
+
+class Hands:
+    """Does the next step of a script whenever the session waits (about once per control sample), and quits at its end.
+
+    A step is a function of the hands; if it returns a function, that must be true before the next step.
+    """
+
+    def __init__(self, meshcat, *steps):
+        self.meshcat = meshcat
+        self.steps = iter(steps)
+        self.waits = 0
+        self.ready = None
+
+    def __call__(self, seconds):
+        self.waits += 1
+        assert self.waits < 20_000, "the session does not end"
+        if self.ready is None or self.ready(self):
+            self.ready = next(self.steps, quit_when_idle)(self)
+
+    @property
+    def status(self):
+        return next(name for name in self.meshcat.GetButtonNames() if name.startswith("[ "))
+
+    @property
+    def idle(self):
+        return not any(word in self.status for word in ("starting", "running", "paused"))
+
+
+def quit_when_idle(hands):
+    if hands.idle:
+        click(hands.meshcat, QUIT)
+
+
+def operate(meshcat, scenario, *steps):
+    """The records of a session in which hands do the steps."""
+    meshcat.Delete()
+    return run_interactive(scenario, meshcat=meshcat, check_stability=False, wait=Hands(meshcat, *steps))
+
+
+def start(controller="tde_aismc"):
+    return lambda hands: click(hands.meshcat, start_button(controller))
+
+
+def press(label):
+    return lambda hands: click(hands.meshcat, label)
+
+
+def move(slider, value):
+    return lambda hands: hands.meshcat.SetSliderValue(slider, value) and None
+
+
+def let_pass(waits):
+    def step(hands):
+        end = hands.waits + waits
+        return lambda hands: hands.waits >= end
+
+    return step
+
+
+def until_idle(hands):
+    return lambda hands: hands.idle
+
+
+def test_an_untouched_run_is_that_of_simulate(meshcat, scenario):
+    (record,) = operate(meshcat, scenario, start())
+    assert record.dataset.identical(simulate(scenario).dataset)
+    assert record.outcome == simulate(scenario).outcome
+    assert record.scenario == scenario
+
+
+def test_pauses_and_pace_do_not_touch_the_run(meshcat, scenario):
+    moments = []
+
+    def note(hands):
+        moments.append((hands.meshcat.GetSliderValue(TIME), hands.status))
+
+    scenario = dataclasses.replace(scenario, simulator_config=load_scenario("paper").simulator_config)
+    scenario.simulator_config.target_realtime_rate = 2.0
+    steps = [
+        start(),
+        let_pass(30),
+        press(PAUSE),
+        lambda hands: time.sleep(0.05),
+        let_pass(5),
+        note,
+        let_pass(200),
+        note,
+    ]
+    (record,) = operate(meshcat, scenario, *steps, press(PAUSE), move(RATE, 0.5))
+    assert moments[0] == moments[1]
+    assert moments[0][1] == "[ paused: tde_aismc, 100 kg ]"
+    assert 0.0 < moments[0][0] < 0.5
+    assert record.dataset.identical(simulate(scenario).dataset)
+    assert record.scenario == scenario
+
+
+def test_the_rate_slider_paces_the_run(meshcat, scenario):
+    def asked_for(rate):
+        asked = []
+        hands = Hands(meshcat, move(RATE, rate), start(), lambda hands: asked.clear())
+
+        def wait(seconds):
+            if not hands.idle:
+                asked.append(seconds)
+            hands(seconds)
+
+        meshcat.Delete()
+        run_interactive(scenario, meshcat=meshcat, check_stability=False, wait=wait)
+        return sum(asked)
+
+    # A sample takes 20 ms of wall time at rate 0.5, less than its computation at rate 10.
+    assert 1.2 < asked_for(0.5) < 2.1
+    assert asked_for(10.0) < 0.2
+
+
+def test_a_push_acts_with_its_impulse_and_is_recorded(meshcat, scenario):
+    """Momentum, computed from the state, gains what the recorded force says, and the push's share is the slider's."""
+    (record,) = operate(
+        meshcat, scenario, start(), move(IMPULSE, -4.0), let_pass(20), press(push_button("y")), let_pass(40)
+    )
+    plain = simulate(scenario)
+    push = (record.dataset["disturbance_force"] - plain.dataset["disturbance_force"]).values
+    acting = np.flatnonzero(np.abs(push).max(axis=1) > 1e-12)
+    assert acting.size == 10
+    assert np.array_equal(acting, np.arange(acting[0], acting[0] + 10))
+    assert 10 < acting[0] < 60
+    assert push[acting, 3:6].sum(axis=0) * PERIOD == pytest.approx([0.0, -4.0, 0.0], abs=1e-12)
+
+    # The force acts on the payload's centre of mass: the power of J^T F is that of F on that point.
+    sample = acting[4]
+    model = make_true_plant(scenario)
+    plant, context = model.plant, model.context
+    velocity = np.random.default_rng(1).normal(size=11)
+    plant.SetPositions(context, record.dataset["position"].values[sample])
+    plant.SetVelocities(context, velocity)
+    body = find_body(plant, scenario.payload.body, key="")
+    point = body.EvalSpatialVelocityInWorld(context).translational()
+    assert push[sample] @ velocity == pytest.approx(np.array([0.0, -40.0, 0.0]) @ point, rel=1e-9)
+
+    momentum = record.dataset["linear_momentum"].values
+    external = record.dataset["applied_force"].values[:-1, 3:6]
+    smooth = plain.dataset["disturbance_force"].values[:, 3:6]
+    gained = PERIOD * (external + 0.5 * (smooth[:-1] + smooth[1:]) + push[:-1, 3:6])
+    assert np.diff(momentum, axis=0) == pytest.approx(gained, abs=2e-7)
+    assert np.array_equal(record.dataset["position"][: acting[0] + 1], plain.dataset["position"][: acting[0] + 1])
+
+    started = record.dataset["time"].values[acting[0]]
+    assert record.dataset.attrs[OPERATOR_ATTRIBUTE] == (
+        f"from t = {started:.2f} s: push of -4 N s along y on debris::debris within 0.1 s"
+    )
+    assert record.outcome.message == "completed 1 s, with 1 input of an operator"
+
+
+def test_two_pushes_at_once_add_up(meshcat, scenario):
+    steps = [start(), let_pass(20), press(push_button("x")), press(push_button("z")), let_pass(40)]
+    (record,) = operate(meshcat, scenario, *steps)
+    push = (record.dataset["disturbance_force"] - simulate(scenario).dataset["disturbance_force"]).values
+    assert push[:, 3:6].sum(axis=0) * PERIOD == pytest.approx([5.0, 0.0, 5.0], abs=1e-12)
+
+
+def test_the_scale_acts_from_the_next_sample_and_is_recorded(meshcat, scenario):
+    (record,) = operate(meshcat, scenario, start(), let_pass(20), move(DISTURBANCE, 2.5), let_pass(30))
+    plain = simulate(scenario).dataset
+    force, published = record.dataset["disturbance_force"].values, plain["disturbance_force"].values
+    changed = int(np.argmax(np.any(force != published, axis=1)))
+    assert 10 < changed < 60
+    assert np.array_equal(force[:changed], published[:changed])
+    assert np.array_equal(force[changed:], 2.5 * published[changed:])
+    # From that very sample on it moves the spacecraft.
+    assert np.array_equal(record.dataset["position"][: changed + 1], plain["position"][: changed + 1])
+    assert not np.array_equal(record.dataset["position"][changed + 1], plain["position"][changed + 1])
+    assert record.dataset.attrs[OPERATOR_ATTRIBUTE] == f"from t = {changed * PERIOD:.2f} s: disturbance x 2.5"
+
+
+def test_a_scale_set_before_the_start_is_that_of_the_scenario(meshcat, scenario):
+    (record,) = operate(meshcat, scenario, move(DISTURBANCE, 2.0), start())
+    assert record.scenario.disturbance.amplitude_scale == 1.0
+    scenario = load_scenario("postcapture", ["duration=1", "disturbance.amplitude_scale=2"])
+    assert np.array_equal(record.dataset["position"], simulate(scenario).dataset["position"])
+    assert record.dataset.attrs[OPERATOR_ATTRIBUTE] == "from the start: disturbance x 2"
+
+
+def test_controller_and_mass_are_those_of_the_next_run(meshcat, scenario, tmp_path):
+    steps = [start(), let_pass(10), move(MASS, 150.0), until_idle, start("tdc"), until_idle]
+    records = operate(meshcat, scenario, *steps)
+    assert [record.scenario.controller for record in records] == ["tde_aismc", "tdc"]
+    assert [record.scenario.payload.truth.mass for record in records] == [100.0, pytest.approx(150.0)]
+    assert OPERATOR_ATTRIBUTE not in records[0].dataset.attrs
+    assert records[0].dataset.identical(simulate(scenario).dataset)
+    said = records[1].dataset.attrs[OPERATOR_ATTRIBUTE]
+    assert "controller tdc (scenario: tde_aismc)" in said
+    assert "payload.truth.mass 150 kg, inertia in proportion (scenario: 100 kg)" in said
+    assert records[1].scenario.payload.truth.inertia == pytest.approx([1.5 * 16.7] * 3)
+    assert records[1].scenario.payload.belief == scenario.payload.belief
+    again = simulate(RunRecord.load(records[1].save(tmp_path)).scenario)
+    assert np.array_equal(again.dataset["position"], records[1].dataset["position"])
+
+
+def test_restart_and_quit_leave_loadable_records(meshcat, scenario, tmp_path):
+    steps = [start(), let_pass(40), start("asmc"), let_pass(30), press(QUIT)]
+    records = operate(meshcat, scenario, *steps)
+    assert [record.outcome.status for record in records] == ["interrupted", "interrupted"]
+    assert [record.scenario.controller for record in records] == ["tde_aismc", "asmc"]
+    for i, record in enumerate(records):
+        loaded = RunRecord.load(record.save(tmp_path / str(i)))
+        assert loaded.dataset.identical(record.dataset)
+        assert 0.1 < loaded.outcome.time < 0.9
+    assert meshcat.GetButtonNames() == []
+    assert meshcat.GetSliderNames() == []
+
+
+def test_quit_at_the_very_start_leaves_a_record(meshcat, scenario, tmp_path):
+    (record,) = operate(meshcat, scenario, start(), press(QUIT))
+    assert record.outcome.status == "interrupted"
+    assert RunRecord.load(record.save(tmp_path)).dataset.sizes["time"] >= 1
+
+
+def test_ctrl_c_ends_the_session(meshcat, scenario):
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    assert operate(meshcat, scenario, interrupt) == []
+    (record,) = operate(meshcat, scenario, start(), let_pass(50), interrupt)
+    assert record.outcome.status == "interrupted"
+    assert record.outcome.message == f"interrupted at t = {record.outcome.time:.2f} s"
+    assert meshcat.GetButtonNames() == []
+
+
+def test_ctrl_c_between_two_controls_keeps_the_records(meshcat, scenario, monkeypatch):
+    """The panel's status line is taken away and put back; an interrupt in between must not cost the session."""
+    add_button = Controls.add_button
+
+    def interrupted(controls, label, **options):
+        if label.startswith("[ running"):
+            raise KeyboardInterrupt
+        add_button(controls, label, **options)
+
+    monkeypatch.setattr(Controls, "add_button", interrupted)
+    (record,) = operate(meshcat, scenario, start())
+    assert record.outcome.status == "interrupted"
+    assert meshcat.GetButtonNames() == []
+
+
+def test_clicks_while_nothing_runs_do_nothing(meshcat, scenario):
+    (record,) = operate(meshcat, scenario, press(push_button("x")), press(PAUSE), start())
+    assert record.dataset.identical(simulate(scenario).dataset)
+
+
+def test_a_controller_without_gains_is_one_line_on_the_panel(meshcat, scenario):
+    scenario.controllers.tdc.k_d = {"joint_1": 1.0}
+    seen = []
+    steps = [start("tdc"), let_pass(2), lambda hands: seen.append(hands.status), start(), until_idle]
+    records = operate(meshcat, scenario, *steps)
+    assert [record.scenario.controller for record in records] == ["tde_aismc"]
+    assert "controllers.tdc.k_d" in seen[0]

@@ -1,0 +1,279 @@
+"""A record on the screen: the recorded page, the force arrows, and the live replay under its controls."""
+
+import base64
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+from meshcat_page import click
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RotationMatrix
+
+from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.show.meshcat import LiveReplay, live, recording_html, replay_live, start_meshcat, write_recording
+from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
+from ffsm_drake.show.meshcat.live import PLAY, QUIT, SPEED, TIME
+from ffsm_drake.show.meshcat.replay_view import ReplayView
+
+
+@pytest.fixture(scope="module")
+def meshcat():
+    return start_meshcat()
+
+
+@pytest.fixture
+def record(run):
+    return run("postcapture", "duration=2")
+
+
+def view(meshcat, record, **options):
+    meshcat.Delete()
+    return ReplayView(meshcat, record, **({"ghost": False, "path": False, "forces": False} | options))
+
+
+def transform(meshcat, path):
+    """The 4 x 4 matrix that the browser was last told; msgpack stores it as the last 16 doubles or floats."""
+    packed = meshcat._GetPackedTransform(path)
+    numbers = re.search(rb"matrix(.*)", packed, re.DOTALL)[1]
+    assert numbers[0] == 0xDC  # an array of 16
+    values, i = [], 3
+    while len(values) < 16:
+        if numbers[i] == 0xCB:
+            values.append(np.frombuffer(numbers[i + 1 : i + 9], ">f8")[0])
+            i += 9
+        elif numbers[i] == 0xCA:
+            values.append(np.frombuffer(numbers[i + 1 : i + 5], ">f4")[0])
+            i += 5
+        else:
+            values.append(np.frombuffer(numbers[i : i + 1], "i1")[0])
+            i += 1
+    return np.array(values, dtype=float).reshape(4, 4).T
+
+
+def animation_of(page):
+    """(frames per second, last frame) of the animation in a recorded page."""
+    commands = b"".join(base64.b64decode(text) for text in re.findall(r"base64,([A-Za-z0-9+/]{40,}=*)", page))
+    (fps,) = {float(np.frombuffer(number, ">f8")[0]) for number in re.findall(rb"\xa3fps\xcb(.{8})", commands, re.S)}
+    # msgpack's integers: one byte below 128, else a length byte and the number.
+    frames = re.findall(rb"\xa4time([\x00-\x7f]|\xcc.|\xcd..)", commands, re.S)
+    return fps, max(int.from_bytes(number if len(number) == 1 else number[1:]) for number in frames)
+
+
+def test_the_page_plays_at_the_asked_speed(record):
+    for speed in (1.0, 2.0, 0.1):
+        page = recording_html(record, speed=speed)
+        assert page.startswith("<!DOCTYPE html>")
+        assert ("times real time" in page) == (speed != 1.0)
+        fps, last_frame = animation_of(page)
+        assert last_frame / fps == pytest.approx(2.0 / speed, abs=1.0 / fps)
+
+
+def test_frames_show_the_instants_that_are_due(record, monkeypatch):
+    shown = []
+    show = ReplayView.show
+
+    def noted(view, time, *, time_in_recording=None):
+        shown.append((time, time_in_recording))
+        show(view, time, time_in_recording=time_in_recording)
+
+    monkeypatch.setattr(ReplayView, "show", noted)
+    recording_html(record, speed=2.0)
+    run_times, page_times = np.array(shown[1:]).T
+    assert np.floor(page_times * 25.0) / 25.0 * 2.0 == pytest.approx(run_times)
+    assert run_times[0] == 0.0
+    assert run_times[-1] == pytest.approx(2.0)
+
+
+def test_the_page_holds_what_was_asked_for(record):
+    size = {
+        (ghost, path, forces): len(recording_html(record, ghost=ghost, path=path, forces=forces))
+        for ghost, path, forces in [(True, True, False), (False, True, False), (True, False, False), (True, True, True)]
+    }
+    full = size[True, True, False]
+    assert size[False, True, False] < full
+    assert size[True, False, False] < full
+    assert size[True, True, True] > full
+    assert "control torque" in recording_html(record, forces=True)
+    assert "control torque" not in recording_html(record)
+
+
+def test_the_caption_is_text_not_markup(record, tmp_path):
+    scenario = dataclasses.replace(record.scenario, description="<script>alert(1)</script> & more")
+    write_recording(dataclasses.replace(record, scenario=scenario), tmp_path / "page.html", ghost=False)
+    page = (tmp_path / "page.html").read_text()
+    assert "<script>alert" not in page
+    assert "&lt;script&gt;alert(1)&lt;/script&gt; &amp; more</b>" in page
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_bad_speed_gets_one_line(record, meshcat, speed):
+    with pytest.raises(FfsmError, match="speed: must be > 0"):
+        recording_html(record, speed=speed)
+    with pytest.raises(FfsmError, match="speed: must be > 0"):
+        LiveReplay(record, speed=speed, meshcat=meshcat)
+
+
+def test_parts_that_are_not_asked_for_are_not_there(meshcat, record):
+    view(meshcat, record)
+    assert not any(map(meshcat.HasPath, ("target_posture", "end_effector_path", "forces")))
+    assert meshcat.HasPath("visualizer")
+    view(meshcat, record, ghost=True, path=True, forces=True)
+    assert all(map(meshcat.HasPath, ("target_posture", "end_effector_path", "forces", "visualizer")))
+
+
+def test_arrows_point_along_their_forces_and_measure_them(meshcat, record):
+    shown = view(meshcat, record, forces=True)
+    data = record.dataset
+    for sample in (0, 57, 200):
+        shown.show(data["time"].values[sample])
+        q = data["position"].values[sample]
+        for kind, magnification in zip(ARROW_KINDS, shown.arrows.magnifications, strict=True):
+            names = [f"{kind.coordinates}_{axis}" for axis in "xyz"]
+            vectors = data[kind.variable].sel(coordinate=names).values
+            control = data["applied_force"].sel(coordinate=names).values
+            arrow = transform(meshcat, kind.path)
+            length = transform(meshcat, f"{kind.path}/tip")[2, 3]
+            direction = vectors[sample] / np.linalg.norm(vectors[sample])
+            assert arrow[:3, 2] == pytest.approx(direction, abs=1e-6)
+            longest = shown.arrows._longest
+            of_peak = np.linalg.norm(vectors[sample]) / np.linalg.norm(control, axis=1).max()
+            assert length == pytest.approx(longest * magnification * of_peak, rel=1e-6)
+            assert length < longest * (1 + 1e-9)
+            if not kind.is_torque:  # its line of action goes through the base's origin
+                line = arrow[:3, 3] - q[4:7]
+                assert np.cross(line, direction) == pytest.approx(np.zeros(3), abs=1e-6)
+                assert 0.0 < line @ direction < 2.0 * longest
+
+
+def test_arrows_start_on_the_surface_of_the_base(meshcat, record):
+    """Inside its bounding box a little before the tail, outside a little after."""
+    shown = view(meshcat, record, forces=True)
+    q = record.dataset["position"].values[0]
+    arrow = transform(meshcat, ARROW_KINDS[0].path)
+    rotation = RotationMatrix(Quaternion(q[:4])).matrix()
+    to_box = shown.arrows._box_pose.inverse().GetAsMatrix4()
+    for step, inside in ((-1e-3, True), (1e-3, False)):
+        in_base = rotation.T @ (arrow[:3, 3] + step * arrow[:3, 2] - q[4:7])
+        in_box = (to_box @ [*in_base, 1.0])[:3]
+        assert bool(np.all(np.abs(in_box) < shown.arrows._box_half_width)) == inside
+
+
+def test_the_legend_names_colour_magnification_and_peak(meshcat, record):
+    shown = view(meshcat, record, forces=True)
+    force = record.dataset["disturbance_force"].values[:, 3:6]
+    text = legend(shown.arrows)[2]
+    assert text.startswith(f"red: disturbance force x {shown.arrows.magnifications[2]}, peak ")
+    assert f"{np.linalg.norm(force, axis=1).max():.3g} N" in text
+
+
+def test_a_run_without_disturbance_has_arrows(meshcat, run):
+    shown = view(meshcat, run("postcapture", "duration=0.2", "disturbance.amplitude_scale=0"), forces=True)
+    assert shown.arrows.magnifications == [1, 1, 1, 1]
+    assert transform(meshcat, f"{ARROW_KINDS[2].path}/tip")[2, 3] == 0.0
+
+
+def test_a_record_that_ends_in_no_numbers_is_shown_up_to_there(meshcat, record):
+    broken = record.dataset.copy(deep=True)
+    broken["position"].values[150:] = np.nan
+    broken["applied_force"].values[149] = np.nan
+    broken = dataclasses.replace(record, dataset=broken)
+    shown = view(meshcat, broken, forces=True, path=True)
+    assert shown.duration == pytest.approx(1.49)
+    shown.show(shown.duration)
+    assert np.isfinite(shown.arrows.peaks).all()
+    assert "peak nan" not in recording_html(broken, forces=True)
+
+
+# The live replay: no browser, the test moves the sliders and sends the clicks.
+
+
+@pytest.fixture
+def replay(meshcat, record):
+    meshcat.Delete()
+    replay = LiveReplay(record, meshcat=meshcat, forces=True)
+    yield replay
+    replay.close()
+
+
+def test_it_plays_at_the_speed_of_its_slider(replay):
+    assert replay.step(0.5)
+    assert replay.time == pytest.approx(0.5)
+    replay.meshcat.SetSliderValue(SPEED, 2.0)
+    replay.step(0.25)
+    assert replay.time == pytest.approx(1.0)
+    assert replay.meshcat.GetSliderValue(TIME) == pytest.approx(1.0)
+
+
+def test_it_shows_the_record(replay, record):
+    replay.step(0.7)
+    force = record.dataset["applied_force"].values[70, 3:6]
+    arrow = transform(replay.meshcat, ARROW_KINDS[0].path)
+    assert arrow[:3, 2] == pytest.approx(force / np.linalg.norm(force), abs=1e-6)
+
+
+def test_pause_and_play(replay):
+    replay.step(0.5)
+    click(replay.meshcat, PLAY)
+    replay.step(0.5)
+    replay.step(0.5)
+    assert replay.time == pytest.approx(0.5)
+    click(replay.meshcat, PLAY)
+    replay.step(0.5)
+    assert replay.time == pytest.approx(1.0)
+
+
+def test_the_time_slider_pauses_there(replay):
+    replay.step(0.1)
+    replay.meshcat.SetSliderValue(TIME, 1.5)
+    replay.step(0.1)
+    replay.step(0.1)
+    assert not replay.playing
+    assert replay.time == pytest.approx(1.5)
+
+
+def test_it_pauses_at_the_end_and_starts_over(replay):
+    replay.step(5.0)
+    assert replay.time == pytest.approx(2.0)
+    assert not replay.playing
+    click(replay.meshcat, PLAY)
+    replay.step(0.3)
+    assert replay.time == pytest.approx(0.3)
+
+
+def test_arrow_buttons_hide_and_show(replay):
+    labels = [name for name in replay.meshcat.GetButtonNames() if name.startswith("red: disturbance force")]
+    assert len(labels) == 1
+    shown = {}
+    for state in ("hidden", "shown"):
+        click(replay.meshcat, labels[0])
+        replay.step(0.1)
+        shown[state] = replay.meshcat._GetPackedProperty(ARROW_KINDS[2].path, "visible")
+    assert shown["hidden"].endswith(b"\xc2")  # msgpack's false
+    assert shown["shown"].endswith(b"\xc3")
+
+
+def test_quit_ends_it_and_takes_the_controls_away(meshcat, record):
+    replay = LiveReplay(record, meshcat=meshcat)
+    click(meshcat, QUIT)
+    assert not replay.step(0.1)
+    replay.close()
+    assert meshcat.GetButtonNames() == []
+    assert meshcat.GetSliderNames() == []
+
+
+@pytest.mark.parametrize("by_keyboard", [False, True])
+def test_replay_live_runs_until_it_is_told_to_stop(meshcat, record, monkeypatch, by_keyboard):
+    shown = []
+
+    def sleep(_):
+        shown.append(meshcat.GetSliderValue(TIME))
+        if len(shown) == 5:
+            if by_keyboard:
+                raise KeyboardInterrupt
+            click(meshcat, QUIT)
+
+    monkeypatch.setattr(live.time, "sleep", sleep)
+    replay_live(record, speed=4.0, meshcat=meshcat, ghost=False)
+    assert len(shown) == 5
+    assert meshcat.GetButtonNames() == []

@@ -1,0 +1,382 @@
+# ruff: noqa: RUF001 (the page uses mathematical signs)
+"""The run report: its numbers, its honesty about runs that did not go well, its safety, and that it draws."""
+
+import base64
+import dataclasses
+import html
+import json
+import math
+import re
+import shlex
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
+from ffsm_drake.runs.record import Outcome
+from ffsm_drake.scenario import scenario_from_dict, scenario_from_yaml, scenario_to_dict
+from ffsm_drake.show.report import write_report
+from ffsm_drake.show.report.page import render_report
+from ffsm_drake.show.report.plots import thinned
+from ffsm_drake.show.report.results import labels_of, number, ranking, results_of
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+HOSTILE = "</script><script>document.title='taken'</script><img src=x onerror=alert(1)> & \"quotes\" </title>"
+
+
+class Page(HTMLParser):
+    """What a browser would make of a page: its tags, its scripts and its visible text."""
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.tags, self.scripts, self.words, self._inside = [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        if tag in ("script", "style"):
+            self._inside.append(tag)
+            self.scripts.append((dict(attributes).get("id"), ""))
+
+    def handle_endtag(self, tag):
+        if self._inside and tag == self._inside[-1]:
+            self._inside.pop()
+
+    def handle_data(self, data):
+        if self._inside:
+            name, text = self.scripts[-1]
+            self.scripts[-1] = (name, text + data)
+        else:
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+    def script(self, name):
+        return json.loads(next(text for key, text in self.scripts if key == name))
+
+
+def page_of(*records, **options):
+    return Page(render_report(records, **options))
+
+
+def shortened(record, samples, status="interrupted"):
+    """A record that ended after so many samples."""
+    dataset = record.dataset.isel(time=slice(0, samples))
+    time = float(dataset["time"].values[-1]) if samples else 0.0
+    outcome = Outcome(status=status, time=time, message=f"{status} at t = {time:.2f} s")
+    return dataclasses.replace(record, dataset=dataset, outcome=outcome)
+
+
+def with_scenario(record, **changes):
+    return dataclasses.replace(record, scenario=dataclasses.replace(record.scenario, **changes))
+
+
+@pytest.fixture(scope="module")
+def short(run):
+    return run("postcapture", "duration=1", "reference.duration=1")
+
+
+@pytest.fixture
+def plain(monkeypatch):
+    """Leave out analysis and stability, which cost a second and are not what the test is about."""
+
+    def absent(_):
+        raise FfsmError("left out")
+
+    for name in ("analyze", "assess"):
+        monkeypatch.setattr(f"ffsm_drake.show.report.page.{name}", absent)
+
+
+@pytest.fixture(scope="module")
+def diverged(run):
+    return run(
+        "postcapture", "duration=6", "controllers.tde_aismc.k_s_initial=80", "controllers.tde_aismc.k_s_max=null"
+    )
+
+
+def table_rows(text):
+    """Row label -> cells of the result table, labels of groups with their heading in front."""
+    table = re.search(r"<table class=\"numbers.*?</table>", text, re.DOTALL).group()
+    rows, head = {}, ""
+    for row in re.findall(r"<tr.*?</tr>", table, re.DOTALL):
+        strip = [html.unescape(re.sub("<[^>]*>", "", cell)).strip() for cell in re.findall(r"<t[hd].*?</t[hd]>", row)]
+        if 'class="head"' in row:
+            head = strip[0]
+        else:
+            rows[f"{head}: {strip[0]}" if head else strip[0]] = strip[1:]
+    return rows
+
+
+def value(text):
+    """The number that ``number`` wrote."""
+    digits = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+    mantissa, _, power = text.partition("×10")
+    return float(mantissa) * 10.0 ** int(power.translate(digits) or 0)
+
+
+@pytest.mark.usefixtures("plain")
+def test_table_holds_the_metrics(short):
+    rows = table_rows(render_report([short]))
+    metrics = short.metrics
+    assert value(rows["Accuracy, ITAE"][0]) == pytest.approx(metrics["itae"], rel=5e-4)
+    assert value(rows["Effort, ISV"][0]) == pytest.approx(metrics["isv"], rel=5e-5)
+    heads = {"peak_error": "Peak error", "final_error": "Final error", "peak_effort": "Peak control force or torque"}
+    units = {"base_rotation": ("rad", "N m"), "base_position": ("m", "N"), "joints": ("rad", "N m")}
+    titles = {"base_rotation": "Base attitude", "base_position": "Base position", "joints": "Joints"}
+    for key, head in heads.items():
+        for group, title in titles.items():
+            label = f"{head}: {title} [{units[group][key == 'peak_effort']}]"
+            assert value(rows[label][0]) == pytest.approx(metrics[key][group], rel=5e-4), label
+
+
+def test_numbers_as_text():
+    assert [number(x) for x in (0.0, 12.3456, 9.99996, 1.23456e-7, -4.5e9, math.nan, math.inf)] == [
+        "0", "12.35", "10.00", "1.235×10⁻⁷", "-4.500×10⁹", "–", "–",
+    ]  # fmt: skip
+
+
+@pytest.mark.usefixtures("plain")
+def test_verdicts_in_words(short, diverged):
+    assert results_of([short])[0].status == "settled"
+    # A run that ends in the middle of the motion has not settled, however well it tracks.
+    assert results_of([with_scenario(short, reference=load_scenario("postcapture").reference)])[0].status == "unsettled"
+    off = short.dataset.copy(deep=True)
+    off["error"].loc[{"coordinate": "joint_2"}] = 0.0021
+    result = results_of([dataclasses.replace(short, dataset=off)])[0]
+    assert result.status == "unsettled"
+    assert "the error of joint_2 reaches 0.00210 rad" in result.verdict
+    assert diverged.outcome.message in page_of(diverged).text
+
+
+@pytest.mark.usefixtures("plain")
+def test_diverged_runs_rank_last_and_never_best(short, diverged):
+    # A run that diverges at once has the smallest sums of all.
+    early = shortened(diverged, 3, status="diverged")
+    stopped = shortened(short, 5)
+    results = results_of([early, stopped, short])
+    assert min(result.itae for result in results) == results[0].itae
+    for figure in ("itae", "isv"):
+        order = ranking(results, lambda result, figure=figure: getattr(result, figure))
+        assert [result.record for result in order] == [short, stopped, early]
+    text = render_report([early, stopped, short])
+    assert 'class="best"' not in text  # one completed run is no contest
+    assert text.count("diverged at 0.02 s</span>") == 2
+    # Both panels and sums say that they belong to a run that ended early.
+    assert "In italics" in text
+    data = page_of(early, short).script("plot-data")
+    panel = data["plots"]["error"]["views"][0]["panels"][0]
+    largest = np.abs(short.dataset["error"].values[:, 0]).max()
+    assert panel["range"][1] <= 1.2 * largest
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2])
+def test_interrupted_after_few_samples(short, samples):
+    page = page_of(shortened(short, samples))
+    assert "interrupted" in page.text
+    assert {0: "no sample was recorded", 1: "1 sample was", 2: "2 samples were"}[samples] in page.text
+    if samples == 0:
+        assert "The record has no sample to analyse." in page.text
+        assert "error" not in page.script("plot-data")["plots"]
+    assert "Stability" in page.text
+    assert "Base attitude" in page.text
+
+
+def test_missing_variables_cost_only_their_section(short):
+    bare = dataclasses.replace(short, dataset=short.dataset.drop_vars(["disturbance_force", "error", "base_rpy"]))
+    page = page_of(bare)
+    rows = table_rows(render_report([bare]))
+    assert rows["Accuracy, ITAE"] == ["–"]
+    assert value(rows["Effort, ISV"][0]) == pytest.approx(short.metrics["isv"], rel=5e-5)
+    plots = page.script("plot-data")["plots"]
+    assert "error" not in plots
+    assert [view["label"] for view in plots["force"]["views"]] == ["Control"]
+    assert "The records hold no errors." in page.text
+    assert re.search(r"The analysis is not available for this run: there is no '\w+'\.", page.text)
+
+
+def test_a_foreign_controller_gets_its_report(short):
+    page = page_of(with_scenario(short, controller="my_lqr"))
+    assert "my_lqr" in page.text
+    assert "the stability map is not available" in page.text
+    assert "error" in page.script("plot-data")["plots"]
+
+
+def test_failing_sections_leave_the_rest(short, monkeypatch):
+    def fail(_):
+        raise FfsmError("controller: has no margins; choose another")
+
+    for name in ("analyze", "assess"):
+        monkeypatch.setattr(f"ffsm_drake.show.report.page.{name}", fail)
+    page = page_of(short)
+    assert page.text.count("controller: has no margins; choose another.") == 2
+    assert "ITAE" in page.text
+
+
+def test_no_record_is_an_error_of_one_line(tmp_path):
+    with pytest.raises(FfsmError, match=r"report\.html: a report needs at least one record"):
+        write_report([], tmp_path / "report.html")
+
+
+@pytest.mark.usefixtures("plain")
+@pytest.mark.parametrize("recording", [None, "<!DOCTYPE html><script>let a = '<\\/script>'</script>"])
+def test_loads_nothing_from_elsewhere(short, recording):
+    page = page_of(short, recording=recording)
+    for tag, attributes in page.tags:
+        for name in ("src", "href", "srcset", "data", "action", "poster"):
+            address = attributes.get(name) or ""
+            assert address.startswith(("#", "data:")) or not address, (tag, name, address)
+    style = next(text for _, text in page.scripts)
+    assert "@import" not in style
+    assert "url(" not in style
+
+
+@pytest.mark.usefixtures("plain")
+def test_plotly_is_inlined_once(short):
+    assert len(re.findall(r"plotly\.js v\d", render_report([short, short]))) == 1
+
+
+def test_text_from_scenarios_is_escaped(short):
+    names = short.dataset["coordinate"].values.tolist()
+    named = short.dataset.assign_coords(coordinate=[*names[:7], HOSTILE, *names[8:]])
+    hostile = dataclasses.replace(with_scenario(short, description=HOSTILE), dataset=named)
+    plain, page = page_of(short), page_of(hostile)
+    assert [tag for tag, _ in page.tags] == [tag for tag, _ in plain.tags]  # not one element more
+    assert page.script("plot-data")["plots"]["error"]["views"][0]["panels"][7]["title"] == HOSTILE.replace("_", " ")
+    assert " ".join(HOSTILE.split()) in page.text
+    assert page_of(short, recording=HOSTILE).script("recording-text") == HOSTILE
+
+
+def test_same_records_same_bytes(short, tmp_path):
+    one = write_report([short], tmp_path / "one.html").read_bytes()
+    short.save(tmp_path / "run")
+    assert one == write_report([RunRecord.load(tmp_path / "run")], tmp_path / "two.html").read_bytes()
+
+
+def test_same_controller_twice_is_told_apart(short):
+    other = with_scenario(short, random_seed=7)
+    assert [label.rpartition(", ")[2] for label in labels_of([short, other])] == ["random_seed = 0", "random_seed = 7"]
+    assert len({result.color for result in results_of([short, other, short])}) == 3
+    assert len(set(labels_of([short, short, other]))) == 3
+    gains = scenario_from_dict(scenario_to_dict(short.scenario), ["controllers.tde_aismc.k_s_max.all=65"])
+    assert labels_of([short, dataclasses.replace(short, scenario=gains)])[1] == "TDE-AISMC (proposed), k_s_max = 65"
+
+
+def write_arm(directory, joints):
+    """A base with an arm of so many links, every other joint prismatic; names as no program likes them."""
+    inertial = (
+        '<inertial><mass value="{0}"/><inertia ixx="{0}" iyy="{0}" izz="{0}" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    parts = [f'<link name="link_0">{inertial.format(400)}</link>']
+    for k in range(joints):
+        kind = ("revolute", "prismatic")[k % 2]
+        parts.append(
+            f'<link name="link_{k + 1}">{inertial.format(5)}</link>'
+            f'<joint name="Gelenk &lt;{k}&gt; é" type="{kind}"><parent link="link_{k}"/><child link="link_{k + 1}"/>'
+            f'<origin xyz="0 0 0.3"/><axis xyz="{k % 3 == 0:d} {k % 3 == 1:d} {k % 3 == 2:d}"/>'
+            '<limit lower="-3" upper="3" effort="1e9" velocity="1e9"/></joint>'
+        )
+    (directory / "arm.urdf").write_text(f'<robot name="arm">{"".join(parts)}</robot>')
+    (directory / "arm.dmd.yaml").write_text(
+        f"directives:\n- add_model: {{name: arm, file: 'file://{directory}/arm.urdf'}}\n"
+    )
+    (directory / "arm.yaml").write_text(
+        "duration: 0.2\nreference: {duration: 0.2}\ncontroller: tdc\nmodel: {directives: arm.dmd.yaml, end_effector: "
+        f"'arm::link_{joints}'}}\npayload: {{body: 'arm::link_{joints}'}}\n"
+    )
+    return directory / "arm.yaml"
+
+
+@pytest.mark.parametrize("joints", [1, 30])
+def test_any_arm(joints, tmp_path):
+    record = simulate(load_scenario(write_arm(tmp_path, joints)))
+    page = page_of(record)
+    panels = page.script("plot-data")["plots"]["force"]["views"][0]["panels"]
+    assert [panel["title"] for panel in panels[6:]] == [f"Gelenk <{k}> é" for k in range(joints)]
+    assert [panel["axis"] for panel in panels[6:]] == [("N m", "N")[k % 2] for k in range(joints)]
+    assert ("Joints, prismatic" in page.text) == (joints > 1)
+    assert "not available" not in page.text
+
+
+def test_thinning_keeps_ends_and_extremes():
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=100_003)
+    values[[17, 99_999]] = 50.0, -60.0
+    kept = thinned(values, 1000)
+    assert len(kept) <= 1000
+    assert {0, 17, 99_999, values.size - 1} <= set(kept.tolist())
+    assert np.all(np.diff(kept) > 0)
+    # No value is more than two pixels of a thousand from one that is drawn and at least as large, or as small.
+    for k in rng.integers(0, values.size, 300):
+        near = values[kept[np.abs(kept - k) <= 2 * values.size // 1000]]
+        assert near.min() <= values[k] <= near.max()
+    assert thinned(values[:10], 1000).tolist() == list(range(10))
+
+
+@pytest.mark.usefixtures("plain")
+def test_curves_are_the_record(short):
+    data = page_of(short).script("plot-data")
+    panel = data["plots"]["error"]["views"][0]["panels"][7]
+    assert panel["title"] == "joint 2"
+    x, y = (np.frombuffer(base64.b64decode(data["arrays"][panel["traces"][0][axis]]), dtype="<f4") for axis in "xy")
+    np.testing.assert_allclose(x, short.dataset["time"].values, rtol=1e-6)
+    np.testing.assert_allclose(y, short.dataset["error"].sel(coordinate="joint_2").values, rtol=1e-6)
+
+
+@pytest.mark.usefixtures("plain")
+def test_long_runs_are_thinned_and_the_page_says_so(short):
+    times = 60
+    dataset = short.dataset.isel(time=np.tile(np.arange(100), times))
+    dataset = dataset.assign_coords(time=("time", 0.01 * np.arange(100 * times), dataset["time"].attrs))
+    page = page_of(dataclasses.replace(short, dataset=dataset))
+    assert "(the longest has 6000)" in page.text
+    panel = page.script("plot-data")["plots"]["error"]["views"][0]["panels"][0]
+    array = page.script("plot-data")["arrays"][panel["traces"][0]["y"]]
+    assert len(base64.b64decode(array)) / 4 <= 4000
+
+
+@pytest.mark.usefixtures("plain")
+def test_command_and_scenario_make_the_same_run(short):
+    text = render_report([short])
+    command = html.unescape(re.search(r'<pre class="command">(.*?)</pre>', text, re.DOTALL).group(1))
+    words = shlex.split(command)
+    assert words[:4] == ["python", "examples/postcapture.py", "--scenario", "postcapture"]
+    overrides = [word for flag, word in zip(words[4::2], words[5::2], strict=True) if flag == "--set"]
+    assert scenario_to_dict(load_scenario("postcapture", overrides)) == scenario_to_dict(short.scenario)
+    saved = re.search(r'href="data:application/yaml;base64,([^"]*)"', text).group(1)
+    again = scenario_from_yaml(base64.b64decode(saved).decode())
+    assert scenario_to_dict(again) == scenario_to_dict(short.scenario)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: the page cannot be looked at")
+def test_draws_in_a_browser_without_complaint(short, tmp_path):
+    path = write_report(
+        [
+            dataclasses.replace(short, scenario=dataclasses.replace(short.scenario, description=HOSTILE)),
+            shortened(short, 1),
+        ],
+        tmp_path / "report.html",
+    )
+    done = subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+            "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-background-networking",
+            "--disable-component-update", "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}",
+            "--enable-logging=stderr", "--window-size=1400,1000", "--virtual-time-budget=30000", "--dump-dom",
+            path.as_uri(),
+        ],
+        capture_output=True, text=True, timeout=180, check=False,
+    )  # fmt: skip
+    complaints = [line for line in done.stderr.splitlines() if "CONSOLE" in line and "willReadFrequently" not in line]
+    assert not complaints, complaints[0][:500]
+    assert re.search(r'<html[^>]* data-plots="drawn"', done.stdout)
+    panels = done.stdout.count('<figure class="panel')
+    assert panels > 40
+    assert len(re.findall(r"<svg[^>]*main-svg", done.stdout)) >= panels - 1  # one is drawn by WebGL
+    assert done.stdout.count("scatterlayer") >= panels - 1
+    assert "taken" not in re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL).group(1).partition("&lt;")[0]

@@ -1,0 +1,63 @@
+"""Coordinate names, mappings by name and group, and the rotation-vector error."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.spacecraft.coordinates import Coordinates, position_error, position_errors, rotation_error
+
+COORDINATES = Coordinates(("joint_1", "slider"), ("rad", "m"))
+
+
+def test_the_more_specific_key_wins():
+    values = {"joint_1": 3.0, "all": 1.0, "base_position": 2.0, "base_position_y": 5.0}
+    assert COORDINATES.vector(values, key="k").tolist() == [1, 1, 1, 2, 5, 2, 3, 1]
+
+
+def test_defaults_and_missing_values():
+    assert COORDINATES.vector({"joints": 1.0}, key="k", default=0.0).tolist() == [0] * 6 + [1, 1]
+    with pytest.raises(ScenarioError, match=r"k: gives no value for base_rotation_x, .*base_position_z; add"):
+        COORDINATES.vector({"joints": 1.0}, key="k")
+    with pytest.raises(ScenarioError, match=r"k\.joint_9: unknown coordinate; valid here: all, base_rotation"):
+        COORDINATES.vector({"all": 1.0, "joint_9": 2.0}, key="k")
+
+
+def test_names_groups_and_units_line_up():
+    assert len(COORDINATES.names) == len(COORDINATES.group_of) == len(COORDINATES.units) == 8
+    assert len(COORDINATES.position_names) == 9
+    assert dict(zip(COORDINATES.names, COORDINATES.units, strict=True))["slider"] == "m"
+    assert dict(zip(COORDINATES.names, COORDINATES.group_of, strict=True))["slider"] == "joints"
+
+
+def test_rotation_error_is_the_world_frame_logarithm():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        desired, actual = Rotation.random(2, rng=rng)
+        expected = (desired * actual.inv()).as_rotvec()
+        scaled = 1.3 * actual.as_quat(scalar_first=True)  # measured quaternions are not of unit length
+        assert rotation_error(desired.as_quat(scalar_first=True), scaled) == pytest.approx(expected, abs=1e-12)
+        assert rotation_error(-desired.as_quat(scalar_first=True), scaled) == pytest.approx(expected, abs=1e-12)
+
+
+def test_tiny_rotations_keep_their_precision():
+    desired = Rotation.from_rotvec([1e-9, -2e-9, 3e-9]).as_quat(scalar_first=True)
+    assert rotation_error(desired, np.array([1.0, 0, 0, 0])) == pytest.approx((1e-9, -2e-9, 3e-9), rel=1e-9)
+    assert rotation_error(desired, desired) == (0.0, 0.0, 0.0)
+
+
+def test_position_error_is_desired_minus_actual():
+    q = np.array([1.0, 0, 0, 0, 1, 2, 3, 0.1, 0.2])
+    q_d = q + np.array([0, 0, 0, 0, 1, 0, 0, 0, 0.5])
+    assert position_error(q_d, q).tolist() == pytest.approx([0, 0, 0, 1, 0, 0, 0, 0.5])
+
+
+def test_many_position_errors_at_once_are_those_of_one_by_one():
+    rng = np.random.default_rng(4)
+    q_d, q = rng.normal(size=(2, 50, 9))
+    q[0] = q_d[0]  # no rotation at all
+    q[1, :4] = -q_d[1, :4]
+    q[2, :4] = q_d[2, :4] + 1e-9 * rng.normal(size=4)
+    expected = np.array([position_error(a, b) for a, b in zip(q_d, q, strict=True)])
+    assert position_errors(q_d, q) == pytest.approx(expected, rel=1e-13, abs=1e-24)
+    assert not position_errors(q_d, q)[0].any()

@@ -1,0 +1,428 @@
+"""The plant against MuJoCo and Pinocchio (models built from the paper's numbers), and against the laws of mechanics."""
+
+import itertools
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import mujoco_oracle as oracle
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RevoluteJoint
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import Sine
+from scipy.spatial.transform import Rotation
+
+from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.scenario import MassProperties, Model, load_scenario
+from ffsm_drake.spacecraft.plant import make_nominal_plant, make_plant, set_payload
+
+DEBRIS = "debris::debris"
+TOTAL_MASS = 400 + 3 + 10 + 10 + 1.5 + 1.5 + 100
+OFF_CENTRE = oracle.Target(70.0, center_of_mass=(0.2, -0.3, 0.15), inertia=(12.0, 9.0, 7.0, 1.5, -0.8, 0.6))
+
+State = tuple[np.ndarray, np.ndarray, np.ndarray]  # q, v and generalized force
+Dynamics = tuple[np.ndarray, np.ndarray, np.ndarray]  # mass matrix, bias term, acceleration; all in Drake's order
+
+
+def random_states(number: int) -> Iterator[State]:
+    """Drake's q (12), v (11) and generalized forces (11)."""
+    rng = np.random.default_rng(20240501)
+    for _ in range(number):
+        quaternion = rng.normal(size=4)
+        joints = rng.uniform(-np.pi, np.pi, 5)
+        q = np.concatenate([quaternion / np.linalg.norm(quaternion), rng.uniform(-2, 2, 3), joints])
+        yield q, rng.normal(size=11), rng.normal(scale=20, size=11)
+
+
+def set_target(plant: MultibodyPlant, context: Context, target: oracle.Target) -> None:
+    properties = MassProperties(
+        mass=target.mass, center_of_mass=list(target.center_of_mass), inertia=list(target.inertia)
+    )
+    set_payload(plant, context, body=DEBRIS, properties=properties)
+
+
+@pytest.fixture(scope="module")
+def plant() -> MultibodyPlant:
+    return make_plant(Model())
+
+
+@pytest.fixture
+def context(plant: MultibodyPlant) -> Context:
+    return plant.CreateDefaultContext()
+
+
+@pytest.fixture(scope="module", params=["parsed", "truth", "belief", "off_centre"])
+def ours(request: pytest.FixtureRequest) -> tuple[MultibodyPlant, Context, oracle.Target]:
+    """A plant and context of the package, with the target that it should hold."""
+    scenario = load_scenario("postcapture")
+    if request.param == "belief":
+        nominal = make_nominal_plant(scenario)
+        return nominal.plant, nominal.context, oracle.BELIEVED_TARGET
+    plant = make_plant(scenario.model)
+    context = plant.CreateDefaultContext()
+    if request.param == "truth":
+        set_payload(plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
+    elif request.param == "off_centre":
+        set_target(plant, context, OFF_CENTRE)
+        return plant, context, OFF_CENTRE
+    return plant, context, oracle.TRUE_TARGET
+
+
+def drake_dynamics(plant: MultibodyPlant, context: Context, state: State) -> Dynamics:
+    q, v, force = state
+    plant.SetPositions(context, q)
+    plant.SetVelocities(context, v)
+    plant.get_applied_generalized_force_input_port().FixValue(context, force)
+    acceleration = plant.get_generalized_acceleration_output_port().Eval(context)
+    return plant.CalcMassMatrix(context), plant.CalcBiasTerm(context), acceleration
+
+
+def mujoco_dynamics(target: oracle.Target) -> Callable[[State], Dynamics]:
+    spacecraft = oracle.MujocoSpacecraft(target)
+    order = oracle.V_TO_DRAKE
+
+    def dynamics(state: State) -> Dynamics:
+        configuration = state[0][oracle.Q_FROM_DRAKE]
+        rates, force = (vector[oracle.V_FROM_DRAKE] for vector in state[1:])
+        return (
+            spacecraft.mass_matrix(configuration)[np.ix_(order, order)],
+            spacecraft.bias(configuration, rates)[order],
+            spacecraft.acceleration(configuration, rates, force)[order],
+        )
+
+    return dynamics
+
+
+def pinocchio_dynamics(pin: Any, target: oracle.Target) -> Callable[[State], Dynamics]:
+    """Pinocchio takes q = (p_WB, quaternion xyzw, joints) and v = (v_B, w_B, joint rates), both base vectors in B."""
+
+    def at(z: float) -> Any:
+        return pin.SE3(np.eye(3), np.array([0.0, 0.0, z]))
+
+    model = pin.Model()
+    model.gravity = pin.Motion.Zero()
+    body = model.addJoint(0, pin.JointModelFreeFlyer(), at(0.0), "base")
+    model.appendBodyToJoint(body, pin.Inertia(oracle.BASE_MASS, np.zeros(3), oracle.BASE_INERTIA * np.eye(3)), at(0.0))
+    mounts = (oracle.ARM_MOUNT, *oracle.LINK_LENGTHS[:-1])
+    for i, (mass, length, axis) in enumerate(
+        zip(oracle.LINK_MASSES, oracle.LINK_LENGTHS, oracle.JOINT_AXES, strict=True)
+    ):
+        joint = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)[axis.index(1)]()
+        body = model.addJoint(body, joint, at(mounts[i]), f"joint_{i + 1}")
+        central = np.diag(oracle.rod_inertia(mass, length))
+        model.appendBodyToJoint(body, pin.Inertia(mass, np.zeros(3), central), at(length / 2))
+    held = pin.Inertia(target.mass, np.array(target.center_of_mass), oracle.inertia_matrix(target))
+    model.appendBodyToJoint(body, held, at(oracle.LINK_LENGTHS[-1] + oracle.TARGET_OFFSET))
+    data = model.createData()
+
+    def dynamics(state: State) -> Dynamics:
+        q, v, force = state
+        rotation = Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix()
+        # v_pin = to_pin v, and to_pin's rate times v is the rest of the acceleration: R^T (-w x v) for the base.
+        to_pin = np.zeros((11, 11))
+        to_pin[0:3, 3:6] = to_pin[3:6, 0:3] = rotation.T
+        to_pin[6:, 6:] = np.eye(5)
+        rest = np.zeros(11)
+        rest[0:3] = -rotation.T @ np.cross(v[0:3], v[3:6])
+        q_pin = np.concatenate([q[4:7], q[[1, 2, 3, 0]], q[7:]])
+        v_pin = to_pin @ v
+        upper = np.triu(pin.crba(model, data, q_pin))
+        mass_matrix = upper + np.triu(upper, 1).T
+        bias = pin.rnea(model, data, q_pin, v_pin, np.zeros(11))
+        acceleration = pin.aba(model, data, q_pin, v_pin, np.linalg.solve(to_pin.T, force))
+        return (
+            to_pin.T @ mass_matrix @ to_pin,
+            to_pin.T @ (bias + mass_matrix @ rest),
+            np.linalg.solve(to_pin, acceleration - rest),
+        )
+
+    return dynamics
+
+
+def assert_same_dynamics(
+    ours: tuple[MultibodyPlant, Context, oracle.Target], theirs: Callable[[State], Dynamics]
+) -> None:
+    """Each block by kind of coordinate agrees to 1e-10 of its own largest element, on 100 states."""
+    plant, context, _ = ours
+    groups = (slice(0, 3), slice(3, 6), slice(6, 11))
+    for state in random_states(100):
+        (mass_matrix, *vectors), (their_mass_matrix, *their_vectors) = (
+            drake_dynamics(plant, context, state),
+            theirs(state),
+        )
+        pairs = [(mass_matrix[i, j], their_mass_matrix[i, j]) for i, j in itertools.product(groups, groups)]
+        pairs += [(a[i], b[i]) for a, b in zip(vectors, their_vectors, strict=True) for i in groups]
+        for mine, expected in pairs:
+            assert_allclose(mine, expected, rtol=0, atol=1e-10 * np.abs(expected).max() + 1e-14)
+
+
+def test_dynamics_agree_with_mujoco(ours: tuple[MultibodyPlant, Context, oracle.Target]) -> None:
+    assert_same_dynamics(ours, mujoco_dynamics(ours[2]))
+
+
+def test_dynamics_agree_with_pinocchio(ours: tuple[MultibodyPlant, Context, oracle.Target]) -> None:
+    pinocchio = pytest.importorskip("pinocchio", reason="needs the extra 'oracles'")
+    assert_same_dynamics(ours, pinocchio_dynamics(pinocchio, ours[2]))
+
+
+def test_mass_matrix_is_symmetric_positive_definite(ours: tuple[MultibodyPlant, Context, oracle.Target]) -> None:
+    plant, context, _ = ours
+    for q, _, _ in random_states(100):
+        plant.SetPositions(context, q)
+        mass_matrix = plant.CalcMassMatrix(context)
+        assert_allclose(mass_matrix, mass_matrix.T, rtol=0, atol=1e-12 * mass_matrix.max())
+        assert np.linalg.eigvalsh(mass_matrix).min() > 1e-3
+
+
+def mass_matrix_rate(plant: MultibodyPlant, context: Context, q: np.ndarray, q_dot: np.ndarray) -> np.ndarray:
+    """dH/dt (11, 11) along q_dot, by central differences of fourth order."""
+    step = 1e-3
+
+    def at(multiple: float) -> np.ndarray:
+        plant.SetPositions(context, q + multiple * step * q_dot)
+        return plant.CalcMassMatrix(context)
+
+    return (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * step)
+
+
+def test_power_of_all_forces_is_the_rate_of_kinetic_energy(plant: MultibodyPlant, context: Context) -> None:
+    """v.(H' v / 2 + H v') = v.f in forced motion, which is v.(H' - 2C) v = 0 with C v the bias term.
+
+    Both forms hold in quasi-velocities too, as dT/dt and the power do not depend on the choice of coordinates.
+    """
+    for state in random_states(100):
+        q, v, force = state
+        mass_matrix, bias, acceleration = drake_dynamics(plant, context, state)
+        rate = mass_matrix_rate(plant, context, q, plant.MapVelocityToQDot(context, v))
+        scale = np.abs(v) @ np.abs(mass_matrix @ acceleration) + np.abs(v @ rate @ v)
+        assert abs(0.5 * v @ rate @ v + v @ mass_matrix @ acceleration - v @ force) < 1e-9 * scale
+        assert abs(v @ rate @ v - 2 * v @ bias) < 1e-9 * scale
+
+
+def test_bias_term_is_that_of_christoffel_symbols(plant: MultibodyPlant, context: Context) -> None:
+    """In true coordinates x = (roll, pitch, yaw, p_WB, joints) the bias is C x' with C of Christoffel symbols of the
+    mass matrix M; only for that C is M' - 2C skew whatever multiplies it."""
+
+    def rates_map(x: np.ndarray) -> np.ndarray:
+        """E (11, 11) of v = E x'."""
+        z, zy = Rotation.from_euler("z", x[2]), Rotation.from_euler("ZY", x[[2, 1]])
+        result = np.eye(11)
+        result[0:3, 0:3] = np.column_stack([zy.apply([1, 0, 0]), z.apply([0, 1, 0]), [0, 0, 1]])
+        return result
+
+    def place(x: np.ndarray) -> None:
+        quaternion = RollPitchYaw(x[:3]).ToQuaternion().wxyz()
+        plant.SetPositions(context, np.concatenate([quaternion, x[3:]]))
+
+    def mass_matrix(x: np.ndarray) -> np.ndarray:
+        place(x)
+        return rates_map(x).T @ plant.CalcMassMatrix(context) @ rates_map(x)
+
+    def derivative(of: Callable[[np.ndarray], np.ndarray], x: np.ndarray, along: np.ndarray) -> np.ndarray:
+        step = 1e-3
+        near, far = (of(x + h * along) - of(x - h * along) for h in (step, 2 * step))
+        return (8 * near - far) / (12 * step)
+
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        x, x_dot = rng.uniform(-1, 1, 11), rng.normal(size=11)
+        gradient = np.array([derivative(mass_matrix, x, unit) for unit in np.eye(11)])  # [k, i, j] = dM_ij / dx_k
+        coriolis = 0.5 * (
+            np.einsum("kij,k->ij", gradient, x_dot)
+            + np.einsum("jik,k->ij", gradient, x_dot)
+            - np.einsum("ijk,k->ij", gradient, x_dot)
+        )
+        to_v, to_v_rate = rates_map(x), derivative(rates_map, x, x_dot)
+        place(x)
+        plant.SetVelocities(context, to_v @ x_dot)
+        bias = to_v.T @ (plant.CalcBiasTerm(context) + plant.CalcMassMatrix(context) @ to_v_rate @ x_dot)
+        assert_allclose(coriolis @ x_dot, bias, rtol=0, atol=1e-10 * np.abs(bias).max())
+
+
+def simulate_tightly(system: Any, context: Context, duration: float) -> None:
+    simulator = Simulator(system, context)
+    config = SimulatorConfig(
+        integration_scheme="runge_kutta5", max_step_size=0.1, accuracy=1e-14, use_error_control=True
+    )
+    ApplySimulatorConfig(config, simulator)
+    simulator.Initialize()
+    simulator.AdvanceTo(duration)
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_free_motion_conserves_momentum_and_energy(plant: MultibodyPlant, context: Context, number: int) -> None:
+    set_target(plant, context, OFF_CENTRE)
+
+    def conserved() -> tuple[np.ndarray, np.ndarray, float]:
+        momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, np.zeros(3))
+        return momentum.translational(), momentum.rotational(), plant.CalcKineticEnergy(context)
+
+    q, v, _ = list(random_states(3))[number]
+    plant.SetPositions(context, q)
+    plant.SetVelocities(context, v)
+    # The same momenta from the mass matrix: its base rows are moments about the base's origin.
+    generalized = plant.CalcMassMatrix(context) @ v
+    before = conserved()
+    about_origin = generalized[:3] + np.cross(q[4:7], generalized[3:6])
+    for mine, theirs in zip((generalized[3:6], about_origin), before[:2], strict=True):
+        assert_allclose(mine, theirs, rtol=0, atol=1e-12 * np.linalg.norm(theirs))
+    simulate_tightly(plant, context, 20.0)
+    assert np.abs(plant.GetPositions(context) - q).max() > 1  # it did move
+    for start, end in zip(before, conserved(), strict=True):
+        assert np.linalg.norm(end - start) < 1e-9 * np.linalg.norm(start)
+
+
+class WorkMeter(LeafSystem):
+    """Integrates the power of forces: inputs ``state`` (it ends in the velocities) and ``force_0``, ``force_1``..."""
+
+    def __init__(self, state_size: int, num_forces: int) -> None:
+        super().__init__()
+        self._state = self.DeclareVectorInputPort("state", state_size)
+        self._forces = [self.DeclareVectorInputPort(f"force_{i}", 11) for i in range(num_forces)]
+        self.DeclareContinuousState(1)
+
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: Any) -> None:
+        force = sum(port.Eval(context) for port in self._forces)
+        derivatives.get_mutable_vector().SetFromVector([self._state.Eval(context)[-11:] @ force])
+
+
+def work_done(meter: WorkMeter, diagram: Any, context: Context) -> float:
+    return float(meter.GetMyContextFromRoot(context).get_continuous_state_vector()[0])
+
+
+def test_work_of_a_sine_force_is_the_gain_of_kinetic_energy() -> None:
+    rng = np.random.default_rng(3)
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(make_plant(Model()))
+    sine = builder.AddSystem(Sine(rng.normal(scale=5, size=11), rng.uniform(0.5, 3, 11), rng.uniform(0, 6, 11)))
+    meter = builder.AddSystem(WorkMeter(23, 1))
+    builder.Connect(sine.get_output_port(0), plant.get_applied_generalized_force_input_port())
+    builder.Connect(plant.get_state_output_port(), meter.GetInputPort("state"))
+    builder.Connect(sine.get_output_port(0), meter.GetInputPort("force_0"))
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    plant_context = plant.GetMyMutableContextFromRoot(context)
+    q, v, _ = next(random_states(1))
+    plant.SetPositions(plant_context, q)
+    plant.SetVelocities(plant_context, v)
+    before = plant.CalcKineticEnergy(plant_context)
+    simulate_tightly(diagram, context, 5.0)
+    gain = plant.CalcKineticEnergy(plant_context) - before
+    assert abs(gain) > 0.1
+    assert_allclose(work_done(meter, diagram, context), gain, rtol=0, atol=1e-10 * before)
+
+
+def test_work_of_control_and_disturbance_is_the_gain_of_kinetic_energy() -> None:
+    """In the shipped closed loop, as integrated there: the work of control and disturbance, added."""
+    loop = make_closed_loop(load_scenario("postcapture"))
+    builder = DiagramBuilder()
+    builder.AddSystem(loop.diagram)
+    meter = builder.AddSystem(WorkMeter(23, 2))
+    for output, name in (("state", "state"), ("generalized_force", "force_0"), ("disturbance_force", "force_1")):
+        builder.Connect(loop.diagram.GetOutputPort(output), meter.GetInputPort(name))
+    root = builder.Build()
+    simulator = Simulator(root)
+    ApplySimulatorConfig(loop.scenario.simulator_config, simulator)
+    context = simulator.get_mutable_context()
+    loop.initialize(root, context)
+    simulator.Initialize()
+    simulator.AdvanceTo(6.0)
+    energy = loop.plant.CalcKineticEnergy(loop.plant.GetMyContextFromRoot(context))
+    assert energy > 0.1
+    assert_allclose(work_done(meter, root, context), energy, rtol=1e-7)
+
+
+def test_centre_of_mass_accelerates_by_the_external_force_alone(plant: MultibodyPlant, context: Context) -> None:
+    for state in random_states(100):
+        drake_dynamics(plant, context, state)
+        acceleration = plant.CalcCenterOfMassTranslationalAccelerationInWorld(context)
+        assert_allclose(TOTAL_MASS * acceleration, state[2][3:6], rtol=0, atol=1e-10 * np.abs(state[2]).max())
+
+
+def test_mass_properties_are_those_of_table_1(plant: MultibodyPlant, context: Context) -> None:
+    def rod(mass: float, length: float) -> tuple[float, float, list[float]]:
+        across, along = mass * length**2 / 12, mass * 0.05**2 / 2
+        return mass, length / 2, [across, across, along]
+
+    expected = {
+        "base": (400.0, 0.0, [266.0] * 3),
+        "link_1": rod(3.0, 0.18),
+        "link_2": rod(10.0, 0.62),
+        "link_3": rod(10.0, 0.62),
+        "link_4": rod(1.5, 0.09),
+        "link_5": rod(1.5, 0.09),
+        "debris": (100.0, 0.0, [16.7] * 3),
+    }
+    bodies = [plant.get_body(index) for index in plant.GetBodyIndices(plant.GetModelInstanceByName("servicer"))]
+    bodies += [plant.get_body(index) for index in plant.GetBodyIndices(plant.GetModelInstanceByName("debris"))]
+    assert sorted(body.name() for body in bodies) == sorted(expected)
+    for body in bodies:
+        mass, height, moments = expected[body.name()]
+        inertia = body.CalcSpatialInertiaInBodyFrame(context)
+        central = inertia.Shift(inertia.get_com()).CalcRotationalInertia().CopyToFullMatrix3()
+        assert inertia.get_mass() == mass
+        assert_allclose(inertia.get_com(), [0, 0, height], rtol=0, atol=1e-15)
+        assert_allclose(central, np.diag(moments), rtol=1e-11, atol=1e-13)
+    assert plant.CalcTotalMass(context) == pytest.approx(TOTAL_MASS, rel=1e-14)
+
+
+def test_geometry_at_the_zero_posture(plant: MultibodyPlant, context: Context) -> None:
+    plant.SetPositions(context, [1, 0, 0, 0] + [0] * 8)
+    heights = {"link_1": 1.0, "link_2": 1.18, "link_3": 1.8, "link_4": 2.42, "link_5": 2.51, "debris": 3.1}
+    for name, height in heights.items():
+        pose = plant.GetBodyByName(name).EvalPoseInWorld(context)
+        assert pose.IsNearlyEqualTo(RigidTransform([0, 0, height]), 1e-12), name
+    end_effector = plant.GetFrameByName("end_effector").CalcPoseInWorld(context)
+    assert end_effector.IsNearlyEqualTo(RigidTransform([0, 0, 2.6]), 1e-12)
+    axes = {"joint_1": "Z", "joint_2": "Y", "joint_3": "Y", "joint_4": "Y", "joint_5": "X"}
+    for number, (name, axis) in enumerate(axes.items()):
+        joint = plant.GetJointByName(name)
+        assert isinstance(joint, RevoluteJoint)
+        assert joint.velocity_start() == 6 + number
+        assert_allclose(joint.revolute_axis(), np.eye(3)["XYZ".index(axis)], rtol=0, atol=1e-15)
+
+
+def test_arm_turns_about_its_axes_the_right_way_round(plant: MultibodyPlant, context: Context) -> None:
+    """The target's pose at a bent posture, from a chain of elementary rotations."""
+    angles = np.array([0.3, -0.5, 0.9, 1.1, -0.7])
+    plant.SetPositions(context, [1, 0, 0, 0, 0, 0, 0, *angles])
+    make = (
+        RotationMatrix.MakeZRotation,
+        RotationMatrix.MakeYRotation,
+        RotationMatrix.MakeYRotation,
+        RotationMatrix.MakeYRotation,
+        RotationMatrix.MakeXRotation,
+    )
+    pose = RigidTransform()
+    for turn, angle, mount in zip(make, angles, (1.0, 0.18, 0.62, 0.62, 0.09), strict=True):
+        pose = pose @ RigidTransform(turn(angle), [0, 0, mount])
+    pose = pose @ RigidTransform([0, 0, 0.09 + 0.5])
+    assert plant.GetBodyByName("debris").EvalPoseInWorld(context).IsNearlyEqualTo(pose, 1e-12)
+
+
+def test_there_is_no_gravity(plant: MultibodyPlant, context: Context) -> None:
+    assert plant.gravity_field().gravity_vector().tolist() == [0, 0, 0]
+    for q, _, _ in random_states(10):
+        plant.SetPositions(context, q)
+        assert plant.CalcGravityGeneralizedForces(context).tolist() == [0] * 11
+        assert plant.CalcBiasTerm(context).tolist() == [0] * 11  # at rest nothing is left
+
+
+def test_payload_of_one_context_leaves_others_alone(plant: MultibodyPlant, context: Context) -> None:
+    q, _, _ = next(random_states(1))
+    other = plant.CreateDefaultContext()
+    for each in (context, other):
+        plant.SetPositions(each, q)
+    parsed = plant.CalcMassMatrix(other)
+    set_target(plant, context, OFF_CENTRE)
+    fresh = plant.CreateDefaultContext()
+    plant.SetPositions(fresh, q)
+    for untouched in (other, fresh):
+        assert np.array_equal(plant.CalcMassMatrix(untouched), parsed)
+        assert plant.CalcTotalMass(untouched) == pytest.approx(TOTAL_MASS)
+    assert plant.CalcTotalMass(context) == pytest.approx(TOTAL_MASS - 30)
+    assert np.abs(plant.CalcMassMatrix(context) - parsed).max() > 1

@@ -1,0 +1,258 @@
+"""The estimates of the lumped uncertainty: their gains, their limits, and what the loop makes of them."""
+
+import numpy as np
+import pytest
+from flight_settings import FLIGHT, NO_NOISE
+
+from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
+from ffsm_drake.systems.controllers.estimators import (
+    KalmanEstimator,
+    Measurement,
+    OneSampleEstimator,
+    kalman_gain,
+    make_estimator,
+)
+from ffsm_drake.systems.controllers.time_delay import time_delay_force
+
+PERIOD = 0.01
+SIZE = 11
+# Velocities exact, positions useless and the walk fast, each beside the others; with these the gain is within 1e-7.
+LIMIT = {"position_noise": 10.0, "velocity_noise": 1e-4, "walk": 1e4, "sample_time": PERIOD}
+# In units of acceleration all six entries are of order one.
+SCALE = np.array([1.0, PERIOD, PERIOD**2])[:, None] / np.array([1.0, PERIOD])
+FLIGHT_GAINS, FLIGHT_FILTER = FLIGHT[1:4], FLIGHT[4:8]
+
+
+def smooth_motion(rng, count):
+    """Random smooth measured and desired velocities, their error, applied forces: each (count, SIZE)."""
+    time = PERIOD * np.arange(count)[:, None, None]
+
+    def smooth(size):
+        phase, frequency = rng.uniform(0, 2 * np.pi, (4, SIZE)), rng.uniform(0.2, 5.0, (4, SIZE))
+        return size * np.sin(frequency * time + phase).sum(axis=1)
+
+    v_d, e_dot, force = smooth(0.05), smooth(0.02), smooth(5.0)
+    e_dot -= e_dot[0]  # the filter starts from zero error
+    e = np.vstack([np.zeros(SIZE), np.cumsum(0.5 * PERIOD * (e_dot[1:] + e_dot[:-1]), axis=0)])
+    return v_d - e_dot, v_d, e, e_dot, force
+
+
+def random_spd(rng):
+    root = rng.normal(size=(SIZE, SIZE))
+    return 20.0 * (root @ root.T / SIZE + np.eye(SIZE))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_one_sample_is_the_limit_of_kalman(seed):
+    """The same N = q'' - Hhat^-1 tau and, for the same u, the same force: through the pure functions, every sample."""
+    rng = np.random.default_rng(seed)
+    mass_matrix = random_spd(rng)
+    gain = np.tile(kalman_gain(**LIMIT), (SIZE, 1, 1))
+    one_sample = OneSampleEstimator(sample_time=PERIOD, num_velocities=SIZE)
+    kalman = KalmanEstimator(sample_time=PERIOD, gain=gain)
+    v, v_d, e, e_dot, force = smooth_motion(rng, 300)
+    states = [tuple(estimator.initial_state().values()) for estimator in (one_sample, kalman)]
+    n, tau = ([], []), ([], [])
+    for k in range(v.shape[0]):
+        measured = Measurement(
+            e=e[k],
+            e_dot=e_dot[k],
+            v=v[k],
+            v_d=v_d[k],
+            applied_force=force[k - 1] if k else np.zeros(SIZE),
+            nominal_mass_matrix=mass_matrix,
+            has_previous=float(k > 0),
+        )
+        u = 3.0 * e_dot[k] + 2.0 * e[k] + 0.1
+        for i, estimator in enumerate((one_sample, kalman)):
+            estimate, states[i] = estimator.step(measured, states[i])
+            n[i].append(estimate.base_acceleration - np.linalg.solve(mass_matrix, estimate.base_force))
+            tau[i].append(
+                time_delay_force(
+                    delayed_force=estimate.base_force,
+                    nominal_mass_matrix=mass_matrix,
+                    delayed_acceleration=estimate.base_acceleration,
+                    u=u,
+                )
+            )
+            assert estimate.e_dot == pytest.approx(e_dot[k], abs=1e-6 * np.abs(e_dot).max())
+            assert estimate.e == pytest.approx(e[k], abs=1e-5 * np.abs(e).max())
+    true_n = np.diff(v, axis=0) / PERIOD - np.linalg.solve(mass_matrix, force[:-1].T).T
+    assert np.array(n[0][1:]) == pytest.approx(true_n, abs=1e-12 * np.abs(true_n).max())
+    assert np.array(n[1]) == pytest.approx(np.array(n[0]), abs=1e-6 * np.abs(n[0]).max())
+    assert np.array(tau[1]) == pytest.approx(np.array(tau[0]), abs=1e-6 * np.abs(tau[0]).max())
+
+
+def test_limit_of_the_gain():
+    """Exact velocities give e' and, differentiated, d; a position is no use to anything."""
+    expected = np.array([[0.0, PERIOD / 2], [0.0, 1.0], [0.0, 1.0 / PERIOD]])
+    assert kalman_gain(**LIMIT) * SCALE == pytest.approx(expected * SCALE, abs=2e-7)
+    for half_way in ({"position_noise": 1e-4}, {"velocity_noise": 1e2}, {"walk": 1.0}):
+        assert np.abs((kalman_gain(**LIMIT | half_way) - expected) * SCALE).max() > 1e-3, half_way
+
+
+def test_gain_is_the_steady_state_of_the_riccati_iteration():
+    """Noise sets of the flight scenario (three groups), of postcapture, and others, against a loop of our own in SI."""
+    position = np.array([1e-3, 5e-5, 1e-5, 1e-6, 1e-3, 2e-4])
+    velocity = np.array([1e-3, 1.5e-5, 1e-4, 1e-6, 1e-2, 1e-4])
+    walk = np.array([1e-3, 1e-3, 1e-2, 1e-2, 10.0, 0.3])
+    for step in (PERIOD, 0.04):
+        transition = np.array([[1, step, step**2 / 2], [0, 1, step], [0, 0, 1]])
+        process = np.zeros((walk.size, 3, 3))
+        process[:, 2, 2] = walk**2 * step
+        noise = np.zeros((walk.size, 2, 2))
+        noise[:, 0, 0], noise[:, 1, 1] = position**2, velocity**2
+        covariance = np.tile(np.diag([1e-4, 1e-4, 1.0]), (walk.size, 1, 1))
+        for _ in range(8000):
+            gain = covariance[:, :, :2] @ np.linalg.inv(covariance[:, :2, :2] + noise)
+            keep = np.eye(3) - np.pad(gain, ((0, 0), (0, 0), (0, 1)))
+            covariance = keep @ covariance @ keep.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
+            covariance = transition @ covariance @ transition.T + process
+        for i in range(walk.size):
+            found = kalman_gain(position_noise=position[i], velocity_noise=velocity[i], walk=walk[i], sample_time=step)
+            assert found == pytest.approx(gain[i], rel=1e-7), (i, step)
+            error_map = (np.eye(3) - found @ np.eye(3)[:2]) @ transition
+            assert np.abs(np.linalg.eigvals(error_map)).max() < 1.0
+
+
+def test_a_more_trusted_sensor_and_a_faster_walk_weigh_more():
+    reference = {"position_noise": 1e-4, "velocity_noise": 1e-4, "walk": 1e-2, "sample_time": PERIOD}
+    gain = kalman_gain(**reference)
+    assert kalman_gain(**reference | {"position_noise": 1e-5})[0, 0] > 2 * gain[0, 0]
+    assert kalman_gain(**reference | {"velocity_noise": 1e-5})[1, 1] > 2 * gain[1, 1]
+    assert kalman_gain(**reference | {"walk": 1.0})[2, 1] > 2 * gain[2, 1]
+
+
+def test_each_coordinate_has_the_gain_of_its_own_noise():
+    """That of the sensors unless another is given, which may differ by coordinate."""
+    sensors = "sensing.position_noise={base_position: 1e-3, base_rotation: 5e-5, joints: 1e-5}"
+    given = "estimator.velocity_noise={all: 1e-3, joint_2: 7e-4}"
+    scenario = load_scenario(FLIGHT[0], [*FLIGHT[1:], sensors, "estimator.position_noise=null", given])
+    coordinates = make_nominal_plant(scenario).coordinates
+    estimator = make_estimator(scenario, coordinates)
+    assert isinstance(estimator, KalmanEstimator)
+    assert estimator.gain.shape == (11, 3, 2)
+    for name, position, velocity, walk in (
+        ("base_rotation_y", 5e-5, 1e-3, 1e-3),
+        ("base_position_x", 1e-3, 1e-3, 1e-3),
+        ("joint_2", 1e-5, 7e-4, 1e-2),
+        ("joint_3", 1e-5, 1e-3, 1e-2),
+    ):
+        expected = kalman_gain(position_noise=position, velocity_noise=velocity, walk=walk, sample_time=PERIOD)
+        assert np.array_equal(estimator.gain[coordinates.names.index(name)], expected), name
+
+
+def test_an_unknown_constant_disturbance_leaves_no_error(run):
+    """At rest the force cancels tau_d, and what is left of the error is nothing beside that of the law alone."""
+    record = run(*FLIGHT, "duration=40", "disturbance.frequency_scale=0", *NO_NOISE)
+    data, scenario = record.dataset, record.scenario
+    disturbance = data["disturbance_force"].values
+    assert np.ptp(disturbance, axis=0) == pytest.approx(np.zeros(11), abs=1e-15)
+    assert np.abs(disturbance[0]).max() > 0.1
+    nominal = make_nominal_plant(scenario)
+    k_p = nominal.coordinates.vector(scenario.controllers.tdc.k_p, key="")
+    mass_matrix = nominal.calc_mass_matrix(data["position"].values[-1])
+    without_estimate = np.abs(np.linalg.solve(mass_matrix, disturbance[-1]) / k_p)
+    error = np.abs(data["error"].values[-1])
+    for name, part in nominal.coordinates.groups.items():
+        assert error[part].max() < 1e-4 * without_estimate[part].max(), name
+    assert error.max() < 1e-9
+    assert data["generalized_force"].values[-1] == pytest.approx(-disturbance[-1], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["paper", "postcapture"])
+def test_the_published_estimate_is_the_default(name):
+    """And it is equation (5): the last force, and the differentiated velocity, zero at the very first sample."""
+    scenario = load_scenario(name)
+    assert scenario.estimator.kind == "one_sample"
+    estimator = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+    assert isinstance(estimator, OneSampleEstimator)
+    assert list(estimator.initial_state()) == ["delayed_velocity"]
+    rng = np.random.default_rng(0)
+    e, e_dot, v, v_d, force, old = rng.normal(size=(6, 11))
+    for has_previous in (0.0, 1.0):
+        measured = Measurement(
+            e=e,
+            e_dot=e_dot,
+            v=v,
+            v_d=v_d,
+            applied_force=force,
+            nominal_mass_matrix=np.eye(11),
+            has_previous=has_previous,
+        )
+        estimate, (kept,) = estimator.step(measured, (old,))
+        assert estimate.e is e
+        assert estimate.e_dot is e_dot
+        assert np.array_equal(estimate.base_force, force)
+        assert estimate.base_acceleration == pytest.approx(has_previous * (v - old) / 0.01, rel=1e-14)
+        assert np.array_equal(kept, v)
+
+
+def test_settings_of_kalman_do_not_touch_the_published_run(run):
+    plain = run("postcapture", "duration=1")
+    other = run("postcapture", "duration=1", "estimator.walk=7", "estimator.position_noise=3")
+    for name in ("position", "velocity", "generalized_force"):
+        assert np.array_equal(plain.dataset[name], other.dataset[name]), name
+
+
+def heavier(mass, inertia):
+    return f"payload.belief.mass={mass}", f"payload.belief.inertia=[{inertia}, {inertia}, {inertia}]"
+
+
+@pytest.mark.parametrize("controller", ["tdc", "tde_aismc"])
+def test_an_over_estimated_payload_is_flown_with_kalman_and_flight_gains(run, controller):
+    published = run("postcapture", f"controller={controller}", *heavier(150, 25))
+    assert published.outcome.status == "diverged"
+    record = run("postcapture", *heavier(150, 25), *FLIGHT_GAINS, "estimator.kind=kalman", FLIGHT[5])
+    assert record.outcome.completed
+    assert max(record.metrics["peak_error"].values()) < 2e-5
+    assert max(record.metrics["final_error"].values()) < 5e-6
+
+
+def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
+    """Twice the inertia: eta > 2, and one sample alone is a growing oscillation."""
+    setting = ("postcapture", *heavier(250, 42), *FLIGHT_GAINS)
+    assert run(*setting).outcome.status == "diverged"
+    record = run(*setting, *FLIGHT_FILTER)
+    assert record.outcome.completed
+    assert max(record.metrics["peak_error"].values()) < 3e-4
+    assert max(record.metrics["peak_effort"].values()) < 10
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("estimator.kind=foo", "estimator.kind: 'foo' is unknown; choose one of one_sample, kalman"),
+        ("estimator.walk=0", "estimator.walk.all: must be > 0, not 0"),
+        ("estimator.walk.joint_1=-1", "estimator.walk.joint_1: must be > 0, not -1"),
+        ("estimator.walk={base_rotation: 1, joints: 1}", "estimator.walk: gives no value for base_position_x"),
+        ("estimator.walk.elbow=1", "estimator.walk.elbow: unknown coordinate; valid here: all"),
+        ("estimator.velocity_noise={elbow: 1}", "estimator.velocity_noise.elbow: unknown coordinate"),
+    ],
+)
+def test_errors_are_one_clear_line(override, expected):
+    with pytest.raises(ScenarioError) as error:
+        make_closed_loop(load_scenario("flight_sensors", [override]))
+    assert expected in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("position", "velocity"), [(1e-3, 0.0), (0.0, 1e-3), (0.0, 0.0), (1e-3, 1e-12), (1.0, 1e-9)])
+def test_gain_exists_for_exact_measurements(position, velocity):
+    for walk in (1e-6, 1e-3, 1e2):
+        gain = kalman_gain(position_noise=position, velocity_noise=velocity, walk=walk, sample_time=0.01)
+        assert np.isfinite(gain).all()
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("estimator.position_noise=-1", "override: estimator.position_noise.all: a standard deviation must be >= 0"),
+        ("estimator.velocity_noise.joint_1=-1", "estimator.velocity_noise.joint_1: a standard deviation must be >= 0"),
+        ("sensing.velocity_noise.foo=1", "sensing.velocity_noise.foo: unknown coordinate"),
+    ],
+)
+def test_wrong_noise_names_its_own_key(override, expected):
+    with pytest.raises(ScenarioError) as error:
+        make_closed_loop(load_scenario("flight_sensors", [override]))
+    assert expected in str(error.value)
