@@ -1,4 +1,71 @@
 """The scenario: everything that defines a run, as plain data with units."""
 
-from ffsm_drake.scenario.schema import *  # noqa: F403
-from ffsm_drake.scenario.schema import ENTRY_POINT_GROUP, PerCoordinate, inertia_matrix, schema_fields  # noqa: F401
+from ffsm_drake.scenario.loading import (
+    is_overridden,
+    load_scenario,
+    override_scenario,
+    scenario_from_dict,
+    scenario_from_yaml,
+    scenario_to_dict,
+    scenario_to_yaml,
+    shipped_scenarios,
+)
+from ffsm_drake.scenario.resolving import schema_fields
+from ffsm_drake.scenario.schema import (
+    CONTROLLER_NAMES,
+    ESTIMATOR_KINDS,
+    Actuation,
+    AismcGains,
+    AsmcGains,
+    Controllers,
+    Disturbance,
+    Estimator,
+    Harmonic,
+    MassProperties,
+    Model,
+    Payload,
+    PerCoordinate,
+    Posture,
+    Reference,
+    Scenario,
+    Sensing,
+    TdcGains,
+    TdeAismcGains,
+    inertia_matrix,
+    own_controller_name,
+)
+from ffsm_drake.scenario.validation import ENTRY_POINT_GROUP
+
+__all__ = [
+    "CONTROLLER_NAMES",
+    "ENTRY_POINT_GROUP",
+    "ESTIMATOR_KINDS",
+    "Actuation",
+    "AismcGains",
+    "AsmcGains",
+    "Controllers",
+    "Disturbance",
+    "Estimator",
+    "Harmonic",
+    "MassProperties",
+    "Model",
+    "Payload",
+    "PerCoordinate",
+    "Posture",
+    "Reference",
+    "Scenario",
+    "Sensing",
+    "TdcGains",
+    "TdeAismcGains",
+    "inertia_matrix",
+    "is_overridden",
+    "load_scenario",
+    "override_scenario",
+    "own_controller_name",
+    "scenario_from_dict",
+    "scenario_from_yaml",
+    "scenario_to_dict",
+    "scenario_to_yaml",
+    "schema_fields",
+    "shipped_scenarios",
+]

@@ -1,0 +1,145 @@
+"""Loading a scenario in layers, later ones winning: the defaults, the YAML file, the overrides (``key=value``)."""
+
+import typing
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import yaml
+
+from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line
+from ffsm_drake.scenario.resolving import apply_override, as_dict, build, resolve
+from ffsm_drake.scenario.schema import Scenario
+from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
+from ffsm_drake.scenario.validation import require, validate
+
+MAX_FILE_SIZE = 1_000_000  # bytes
+
+
+def shipped_scenarios() -> dict[str, Path]:
+    """The scenarios that ship with the package: name -> file."""
+    return {path.stem: path for path in sorted((Path(__file__).parent / "shipped").glob("*.yaml"))}
+
+
+def load_scenario(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
+    """Load a scenario by shipped name or file path, apply overrides, validate.
+
+    Args:
+      name_or_path: a name of ``shipped_scenarios()``, or the path of a YAML file.
+      overrides: ``key=value`` strings; the key is dotted, the value is YAML (``controllers.tdc.k_d.joint_1=50``).
+
+    Raises:
+      ScenarioError: the file, a key or a value cannot be used; the message says where and what would be right.
+    """
+    path = _find(str(name_or_path))
+    try:
+        if path.stat().st_size > MAX_FILE_SIZE:
+            raise ScenarioError(
+                "", f"larger than {MAX_FILE_SIZE} bytes: not a scenario; give a YAML file", source=str(path)
+            )
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ScenarioError("", f"is not UTF-8 text ({one_line(error)})", source=str(path)) from error
+    except OSError as error:
+        raise ScenarioError("", f"cannot be read: {one_line(error)}", source=str(path)) from error
+    return scenario_from_yaml(text, overrides, source=str(path))
+
+
+def scenario_from_yaml(text: str, overrides: Iterable[str] = (), *, source: str = "") -> Scenario:
+    """Build a scenario from YAML text; ``source`` is the file name used in errors and for relative model paths."""
+    try:
+        data = read_yaml(text)
+    except StrictYamlError as error:
+        raise ScenarioError("", f"is not valid YAML: {one_line(error)}", source=source) from error
+    if isinstance(data, dict):  # at the top, names with an underscore hold what aliases refer to
+        data = {key: value for key, value in data.items() if not (isinstance(key, str) and key.startswith("_"))}
+    return scenario_from_dict({} if data is None else data, overrides, source=source)
+
+
+def scenario_from_dict(data: Mapping[str, typing.Any], overrides: Iterable[str] = (), *, source: str = "") -> Scenario:
+    """Build a scenario from plain data (as read from YAML or JSON)."""
+    try:
+        resolved = resolve(Scenario, as_dict(Scenario()), data, "")
+        _choose_model_source(resolved["model"], data.get("model") or {})
+    except ScenarioError as error:
+        raise error.located(source) from None
+    _anchor_relative_paths(resolved["model"], Path(source).parent if source else None)
+    overridden = []
+    for override in overrides:
+        try:
+            overridden.append(apply_override(resolved, override))
+        except ScenarioError as error:
+            raise error.located("override") from None
+    scenario: Scenario = build(Scenario, resolved)
+    try:
+        validate(scenario)
+    except ScenarioError as error:
+        raise error.located("override" if is_overridden(error.key, overridden) else source) from None
+    return scenario
+
+
+def is_overridden(key: str, overridden: Iterable[str]) -> bool:
+    """Whether a key is one of the overridden ones, stands within one, or holds one."""
+
+    def within(inner: str, outer: str) -> bool:
+        return inner == outer or inner.startswith((f"{outer}.", f"{outer}["))
+
+    return any(within(key, other) or within(other, key) for other in overridden)
+
+
+def scenario_to_dict(scenario: Scenario) -> dict[str, typing.Any]:
+    """The whole scenario as plain data: what ``scenario_from_dict`` takes back unchanged."""
+    data: dict[str, typing.Any] = as_dict(scenario)
+    return data
+
+
+def scenario_to_yaml(scenario: Scenario) -> str:
+    """The whole scenario as YAML text: what ``load_scenario`` reads back from a file."""
+    text: str = yaml.safe_dump(scenario_to_dict(scenario), sort_keys=False)
+    return text
+
+
+def override_scenario(scenario: Scenario, overrides: Iterable[str]) -> Scenario:
+    """A new scenario with ``key=value`` overrides applied; the given one is left as it is."""
+    return scenario_from_dict(scenario_to_dict(scenario), overrides)
+
+
+def _find(name: str) -> Path:
+    shipped = shipped_scenarios()
+    if name in shipped:
+        return shipped[name]
+    path = Path(name)
+    try:
+        if path.is_file():
+            return path
+        kind = "a folder" if path.is_dir() else "not a regular file" if path.exists() else ""
+    except (OSError, ValueError) as error:  # too long, not allowed to look, ...
+        raise ScenarioError("", f"cannot be read: {one_line(error)}", source=name) from error
+    if kind and name:
+        raise ScenarioError("", f"is {kind}; give a YAML file", source=name)
+    if path.suffix in (".yaml", ".yml") or (name and path.name != name):
+        raise ScenarioError("", f"no such scenario file; give a YAML file or one of {', '.join(shipped)}", source=name)
+    raise ScenarioError(
+        "",
+        f"no such scenario; choose one of {', '.join(shipped)}, or give a YAML file{did_you_mean(name, shipped)}",
+        source=name or "''",
+    )
+
+
+def _choose_model_source(model: dict[str, typing.Any], given: Mapping[str, typing.Any]) -> None:
+    """Of directives and servicer keep the one that was given."""
+    if model["servicer"] is not None and given.get("directives") is None:
+        model["directives"] = None
+    require(
+        (model["servicer"] is None) != (model["directives"] is None),
+        "model",
+        "give either directives or servicer (a URDF), not both and not neither",
+    )
+
+
+def _anchor_relative_paths(model: dict[str, typing.Any], folder: Path | None) -> None:
+    def anchored(path: str | None) -> str | None:
+        return path if path is None or folder is None or "://" in path else str((folder / path).resolve())
+
+    for key in ("directives", "servicer", "debris"):
+        model[key] = anchored(model[key])
+    model["packages"] = {name: anchored(path) for name, path in model["packages"].items()}

@@ -1,0 +1,145 @@
+"""Every value that can be judged without building the plant."""
+
+import dataclasses
+import re
+from importlib.metadata import entry_points
+
+import numpy as np
+from pydrake.systems.analysis import GetIntegrationSchemes
+
+from ffsm_drake.common.errors import ScenarioError, did_you_mean
+from ffsm_drake.scenario.resolving import shown
+from ffsm_drake.scenario.schema import CONTROLLER_NAMES, ESTIMATOR_KINDS, MassProperties, Scenario, inertia_matrix
+
+_MODULE_AND_ATTRIBUTE = re.compile(r"[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")
+ENTRY_POINT_GROUP = "ffsm_drake.controllers"  # where installed packages offer further controllers
+FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # without an error estimate
+MAX_SAMPLES = 10_000_000
+MAX_STEPS = 1_000_000_000  # of the integrator; hours
+_BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
+
+
+def validate(scenario: Scenario) -> None:
+    """Check every value that can be judged without building the plant; raise ScenarioError naming the key."""
+    require(0 <= scenario.random_seed < 2**31, "random_seed", "must be from 0 to 2147483647")
+    require(scenario.duration > 0, "duration", "must be > 0 s")
+    require(scenario.sample_time > 0, "sample_time", "must be > 0 s")
+    samples = scenario.duration / scenario.sample_time
+    require(
+        samples <= MAX_SAMPLES,
+        "sample_time" if scenario.duration < 1000.0 else "duration",
+        f"{scenario.duration:g} s in samples of {scenario.sample_time:g} s are {samples:.3g}, about "
+        f"{samples * _BYTES_PER_SAMPLE / 1e9:.3g} GB; at most {MAX_SAMPLES} are run: shorten duration or lengthen "
+        "sample_time",
+    )
+    require(scenario.num_control_periods >= 1, "sample_time", f"must be at most duration ({scenario.duration} s)")
+    require(scenario.divergence_speed > 0, "divergence_speed", "must be > 0")
+    require(scenario.reference.duration > 0, "reference.duration", "must be > 0 s")
+    if scenario.controller not in CONTROLLER_NAMES and not _MODULE_AND_ATTRIBUTE.fullmatch(scenario.controller):
+        known = CONTROLLER_NAMES + tuple(sorted(entry_points(group=ENTRY_POINT_GROUP).names))
+        require(
+            scenario.controller in known,
+            "controller",
+            f"'{scenario.controller}' is unknown; choose one of {', '.join(known)}, or give module:Class"
+            + did_you_mean(scenario.controller, known),
+        )
+    require(
+        scenario.estimator.kind in ESTIMATOR_KINDS,
+        "estimator.kind",
+        f"'{scenario.estimator.kind}' is unknown; choose one of {', '.join(ESTIMATOR_KINDS)}"
+        + did_you_mean(scenario.estimator.kind, ESTIMATOR_KINDS),
+    )
+    for key, number in scenario.estimator.walk.items():
+        require(number > 0, f"estimator.walk.{key}", f"must be > 0, not {number}")
+    for name in ("position_noise", "velocity_noise"):
+        for key, number in (getattr(scenario.estimator, name) or {}).items():
+            require(number >= 0, f"estimator.{name}.{key}", f"a standard deviation must be >= 0, not {number}")
+    _validate_simulator_config(scenario)
+    for name in ("truth", "belief"):
+        _validate_mass_properties(getattr(scenario.payload, name), f"payload.{name}")
+    for name in ("initial_posture", "target_posture"):
+        posture = getattr(scenario, name)
+        for field in ("base_position", "base_rpy"):
+            require(len(getattr(posture, field)) == 3, f"{name}.{field}", "must hold three numbers [x, y, z]")
+    for key, number in scenario.initial_velocity.items():
+        require(
+            abs(number) <= scenario.divergence_speed,
+            f"initial_velocity.{key}",
+            f"must be within divergence_speed ({scenario.divergence_speed:g}), not {number}",
+        )
+    require(scenario.disturbance.frequency_scale >= 0, "disturbance.frequency_scale", "must be >= 0")
+    for name in CONTROLLER_NAMES:
+        gains = getattr(scenario.controllers, name)
+        for gain_field in dataclasses.fields(gains):
+            value = getattr(gains, gain_field.name)
+            for key, number in value.items() if isinstance(value, dict) else (("", value),):
+                path = ".".join(part for part in (f"controllers.{name}.{gain_field.name}", key) if part)
+                positive = gain_field.name in ("beta", "b", "epsilon")
+                require(number is None or number >= 0, path, f"must be >= 0, not {number}")
+                require(not positive or number > 0, path, "must be > 0")
+    for name in ("velocity_noise", "position_noise"):
+        for key, number in getattr(scenario.sensing, name).items():
+            require(number >= 0, f"sensing.{name}.{key}", f"a standard deviation must be >= 0, not {number}")
+    for name in ("velocity_quantization", "position_quantization"):
+        for key, number in getattr(scenario.sensing, name).items():
+            require(number >= 0, f"sensing.{name}.{key}", f"must be >= 0 (0: none), not {number}")
+    for key, number in (scenario.actuation.limit or {}).items():
+        require(number > 0, f"actuation.limit.{key}", f"must be > 0, not {number}")
+    for key, number in scenario.actuation.quantization.items():
+        require(number >= 0, f"actuation.quantization.{key}", f"must be >= 0 (0: none), not {number}")
+    for place, delay in (("sensing", scenario.sensing.delay), ("actuation", scenario.actuation.delay)):
+        require(0 <= delay <= 1000, f"{place}.delay", f"must be from 0 to 1000 control samples, not {delay}")
+
+
+def _validate_simulator_config(scenario: Scenario) -> None:
+    # Drake's "cenic" wants the plant at the top of the diagram.
+    config, schemes = scenario.simulator_config, [name for name in GetIntegrationSchemes() if name != "cenic"]
+    require(
+        config.integration_scheme in schemes,
+        "simulator_config.integration_scheme",
+        f"'{config.integration_scheme}' is unknown; choose one of {', '.join(schemes)}"
+        + did_you_mean(config.integration_scheme, schemes),
+    )
+    require(
+        not config.use_error_control or config.integration_scheme not in FIXED_STEP_SCHEMES,
+        "simulator_config.use_error_control",
+        f"{config.integration_scheme} has no error estimate; set false, or choose another integration_scheme",
+    )
+    require(config.accuracy > 0, "simulator_config.accuracy", f"must be > 0, not {config.accuracy}")
+    require(config.target_realtime_rate >= 0, "simulator_config.target_realtime_rate", "must be >= 0 (0: no pacing)")
+    require(config.start_time == 0, "simulator_config.start_time", "must be 0: every run starts there; leave it out")
+    require(config.max_step_size > 0, "simulator_config.max_step_size", "must be > 0 s")
+    steps = scenario.duration / config.max_step_size
+    require(
+        steps <= MAX_STEPS,
+        "simulator_config.max_step_size",
+        f"{config.max_step_size:g} s gives {steps:.3g} steps in {scenario.duration:g} s; at most {MAX_STEPS} are run",
+    )
+
+
+def _validate_mass_properties(body: MassProperties, key: str) -> None:
+    require(body.mass > 0, f"{key}.mass", f"must be > 0 kg, not {body.mass}")
+    require(len(body.center_of_mass) == 3, f"{key}.center_of_mass", "must hold three numbers [x, y, z]")
+    require(
+        len(body.inertia) in (3, 6),
+        f"{key}.inertia",
+        "must hold three moments [Ixx, Iyy, Izz], or those and three products [Ixy, Ixz, Iyz]",
+    )
+    try:
+        with np.errstate(all="ignore"):
+            principal = np.linalg.eigvalsh(inertia_matrix(body))
+    except np.linalg.LinAlgError:
+        principal = np.full(3, np.nan)
+    require(bool(np.isfinite(principal).all()), f"{key}.inertia", f"has no principal moments: {shown(body.inertia)}")
+    require(bool(principal[0] > 0), f"{key}.inertia", "must be positive definite")
+    require(
+        bool(principal[0] + principal[1] >= principal[2] * (1 - 1e-12)),
+        f"{key}.inertia",
+        f"principal moments {np.round(principal, 6).tolist()} violate the triangle inequality "
+        "(the largest must not exceed the sum of the others)",
+    )
+
+
+def require(condition: bool, key: str, problem: str) -> None:
+    if not condition:
+        raise ScenarioError(key, problem)
