@@ -26,10 +26,12 @@ import mujoco
 import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
-from ffsm_drake.runs.simulation import Rollout, RunLog, simulate
+from ffsm_drake.runs.rollout import Rollout, RunLog
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import MassProperties, Scenario, load_scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.plant import configuration, make_plant, set_payload
+from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.plant import configuration, make_plant
 from ffsm_drake.systems.reference import make_reference
 
 JOINTS = (5, 7, 14)
@@ -137,7 +139,7 @@ class MujocoLoop:
         self.scenario = scenario
         arm, payload = Arm.of(len(coordinates.joints)), scenario.payload
         self.model, self.nominal = (
-            mujoco.MjModel.from_xml_string(arm.mjcf(properties)) for properties in (payload.truth, payload.belief)
+            mujoco.MjModel.from_xml_string(arm.mjcf(properties)) for properties in (payload.truth, payload.nominal)
         )
         self.data, self.nominal_data = mujoco.MjData(self.model), mujoco.MjData(self.nominal)
         self.reference = make_reference(scenario, coordinates)
@@ -282,9 +284,9 @@ def start_times(repeats: int, duration: str) -> dict[str, Timing]:
         "empty": "pass",
         "import pydrake.multibody.plant": "import pydrake.multibody.plant",
         "import ffsm_drake": "import ffsm_drake",  # which loads the rest when it is used
-        "import ffsm_drake.runs.simulation": "import ffsm_drake.runs.simulation",
+        "import ffsm_drake.runs.rollout": "import ffsm_drake.runs.rollout",
         "first metrics, simulate": f"import ffsm_drake as f; f.simulate({scenario}).metrics",
-        "first metrics, Rollout": "import ffsm_drake as f; from ffsm_drake.runs.simulation import Rollout; "
+        "first metrics, Rollout": "import ffsm_drake as f; from ffsm_drake.runs.rollout import Rollout; "
         f"Rollout({scenario}).run().metrics",
     }
     commands = {name: [sys.executable, "-c", code] for name, code in codes.items()}

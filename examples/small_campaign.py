@@ -18,11 +18,11 @@ overrides: {duration: 2.0, reference.duration: 1.5}
 parameters:
   payload.truth.mass: {distribution: uniform, low: 50, high: 200}
 factors:
-  belief_error: {distribution: uniform, low: -0.5, high: 0.2}
+  nominal_error: {distribution: uniform, low: -0.5, high: 0.2}
 derive:
   payload.truth.inertia: {rule: solid_cube, mass: payload.truth.mass, side: 1.0}
-  payload.belief.mass: {rule: relative, of: payload.truth.mass, error: belief_error}
-  payload.belief.inertia: {rule: relative, of: payload.truth.inertia, error: belief_error}
+  payload.nominal.mass: {rule: relative, of: payload.truth.mass, error: nominal_error}
+  payload.nominal.inertia: {rule: relative, of: payload.truth.inertia, error: nominal_error}
 """
 
 

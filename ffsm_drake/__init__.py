@@ -7,10 +7,11 @@ if TYPE_CHECKING:
     from ffsm_drake.common.errors import ControllerError, FfsmError, ModelError, RecordError, ScenarioError
     from ffsm_drake.loop.closed_loop import ClosedLoop, make_closed_loop
     from ffsm_drake.runs.record import Outcome, RunRecord
-    from ffsm_drake.runs.simulation import Rollout, RunLog, simulate
+    from ffsm_drake.runs.rollout import Rollout, RunLog
+    from ffsm_drake.runs.simulate import simulate
     from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
     from ffsm_drake.show.outputs import write_outputs
-    from ffsm_drake.spacecraft.plant import PlantModel, make_nominal_plant, make_true_plant
+    from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
     from ffsm_drake.systems.controllers import ControllerSetup, Sample, SampledController
 
 # Imported on first use: Drake takes a while, and the command line's help should not wait for it.
@@ -26,17 +27,17 @@ _HOMES = {
     "RecordError": "common.errors",
     "ScenarioError": "common.errors",
     "write_outputs": "show.outputs",
-    "PlantModel": "spacecraft.plant",
-    "make_nominal_plant": "spacecraft.plant",
-    "make_true_plant": "spacecraft.plant",
+    "PlantModel": "spacecraft.nominal",
+    "make_nominal_plant": "spacecraft.nominal",
+    "make_true_plant": "spacecraft.nominal",
     "Outcome": "runs.record",
     "RunRecord": "runs.record",
     "Scenario": "scenario",
     "load_scenario": "scenario",
     "override_scenario": "scenario",
-    "Rollout": "runs.simulation",
-    "RunLog": "runs.simulation",
-    "simulate": "runs.simulation",
+    "Rollout": "runs.rollout",
+    "RunLog": "runs.rollout",
+    "simulate": "runs.simulate",
 }
 
 __all__ = [

@@ -19,7 +19,7 @@ from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.scenario import PerCoordinate, Posture, Scenario, load_scenario, override_scenario, own_controller_name
-from ffsm_drake.spacecraft.plant import make_nominal_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers.registry import Factory, build_controller, find_factory
 from ffsm_drake.systems.controllers.sampled import ControllerSetup
 from ffsm_drake.systems.reference import make_reference

@@ -29,11 +29,11 @@ SMALL = {
         "payload.truth.mass": {"distribution": "uniform", "low": 20, "high": 300},
         "sensing.velocity_noise": {"distribution": "log_uniform", "low": "1e-7", "high": 1e-5},
     },
-    "factors": {"belief_error": {"distribution": "uniform", "low": -0.5, "high": 0.2}},
+    "factors": {"nominal_error": {"distribution": "uniform", "low": -0.5, "high": 0.2}},
     "derive": {
         "payload.truth.inertia": {"rule": "solid_cube", "mass": "payload.truth.mass", "side": 1.0},
-        "payload.belief.mass": {"rule": "relative", "of": "payload.truth.mass", "error": "belief_error"},
-        "payload.belief.inertia": {"rule": "relative", "of": "payload.truth.inertia", "error": "belief_error"},
+        "payload.nominal.mass": {"rule": "relative", "of": "payload.truth.mass", "error": "nominal_error"},
+        "payload.nominal.inertia": {"rule": "relative", "of": "payload.truth.inertia", "error": "nominal_error"},
     },
     "settled": {"hold": 0.1},
 }
@@ -54,7 +54,7 @@ def run_here(spec_file: Path, database: Path, *, workers: int = 1) -> Path:
 def table(database: Path) -> list[tuple]:
     """All that must be the same however a campaign was run."""
     columns = ", ".join(("case_index", "controller", "random_seed", "outcome", "outcome_time", "message"))
-    values = '"payload.truth.mass", "sensing.velocity_noise", "payload.belief.inertia"'
+    values = '"payload.truth.mass", "sensing.velocity_noise", "payload.nominal.inertia"'
     with contextlib.closing(sqlite3.connect(database)) as connection:
         return connection.execute(
             f"SELECT {columns}, {values}, {', '.join((*METRICS, *PREDICTIONS))} FROM runs ORDER BY 1, 2"

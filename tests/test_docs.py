@@ -27,7 +27,7 @@ from ffsm_drake.scenario import (
     scenario_to_dict,
     shipped_scenarios,
 )
-from ffsm_drake.spacecraft.plant import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import controller_names
 from ffsm_drake.systems.reference import make_reference
 

@@ -13,14 +13,9 @@ from ffsm_drake import load_scenario
 from ffsm_drake.design.stability import assess
 from ffsm_drake.scenario import CONTROLLER_NAMES, MassProperties
 from ffsm_drake.show.meshcat.stage import camera_pose
-from ffsm_drake.spacecraft.plant import (
-    PlantModel,
-    configuration,
-    coordinates_of,
-    make_nominal_plant,
-    make_true_plant,
-    set_payload,
-)
+from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.plant import configuration, coordinates_of
 
 JOINTS = (
     "shoulder_roll", "shoulder_yaw", "shoulder_pitch", "elbow_pitch", "wrist_pitch", "wrist_yaw", "wrist_roll",
@@ -122,10 +117,10 @@ def test_reach_is_the_published_one_scaled(truth):
     assert reach.translation()[2] == pytest.approx(SCALE * 17.0, rel=0.01)
 
 
-@pytest.mark.parametrize("payload", ["truth", "belief", "off_centre"])
+@pytest.mark.parametrize("payload", ["truth", "nominal", "off_centre"])
 def test_dynamics_agree_with_mujoco(payload):
     scenario = load_scenario("seven_joint")
-    ours = make_nominal_plant(scenario) if payload == "belief" else make_true_plant(scenario)
+    ours = make_nominal_plant(scenario) if payload == "nominal" else make_true_plant(scenario)
     target = OFF_CENTRE if payload == "off_centre" else getattr(scenario.payload, payload)
     if payload == "off_centre":
         set_payload(ours.plant, ours.context, body=scenario.payload.body, properties=target)

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from ffsm_drake.design.stability.sampled_loop import inertia_ratios
-from ffsm_drake.spacecraft.plant import PlantModel
+from ffsm_drake.spacecraft.nominal import PlantModel
 
 
 def mass_matrices(model: PlantModel, positions: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from ffsm_drake.analysis import chattering, estimation
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.plant import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import LAWS
 
 if TYPE_CHECKING:

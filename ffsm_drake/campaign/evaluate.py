@@ -19,7 +19,7 @@ from ffsm_drake.campaign.prediction import predict_stability
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import one_line
 from ffsm_drake.runs.record import software_versions
-from ffsm_drake.runs.simulation import Rollout, RunLog
+from ffsm_drake.runs.rollout import Rollout, RunLog
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS
 

@@ -8,7 +8,7 @@ import numpy as np
 from ffsm_drake.design.stability.margins import forecast_reaching_gain, sampling_of
 from ffsm_drake.design.stability.sampled_loop import LoopGains, coupled_loop, law_gains
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.plant import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.reference import make_reference
 
 POSTURES = (0.0, 0.5, 1.0)  # fractions of the planned motion

@@ -14,8 +14,9 @@ from ffsm_drake.campaign.executor import Stop, WorkerLost, Workers, run_tasks
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.store import Store, create_store, open_store
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.runs.dataset import make_dataset
 from ffsm_drake.runs.record import RunRecord, software_versions
-from ffsm_drake.runs.simulation import Rollout, make_dataset
+from ffsm_drake.runs.rollout import Rollout
 
 # A process that has grown to this is replaced: Drake keeps every diagram with a system written in Python alive, some
 # 4 MiB for each closed loop that has to be built anew.

@@ -202,7 +202,7 @@ def report(source: str, database: Path | None, out: Path | None, axes: tuple[str
     \b
     Examples:
       ffsm campaign report payload_uncertainty
-      ffsm campaign report mine.db --map payload.truth.mass belief_error
+      ffsm campaign report mine.db --map payload.truth.mass nominal_error
     """
     from ffsm_drake.show.campaign.page import write_report
 

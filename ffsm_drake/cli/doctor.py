@@ -54,14 +54,15 @@ def _packages() -> str:
 
 
 def _models() -> str:
-    from ffsm_drake.spacecraft.plant import make_true_plant, models_dir
+    from ffsm_drake.spacecraft.nominal import make_true_plant
+    from ffsm_drake.spacecraft.plant import models_dir
 
     make_true_plant(load_scenario("postcapture"))
     return str(models_dir())
 
 
 def _short_run() -> str:
-    from ffsm_drake.runs.simulation import simulate
+    from ffsm_drake.runs.simulate import simulate
 
     record = simulate(override_scenario(load_scenario("postcapture"), ["duration=0.5"]), check_stability=False)
     return f"{record.outcome.message} of simulated time in {record.wall_time['total']:.2f} s"

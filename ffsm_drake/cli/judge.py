@@ -36,7 +36,7 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     Examples:
       ffsm stability
       ffsm stability paper --set simulator_config.integration_scheme=runge_kutta3
-      ffsm stability --set payload.belief.mass=125 --out out/stability
+      ffsm stability --set payload.nominal.mass=125 --out out/stability
     """
     from ffsm_drake.common.files import check_writable, written_whole
     from ffsm_drake.design.stability import assess

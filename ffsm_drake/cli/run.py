@@ -133,7 +133,7 @@ def compare(
 
 
 def _simulate(scenario: "Scenario") -> "RunRecord":
-    from ffsm_drake.runs.simulation import simulate
+    from ffsm_drake.runs.simulate import simulate
 
     progress = RunProgress(scenario.controller)
     record = simulate(scenario, progress=progress)

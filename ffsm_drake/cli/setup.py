@@ -64,7 +64,8 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
     from ffsm_drake.common.errors import FfsmError
     from ffsm_drake.loop.closed_loop import make_closed_loop
     from ffsm_drake.scenario import load_scenario
-    from ffsm_drake.spacecraft.plant import check_pictures, make_true_plant
+    from ffsm_drake.spacecraft.nominal import make_true_plant
+    from ffsm_drake.spacecraft.plant import check_pictures
 
     results = {}
     for name in scenarios:

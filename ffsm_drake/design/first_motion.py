@@ -8,7 +8,8 @@ from pydrake.multibody.tree import JacobianWrtVariable
 
 from ffsm_drake.scenario import Harmonic, Posture
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.plant import PlantModel, base_body, find_body, find_frame
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.plant import base_body, find_body, find_frame
 from ffsm_drake.spacecraft.urdf import Joint, Servicer
 from ffsm_drake.systems.reference import QuinticReference
 

@@ -27,7 +27,8 @@ from ffsm_drake.scenario import (
     shipped_scenarios,
 )
 from ffsm_drake.spacecraft.coordinates import GROUPS
-from ffsm_drake.spacecraft.plant import check_pictures, configuration, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.plant import check_pictures, configuration
 from ffsm_drake.spacecraft.urdf import Joint, Servicer, read_urdf, write_flyable
 
 _BODY = "debris::debris"
@@ -183,7 +184,7 @@ def _build(
             model=Model(
                 directives=None, servicer=str(folder / file_name), end_effector=f"servicer::{servicer.tip.frame}"
             ),
-            payload=Payload(body=_BODY, truth=truth, belief=_cube(float(f"{_BELIEVED * mass:.3g}"))),
+            payload=Payload(body=_BODY, truth=truth, nominal=_cube(float(f"{_BELIEVED * mass:.3g}"))),
         )
         true = make_true_plant(draft)
         motion = plan_motion(true, servicer, body=_BODY)
@@ -339,10 +340,10 @@ payload:  # the target; its inertia is about its centre of mass: [Ixx, Iyy, Izz]
     mass: {payload.truth.mass:g}
     center_of_mass: {_list(payload.truth.center_of_mass)}
     inertia: {_list(payload.truth.inertia)}
-  belief:  # as the controller believes it to be; rather too light than too heavy
-    mass: {payload.belief.mass:g}
-    center_of_mass: {_list(payload.belief.center_of_mass)}
-    inertia: {_list(payload.belief.inertia)}
+  nominal:  # as the controller believes it to be; rather too light than too heavy
+    mass: {payload.nominal.mass:g}
+    center_of_mass: {_list(payload.nominal.center_of_mass)}
+    inertia: {_list(payload.nominal.inertia)}
 
 initial_posture:
   base_position: {_list(motion.initial.base_position)}

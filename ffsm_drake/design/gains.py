@@ -85,8 +85,8 @@ def design(
     plan = make_plan(scenario)
     reference, published = _predict(plan, scenario), _predict(plan, _published(scenario))
     budget = 1.1 * plan.ideal_isv if budget is None else budget
-    belief = scenario.payload.belief.mass
-    low, high = payload_range or (0.6 * belief, 2.5 * belief)
+    nominal = scenario.payload.nominal.mass
+    low, high = payload_range or (0.6 * nominal, 2.5 * nominal)
     if not 0.0 < low < high:
         raise ScenarioError("payload range", f"must be two masses 0 < LOW < HIGH in kg, not {low:g} and {high:g}")
     masses = np.linspace(low, high, 5)

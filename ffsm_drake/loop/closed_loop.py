@@ -14,14 +14,9 @@ from pydrake.systems.primitives import Adder, LogVectorOutput, Multiplexer, Vect
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.plant import (
-    add_combined_plant,
-    configuration,
-    coordinates_of,
-    make_nominal_plant,
-    make_plant,
-    set_payload,
-)
+from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, coordinates_of, make_plant
 from ffsm_drake.systems.actuation import make_actuation
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, make_controller
 from ffsm_drake.systems.controllers.time_delay import TimeDelayController

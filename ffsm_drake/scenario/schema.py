@@ -52,7 +52,7 @@ class Payload:
 
     body: str = "debris::debris"  # scoped name of the captured body in the model
     truth: MassProperties = dataclasses.field(default_factory=MassProperties)
-    belief: MassProperties = dataclasses.field(
+    nominal: MassProperties = dataclasses.field(
         default_factory=lambda: MassProperties(mass=80.0, inertia=[12.0, 12.0, 12.0])
     )
 

@@ -55,7 +55,7 @@ def validate(scenario: Scenario) -> None:
         for key, number in (getattr(scenario.estimator, name) or {}).items():
             require(number >= 0, f"estimator.{name}.{key}", f"a standard deviation must be >= 0, not {number}")
     _validate_simulator_config(scenario)
-    for name in ("truth", "belief"):
+    for name in ("truth", "nominal"):
         _validate_mass_properties(getattr(scenario.payload, name), f"payload.{name}")
     for name in ("initial_posture", "target_posture"):
         posture = getattr(scenario, name)

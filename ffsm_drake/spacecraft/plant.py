@@ -1,7 +1,5 @@
 """The combined spacecraft: model directives -> MultibodyPlant, its coordinates, and the captured payload."""
 
-import dataclasses
-import math
 import re
 from pathlib import Path
 
@@ -10,15 +8,14 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import Frame, ModelInstanceIndex, RigidBody, RotationalInertia, SpatialInertia
-from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.multibody.tree import Frame, ModelInstanceIndex, RigidBody
+from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
-from ffsm_drake.scenario import MassProperties, Model, Posture, Scenario, inertia_matrix
+from ffsm_drake.scenario import Model, Posture
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS, NUM_BASE_VELOCITIES, Coordinates
 
-_DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError)  # what C++ exceptions arrive as
-_SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues, between rounding and any spacecraft
+DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError)  # what C++ exceptions arrive as
 
 
 def models_dir() -> Path:
@@ -83,13 +80,13 @@ def _load(plant: MultibodyPlant, model: Model) -> None:
                 )
         try:
             plant.WeldFrames(end_effector, grasp)
-        except _DRAKE_ERRORS as error:
-            raise ModelError(f"model.grasp: {model.grasp}: {_cause(error)}") from error
+        except DRAKE_ERRORS as error:
+            raise ModelError(f"model.grasp: {model.grasp}: {cause_of(error)}") from error
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
     try:
         plant.Finalize()
-    except _DRAKE_ERRORS as error:
-        raise ModelError(f"{source}: {_cause(error)}") from error
+    except DRAKE_ERRORS as error:
+        raise ModelError(f"{source}: {cause_of(error)}") from error
     if not plant.GetFloatingBaseBodies():
         raise ModelError(f"{source}: no floating base; the base must not be welded to world")
     try:
@@ -99,7 +96,7 @@ def _load(plant: MultibodyPlant, model: Model) -> None:
     find_frame(plant, model.end_effector, key="model.end_effector")
 
 
-def _cause(error: Exception) -> str:
+def cause_of(error: Exception) -> str:
     """What Drake says, without the place in its own source."""
     return re.sub(r"Failure at \S+ in \S+\(\): ", "", one_line(error))
 
@@ -116,9 +113,9 @@ def _add_models(parser: Parser, file: str, place: str) -> list[ModelInstanceInde
             raise ModelError(f"{place}: {fault}; give a file or a package:// address")
     try:
         instances: list[ModelInstanceIndex] = parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
-    except _DRAKE_ERRORS as error:
+    except DRAKE_ERRORS as error:
         # Drake starts with the file again, and its line.
-        cause = _cause(error)
+        cause = cause_of(error)
         raise ModelError(
             place + (cause.removeprefix(file) if cause.startswith(f"{file}:") else f": {cause}")
         ) from error
@@ -197,85 +194,3 @@ def configuration(plant: MultibodyPlant, posture: Posture, *, key: str) -> np.nd
 def base_rpy(q: np.ndarray) -> np.ndarray:
     """Roll, pitch, yaw (3) of the base in configuration q, rad."""
     return RollPitchYaw(Quaternion(q[:4] / np.linalg.norm(q[:4]))).vector()
-
-
-def spatial_inertia(properties: MassProperties) -> SpatialInertia:
-    """M_PPo_P of a payload: spatial inertia about its frame's origin, in its own axes."""
-    inertia = inertia_matrix(properties)
-    central = RotationalInertia(
-        Ixx=inertia[0, 0], Iyy=inertia[1, 1], Izz=inertia[2, 2], Ixy=inertia[0, 1], Ixz=inertia[0, 2], Iyz=inertia[1, 2]
-    )
-    return SpatialInertia.MakeFromCentralInertia(
-        mass=properties.mass, p_PScm_E=properties.center_of_mass, I_SScm_E=central
-    )
-
-
-def set_payload(plant: MultibodyPlant, context: Context, *, body: str, properties: MassProperties) -> None:
-    """Give the payload body its mass properties in one context; the parsed model stays as it is.
-
-    Raises ModelError when there is no such body, or when the spacecraft then has a singular mass matrix.
-    """
-    held = find_body(plant, body, key="payload.body")
-    if held.index() == plant.world_body().index():
-        raise ModelError("payload.body: 'WorldModelInstance::world' has no mass; name a body of the spacecraft")
-    try:
-        held.SetSpatialInertiaInBodyFrame(context, spatial_inertia(properties))
-        eigenvalues, directions = np.linalg.eigh(plant.CalcMassMatrix(context))
-    except (*_DRAKE_ERRORS, np.linalg.LinAlgError) as error:
-        raise ModelError(f"payload: mass properties that Drake refuses: {_cause(error)}") from error
-    if not eigenvalues[0] > _SINGULAR * eigenvalues[-1]:
-        coordinates = coordinates_of(plant)
-        weakest = coordinates.names[int(np.argmax(np.abs(directions[:, 0])))]
-        what = f"joint '{weakest}'" if weakest in coordinates.joints else weakest
-        raise ModelError(
-            f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular (eigenvalues "
-            f"{eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves nothing that has inertia beside the rest; "
-            "give every link of the URDF and the payload a mass and inertia of the same kind of size, or fix the joint"
-        )
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PlantModel:
-    """A plant with a payload, for computations outside any simulation.
-
-    ``context`` is a scratch pad owned by this object; every method sets what it reads.
-    """
-
-    plant: MultibodyPlant
-    context: Context
-    coordinates: Coordinates
-
-    def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """The mass matrix H (nv, nv) in configuration q (nq)."""
-        self._set_positions(q)
-        return self.plant.CalcMassMatrix(self.context)
-
-    def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The Coriolis and centrifugal term C (nv) of H dv/dt + C = tau + tau_d, N m and N."""
-        self._set_positions(q)
-        if not math.isfinite(v.dot(v)):
-            raise ValueError("the velocity v is not finite")
-        self.plant.SetVelocities(self.context, v)
-        return self.plant.CalcBiasTerm(self.context)
-
-    def _set_positions(self, q: np.ndarray) -> None:
-        if not math.isfinite(q.dot(q)):  # on which Drake ends the process
-            raise ValueError("the configuration q is not finite")
-        self.plant.SetPositions(self.context, q)
-
-
-def make_nominal_plant(scenario: Scenario) -> PlantModel:
-    """The plant as the controller believes it (``payload.belief``): its mass matrix is the paper's H with a hat."""
-    return _make_plant_model(scenario, scenario.payload.belief)
-
-
-def make_true_plant(scenario: Scenario) -> PlantModel:
-    """The plant as it is (``payload.truth``)."""
-    return _make_plant_model(scenario, scenario.payload.truth)
-
-
-def _make_plant_model(scenario: Scenario, payload: MassProperties) -> PlantModel:
-    plant = make_plant(scenario.model)
-    context = plant.CreateDefaultContext()
-    set_payload(plant, context, body=scenario.payload.body, properties=payload)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))

@@ -119,7 +119,7 @@ def test_tde_error_of_the_first_sample_has_no_past(run, analysis):
 def test_constant_bias_and_true_belief_leave_no_tde_error(analysis):
     """With H = Hhat, C = 0 (rest) and a constant disturbance, N - Nhat is zero from the second sample on."""
     overrides = (
-        QUIET, *HOLD, "duration=1", "controller=tdc", "payload.belief={mass: 100, inertia: [16.7, 16.7, 16.7]}",
+        QUIET, *HOLD, "duration=1", "controller=tdc", "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}",
         "disturbance.frequency_scale=0",
     )  # fmt: skip
     tde_error = np.abs(analysis("paper", *overrides).series["tde_error"].values)
@@ -133,7 +133,7 @@ def test_constant_bias_and_true_belief_leave_no_tde_error(analysis):
      ("{mass: 80, inertia: [12, 12, 12]}", 0.7, 1.0)],
 )  # fmt: skip
 def test_eta_says_how_the_payload_is_believed(analysis, belief, low, high):
-    result = analysis("postcapture", "duration=0.5", "controller=tdc", f"payload.belief={belief}")
+    result = analysis("postcapture", "duration=0.5", "controller=tdc", f"payload.nominal={belief}")
     numbers = result.finding("condition_8").numbers
     assert numbers["eta_min"] >= low - 1e-9
     assert numbers["eta_max"] <= high + 1e-9
@@ -439,7 +439,7 @@ def test_the_proofs_conditions_hold_while_the_loop_diverges(run, analysis):
 
 
 def test_a_run_without_a_finite_sample_is_not_applicable_throughout(monkeypatch):
-    from ffsm_drake.systems.controllers import tde
+    from ffsm_drake.systems.controllers import time_delay as tde
 
     monkeypatch.setattr(tde, "time_delay_force", lambda *, delayed_force, **_: np.full_like(delayed_force, np.nan))
     result = analyze(simulate(load_scenario("postcapture", ["duration=1"])))

@@ -109,7 +109,7 @@ def database(tmp_path_factory):
         overrides={"duration": 1.0},
         controllers=["tdc", "asmc"],
         cases=24,
-        factors={"belief_error": {"distribution": "uniform", "low": -0.5, "high": 0.6}},
+        factors={"nominal_error": {"distribution": "uniform", "low": -0.5, "high": 0.6}},
         description="with <angle> brackets & </script>",
     )
     return run_here(spec, folder / "x.db", workers=1)
@@ -117,7 +117,7 @@ def database(tmp_path_factory):
 
 def test_the_predicted_boundary_agrees_with_the_outcomes(database):
     with open_store(database) as store:
-        findings = find(store, axes=("belief_error", "payload.truth.mass"))
+        findings = find(store, axes=("nominal_error", "payload.truth.mass"))
     asmc = next(item for item in findings.agreement if item.controller == "asmc")
     assert asmc.total == 24
     assert asmc.unstable_failed > 2
@@ -133,7 +133,7 @@ def test_the_map_wants_two_sampled_numbers(database):
     from ffsm_drake.campaign.errors import CampaignError
 
     with open_store(database) as store, pytest.raises(CampaignError, match="'sample_time' is no sampled number"):
-        predict_map(store.spec, ("sample_time", "belief_error"), {"belief_error": np.arange(3.0)})
+        predict_map(store.spec, ("sample_time", "nominal_error"), {"nominal_error": np.arange(3.0)})
 
 
 class Reader(html.parser.HTMLParser):
@@ -152,7 +152,7 @@ class Reader(html.parser.HTMLParser):
 def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path):
     pytest.importorskip("plotly")
     result = CliRunner().invoke(
-        campaign, ["report", str(database), "--out", str(tmp_path), "--map", "belief_error", "payload.truth.mass"]
+        campaign, ["report", str(database), "--out", str(tmp_path), "--map", "nominal_error", "payload.truth.mass"]
     )
     assert result.exit_code == 0, result.output
     assert re.search(r"predicted unstable +\d+ +[1-9]", result.output)

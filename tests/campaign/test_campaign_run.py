@@ -268,7 +268,7 @@ def test_status_and_export(database, tmp_path):
     frame = pq.read_table(tmp_path / "runs.parquet").to_pydict()
     assert frame["payload.truth.mass"] == [row[6] for row in wanted]
     assert frame["outcome"] == [row[3] for row in wanted]
-    assert json.loads(frame["payload.belief.inertia"][0])[0] > 0
+    assert json.loads(frame["payload.nominal.inertia"][0])[0] > 0
 
 
 def test_databases_that_cannot_be_used(spec, database, tmp_path):

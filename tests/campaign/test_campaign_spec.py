@@ -71,7 +71,7 @@ BAD = {
         changed("parameters", random_seed={"distribution": "choice", "values": [1, 2]}),
         "follows from 'seed'",
     ),
-    "set twice": (changed("derive", **{"payload.truth.mass": {"rule": "scale", "of": "belief_error"}}), "set once"),
+    "set twice": (changed("derive", **{"payload.truth.mass": {"rule": "scale", "of": "nominal_error"}}), "set once"),
     "one within another": (
         changed("parameters", **{"payload.truth": {"distribution": "choice", "values": [1]}}),
         "lies within payload.truth",
@@ -82,7 +82,7 @@ BAD = {
     "factor named as a key": (
         changed("factors", sample_time={"distribution": "uniform", "low": 0, "high": 1}), "must be a free name"
     ),
-    "unknown rule": (changed("derive", duration={"rule": "exec", "of": "belief_error"}), "rule 'exec' is unknown"),
+    "unknown rule": (changed("derive", duration={"rule": "exec", "of": "nominal_error"}), "rule 'exec' is unknown"),
     "unknown source": (changed("derive", duration={"rule": "scale", "of": "nothing"}), "'nothing' is neither"),
     "list as a number": (
         changed("derive", duration={"rule": "relative", "of": "sample_time", "error": "payload.truth.inertia"}),
@@ -172,10 +172,10 @@ def test_cases_follow_from_the_specification_alone(tmp_path):
     assert len({case.seed for case in cases}) == len(cases)
     for case in cases:
         assert case.seed == case_seed(spec.seed, case.index)
-        mass, error = case.values["payload.truth.mass"], case.values["belief_error"]
+        mass, error = case.values["payload.truth.mass"], case.values["nominal_error"]
         tdc, asmc = (scenario_of(spec, case, name) for name in ("tdc", "asmc"))
-        assert tdc.payload.belief.mass == pytest.approx(mass * (1 + error))
-        assert tdc.payload.belief.inertia == pytest.approx([mass / 6 * (1 + error)] * 3)
+        assert tdc.payload.nominal.mass == pytest.approx(mass * (1 + error))
+        assert tdc.payload.nominal.inertia == pytest.approx([mass / 6 * (1 + error)] * 3)
         # Paired: all but the controller is the same.
         assert tdc.random_seed == asmc.random_seed == case.seed
         assert (tdc.payload, tdc.sensing) == (asmc.payload, asmc.sensing)
@@ -190,7 +190,7 @@ def test_the_shipped_campaign():
     assert spec.controllers == CONTROLLER_NAMES
     cases = list(make_cases(spec))
     masses = [case.values["payload.truth.mass"] for case in cases]
-    ratios = [case.values["payload.belief.mass"] / case.values["payload.truth.mass"] for case in cases]
+    ratios = [case.values["payload.nominal.mass"] / case.values["payload.truth.mass"] for case in cases]
     noises = [math.log10(case.values["sensing.velocity_noise"]) for case in cases]
     assert 20 <= min(masses) < 21
     assert 299 < max(masses) <= 300

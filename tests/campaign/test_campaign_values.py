@@ -7,7 +7,8 @@ from ffsm_drake.campaign.cases import Case, scenario_of
 from ffsm_drake.campaign.evaluate import METRICS, Evaluator, evaluate, same_verdict
 from ffsm_drake.campaign.spec import load_spec
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.runs.simulation import Rollout, simulate
+from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import load_scenario, scenario_from_dict, scenario_to_dict
 
 # key, value, controller, and the series that must differ
@@ -15,9 +16,9 @@ DISPERSED = [
     ("payload.truth.mass", 150.0, "tdc", "state"),
     ("payload.truth.center_of_mass.0", 0.1, "tdc", "state"),
     ("payload.truth.inertia", [20.0, 20.0, 20.0], "tdc", "state"),
-    ("payload.belief.mass", 60.0, "tdc", "generalized_force"),
-    ("payload.belief.center_of_mass.1", 0.1, "tdc", "generalized_force"),
-    ("payload.belief.inertia", [9.0, 9.0, 9.0], "tdc", "generalized_force"),
+    ("payload.nominal.mass", 60.0, "tdc", "generalized_force"),
+    ("payload.nominal.center_of_mass.1", 0.1, "tdc", "generalized_force"),
+    ("payload.nominal.inertia", [9.0, 9.0, 9.0], "tdc", "generalized_force"),
     ("sensing.velocity_noise", 5e-6, "tdc", "measurement"),
     ("sensing.velocity_noise.joint_2", 5e-6, "tdc", "measurement"),
     ("sensing.position_noise", 1e-6, "tdc", "measurement"),

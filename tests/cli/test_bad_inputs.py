@@ -308,7 +308,7 @@ TABLE = [
     ),
     scenario("number-for-text", "description: 3\n", "description: must be text, not 3"),
     scenario("zero-in-text", 'description: "a\\0b"\n', "description: must be text that a file can hold"),
-    scenario("number-for-group", "payload: 3\n", "payload: must be a mapping with keys body, truth, belief, not 3"),
+    scenario("number-for-group", "payload: 3\n", "payload: must be a mapping with keys body, truth, nominal, not 3"),
     scenario("number-for-list", "initial_posture: {base_rpy: 3}\n", "base_rpy: must be a list, not 3"),
     scenario("text-in-list", "initial_posture: {base_rpy: [0, x, 0]}\n", "base_rpy[1]: must be a number, not 'x'"),
     scenario(
@@ -324,7 +324,7 @@ TABLE = [
         "huge-number", "initial_posture: {base_position: [1e300, 0, 0]}\n", "base_position[0]: must be at most 1e+20"
     ),
     scenario("negative-mass", "payload: {truth: {mass: -5}}\n", "payload.truth.mass: must be > 0 kg, not -5.0"),
-    scenario("zero-mass", "payload: {belief: {mass: 0}}\n", "payload.belief.mass: must be > 0 kg, not 0.0"),
+    scenario("zero-mass", "payload: {nominal: {mass: 0}}\n", "payload.nominal.mass: must be > 0 kg, not 0.0"),
     scenario(
         "triangle-inequality",
         "payload: {truth: {inertia: [1, 1, 5]}}\n",
@@ -904,7 +904,7 @@ def check_kept(folder: Path, status: str) -> RunRecord:
         ("--set divergence_speed=1e-6", "beyond divergence_speed = 1e-06"),
         ("--set sensing.velocity_noise=1e20", "beyond divergence_speed = 10"),
         ("--set initial_posture.base_position=[1e20,0,0]", "beyond divergence_speed = 10"),
-        ("--set divergence_speed=1e20 --set payload.belief.mass=1e10", "beyond divergence_speed = 1e+20"),
+        ("--set divergence_speed=1e20 --set payload.nominal.mass=1e10", "beyond divergence_speed = 1e+20"),
     ],
 )
 def test_divergence_exits_with_3_and_keeps_the_record(tmp_path, monkeypatch, words, message):
@@ -1010,7 +1010,7 @@ def test_the_browser_view_passes_over_a_port_in_use():
 def test_an_interrupted_record_is_the_whole_one_up_to_its_end(where, run, monkeypatch):
     """Ctrl-C between two loggers of one instant, or within a control update: every sample that is kept is right."""
     from ffsm_drake.systems import reference
-    from ffsm_drake.systems.controllers import tde
+    from ffsm_drake.systems.controllers import time_delay as tde
 
     owner, name = {"logging": (reference.QuinticReference, "_calc_acceleration"), "update": (tde, "time_delay_force")}[
         where

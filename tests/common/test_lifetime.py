@@ -6,7 +6,7 @@ import weakref
 import pytest
 
 from ffsm_drake import load_scenario, make_nominal_plant
-from ffsm_drake.runs.simulation import Rollout
+from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.reference import make_reference
 

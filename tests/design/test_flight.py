@@ -42,7 +42,7 @@ def test_it_flies(run, controller, seed):
 @pytest.mark.parametrize("belief", [40, 50, 100, 125, 150])
 def test_it_flies_with_a_wrong_payload(run, controller, belief):
     inertia = [0.167 * belief] * 3
-    payload = (f"payload.belief.mass={belief}", f"payload.belief.inertia={inertia}")
+    payload = (f"payload.nominal.mass={belief}", f"payload.nominal.inertia={inertia}")
     record = run("flight_sensors", f"controller={controller}", *payload)
     assert record.outcome.completed
     assert record.metrics["isv"] <= 480

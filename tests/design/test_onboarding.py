@@ -19,7 +19,7 @@ from ffsm_drake.common.errors import ModelError
 from ffsm_drake.design.first_motion import plan_motion
 from ffsm_drake.design.first_scenario import onboard, onboarding_text
 from ffsm_drake.design.stability import assess
-from ffsm_drake.runs.simulation import Rollout
+from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import CONTROLLER_NAMES, Model, Scenario
 from ffsm_drake.spacecraft.plant import add_combined_plant, base_body
 from ffsm_drake.spacecraft.urdf import read_urdf, write_flyable
@@ -311,14 +311,14 @@ def test_the_tutorial(tmp_path):
     assert (data["base"], data["tip"]) == ({"link": "bus", "mass": 150.0}, "tool")
     assert all(each["stable"] for each in data["margins"].values())
     scenario = load_scenario(data["scenario"])
-    assert (scenario.payload.truth.mass, scenario.payload.belief.mass) == (40.0, 32.0)
+    assert (scenario.payload.truth.mass, scenario.payload.nominal.mass) == (40.0, 32.0)
     # Only keys that the scenario knows, and not all of them.
     assert set(yaml.safe_load((tmp_path / "mine" / "mine.yaml").read_text())) < set(vars(Scenario()))
     # What the page says of a payload that is believed too heavy.
     for share, outcome in ((1.45, "completed"), (2.0, "diverged")):
         belief = [
-            f"payload.belief.mass={share * 40}",
-            f"payload.belief.inertia=[{', '.join(3 * [str(share * 40 / 6)])}]",
+            f"payload.nominal.mass={share * 40}",
+            f"payload.nominal.inertia=[{', '.join(3 * [str(share * 40 / 6)])}]",
         ]
         log = Rollout(load_scenario(data["scenario"], ["duration=3", *belief])).run()
         assert log.outcome.status == outcome

@@ -109,7 +109,7 @@ HOLD = (
 @pytest.mark.parametrize("belief", [40.0, 80.0, 110.0])
 def test_predicted_boundary_against_the_simulated_plant(belief):
     """3 % inside the predicted K_s the eleven-coordinate plant settles, 3 % outside it the oscillation grows."""
-    payload = [f"payload.belief.mass={belief}", f"payload.belief.inertia={[0.167 * belief] * 3}"]
+    payload = [f"payload.nominal.mass={belief}", f"payload.nominal.inertia={[0.167 * belief] * 3}"]
     frozen = [
         "controller=aismc",
         "controllers.aismc.alpha=0",
@@ -174,7 +174,7 @@ PUBLISHED_UNBOUNDED = ("controllers.tde_aismc.k_s_initial=80", "controllers.tde_
         ("postcapture", ("controller=aismc",), True, "nothing stops K_s before its limit (100.0 1/s"),
         ("paper", (), True, "nothing stops K_s before its limit (200.0 1/s"),
         ("postcapture", PUBLISHED_UNBOUNDED, False, "adaptation is expected to take K_s of base_rotation_x past"),
-        ("postcapture", ("payload.belief.mass=125",), False, "the sampled loop of tde_aismc has spectral radius 1."),
+        ("postcapture", ("payload.nominal.mass=125",), False, "the sampled loop of tde_aismc has spectral radius 1."),
         ("postcapture", ("sample_time=0.02", "controller=asmc"), False, "spectral radius"),
     ],
 )
@@ -204,7 +204,7 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
     ):
         simulate(load_scenario("postcapture", ["duration=0.1", *PUBLISHED_UNBOUNDED]))
     with pytest.warns(StabilityWarning, match="unstable at the starting gains") as caught:
-        simulate(load_scenario("postcapture", ["duration=0.1", "payload.belief.mass=125"]))
+        simulate(load_scenario("postcapture", ["duration=0.1", "payload.nominal.mass=125"]))
     assert len([w for w in caught if w.category is StabilityWarning]) == 1
     for quiet in ([], ["controller=tdc"], ["controller=asmc"]):
         assert stability_warning(load_scenario("postcapture", quiet)) == ""
@@ -218,7 +218,7 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
     [
         (["stability"], 0, "base_rotation_x            60         70       70      100     1.43       12.50"),
         (["stability", "paper", "--controller", "tdc"], 0, "plant explicit Euler"),
-        (["stability", "--set", "payload.belief.mass=125"], 3, "unstable: the sampled loop of tde_aismc"),
+        (["stability", "--set", "payload.nominal.mass=125"], 3, "unstable: the sampled loop of tde_aismc"),
         (["stability", "nowhere"], 2, "error: nowhere: no such scenario; choose one of"),
         (["stability", "--set", "controllers.tdc.kd=1"], 2, "error: override: controllers.tdc.kd: unknown key"),
         (["stability", "--set", "controllers.tde_aismc.k_d.joint_9=1"], 2, "joint_9: unknown coordinate"),

@@ -16,7 +16,7 @@ from numpy.testing import assert_array_less
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.runs.simulation import simulate
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
 
 # Table 1 of the paper.

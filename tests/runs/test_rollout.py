@@ -8,7 +8,7 @@ from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import ScenarioError, load_scenario, override_scenario, simulate
 from ffsm_drake.loop import closed_loop
-from ffsm_drake.runs.simulation import Rollout
+from ffsm_drake.runs.rollout import Rollout
 
 SCENARIO = load_scenario("flight_sensors", ["duration=1", "sensing.delay=2", "actuation.delay=1"])
 
@@ -46,7 +46,7 @@ def test_a_run_has_the_bits_of_a_fresh_build(rollout, override):
 
 @pytest.mark.parametrize(
     "override",
-    ["controller=tdc", "controllers.tde_aismc.k_d=3", "sample_time=0.02", "payload.belief.mass=70",
+    ["controller=tdc", "controllers.tde_aismc.k_d=3", "sample_time=0.02", "payload.nominal.mass=70",
      "sensing.velocity_noise=1e-5", "disturbance.amplitude_scale=2", "simulator_config.max_step_size=0.005"],
 )  # fmt: skip
 def test_what_needs_another_build_is_refused(rollout, override):
@@ -75,7 +75,7 @@ def test_a_log_is_frozen(rollout):
 @pytest.mark.parametrize(
     "overrides",
     [
-        ["payload.belief.mass=250", "payload.belief.inertia=[42, 42, 42]"],  # numbers soon cease to be finite
+        ["payload.nominal.mass=250", "payload.nominal.inertia=[42, 42, 42]"],  # numbers soon cease to be finite
         ["controllers.tde_aismc.k_s_initial=105", "controllers.tde_aismc.k_s_max=105", "duration=5"],
         # Leaves the bound for a while only, and so is unremarkable at every stop.
         ["divergence_speed=0.012", "duration=20"],

@@ -16,7 +16,8 @@ from ffsm_drake import (
     simulate,
 )
 from ffsm_drake.spacecraft.coordinates import position_error
-from ffsm_drake.spacecraft.plant import base_rpy, make_plant, set_payload
+from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.plant import base_rpy, make_plant
 
 
 def test_dataset_is_labelled_and_complete(run):
@@ -208,7 +209,7 @@ def test_watching_does_not_change_the_bits():
 
 def test_a_state_that_is_not_finite_stops_the_run(monkeypatch):
     """A force that is not a number ends the run with a message that names the coordinate."""
-    from ffsm_drake.systems.controllers import tde
+    from ffsm_drake.systems.controllers import time_delay as tde
 
     def broken(*, delayed_force, **_):
         return np.where(np.arange(11) == 7, np.nan, delayed_force)
@@ -223,7 +224,7 @@ def test_a_state_that_is_not_finite_stops_the_run(monkeypatch):
 
 
 def test_other_faults_are_not_taken_for_divergence(monkeypatch):
-    from ffsm_drake.systems.controllers import tde
+    from ffsm_drake.systems.controllers import time_delay as tde
 
     def broken(**_):
         raise RuntimeError("a fault of ours")
@@ -263,8 +264,8 @@ def test_final_posture_is_the_target(run):
     assert data["velocity"].values[-1] == pytest.approx(np.zeros(11), abs=1e-4)
 
 
-def test_payload_belief_reaches_the_nominal_plant_only():
-    scenario = load_scenario("postcapture", ["payload.belief.mass=60"])
+def test_payload_nominal_reaches_the_nominal_plant_only():
+    scenario = load_scenario("postcapture", ["payload.nominal.mass=60"])
     loop = make_closed_loop(scenario)
     nominal = make_nominal_plant(scenario)
     context = loop.diagram.CreateDefaultContext()

@@ -15,7 +15,7 @@ def test_shipped_scenarios():
         assert scenario.simulator_config.max_step_size == 0.01
         assert not scenario.simulator_config.use_error_control
         assert scenario.sensing.velocity_noise == {"all": 1e-6}
-        assert (scenario.payload.truth.mass, scenario.payload.belief.mass) == (100.0, 80.0)
+        assert (scenario.payload.truth.mass, scenario.payload.nominal.mass) == (100.0, 80.0)
         assert scenario.controllers.aismc.k_s_max is None
     assert paper.controllers.tde_aismc.k_s_max is None
     assert postcapture.controllers.tde_aismc.k_s_initial == {"all": 60.0}
@@ -128,9 +128,9 @@ directives:
         ("simulator_config.max_step_size=0", "override: simulator_config.max_step_size: must be > 0 s"),
         ("simulator_config.use_error_control=maybe", "must be true or false, not 'maybe'"),
         ("payload.truth.mass=-5", "override: payload.truth.mass: must be > 0 kg, not -5.0"),
-        ("payload.belief.inertia=[1, 1, 5]", "violate the triangle inequality"),
-        ("payload.belief.inertia=[1, 1]", "must hold three moments [Ixx, Iyy, Izz]"),
-        ("payload.belief.inertia=[1, 1, 1, 2, 0, 0]", "override: payload.belief.inertia: must be positive definite"),
+        ("payload.nominal.inertia=[1, 1, 5]", "violate the triangle inequality"),
+        ("payload.nominal.inertia=[1, 1]", "must hold three moments [Ixx, Iyy, Izz]"),
+        ("payload.nominal.inertia=[1, 1, 1, 2, 0, 0]", "override: payload.nominal.inertia: must be positive definite"),
         ("payload.truth.center_of_mass=[1]", "must hold three numbers [x, y, z]"),
         ("initial_posture.base_rpy=[0, 0]", "override: initial_posture.base_rpy: must hold three numbers"),
         ("sensing.velocity_noise=-1e-6", "a standard deviation must be >= 0"),

@@ -230,7 +230,7 @@ def test_controller_and_mass_are_those_of_the_next_run(meshcat, scenario, tmp_pa
     assert "controller tdc (scenario: tde_aismc)" in said
     assert "payload.truth.mass 150 kg, inertia in proportion (scenario: 100 kg)" in said
     assert records[1].scenario.payload.truth.inertia == pytest.approx([1.5 * 16.7] * 3)
-    assert records[1].scenario.payload.belief == scenario.payload.belief
+    assert records[1].scenario.payload.nominal == scenario.payload.nominal
     again = simulate(RunRecord.load(records[1].save(tmp_path)).scenario)
     assert np.array_equal(again.dataset["position"], records[1].dataset["position"])
 

@@ -18,7 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import MassProperties, Model, load_scenario
-from ffsm_drake.spacecraft.plant import make_nominal_plant, make_plant, set_payload
+from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.plant import make_plant
 
 DEBRIS = "debris::debris"
 TOTAL_MASS = 400 + 3 + 10 + 10 + 1.5 + 1.5 + 100
@@ -55,11 +57,11 @@ def context(plant: MultibodyPlant) -> Context:
     return plant.CreateDefaultContext()
 
 
-@pytest.fixture(scope="module", params=["parsed", "truth", "belief", "off_centre"])
+@pytest.fixture(scope="module", params=["parsed", "truth", "nominal", "off_centre"])
 def ours(request: pytest.FixtureRequest) -> tuple[MultibodyPlant, Context, oracle.Target]:
     """A plant and context of the package, with the target that it should hold."""
     scenario = load_scenario("postcapture")
-    if request.param == "belief":
+    if request.param == "nominal":
         nominal = make_nominal_plant(scenario)
         return nominal.plant, nominal.context, oracle.BELIEVED_TARGET
     plant = make_plant(scenario.model)

@@ -202,11 +202,11 @@ def test_the_laws_degenerate_as_notes_say(results):
 
 def test_condition_8_admits_what_diverges(results):
     """Believed 110 kg of 100, (8) is satisfied with a wide margin, and the sampled loop has an eigenvalue of 1.1."""
-    ratio = robustness._mass_ratio(results, "belief 110 kg")
+    ratio = robustness._mass_ratio(results, "nominal 110 kg")
     assert ratio.norm < 0.5
     assert ratio.high == pytest.approx(1.1, abs=1e-4)
     assert robustness._tolerated_k_s(results, ratio.high) == pytest.approx(63.6, abs=0.1)
-    assert robustness._mass_ratio(results, "belief 100 kg").norm == pytest.approx(0.0, abs=1e-9)
+    assert robustness._mass_ratio(results, "nominal 100 kg").norm == pytest.approx(0.0, abs=1e-9)
 
 
 class Addresses(HTMLParser):

@@ -8,7 +8,8 @@ import pytest
 
 from ffsm_drake import load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.spacecraft.coordinates import Coordinates, position_error
-from ffsm_drake.systems.controllers import LAWS, aismc, asmc, make_controller, tde_aismc
+from ffsm_drake.systems.controllers import LAWS, make_controller
+from ffsm_drake.systems.controllers.laws import aismc, asmc, tde_aismc
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
 
 PERIOD = 0.01

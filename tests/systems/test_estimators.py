@@ -196,7 +196,7 @@ def test_settings_of_kalman_do_not_touch_the_published_run(run):
 
 
 def heavier(mass, inertia):
-    return f"payload.belief.mass={mass}", f"payload.belief.inertia=[{inertia}, {inertia}, {inertia}]"
+    return f"payload.nominal.mass={mass}", f"payload.nominal.inertia=[{inertia}, {inertia}, {inertia}]"
 
 
 @pytest.mark.parametrize("controller", ["tdc", "tde_aismc"])

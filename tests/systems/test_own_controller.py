@@ -78,7 +78,7 @@ def test_the_papers_controllers_conform(name):
 
 
 def test_computed_torque_needs_a_true_model():
-    exact = "payload.belief={mass: 100, inertia: [16.7, 16.7, 16.7]}"
+    exact = "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}"
     quiet = ["duration=5", "sensing.velocity_noise=0", "disturbance.amplitude_scale=0", "controller=computed_torque"]
     wrong = simulate(load_scenario("postcapture", quiet)).metrics["itae"]
     right = simulate(load_scenario("postcapture", [*quiet, exact])).metrics["itae"]

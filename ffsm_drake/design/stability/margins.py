@@ -20,7 +20,7 @@ from ffsm_drake.design.stability.sampled_loop import (
 )
 from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.plant import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_estimator
 from ffsm_drake.systems.disturbance import make_disturbance

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from ffsm_drake.design.stability.sampled_loop import CoupledLoop, LoopGains, Sampling, coupled_loop
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.plant import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.reference import make_reference
 

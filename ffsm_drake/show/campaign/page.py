@@ -12,7 +12,6 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from ffsm_drake.campaign import charts_interactive, charts_still
 from ffsm_drake.campaign.errors import CampaignError
 from ffsm_drake.campaign.evaluate import OUTCOMES
 from ffsm_drake.campaign.findings import Findings, find
@@ -20,6 +19,7 @@ from ffsm_drake.campaign.statistics import CONFIDENCE, Interval, quantiles, wors
 from ffsm_drake.campaign.store import Store
 from ffsm_drake.common.errors import RecordError, one_line
 from ffsm_drake.common.files import write_text, written_whole
+from ffsm_drake.show.campaign import charts_interactive, charts_still
 from ffsm_drake.show.figures.run import LABELS
 
 TEMPLATE = "report.html.j2"

@@ -20,14 +20,15 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.lifetime import weak_callback
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.runs.simulation import simulate
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario
 from ffsm_drake.show.meshcat import set_stage, start_meshcat
 from ffsm_drake.show.meshcat.arrows import Arrow, base_bounding_box
 from ffsm_drake.show.meshcat.controls import Controls
 from ffsm_drake.show.meshcat.stage import SpacecraftView
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.plant import PlantModel, configuration, find_body, make_true_plant
+from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
+from ffsm_drake.spacecraft.plant import configuration, find_body
 
 OPERATOR_ATTRIBUTE = "operator"  # of a record's dataset: what the operator did, in words
 

@@ -28,7 +28,7 @@ from matplotlib.lines import Line2D
 
 from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.common.files import write_text, written_whole
-from ffsm_drake.runs.simulation import simulate
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import ESTIMATOR_KINDS, Scenario, load_scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.show.figures.run import LABELS, STYLES, tidy
 from ffsm_drake.spacecraft.coordinates import GROUPS
@@ -302,7 +302,7 @@ def _predicted_isv(case: NoiseCase, scenario: Scenario) -> float:
 def _noise_gain(controller: str) -> float:
     """Rms of Hhat^-1 tau on a base attitude axis per unit of velocity noise, published gains, 1/s, for H = Hhat."""
     from ffsm_drake.design.stability.sampled_loop import LoopGains, Sampling, coupled_loop, law_gains
-    from ffsm_drake.spacecraft.plant import make_nominal_plant
+    from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
     scenario = NoiseCase(controller=controller, estimator="one_sample", gains="published", sigma=1.0).scenario()
     gains = law_gains(scenario, make_nominal_plant(scenario).coordinates).at()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.spacecraft.plant import make_nominal_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, INTEGRAL_SURFACE, PROPOSED, SETTINGS, Results
 from ffsm_drake.studies.paper.verdict import (

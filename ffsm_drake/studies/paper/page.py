@@ -17,7 +17,7 @@ from ffsm_drake.runs.record import software_versions
 from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.claims import by_topic, counts
 from ffsm_drake.studies.paper.figures import FigureFile
-from ffsm_drake.studies.paper.robustness import belief_table
+from ffsm_drake.studies.paper.robustness import nominal_payload_table
 from ffsm_drake.studies.paper.runs import PROPOSED, SETTINGS, Case, Results
 from ffsm_drake.studies.paper.table import HEADER, Row, markdown_rows, table_csv, table_notes
 from ffsm_drake.studies.paper.verdict import Kind, Verdict, comparisons, ranking
@@ -105,7 +105,7 @@ def runs_made(results: Results) -> list[str]:
         f"{len(results.runs)} simulations, {seconds:.0f} s of flight: {table} for Table 2 (four controllers, three "
         f"disturbances, three settings, {results.num_seeds} seeds, runs that settings share made once) and "
         f"{len(results.runs) - table} for single claims (without noise, without the switching term, other ε, other "
-        f"payload beliefs, equal stiffness, rest under a constant load). {diverged} of them diverged.",
+        f"nominal payloads, equal stiffness, rest under a constant load). {diverged} of them diverged.",
         f"In all settings: control period {1e3 * scenario.sample_time:g} ms, white noise of "
         f"{span([1e6 * value for value in scenario.sensing.velocity_noise.values()], 1)} µrad/s and µm/s on the "
         "measured velocities, disturbance as an external generalized force, H q̈ + C = τ + τ_d (with the sign of "
@@ -143,7 +143,7 @@ def _render(
         "verdicts": by_topic(list(verdicts)),
         "tally": [(kind, number, _TALLY[kind]) for kind, number in counts(list(verdicts)).items()],
         "figures": {figure.key: {"file": figure, "source": _data_address(figure)} for figure in figures},
-        "beliefs": belief_table(results) if verdicts else None,
+        "nominal_payloads": nominal_payload_table(results) if verdicts else None,
     }
     return environment.get_template(TEMPLATE).render(content)
 
@@ -174,12 +174,12 @@ def _markdown(results: Results, rows: list[Row], figures: Sequence[FigureFile], 
         )
     lines += ["## Table 2", "", *_markdown_table_2(rows, level=3)]
     lines += [
-        "## Payload beliefs",
+        "## Nominal payloads",
         "",
         "ITAE under τ_d1, exact integration, the proposed controller's K_s bounded.",
         "",
     ]
-    lines += _markdown_lines(*belief_table(results))
+    lines += _markdown_lines(*nominal_payload_table(results))
     lines += ["## Figures", ""]
     for figure in figures:
         path = figure.png or figure.svg

@@ -1,5 +1,5 @@
 # ruff: noqa: RUF001 (the texts use mathematical signs)
-"""Claims about stability and robustness; the table of payload beliefs. See ``verdict`` for their form."""
+"""Claims about stability and robustness; the table of nominal payloads. See ``verdict`` for their form."""
 
 import dataclasses
 import functools
@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.spacecraft.plant import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.studies.paper.runs import (
-    BELIEFS,
     CONTROLLERS,
+    NOMINAL_PAYLOADS,
     PROPOSED,
     Case,
     Results,
@@ -57,7 +57,7 @@ def published_gains_are_stable(results: Results) -> Verdict:
 
 
 def condition_8_protects(results: Results) -> Verdict:
-    variants = ("", *BELIEFS)
+    variants = ("", *NOMINAL_PAYLOADS)
     ratios = {variant: _mass_ratio(results, variant) for variant in variants}
     runs = {
         (name, variant): results.run("bounded", name, variant=variant) for name in CONTROLLERS for variant in variants
@@ -93,10 +93,12 @@ def condition_8_protects(results: Results) -> Verdict:
 
 
 def payload_uncertainty_is_tolerated(results: Results) -> Verdict:
-    tested = _kilograms(["", *BELIEFS])
+    tested = _kilograms(["", *NOMINAL_PAYLOADS])
     completed = {
         setting: _kilograms(
-            variant for variant in ("", *BELIEFS) if results.run(setting, PROPOSED, variant=variant).outcome.completed
+            variant
+            for variant in ("", *NOMINAL_PAYLOADS)
+            if results.run(setting, PROPOSED, variant=variant).outcome.completed
         )
         for setting in ("euler", "bounded")
     }
@@ -104,7 +106,10 @@ def payload_uncertainty_is_tolerated(results: Results) -> Verdict:
     if completed["bounded"] == tested:
         outcome = {"kind": "holds"}
     elif completed["bounded"]:
-        outcome = {"kind": "holds only", "condition": f"for beliefs of {completed['bounded']} kg among those tested"}
+        outcome = {
+            "kind": "holds only",
+            "condition": f"for nominal masses of {completed['bounded']} kg among those tested",
+        }
     return Verdict(
         topic="Stability and robustness",
         claim="The controller is robust to the unknown payload.",
@@ -118,7 +123,11 @@ def payload_uncertainty_is_tolerated(results: Results) -> Verdict:
 
 def more_robust_than_its_rivals(results: Results) -> Verdict:
     survived = {
-        name: [variant for variant in ("", *BELIEFS) if results.run("bounded", name, variant=variant).outcome.completed]
+        name: [
+            variant
+            for variant in ("", *NOMINAL_PAYLOADS)
+            if results.run("bounded", name, variant=variant).outcome.completed
+        ]
         for name in CONTROLLERS
     }
     parts = "; ".join(f"{NAMES[name]} {_kilograms(variants) or 'none'}" for name, variants in survived.items())
@@ -134,11 +143,11 @@ def more_robust_than_its_rivals(results: Results) -> Verdict:
     )
 
 
-def belief_table(results: Results) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: payload belief, the left side of (8), eigenvalues of H^-1 Hhat, and each controller's ITAE."""
+def nominal_payload_table(results: Results) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: nominal payload, the left side of (8), eigenvalues of H^-1 Hhat, and each controller's ITAE."""
     header = ["believed payload", "‖E − H⁻¹Ĥ‖₂", "eigenvalues of H⁻¹Ĥ", *[NAMES[name] for name in CONTROLLERS]]
     rows = []
-    for variant in sorted(("", *BELIEFS), key=_believed):
+    for variant in sorted(("", *NOMINAL_PAYLOADS), key=_believed):
         ratio = _mass_ratio(results, variant)
         rows.append(
             [
@@ -154,7 +163,7 @@ def belief_table(results: Results) -> tuple[list[str], list[list[str]]]:
 @functools.cache
 def _believed(variant: str) -> float:
     """Mass of the payload that a variant makes the controller believe in, kg."""
-    return Case(setting="bounded", controller=PROPOSED, variant=variant).scenario().payload.belief.mass
+    return Case(setting="bounded", controller=PROPOSED, variant=variant).scenario().payload.nominal.mass
 
 
 def _kilograms(variants: Iterable[str]) -> str:
@@ -173,11 +182,11 @@ class _MassRatio:
 
 def _mass_ratio(results: Results, variant: str) -> _MassRatio:
     scenario = Case(setting="bounded", controller=PROPOSED, variant=variant).scenario(results.overrides)
-    truth, belief = make_true_plant(scenario), make_nominal_plant(scenario)
+    truth, nominal = make_true_plant(scenario), make_nominal_plant(scenario)
     norms, eigenvalues = [], []
     planned = results.record("bounded", PROPOSED).dataset["desired_position"].values
     for q in planned[:: max(len(planned) // 40, 1)]:
-        ratio = np.linalg.solve(truth.calc_mass_matrix(q), belief.calc_mass_matrix(q))
+        ratio = np.linalg.solve(truth.calc_mass_matrix(q), nominal.calc_mass_matrix(q))
         norms.append(float(np.linalg.norm(np.eye(len(ratio)) - ratio, 2)))
         eigenvalues.append(np.linalg.eigvals(ratio).real)  # real: a product of positive definite matrices
     return _MassRatio(norm=max(norms), low=float(np.min(eigenvalues)), high=float(np.max(eigenvalues)))

@@ -13,7 +13,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.record import Outcome, RunRecord
-from ffsm_drake.runs.simulation import simulate
+from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
 
 PROPOSED = "tde_aismc"
@@ -67,15 +67,15 @@ _NO_SWITCHING = (
 )
 
 
-def _belief(fraction: float) -> tuple[str, ...]:
+def _nominal(fraction: float) -> tuple[str, ...]:
     """The payload believed to be a fraction of Table 1's target (100 kg, 16.7 kg m^2)."""
     return (
-        f"payload.belief.mass={100.0 * fraction}",
-        f"payload.belief.inertia=[{', '.join([str(16.7 * fraction)] * 3)}]",
+        f"payload.nominal.mass={100.0 * fraction}",
+        f"payload.nominal.inertia=[{', '.join([str(16.7 * fraction)] * 3)}]",
     )
 
 
-BELIEFS = {f"belief {round(100 * fraction)} kg": fraction for fraction in (0.3, 0.5, 1.0, 1.1, 1.25)}
+NOMINAL_PAYLOADS = {f"nominal {round(100 * fraction)} kg": fraction for fraction in (0.3, 0.5, 1.0, 1.1, 1.25)}
 
 # What single claims need beyond the table: name -> overrides of the scenario.
 VARIANTS: dict[str, tuple[str, ...]] = {
@@ -89,7 +89,7 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "at rest": ("duration=30", "disturbance.frequency_scale=0", *_NO_NOISE),
     # K_D + K_s and K_s K_D of ASMC as TDC's gains: the same law as ASMC without its switching term.
     "stiffness of ASMC": ("controllers.tdc.k_d=180", "controllers.tdc.k_p=8000"),
-    **{name: _belief(fraction) for name, fraction in BELIEFS.items()},
+    **{name: _nominal(fraction) for name, fraction in NOMINAL_PAYLOADS.items()},
 }
 
 
@@ -220,9 +220,9 @@ def claim_cases(num_seeds: int) -> list[Case]:
         ]
         cases.append(Case(setting=setting, controller="tdc", variant="stiffness of ASMC"))
     cases += [Case(setting="exact", controller=PROPOSED, seed=k, variant="G = 0") for k in range(num_seeds)]
-    for belief in BELIEFS:
-        cases += [Case(setting="bounded", controller=name, variant=belief) for name in CONTROLLERS]
-        cases.append(Case(setting="euler", controller=PROPOSED, variant=belief))
+    for nominal in NOMINAL_PAYLOADS:
+        cases += [Case(setting="bounded", controller=name, variant=nominal) for name in CONTROLLERS]
+        cases.append(Case(setting="euler", controller=PROPOSED, variant=nominal))
     return _distinct(cases)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.spacecraft.plant import make_nominal_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.studies.paper.runs import (
     PROPOSED,
     Results,

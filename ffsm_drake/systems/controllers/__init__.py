@@ -5,7 +5,7 @@ from typing import Any
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.plant import PlantModel
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.estimators import make_estimator
 from ffsm_drake.systems.controllers.laws.aismc import AismcLaw
 from ffsm_drake.systems.controllers.laws.asmc import AsmcLaw

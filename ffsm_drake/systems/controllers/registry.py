@@ -9,7 +9,7 @@ from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake.common.errors import ControllerError, FfsmError, did_you_mean, one_line
 from ffsm_drake.scenario import CONTROLLER_NAMES, ENTRY_POINT_GROUP, Scenario, own_controller_name
-from ffsm_drake.spacecraft.plant import PlantModel
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.sampled import ControllerSetup
 
 Factory = Callable[[ControllerSetup], LeafSystem]

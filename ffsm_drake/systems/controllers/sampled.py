@@ -11,7 +11,7 @@ from ffsm_drake.common.errors import ControllerError, ScenarioError, did_you_mea
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import Coordinates, position_error
-from ffsm_drake.spacecraft.plant import PlantModel
+from ffsm_drake.spacecraft.nominal import PlantModel
 
 # Outputs that a controller may have besides generalized_force; they are recorded when present, (nv) each.
 OPTIONAL_OUTPUTS = ("sliding_variable", "reaching_gain", "switching_gain")

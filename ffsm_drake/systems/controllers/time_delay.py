@@ -16,7 +16,7 @@ from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSy
 
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.spacecraft.coordinates import rotation_error
-from ffsm_drake.spacecraft.plant import PlantModel
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.estimators import Arrays, Estimator, Measurement
 from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS
 

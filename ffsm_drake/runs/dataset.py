@@ -1,0 +1,131 @@
+"""The labelled time series of a run: its log and, for what follows from the state, the true plant."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ffsm_drake.runs.rollout import RunLog
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
+from ffsm_drake.spacecraft.plant import find_frame
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def make_dataset(log: RunLog) -> "xr.Dataset":
+    """The labelled time series of a run: its log and, for what follows from the state, the true plant."""
+    import xarray as xr
+
+    scenario, coordinates, series = log.scenario, log.coordinates, log.series
+    num_positions = len(coordinates.position_names)
+    position, velocity = np.split(series["state"], [num_positions], axis=1)
+    desired_position, desired_velocity = np.split(series["desired_state"], [num_positions], axis=1)
+    measured_position, measured_velocity = np.split(series["measurement"], [num_positions], axis=1)
+    model = make_true_plant(scenario)
+    momentum, energy = _momentum_and_energy(model, series["state"])
+    end_effector, desired_end_effector = (_end_effector(model, scenario, q) for q in (position, desired_position))
+    unit = "rad (rotations) or m (translations)"
+    force = "N m (rotations) or N (translations)"
+    by_coordinate, by_position, by_axis = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
+    variables = {
+        "position": (by_position, position, "generalized positions q", f"1 (quaternion), {unit}"),
+        "velocity": (by_coordinate, velocity, "generalized velocities v", f"{unit} per s"),
+        "measured_position": (by_position, measured_position, "q as the controller reads it", f"1, {unit}"),
+        "measured_velocity": (by_coordinate, measured_velocity, "v as the controller reads it", f"{unit} per s"),
+        "desired_position": (by_position, desired_position, "reference q_d", f"1 (quaternion), {unit}"),
+        "desired_velocity": (by_coordinate, desired_velocity, "reference v_d", f"{unit} per s"),
+        "desired_acceleration": (
+            by_coordinate, series["desired_acceleration"], "reference acceleration", f"{unit} per s^2",
+        ),
+        "error": (by_coordinate, log.error, "true tracking error e = q_d - q (rotation vector in world)", unit),
+        "error_rate": (by_coordinate, desired_velocity - velocity, "true error rate v_d - v", f"{unit} per s"),
+        "generalized_force": (
+            by_coordinate, series["generalized_force"], "control tau, held from this sample to the next", force,
+        ),
+        "applied_force": (
+            by_coordinate, series["applied_force"], "what the actuators make of tau, held likewise", force,
+        ),
+        "disturbance_force": (
+            by_coordinate, series["disturbance_force"], "external disturbance tau_d at this instant", force,
+        ),
+        "end_effector_position": (by_axis, end_effector, "end effector in the world frame", "m"),
+        "desired_end_effector_position": (by_axis, desired_end_effector, "its reference", "m"),
+        "base_rpy": (by_axis, _base_rpy(position), "roll, pitch, yaw of the base", "rad"),
+        "desired_base_rpy": (by_axis, _base_rpy(desired_position), "their reference", "rad"),
+        "linear_momentum": (by_axis, momentum[:, 3:], "total linear momentum", "N s"),
+        "angular_momentum": (
+            by_axis, momentum[:, :3], "total angular momentum about the world's origin", "N m s",
+        ),
+        "kinetic_energy": (("time",), energy, "total kinetic energy", "J"),
+    }  # fmt: skip
+    for name, meaning in (
+        ("sliding_variable", "sliding variable s of this sample"),
+        ("reaching_gain", "K_s used by this sample, 1/s"),
+        ("switching_gain", "G used by this sample"),
+    ):
+        if name in series:
+            variables[name] = (by_coordinate, series[name], meaning, "1/s" if name == "reaching_gain" else unit)
+    return xr.Dataset(
+        {
+            name: (dims, values, {"long_name": meaning, "units": units})
+            for name, (dims, values, meaning, units) in variables.items()
+        },
+        coords={
+            "time": ("time", log.time, {"long_name": "control sample t_k", "units": "s"}),
+            "coordinate": list(coordinates.names),
+            "position_name": list(coordinates.position_names),
+            "axis": ["x", "y", "z"],
+            "group": ("coordinate", list(coordinates.group_of)),
+            "unit": ("coordinate", list(coordinates.units)),
+        },
+        attrs={
+            "title": scenario.description,
+            "controller": scenario.controller,
+            "sample_time": scenario.sample_time,
+            "random_seed": scenario.random_seed,
+        },
+    )
+
+
+def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Momentum about the world's origin (n, 6; angular, then linear) and kinetic energy (n) of states (n, nq + nv)."""
+    plant, context = model.plant, model.context
+    origin = np.zeros(3)
+    momentum, energy = np.empty((len(states), 6)), np.empty(len(states))
+    for i, state in enumerate(states):
+        if not np.isfinite(state).all():  # a diverged run's last; Drake ends the process on it
+            momentum[i] = energy[i] = np.nan
+            continue
+        plant.SetPositionsAndVelocities(context, state)
+        momentum[i] = plant.CalcSpatialMomentumInWorldAboutPoint(context, origin).get_coeffs()
+        energy[i] = plant.CalcKineticEnergy(context)
+    return momentum, energy
+
+
+def _end_effector(model: PlantModel, scenario: Scenario, positions: np.ndarray) -> np.ndarray:
+    """The end effector's place in the world (n, 3) in configurations q (n, nq)."""
+    plant, context = model.plant, model.context
+    frame = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
+    places = np.empty((len(positions), 3))
+    for i, q in enumerate(positions):
+        if not np.isfinite(q).all():  # as above
+            places[i] = np.nan
+            continue
+        plant.SetPositions(context, q)
+        places[i] = frame.CalcPoseInWorld(context).translation()
+    return places
+
+
+def _base_rpy(positions: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw (n, 3) of the base in configurations q (n, nq), rad; as ``plant.base_rpy``."""
+    w, x, y, z = positions[:, :4].T / np.linalg.norm(positions[:, :4], axis=1)
+    cosines = np.hypot(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z))  # of the pitch
+    return np.stack(
+        [
+            np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            np.arctan2(2.0 * (w * y - x * z), cosines),
+            np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)),
+        ],
+        axis=1,
+    )

@@ -1,0 +1,74 @@
+"""Whether a run diverges, and its progress."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from pydrake.systems.framework import Context, EventStatus
+
+from ffsm_drake.loop.closed_loop import ClosedLoop
+
+
+@dataclasses.dataclass
+class Monitor:
+    """Judges whether a run diverges and reports its progress; as a simulator's monitor, it stops one that does."""
+
+    loop: ClosedLoop
+    progress: Callable[[float, float], None] | None
+    message: str = ""
+    coordinate: str = ""
+    next_report: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._bound = self.loop.scenario.divergence_speed
+        self._first_velocity = self.loop.plant.num_positions()
+
+    def __call__(self, context: Context) -> EventStatus:
+        if not self.check(context):
+            return EventStatus.ReachedTermination(self.loop.diagram, self.message)
+        return EventStatus.DidNothing()
+
+    def forget(self) -> None:
+        """Take back the verdict; what was reported stays reported."""
+        self.message = self.coordinate = ""
+
+    def report(self, context: Context) -> None:
+        """Report the progress, every whole second once."""
+        if self.progress is not None and context.get_time() >= self.next_report - 1e-9:
+            self.next_report += 1.0
+            self.progress(context.get_time(), self.loop.scenario.duration)
+
+    def bounds(self, states: np.ndarray) -> bool:
+        """Whether every velocity in states (..., nq + nv) is within the bound."""
+        return bool(np.abs(states[..., self._first_velocity :]).max() <= self._bound)  # false for NaN too
+
+    def check(self, context: Context) -> bool:
+        """Whether every velocity is within the bound; otherwise ``message`` and ``coordinate`` say which is not."""
+        state = context.get_continuous_state_vector().CopyToVector()
+        if self.bounds(state):
+            return True
+        velocity = state[self._first_velocity :]
+        # The first that is not finite, else the fastest.
+        worst = int(np.argmax(np.where(np.isfinite(velocity), np.abs(velocity), np.inf)))
+        coordinates = self.loop.coordinates
+        self._note(
+            context,
+            worst,
+            f"{coordinates.names[worst]} moves at {velocity[worst]:.3g} {coordinates.units[worst]}/s, "
+            f"beyond divergence_speed = {self._bound:g}",
+        )
+        return False
+
+    def check_force(self, context: Context) -> bool:
+        """Whether the controller's force is finite; otherwise as ``check``."""
+        diagram = self.loop.diagram
+        force = diagram.GetOutputPort("generalized_force").Eval(context)
+        if np.isfinite(force).all():
+            return True
+        worst = int(np.argmin(np.isfinite(force)))
+        self._note(context, worst, f"the force on {self.loop.coordinates.names[worst]} is {force[worst]:g}")
+        return False
+
+    def _note(self, context: Context, worst: int, what: str) -> None:
+        self.coordinate = self.loop.coordinates.names[worst]
+        self.message = f"{self.loop.scenario.controller} diverged at t = {context.get_time():.2f} s: {what}"

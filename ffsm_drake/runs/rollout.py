@@ -1,0 +1,250 @@
+"""Rollout: a closed loop that is built once and run many times; RunLog: a run as it came from the simulator."""
+
+import contextlib
+import dataclasses
+import functools
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NoReturn
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import LeafSystem, System
+
+from ffsm_drake.common.errors import ControllerError, FfsmError, ScenarioError, one_line
+from ffsm_drake.common.lifetime import untie
+from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.runs.metrics import tracking_metrics
+from ffsm_drake.runs.monitor import Monitor
+from ffsm_drake.runs.record import Outcome
+from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario, scenario_to_dict
+from ffsm_drake.spacecraft.coordinates import Coordinates, position_errors
+
+# A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
+_HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable")
+# Besides the payload's true mass properties, what a run takes from its scenario without a new build.
+_OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class RunLog:
+    """A run as it came from the simulator: the aligned time series, nothing derived from them but the error.
+
+    ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, and the controller's optional
+    outputs, each (n, its width): a signal of sample k is the one that sample k used or produced.
+    """
+
+    scenario: Scenario
+    outcome: Outcome
+    coordinates: Coordinates
+    time: np.ndarray  # (n,), control samples t_k, s
+    series: Mapping[str, np.ndarray]
+    wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
+
+    @property
+    def generalized_force(self) -> np.ndarray:
+        """Control tau (n, nv), held from each sample to the next, N m or N."""
+        return self.series["generalized_force"]
+
+    @functools.cached_property
+    def error(self) -> np.ndarray:
+        """True tracking error e = q_d - q (n, nv), base rotation as a rotation vector in the world frame."""
+        num_positions = len(self.coordinates.position_names)
+        return position_errors(self.series["desired_state"][:, :num_positions], self.series["state"][:, :num_positions])
+
+    @functools.cached_property
+    def metrics(self) -> dict[str, Any]:
+        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.tracking_metrics``."""
+        return tracking_metrics(
+            time=self.time,
+            error=self.error,
+            effort=self.generalized_force,
+            period=self.scenario.sample_time,
+            group=self.coordinates.group_of,
+        )
+
+
+class Rollout:
+    """A closed loop that is built once and run many times; every run has the bits of a fresh build.
+
+    Raises ModelError and ScenarioError as ``make_closed_loop`` does.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        meshcat: Meshcat | None = None,
+        own_disturbance: Callable[[Coordinates], System] | None = None,
+        make_operator: Callable[[Coordinates], LeafSystem] | None = None,
+    ) -> None:
+        start = time.perf_counter()
+        self.loop = make_closed_loop(
+            scenario, meshcat=meshcat, log=True, own_disturbance=own_disturbance, make_operator=make_operator
+        )
+        self._simulator = Simulator(self.loop.diagram)
+        ApplySimulatorConfig(scenario.simulator_config, self._simulator)
+        config = scenario.simulator_config
+        logs_every_step = not config.use_error_control and config.max_step_size >= scenario.sample_time
+        self._from_elsewhere = [
+            *([] if scenario.controller in CONTROLLER_NAMES else [f"controller '{scenario.controller}'"]),
+            *([] if own_disturbance is None else [f"disturbance '{self.loop.disturbance.get_name()}'"]),
+        ]
+        # Not so where somebody watches or takes part, or a system from elsewhere may do otherwise next time.
+        repeatable = meshcat is None and make_operator is None and not self._from_elsewhere
+        self._judged_by_log = logs_every_step and repeatable
+        self._built_for = _built_from(scenario)
+        self._build_time = time.perf_counter() - start
+
+    def release(self) -> None:
+        """Free the closed loop, which Drake would otherwise keep; nothing of it may be used any more."""
+        untie(self.loop.diagram)
+
+    def accepts(self, scenario: Scenario) -> bool:
+        """Whether ``run`` takes the scenario: it differs from the built one only in what a context can change.
+
+        That is the description, the seed, the duration, the divergence speed, the initial velocity and the payload's
+        true mass properties.
+        """
+        return _built_from(scenario) == self._built_for
+
+    def run(
+        self, scenario: Scenario | None = None, *, progress: Callable[[float, float], None] | None = None
+    ) -> RunLog:
+        """Run from the start, with the built scenario or one that ``accepts`` takes.
+
+        A run that diverges (a velocity beyond ``divergence_speed``, or not finite) or is interrupted from the keyboard
+        ends early with the log up to then; its outcome says so.
+
+        Args:
+          scenario: what to run; None for the built one.
+          progress: called with (simulated time, duration) in s, once per simulated second.
+
+        Raises:
+          ScenarioError: the scenario needs another build.
+        """
+        start = time.perf_counter()
+        loop = self.loop
+        if scenario is not None:
+            if not self.accepts(scenario):
+                raise ScenarioError(
+                    "scenario", "differs from the built one in more than a run can change; build another"
+                )
+            loop = dataclasses.replace(loop, scenario=scenario)
+        scenario = loop.scenario
+        monitor = Monitor(loop, progress)
+        # A monitor calls Python in every step. Where all steps are in the log, that shows afterwards whether a monitor
+        # would have stopped the run; if so, it is run again with the monitor.
+        watched = not self._judged_by_log
+        interrupted, advance_time = self._advance(monitor, watched=watched)
+        times, series = self._read_log(interrupted=interrupted)
+        if not (watched or interrupted) and (monitor.message or not monitor.bounds(series["state"])):
+            monitor.forget()
+            interrupted, more_time = self._advance(monitor, watched=True)
+            advance_time += more_time
+            times, series = self._read_log(interrupted=interrupted)
+        last = float(times[-1])
+        if monitor.coordinate:
+            outcome = Outcome(status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message)
+        elif interrupted:
+            outcome = Outcome(status="interrupted", time=last, message=f"interrupted at t = {last:.2f} s")
+        else:
+            outcome = Outcome(status="completed", time=last, message=f"completed {last:g} s")
+        return RunLog(
+            scenario=scenario,
+            outcome=outcome,
+            coordinates=loop.coordinates,
+            time=times,
+            series=series,
+            wall_time={
+                "build": self._build_time,
+                "advance_to": advance_time,
+                "total": time.perf_counter() - start,
+            },
+        )
+
+    def _advance(self, monitor: Monitor, *, watched: bool) -> tuple[bool, float]:
+        """Run from the start to the end, or to where it cannot go on, which ``monitor`` then notes.
+
+        Returns: whether it was interrupted from the keyboard, and the wall time spent advancing, s.
+        """
+        simulator, loop = self._simulator, monitor.loop
+        simulator.reset_context(loop.diagram.CreateDefaultContext())
+        context = simulator.get_mutable_context()
+        loop.initialize(loop.diagram, context)
+        if watched:
+            simulator.set_monitor(monitor)
+        else:
+            simulator.clear_monitor()
+        sample_time, num_periods = loop.scenario.sample_time, loop.scenario.num_control_periods
+        # Stops at control samples do not change the steps.
+        stop_periods = max(1, round(1.0 / sample_time))
+        start = time.perf_counter()
+        interrupted = False
+        # What a run does beyond the point where it is to be stopped concerns nobody.
+        unremarked = contextlib.nullcontext() if watched else np.errstate(over="ignore", invalid="ignore")
+        try:
+            with unremarked:
+                simulator.Initialize()
+                for period in (*range(0, num_periods, stop_periods), num_periods):
+                    simulator.AdvanceTo(period * sample_time)
+                    if monitor.message or not monitor.check(context):
+                        break
+                    monitor.report(context)
+                simulator.AdvancePendingEvents()  # the control update of the last sample
+        except KeyboardInterrupt:
+            interrupted = True
+        except FfsmError:
+            raise
+        except Exception as error:
+            # Numbers that are no longer finite are refused; any other refusal is a fault to be seen.
+            if monitor.check(context) and monitor.check_force(context):
+                _raise_for(error, self._from_elsewhere, context.get_time())
+        return interrupted, time.perf_counter() - start
+
+    def _read_log(self, *, interrupted: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Sample times and the aligned series (copied)."""
+        loop, context = self.loop, self._simulator.get_context()
+        assert loop.logger is not None
+        log = loop.logger.FindLog(context)
+        times, rows = log.sample_times().copy(), log.data()
+        if interrupted and times.size == 0:
+            raise KeyboardInterrupt
+        if interrupted and times.size > 1:
+            # Perhaps before the update of the last sample, which is therefore left out.
+            parts = {name: rows[part, 1:] if name in _HELD else rows[part, :-1] for name, part in loop.logged.items()}
+            return times[:-1], {name: part.T.copy() for name, part in parts.items()}
+        series = {}
+        for name, part in loop.logged.items():
+            if name in _HELD:
+                # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
+                last = loop.diagram.GetOutputPort(name).Eval(context)
+                series[name] = np.vstack([rows[part, 1:].T, last])
+            else:
+                series[name] = rows[part].T.copy()
+        return times, series
+
+
+def _raise_for(error: Exception, suspects: Sequence[str], time: float) -> NoReturn:
+    """Say where a system from elsewhere failed; where none takes part, the fault is ours and passes as it is."""
+    if not suspects:
+        raise error
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    raise ControllerError(
+        f"{' or '.join(suspects)} failed at t = {time:.2f} s: {type(error).__name__}: {one_line(error)} "
+        f"({place.filename}, line {place.lineno})"
+    ) from error
+
+
+def _built_from(scenario: Scenario) -> dict[str, Any]:
+    """What of a scenario goes into the build, as plain data; the rest a run's context holds."""
+    neutral = Scenario()
+    return scenario_to_dict(
+        dataclasses.replace(
+            scenario,
+            payload=dataclasses.replace(scenario.payload, truth=neutral.payload.truth),
+            **{name: getattr(neutral, name) for name in _OF_THE_CONTEXT},
+        )
+    )

@@ -1,0 +1,60 @@
+"""Plants with a payload for computations outside a simulation: the nominal one, which a controller has, and the true."""
+
+import dataclasses
+import math
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context
+
+from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlantModel:
+    """A plant with a payload, for computations outside any simulation.
+
+    ``context`` is a scratch pad owned by this object; every method sets what it reads.
+    """
+
+    plant: MultibodyPlant
+    context: Context
+    coordinates: Coordinates
+
+    def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """The mass matrix H (nv, nv) in configuration q (nq)."""
+        self._set_positions(q)
+        return self.plant.CalcMassMatrix(self.context)
+
+    def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The Coriolis and centrifugal term C (nv) of H dv/dt + C = tau + tau_d, N m and N."""
+        self._set_positions(q)
+        if not math.isfinite(v.dot(v)):
+            raise ValueError("the velocity v is not finite")
+        self.plant.SetVelocities(self.context, v)
+        return self.plant.CalcBiasTerm(self.context)
+
+    def _set_positions(self, q: np.ndarray) -> None:
+        if not math.isfinite(q.dot(q)):  # on which Drake ends the process
+            raise ValueError("the configuration q is not finite")
+        self.plant.SetPositions(self.context, q)
+
+
+def make_nominal_plant(scenario: Scenario) -> PlantModel:
+    """The plant as the controller believes it (``payload.belief``): its mass matrix is the paper's H with a hat."""
+    return _make_plant_model(scenario, scenario.payload.belief)
+
+
+def make_true_plant(scenario: Scenario) -> PlantModel:
+    """The plant as it is (``payload.truth``)."""
+    return _make_plant_model(scenario, scenario.payload.truth)
+
+
+def _make_plant_model(scenario: Scenario, payload: MassProperties) -> PlantModel:
+    plant = make_plant(scenario.model)
+    context = plant.CreateDefaultContext()
+    set_payload(plant, context, body=scenario.payload.body, properties=payload)
+    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))
