@@ -1,4 +1,4 @@
-"""Plants with a payload for computations outside a simulation: the nominal one, which a controller has, and the true."""
+"""Plants with a payload for computations outside a simulation: the nominal one, which a controller has; the true one."""
 
 import dataclasses
 import math
@@ -44,8 +44,8 @@ class PlantModel:
 
 
 def make_nominal_plant(scenario: Scenario) -> PlantModel:
-    """The plant as the controller believes it (``payload.belief``): its mass matrix is the paper's H with a hat."""
-    return _make_plant_model(scenario, scenario.payload.belief)
+    """The plant as the controller believes it (``payload.nominal``): its mass matrix is the paper's H with a hat."""
+    return _make_plant_model(scenario, scenario.payload.nominal)
 
 
 def make_true_plant(scenario: Scenario) -> PlantModel:

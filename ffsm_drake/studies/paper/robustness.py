@@ -11,7 +11,7 @@ import numpy as np
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.studies.paper.runs import (
     CONTROLLERS,
-    NOMINAL_PAYLOADS,
+    NOMINALS,
     PROPOSED,
     Case,
     Results,
@@ -57,7 +57,7 @@ def published_gains_are_stable(results: Results) -> Verdict:
 
 
 def condition_8_protects(results: Results) -> Verdict:
-    variants = ("", *NOMINAL_PAYLOADS)
+    variants = ("", *NOMINALS)
     ratios = {variant: _mass_ratio(results, variant) for variant in variants}
     runs = {
         (name, variant): results.run("bounded", name, variant=variant) for name in CONTROLLERS for variant in variants
@@ -93,12 +93,10 @@ def condition_8_protects(results: Results) -> Verdict:
 
 
 def payload_uncertainty_is_tolerated(results: Results) -> Verdict:
-    tested = _kilograms(["", *NOMINAL_PAYLOADS])
+    tested = _kilograms(["", *NOMINALS])
     completed = {
         setting: _kilograms(
-            variant
-            for variant in ("", *NOMINAL_PAYLOADS)
-            if results.run(setting, PROPOSED, variant=variant).outcome.completed
+            variant for variant in ("", *NOMINALS) if results.run(setting, PROPOSED, variant=variant).outcome.completed
         )
         for setting in ("euler", "bounded")
     }
@@ -108,7 +106,7 @@ def payload_uncertainty_is_tolerated(results: Results) -> Verdict:
     elif completed["bounded"]:
         outcome = {
             "kind": "holds only",
-            "condition": f"for nominal masses of {completed['bounded']} kg among those tested",
+            "condition": f"for nominal masses of {completed['bounded']} kg of those tried",
         }
     return Verdict(
         topic="Stability and robustness",
@@ -124,9 +122,7 @@ def payload_uncertainty_is_tolerated(results: Results) -> Verdict:
 def more_robust_than_its_rivals(results: Results) -> Verdict:
     survived = {
         name: [
-            variant
-            for variant in ("", *NOMINAL_PAYLOADS)
-            if results.run("bounded", name, variant=variant).outcome.completed
+            variant for variant in ("", *NOMINALS) if results.run("bounded", name, variant=variant).outcome.completed
         ]
         for name in CONTROLLERS
     }
@@ -147,7 +143,7 @@ def nominal_payload_table(results: Results) -> tuple[list[str], list[list[str]]]
     """Header and rows: nominal payload, the left side of (8), eigenvalues of H^-1 Hhat, and each controller's ITAE."""
     header = ["believed payload", "‖E − H⁻¹Ĥ‖₂", "eigenvalues of H⁻¹Ĥ", *[NAMES[name] for name in CONTROLLERS]]
     rows = []
-    for variant in sorted(("", *NOMINAL_PAYLOADS), key=_believed):
+    for variant in sorted(("", *NOMINALS), key=_believed):
         ratio = _mass_ratio(results, variant)
         rows.append(
             [

@@ -75,7 +75,7 @@ def _nominal(fraction: float) -> tuple[str, ...]:
     )
 
 
-NOMINAL_PAYLOADS = {f"nominal {round(100 * fraction)} kg": fraction for fraction in (0.3, 0.5, 1.0, 1.1, 1.25)}
+NOMINALS = {f"nominal {round(100 * fraction)} kg": fraction for fraction in (0.3, 0.5, 1.0, 1.1, 1.25)}
 
 # What single claims need beyond the table: name -> overrides of the scenario.
 VARIANTS: dict[str, tuple[str, ...]] = {
@@ -89,7 +89,7 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "at rest": ("duration=30", "disturbance.frequency_scale=0", *_NO_NOISE),
     # K_D + K_s and K_s K_D of ASMC as TDC's gains: the same law as ASMC without its switching term.
     "stiffness of ASMC": ("controllers.tdc.k_d=180", "controllers.tdc.k_p=8000"),
-    **{name: _nominal(fraction) for name, fraction in NOMINAL_PAYLOADS.items()},
+    **{name: _nominal(fraction) for name, fraction in NOMINALS.items()},
 }
 
 
@@ -220,7 +220,7 @@ def claim_cases(num_seeds: int) -> list[Case]:
         ]
         cases.append(Case(setting=setting, controller="tdc", variant="stiffness of ASMC"))
     cases += [Case(setting="exact", controller=PROPOSED, seed=k, variant="G = 0") for k in range(num_seeds)]
-    for nominal in NOMINAL_PAYLOADS:
+    for nominal in NOMINALS:
         cases += [Case(setting="bounded", controller=name, variant=nominal) for name in CONTROLLERS]
         cases.append(Case(setting="euler", controller=PROPOSED, variant=nominal))
     return _distinct(cases)
