@@ -1,4 +1,4 @@
-"""Plants with a payload for computations outside a simulation: the nominal one, which a controller has; the true one."""
+"""Plants with a payload, for computations outside a simulation: the nominal one (the controller's) and the true one."""
 
 import dataclasses
 import math
