@@ -4,24 +4,27 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ffsm_drake.common.errors import ControllerError, FfsmError, ModelError, RecordError, ScenarioError
-    from ffsm_drake.loop.closed_loop import ClosedLoop, make_closed_loop
+    from ffsm_drake.common.errors import BlockError, FfsmError, ModelError, RecordError, ScenarioError
+    from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, make_closed_loop
     from ffsm_drake.runs.record import Outcome, RunRecord
     from ffsm_drake.runs.rollout import Rollout, RunLog
     from ffsm_drake.runs.simulate import simulate
     from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
-    from ffsm_drake.systems.controllers import ControllerSetup, Sample, SampledController
+    from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, Sample, gain
 
 # Imported on first use: Drake takes a while, and the command line's help should not wait for it.
 _HOMES = {
     "ClosedLoop": "loop.closed_loop",
+    "add_closed_loop": "loop.closed_loop",
     "make_closed_loop": "loop.closed_loop",
-    "ControllerSetup": "systems.controllers",
+    "BlockSetup": "systems.setup",
+    "ControlLaw": "systems.controllers",
+    "InjectedDynamics": "systems.controllers",
+    "gain": "systems.controllers",
     "Sample": "systems.controllers",
-    "SampledController": "systems.controllers",
-    "ControllerError": "common.errors",
+    "BlockError": "common.errors",
     "FfsmError": "common.errors",
     "ModelError": "common.errors",
     "RecordError": "common.errors",
@@ -42,8 +45,11 @@ _HOMES = {
 
 __all__ = [
     "ClosedLoop",
-    "ControllerError",
-    "ControllerSetup",
+    "BlockError",
+    "BlockSetup",
+    "ControlLaw",
+    "InjectedDynamics",
+    "gain",
     "FfsmError",
     "ModelError",
     "Outcome",
@@ -53,9 +59,9 @@ __all__ = [
     "RunLog",
     "RunRecord",
     "Sample",
-    "SampledController",
     "Scenario",
     "ScenarioError",
+    "add_closed_loop",
     "load_scenario",
     "make_closed_loop",
     "make_nominal_plant",

@@ -1,10 +1,13 @@
-"""A conformance kit for one's own controllers: ``check_controller(factory)`` in one's own pytest.
+"""A conformance kit for user-supplied controllers and other blocks, to be called from a user's own tests.
 
-from ffsm_drake.testing import check_controller
-from my_module import MyController
+from ffsm_drake.testing import check_block, check_controller
+from my_module import MyController, Vicon
 
 def test_my_controller():
     check_controller(MyController)
+
+def test_my_sensors():
+    check_block("sensing", Vicon)
 """
 
 import dataclasses
@@ -15,20 +18,21 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.scenario import PerCoordinate, Posture, Scenario, load_scenario, override_scenario, own_controller_name
+from ffsm_drake.loop.blocks import check_ports
+from ffsm_drake.scenario import PerCoordinate, Posture, Scenario, controller_key, load_scenario, override_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.controllers.registry import Factory, build_controller, find_factory
-from ffsm_drake.systems.controllers.sampled import ControllerSetup
+from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.reference import make_reference
+from ffsm_drake.systems.registry import Factory, find_factory
 
 _SAMPLES = 25
 
 
 class ConformanceError(AssertionError):
-    """A controller breaks the contract; the text says which part, how, and what would be right."""
+    """A block breaks the contract; the text says which part, how, and what would be right."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -57,9 +61,10 @@ def check_controller(
     model lists them in another order; an update that takes less than a period.
 
     Args:
-      factory: the controller's class or function (ControllerSetup -> LeafSystem), or its name as for ``--controller``.
+      factory: the law's class, a function (BlockSetup -> control law or Drake system), or a name as for
+        ``--controller``.
       scenario: the spacecraft to check it with.
-      gains: as under ``controllers.own`` in a scenario.
+      gains: as under ``controllers.<name>`` in a scenario.
 
     Raises:
       ConformanceError: the first part of the contract that is broken.
@@ -70,7 +75,7 @@ def check_controller(
     )  # fmt: skip
     try:
         if isinstance(factory, str):
-            name, factory = own_controller_name(factory), find_factory(factory)
+            name, factory = controller_key(factory), find_factory("controller", factory)
         else:
             name = getattr(factory, "__name__", type(factory).__name__)
         candidate = _Candidate(name=name, factory=factory, gains=gains or {})
@@ -91,22 +96,18 @@ class _Candidate:
     factory: Factory
     gains: Mapping[str, PerCoordinate]
 
-    def build(self, scenario: Scenario) -> LeafSystem:
-        return build_controller(
-            self.factory,
-            ControllerSetup(
-                name=self.name,
-                nominal=make_nominal_plant(scenario),
-                sample_time=scenario.sample_time,
-                gains=self.gains,
-            ),
-        )
+    def build(self, scenario: Scenario) -> System:
+        nominal = make_nominal_plant(scenario)
+        own = dataclasses.replace(scenario, controller=self.name, controllers={self.name: dict(self.gains)})
+        controller = make_controller(own, nominal, self.factory)
+        check_ports(controller, "controller", nominal.coordinates, place=f"controller '{self.name}'")
+        return controller
 
 
 class _Bench:
     """A controller alone, fed with given inputs sample by sample."""
 
-    def __init__(self, controller: LeafSystem, sample_time: float) -> None:
+    def __init__(self, controller: System, sample_time: float) -> None:
         self._controller = controller
         self._sample_time = sample_time
         self._simulator = Simulator(controller, controller.CreateDefaultContext())
@@ -258,7 +259,7 @@ def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
         worst = listed[int(np.argmax(np.abs(first - back).max(axis=0)))]
         raise ConformanceError(
             f"{candidate.name}: the force on '{worst}' changes when the model lists its joints in another order; "
-            "give gains by name (GAINS, or setup.gain_vectors), not by index"
+            "give gains by name (gain(...), or setup.coordinates.vector), not by index"
         )
     return "forces follow the joints' names, not their order"
 

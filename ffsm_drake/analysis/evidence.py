@@ -9,7 +9,7 @@ from ffsm_drake.analysis import chattering, estimation
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
-from ffsm_drake.systems.controllers import LAWS
+from ffsm_drake.systems.controllers import PAPER_LAWS, make_law
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -45,10 +45,9 @@ class Evidence:
     @functools.cached_property
     def law(self) -> Any:
         """The control law with its gains; None for a controller that is not one of the four."""
-        name = self.scenario.controller
-        if name not in LAWS:
+        if self.scenario.controller not in PAPER_LAWS:
             return None
-        return LAWS[name].from_gains(getattr(self.scenario.controllers, name), self.coordinates, self.period)
+        return make_law(self.scenario, self.nominal).dynamics
 
     @property
     def too_short(self) -> str:

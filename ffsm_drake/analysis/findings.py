@@ -11,7 +11,7 @@ from ffsm_drake.analysis import lyapunov as proof
 from ffsm_drake.analysis.evidence import Evidence, Numbers, largest, ratio, rms
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.systems.controllers.laws.tde_aismc import TdeAismcLaw
+from ffsm_drake.systems.controllers.laws.tde_aismc import TdeAismc
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -275,7 +275,7 @@ def _proof(run: Evidence) -> list[Finding]:
     """Section 3.2, which is about laws (9) and (10) only."""
     keys = ("lyapunov_derivative", "ultimate_bound", "lemma_1_premise", "lemma_1_conclusion")
     law = run.law
-    if not isinstance(law, TdeAismcLaw):
+    if not isinstance(law, TdeAismc):
         return _not_applicable(
             f"the proof is about gains that adapt by (9) and (10), which those of {run.scenario.controller} do not",
             *keys,
@@ -337,7 +337,7 @@ def _proof(run: Evidence) -> list[Finding]:
     ]
 
 
-def _lyapunov_derivative(run: Evidence, law: TdeAismcLaw, bound: float) -> Finding:
+def _lyapunov_derivative(run: Evidence, law: TdeAismc, bound: float) -> Finding:
     s, (k_s, g) = run.values("sliding_variable"), run.gains
     v = proof.lyapunov(s=s, k_s=k_s, g=g, alpha=law.alpha, phi=law.phi, bound=bound, period=run.period)
     outside = proof.outside(s, k_s, beta=law.beta, epsilon=law.epsilon)

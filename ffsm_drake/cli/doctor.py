@@ -5,11 +5,10 @@ import platform
 import shutil
 import tempfile
 from collections.abc import Callable
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.scenario import CONTROLLER_NAMES, ENTRY_POINT_GROUP, load_scenario, override_scenario
+from ffsm_drake.scenario import load_scenario, override_scenario
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -75,12 +74,12 @@ def _writing() -> str:
 
 
 def _controllers() -> str:
-    from ffsm_drake.systems.controllers.registry import find_factory
+    from ffsm_drake.systems.registry import block_names, find_factory
 
-    installed = sorted(entry_points(group=ENTRY_POINT_GROUP).names)
-    for name in installed:
-        find_factory(name)
-    return ", ".join((*CONTROLLER_NAMES, *installed)) + ", or your own as module:Class"
+    names = block_names("controller")
+    for name in names:
+        find_factory("controller", name)
+    return ", ".join(names) + ", or your own as module:attribute"
 
 
 def _meshcat() -> str:

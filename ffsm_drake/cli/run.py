@@ -106,11 +106,12 @@ def compare(
       ffsm compare mine.yaml -c tde_aismc -c my_module:MyController --out out/duel
     """
     from ffsm_drake.common.files import check_writable
-    from ffsm_drake.scenario import CONTROLLER_NAMES, load_scenario, override_scenario, own_controller_name
+    from ffsm_drake.scenario import controller_key, load_scenario, override_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
+    from ffsm_drake.systems.controllers import PAPER_LAWS
 
-    names = controller or CONTROLLER_NAMES
-    folders = [own_controller_name(name) for name in names]
+    names = controller or PAPER_LAWS
+    folders = [controller_key(name) for name in names]
     repeated = sorted({folder for folder in folders if folders.count(folder) > 1})
     if repeated:
         raise click.UsageError(f"--controller: {', '.join(repeated)} is given more than once")

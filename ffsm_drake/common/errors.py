@@ -37,8 +37,8 @@ class ModelError(FfsmError):
     """A URDF or model directive that does not give a usable spacecraft."""
 
 
-class ControllerError(FfsmError):
-    """A controller from elsewhere that cannot be loaded, wired or run."""
+class BlockError(FfsmError):
+    """A user-supplied controller or other block that cannot be loaded, built, wired or run."""
 
 
 class RecordError(FfsmError):

@@ -16,7 +16,6 @@ from ffsm_drake.common.files import write_text
 from ffsm_drake.design.first_motion import Motion, plan_motion, scaled_disturbance
 from ffsm_drake.design.stability import Margins, assess
 from ffsm_drake.scenario import (
-    CONTROLLER_NAMES,
     Harmonic,
     MassProperties,
     Model,
@@ -30,6 +29,7 @@ from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import check_pictures, configuration
 from ffsm_drake.spacecraft.urdf import Joint, Servicer, read_urdf, write_flyable
+from ffsm_drake.systems.controllers import PAPER_LAWS
 
 _BODY = "debris::debris"
 _PAYLOAD_SHARE = 0.25  # of the base's mass
@@ -202,7 +202,7 @@ def _build(
                 check_pictures(scenario.model)  # what this objects to is no matter of gains
             margins = {
                 each: _worst(assess(override_scenario(scenario, [f"controller={each}"]), postures=9))
-                for each in CONTROLLER_NAMES
+                for each in PAPER_LAWS
             }
             if all(_is_comfortable(each, scenario.sample_time) for each in margins.values()):
                 break

@@ -18,8 +18,9 @@ from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.design.stability.margins import sampling_of
 from ffsm_drake.design.stability.prediction import Plan, Prediction, make_plan, predict
 from ffsm_drake.design.stability.sampled_loop import LawGains, Sampling, coupled_loop, law_gains
-from ffsm_drake.scenario import Controllers, Estimator, Scenario, scenario_from_dict, scenario_to_dict
+from ffsm_drake.scenario import Estimator, Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import GROUPS
+from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.controllers.estimators import kalman_gain
 
 if TYPE_CHECKING:
@@ -248,7 +249,7 @@ def _with_gains(scenario: Scenario, groups: Mapping[str, GroupDesign]) -> Scenar
 
     data: dict[str, Any] = scenario_to_dict(scenario)
     data["estimator"] |= {"kind": "kalman", "walk": each(lambda group: group.walk)}
-    gains = data["controllers"][scenario.controller]
+    gains = data["controllers"].setdefault(scenario.controller, {})
     if scenario.controller == "asmc":
         gains |= {"k_d": each(lambda group: group.omega), "k_s": each(lambda group: group.k_s)}
     else:
@@ -261,7 +262,7 @@ def _with_gains(scenario: Scenario, groups: Mapping[str, GroupDesign]) -> Scenar
 
 def _published(scenario: Scenario) -> Scenario:
     """The scenario with the paper's gains and estimate."""
-    return dataclasses.replace(scenario, controllers=Controllers(), estimator=Estimator())
+    return dataclasses.replace(scenario, controllers={}, estimator=Estimator())
 
 
 def _with_true_mass(scenario: Scenario, mass: float) -> Scenario:
@@ -314,7 +315,7 @@ def design_data(found: Design) -> dict[str, Any]:
     name = found.chosen.scenario.controller
     return {
         "controller": name,
-        "gains": dataclasses.asdict(getattr(found.chosen.scenario.controllers, name)),
+        "gains": complete_gains(found.chosen.scenario).controllers[name],
         "budget": found.budget,
         "ideal_isv": found.ideal_isv,
         "chosen": figures(found.chosen.prediction),

@@ -1,30 +1,33 @@
-"""The closed loop: reference, controller, disturbance, plant and sensing wired into one Diagram."""
+"""The closed loop: the blocks and the plant, wired into one Diagram.
+
+           +-----------+                                          forces (summed)
+reference->|           |   commanded   +-----------+   applied          |
+           | controller|-------------->| actuation |-----------------> (+) --> plant --+--> state
+ estimated>|           |     force     +-----------+    force                          |
+           +-----------+                                                               |
+     ^------------------------------- sensing <----------------------------------------+
+"""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from typing import Any
 
-import numpy as np
 from pydrake.common import RandomGenerator
-from pydrake.geometry import CollisionFilterDeclaration, Meshcat, MeshcatVisualizer
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort, System
-from pydrake.systems.primitives import Adder, LogVectorOutput, Multiplexer, VectorLogSink
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
+from pydrake.systems.primitives import Adder, ZeroOrderHold
 
-from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.scenario import Model, Scenario
+from ffsm_drake.loop.blocks import kind_of, make_blocks
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, coordinates_of, make_plant
-from ffsm_drake.systems.actuation import make_actuation
-from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, make_controller
-from ffsm_drake.systems.controllers.time_delay import TimeDelayController
-from ffsm_drake.systems.disturbance import make_disturbance
-from ffsm_drake.systems.reference import QuinticReference, make_reference
-from ffsm_drake.systems.sensing import make_sensing
+from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant
+from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS
+from ffsm_drake.systems.registry import Factory
 
-# Outputs of the diagram that every closed loop has; those of OPTIONAL_OUTPUTS come on top that the controller gives.
+# Signals of every closed loop. OPTIONAL_OUTPUTS come on top that the controller gives, and "force_<name>" for each
+# external force where there are several.
 SIGNALS = (
     "state",
     "estimated_state",
@@ -39,29 +42,26 @@ SIGNALS = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ClosedLoop:
-    """The closed loop's diagram and handles to its parts.
-
-    The diagram's outputs are ``SIGNALS``, then those of ``OPTIONAL_OUTPUTS`` that the controller has. With a logger
-    they are recorded every control sample (but for ``estimated_state``), stacked as ``logged`` says.
-    """
+    """The plant and the blocks of a closed loop, wired."""
 
     scenario: Scenario
-    diagram: Diagram
     plant: MultibodyPlant
     coordinates: Coordinates
-    reference: QuinticReference
-    controller: LeafSystem
-    actuation: Diagram | None  # None: what is commanded acts
-    disturbance: System
-    sensing: Diagram
-    logger: VectorLogSink | None
-    logged: Mapping[str, slice]  # signal -> its rows of the log
+    # "reference", "sensing", "controller", "forces.disturbance", other forces; "actuation" unless it is ideal
+    blocks: Mapping[str, System]
+    sources: Mapping[str, tuple[System, str]]  # signal -> the system and the name of its output port
+    diagram: Any = None  # Diagram, of ``make_closed_loop``; its outputs are the signals
+
+    def output_port(self, signal: str) -> OutputPort:
+        """The port of a signal; see SIGNALS. ``disturbance_force`` is the sum of the external forces."""
+        system, name = self.sources[signal]
+        return system.GetOutputPort(name)
 
     def initialize(self, root: System, root_context: Context) -> None:
         """Seed the noise, give the plant its payload and put it into the initial posture, at the initial velocity.
 
         Args:
-          root: this diagram, or the diagram that holds it.
+          root: the diagram that holds the loop.
           root_context: a context of ``root``.
         """
         scenario = self.scenario
@@ -72,150 +72,117 @@ class ClosedLoop:
         self.plant.SetPositions(context, configuration(self.plant, scenario.initial_posture, key="initial_posture"))
         velocity = self.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
         self.plant.SetVelocities(context, velocity)
-        if self.sensing.HasSubsystemNamed("delay"):
-            # Before the start, the spacecraft was where it is now.
-            delay = self.sensing.GetSubsystemByName("delay")
-            state = self.plant.GetPositionsAndVelocities(context)
-            delay_context = delay.GetMyMutableContextFromRoot(root_context)
-            delay_context.SetDiscreteState(np.tile(state, self.scenario.sensing.delay))
+        state = self.plant.GetPositionsAndVelocities(context)
+        for block in self.blocks.values():
+            if hasattr(block, "set_initial_state"):
+                block.set_initial_state(block.GetMyMutableContextFromRoot(root_context), state)
 
 
-def make_closed_loop(
+def add_closed_loop(
+    builder: DiagramBuilder,
     scenario: Scenario,
     *,
-    meshcat: Meshcat | None = None,
-    log: bool = False,
-    own_disturbance: Callable[[Coordinates], System] | None = None,
-    make_operator: Callable[[Coordinates], LeafSystem] | None = None,
+    blocks: Mapping[str, Factory] | None = None,
+    plant: MultibodyPlant | None = None,
 ) -> ClosedLoop:
-    """Build the closed loop of a scenario.
+    """Add the closed loop of a scenario to a diagram.
 
     Args:
+      builder: of the diagram.
       scenario: what to build.
-      meshcat: makes its visualizer part of the diagram.
-      log: makes a logger of all signals part of the diagram: one, behind a multiplexer, is cheaper than one for each.
-      own_disturbance: makes the source of the external force in place of the scenario's harmonics; its output
-        ``generalized_force`` (nv) is base torque and force in world axes and joint torques, N m and N.
-      make_operator: makes a system that stands between the disturbance and the plant. Its inputs are ``disturbance``
-        (nv) and ``state`` (nq + nv), its outputs ``external_force`` (nv), which acts on the plant, and
-        ``next_external_force`` (nv), that just after the update of a control sample: the output ``disturbance_force``.
+      blocks: block -> factory (BlockSetup -> Drake system) in place of what the scenario says, such as
+        ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
+      plant: the plant, if it is part of the diagram already (``add_combined_plant``, to show it); one without geometry
+        is added otherwise.
 
     Raises:
       ModelError: the model does not load.
       ScenarioError: a coordinate named in the scenario does not exist, or one lacks a gain.
+      BlockError: a user-supplied block cannot be loaded, built or wired.
     """
-    builder = DiagramBuilder()
-    plant = _add_plant(builder, scenario.model, shown=meshcat is not None)
+    if plant is None:
+        plant = builder.AddNamedSystem("plant", make_plant(scenario.model))
     coordinates = coordinates_of(plant)
     for name in ("initial_posture", "target_posture"):
         configuration(plant, getattr(scenario, name), key=name)
     coordinates.check_names(scenario.initial_velocity, key="initial_velocity")
-    reference = builder.AddNamedSystem("reference", make_reference(scenario, coordinates))
-    controller = builder.AddSystem(make_controller(scenario, make_nominal_plant(scenario)))
-    if own_disturbance is None:
-        disturbance: System = make_disturbance(scenario.disturbance, coordinates)
-    else:
-        disturbance = _checked_disturbance(own_disturbance(coordinates), coordinates)
-    builder.AddSystem(disturbance)
-    sensing = builder.AddSystem(make_sensing(scenario.sensing, coordinates, sample_time=scenario.sample_time))
-    actuation = make_actuation(scenario.actuation, coordinates, sample_time=scenario.sample_time)
-    total_force = builder.AddNamedSystem("total_force", Adder(2, len(coordinates.names)))
+    parts = make_blocks(scenario, make_nominal_plant(scenario), blocks)
+    for system in parts.values():
+        builder.AddSystem(system)
+    controller, sensing, reference = parts["controller"], parts["sensing"], parts["reference"]
+    actuation = parts.get("actuation")
 
-    builder.Connect(plant.get_state_output_port(), sensing.GetInputPort("state"))
+    state = plant.get_state_output_port()
+    builder.Connect(state, sensing.GetInputPort("state"))
+    # What the controller read at its last sample, for the record.
+    measurement = ZeroOrderHold(scenario.sample_time, 2 * len(coordinates.names) + 1)
+    builder.AddNamedSystem("measurement", measurement)
+    builder.Connect(sensing.GetOutputPort("estimated_state"), measurement.get_input_port())
     builder.Connect(sensing.GetOutputPort("estimated_state"), controller.GetInputPort("estimated_state"))
     for name in ("desired_state", "desired_acceleration"):
         builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
-    # tau_d acts on the plant from outside: H q'' + C = tau + tau_d.
-    commanded_force = applied_force = controller.GetOutputPort("generalized_force")
+    applied = (controller, "generalized_force")
     if actuation is not None:
-        builder.AddSystem(actuation)
-        builder.Connect(commanded_force, actuation.get_input_port())
-        applied_force = actuation.GetOutputPort("applied_force")
-    builder.Connect(applied_force, total_force.get_input_port(0))
-    # Ours knows what it commanded; to read it elsewhere takes time.
-    if controller.HasInputPort("applied_force") and not (
-        actuation is None and isinstance(controller, TimeDelayController)
-    ):
-        builder.Connect(applied_force, controller.GetInputPort("applied_force"))
-    external_force = recorded_force = disturbance.GetOutputPort("generalized_force")
-    if make_operator is not None:
-        operator = builder.AddNamedSystem("operator", make_operator(coordinates))
-        builder.Connect(external_force, operator.GetInputPort("disturbance"))
-        builder.Connect(plant.get_state_output_port(), operator.GetInputPort("state"))
-        external_force = operator.GetOutputPort("external_force")
-        recorded_force = operator.GetOutputPort("next_external_force")
-    builder.Connect(external_force, total_force.get_input_port(1))
-    builder.Connect(total_force.get_output_port(), plant.get_applied_generalized_force_input_port())
-    if meshcat is not None:
-        visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), meshcat)
-        visualizer.set_name("meshcat_visualizer")
+        builder.Connect(controller.GetOutputPort("generalized_force"), actuation.GetInputPort("commanded_force"))
+        if actuation.HasInputPort("state"):
+            builder.Connect(state, actuation.GetInputPort("state"))
+        applied = (actuation, "applied_force")
+    if controller.HasInputPort("applied_force"):
+        builder.Connect(applied[0].GetOutputPort(applied[1]), controller.GetInputPort("applied_force"))
 
-    outputs = (
-        plant.get_state_output_port(),
-        sensing.GetOutputPort("estimated_state"),
-        sensing.GetOutputPort("measurement"),
-        reference.GetOutputPort("desired_state"),
-        reference.GetOutputPort("desired_acceleration"),
-        commanded_force,
-        applied_force,
-        recorded_force,
-    )
-    sources = dict(zip(SIGNALS, outputs, strict=True))
-    sources |= {name: controller.GetOutputPort(name) for name in OPTIONAL_OUTPUTS if controller.HasOutputPort(name)}
-    for name, port in sources.items():
-        builder.ExportOutput(port, name)
-    del sources["estimated_state"]  # what was read of it is the measurement
-    if actuation is None:
-        del sources["applied_force"]
-    logger, logged = _add_logger(builder, sources, scenario.sample_time) if log else (None, {})
-    if log and actuation is None:
-        logged["applied_force"] = logged["generalized_force"]
+    # External forces act on the plant beside the control: H q'' + C = tau + tau_d.
+    forces = {name: system for name, system in parts.items() if kind_of(name) == "forces"}
+    for system in forces.values():
+        if system.HasInputPort("state"):
+            builder.Connect(state, system.GetInputPort("state"))
+    acting = {name: (system, "generalized_force") for name, system in forces.items()}
+    recorded = {
+        name: (system, "next_generalized_force")
+        if system.HasOutputPort("next_generalized_force")
+        else (system, "generalized_force")
+        for name, system in forces.items()
+    }
+    total = _sum(builder, "total_force", [applied, *acting.values()], coordinates)
+    builder.Connect(total[0].get_output_port(), plant.get_applied_generalized_force_input_port())
+
+    sources = {
+        "state": (plant, "state"),
+        "estimated_state": (sensing, "estimated_state"),
+        "measurement": (measurement, measurement.get_output_port().get_name()),
+        "desired_state": (reference, "desired_state"),
+        "desired_acceleration": (reference, "desired_acceleration"),
+        "generalized_force": (controller, "generalized_force"),
+        "applied_force": applied,
+        "disturbance_force": _sum(builder, "external_force", list(recorded.values()), coordinates),
+    }
+    if len(forces) > 1:
+        sources |= {f"force_{name.partition('.')[2]}": source for name, source in recorded.items()}
+    sources |= {name: (controller, name) for name in OPTIONAL_OUTPUTS if controller.HasOutputPort(name)}
+    return ClosedLoop(scenario=scenario, plant=plant, coordinates=coordinates, blocks=parts, sources=sources)
+
+
+def make_closed_loop(scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None) -> ClosedLoop:
+    """The closed loop of a scenario as a diagram of its own; arguments and errors as for ``add_closed_loop``."""
+    builder = DiagramBuilder()
+    return build_closed_loop(builder, add_closed_loop(builder, scenario, blocks=blocks))
+
+
+def build_closed_loop(builder: DiagramBuilder, loop: ClosedLoop) -> ClosedLoop:
+    """Build the diagram that a closed loop was added to, with the loop's signals as its outputs."""
+    for signal in loop.sources:
+        builder.ExportOutput(loop.output_port(signal), signal)
     diagram = builder.Build()
     diagram.set_name("closed_loop")
-    return ClosedLoop(
-        scenario=scenario,
-        diagram=diagram,
-        plant=plant,
-        coordinates=coordinates,
-        reference=reference,
-        controller=controller,
-        actuation=actuation,
-        disturbance=disturbance,
-        sensing=sensing,
-        logger=logger,
-        logged=logged,
-    )
+    return dataclasses.replace(loop, diagram=diagram)
 
 
-def _add_plant(builder: DiagramBuilder, model: Model, *, shown: bool) -> MultibodyPlant:
-    """Add the plant; the geometry is dear to load, so it is there only to be shown. Bodies never touch."""
-    if not shown:
-        return builder.AddNamedSystem("plant", make_plant(model))
-    plant = add_combined_plant(builder, model)
-    scene_graph = builder.GetSubsystemByName("scene_graph")
-    bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
-    nothing_touches = CollisionFilterDeclaration().ExcludeWithin(plant.CollectRegisteredGeometries(bodies))
-    scene_graph.collision_filter_manager().Apply(nothing_touches)
-    return plant
-
-
-def _add_logger(
-    builder: DiagramBuilder, sources: Mapping[str, OutputPort], period: float
-) -> tuple[VectorLogSink, dict[str, slice]]:
-    """A logger of all sources, sampled together, and each one's rows in its log."""
-    sizes = [port.size() for port in sources.values()]
-    stacked = builder.AddNamedSystem("signals", Multiplexer(sizes))
-    for index, port in enumerate(sources.values()):
-        builder.Connect(port, stacked.get_input_port(index))
-    logger = LogVectorOutput(stacked.get_output_port(), builder, period)
-    ends = np.cumsum(sizes).tolist()
-    return logger, {name: slice(end - size, end) for name, size, end in zip(sources, sizes, ends, strict=True)}
-
-
-def _checked_disturbance(source: System, coordinates: Coordinates) -> System:
-    size = len(coordinates.names)
-    if not source.HasOutputPort("generalized_force") or source.GetOutputPort("generalized_force").size() != size:
-        raise ScenarioError("own_disturbance", f"needs an output port 'generalized_force' of size {size}")
-    if not source.get_name():
-        source.set_name(type(source).__name__)  # Drake's own choice differs from run to run
-    return source
+def _sum(
+    builder: DiagramBuilder, name: str, terms: list[tuple[System, str]], coordinates: Coordinates
+) -> tuple[System, str]:
+    """The sum of ports, itself as a system and its port; a single one is its own sum."""
+    if len(terms) == 1:
+        return terms[0]
+    adder = builder.AddNamedSystem(name, Adder(len(terms), len(coordinates.names)))
+    for index, (system, port) in enumerate(terms):
+        builder.Connect(system.GetOutputPort(port), adder.get_input_port(index))
+    return adder, adder.get_output_port().get_name()

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import json
 import math
+import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -12,15 +13,14 @@ from typing import TYPE_CHECKING, Any
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import write_together
 from ffsm_drake.runs.metrics import compute_metrics
-from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
+from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario, scenario_from_dict
 
 if TYPE_CHECKING:
     import xarray as xr
 
 DATASET_FILE = "record.nc"
 METRICS_FILE = "metrics.json"
-MANIFEST_FILE = "manifest.json"
-FORMAT = 1
+FORMAT = 2
 _BY_COORDINATE, _BY_POSITION, _BY_AXIS = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
 # What every record holds, by dimension; sliding variable and gains come on top where there are any.
 VARIABLES = {
@@ -76,6 +76,8 @@ class RunRecord:
     dataset: "xr.Dataset"
     wall_time: dict[str, float]  # s: build, advance_to, total
     software: dict[str, str]
+    # block -> where it comes from: ``system``; for a user-supplied one ``file`` and its ``sha256``
+    blocks: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
@@ -114,7 +116,14 @@ class RunRecord:
             "software": self.software,
             "wall_time": self.wall_time,
             "realtime_factor": self.realtime_factor,
-            "scenario": scenario_to_dict(self.scenario),
+            "blocks": {
+                name: {
+                    key: os.path.relpath(text, directory.resolve()) if key == "file" else text
+                    for key, text in source.items()
+                }
+                for name, source in self.blocks.items()
+            },
+            "scenario": portable_scenario(self.scenario, directory),
         }
         write_together(
             {
@@ -142,12 +151,16 @@ class RunRecord:
                 raise RecordError(f"is not a run's manifest: must be an object, not {type(manifest).__name__}")
             if manifest["format"] != FORMAT:
                 raise RecordError(f"format {manifest['format']!r:.40} is not the supported {FORMAT}; run it again")
-            scenario = scenario_from_dict(manifest["scenario"])
+            scenario = scenario_from_dict(manifest["scenario"], source=str(path))
             outcome = _checked_outcome(manifest["outcome"])
             wall_time = {name: float(manifest["wall_time"][name]) for name in ("build", "advance_to", "total")}
             software = {str(name): str(text) for name, text in dict(manifest["software"]).items()}
+            blocks = {
+                str(name): {str(key): str(text) for key, text in dict(source).items()}
+                for name, source in dict(manifest["blocks"]).items()
+            }
         except FfsmError as error:
-            raise RecordError(f"{path}: {one_line(error)}") from error
+            raise RecordError(f"{path}: {one_line(error).removeprefix(f'{path}: ')}") from error
         except OSError as error:
             raise RecordError(f"{path}: cannot be read: {one_line(error)}; give the folder of a run") from error
         except KeyError as error:
@@ -162,7 +175,17 @@ class RunRecord:
         except Exception as error:  # whatever xarray and HDF5 make of a damaged file
             raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
         _check_dataset(dataset, path)
-        return cls(scenario=scenario, outcome=outcome, dataset=dataset, wall_time=wall_time, software=software)
+        for source in blocks.values():
+            if "file" in source:
+                source["file"] = str((directory / source["file"]).resolve())
+        return cls(
+            scenario=scenario,
+            outcome=outcome,
+            dataset=dataset,
+            wall_time=wall_time,
+            software=software,
+            blocks=blocks,
+        )
 
 
 def _checked_outcome(data: Any) -> Outcome:

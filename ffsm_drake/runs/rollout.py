@@ -9,18 +9,22 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
-from pydrake.geometry import Meshcat
+from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import LeafSystem, System
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLogSink
 
-from ffsm_drake.common.errors import ControllerError, FfsmError, ScenarioError, one_line
+from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, one_line
 from ffsm_drake.common.lifetime import untie
-from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.loop.blocks import block_choices
+from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
 from ffsm_drake.runs.metrics import tracking_metrics
 from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.runs.record import Outcome
-from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario, scenario_to_dict
+from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates, position_errors
+from ffsm_drake.spacecraft.plant import add_combined_plant
+from ffsm_drake.systems.registry import Factory, is_shipped
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
 _HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable")
@@ -69,32 +73,29 @@ class RunLog:
 class Rollout:
     """A closed loop that is built once and run many times; every run has the bits of a fresh build.
 
-    Raises ModelError and ScenarioError as ``make_closed_loop`` does.
+    Raises ModelError, ScenarioError and BlockError as ``add_closed_loop`` does.
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        *,
-        meshcat: Meshcat | None = None,
-        own_disturbance: Callable[[Coordinates], System] | None = None,
-        make_operator: Callable[[Coordinates], LeafSystem] | None = None,
+        self, scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None, meshcat: Meshcat | None = None
     ) -> None:
+        """Args: what to build; factories in place of its blocks, see ``add_closed_loop``; where to show the motion."""
         start = time.perf_counter()
-        self.loop = make_closed_loop(
-            scenario, meshcat=meshcat, log=True, own_disturbance=own_disturbance, make_operator=make_operator
-        )
+        builder = DiagramBuilder()
+        plant = None if meshcat is None else add_combined_plant(builder, scenario.model)
+        loop = add_closed_loop(builder, scenario, blocks=blocks, plant=plant)
+        self._logger, self._logged = _add_logger(builder, loop)
+        if meshcat is not None:
+            visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), meshcat)
+            visualizer.set_name("meshcat_visualizer")
+        self.loop = build_closed_loop(builder, loop)
         self._simulator = Simulator(self.loop.diagram)
         ApplySimulatorConfig(scenario.simulator_config, self._simulator)
         config = scenario.simulator_config
         logs_every_step = not config.use_error_control and config.max_step_size >= scenario.sample_time
-        self._from_elsewhere = [
-            *([] if scenario.controller in CONTROLLER_NAMES else [f"controller '{scenario.controller}'"]),
-            *([] if own_disturbance is None else [f"disturbance '{self.loop.disturbance.get_name()}'"]),
-        ]
-        # Not so where somebody watches or takes part, or a system from elsewhere may do otherwise next time.
-        repeatable = meshcat is None and make_operator is None and not self._from_elsewhere
-        self._judged_by_log = logs_every_step and repeatable
+        self._user_supplied = user_supplied(scenario, blocks)
+        # A user's block may do otherwise next time, and somebody may watch.
+        self._judged_by_log = logs_every_step and meshcat is None and not self._user_supplied
         self._built_for = _built_from(scenario)
         self._build_time = time.perf_counter() - start
 
@@ -201,23 +202,22 @@ class Rollout:
         except Exception as error:
             # Numbers that are no longer finite are refused; any other refusal is a fault to be seen.
             if monitor.check(context) and monitor.check_force(context):
-                _raise_for(error, self._from_elsewhere, context.get_time())
+                _raise_for(error, self._user_supplied, context.get_time())
         return interrupted, time.perf_counter() - start
 
     def _read_log(self, *, interrupted: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Sample times and the aligned series (copied)."""
         loop, context = self.loop, self._simulator.get_context()
-        assert loop.logger is not None
-        log = loop.logger.FindLog(context)
+        log = self._logger.FindLog(context)
         times, rows = log.sample_times().copy(), log.data()
         if interrupted and times.size == 0:
             raise KeyboardInterrupt
         if interrupted and times.size > 1:
             # Perhaps before the update of the last sample, which is therefore left out.
-            parts = {name: rows[part, 1:] if name in _HELD else rows[part, :-1] for name, part in loop.logged.items()}
+            parts = {name: rows[part, 1:] if name in _HELD else rows[part, :-1] for name, part in self._logged.items()}
             return times[:-1], {name: part.T.copy() for name, part in parts.items()}
         series = {}
-        for name, part in loop.logged.items():
+        for name, part in self._logged.items():
             if name in _HELD:
                 # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
                 last = loop.diagram.GetOutputPort(name).Eval(context)
@@ -227,12 +227,38 @@ class Rollout:
         return times, series
 
 
+def user_supplied(scenario: Scenario, blocks: Mapping[str, Factory] | None = None) -> list[str]:
+    """The parts of a closed loop that are not this package's own, in words."""
+    names = {name: choice.system for name, choice in block_choices(scenario).items()}
+    if not is_shipped("controller", scenario.controller):
+        names["controller"] = scenario.controller
+    names |= {name: getattr(factory, "__name__", type(factory).__name__) for name, factory in (blocks or {}).items()}
+    return [f"{name} '{system}'" for name, system in names.items()]
+
+
+def _add_logger(builder: DiagramBuilder, loop: ClosedLoop) -> tuple[VectorLogSink, dict[str, slice]]:
+    """A logger of the loop's signals at every control sample, and each one's rows in its log.
+
+    One logger behind a multiplexer costs less than one for each.
+    """
+    sources = {name: source for name, source in loop.sources.items() if name != "estimated_state"}  # the measurement
+    ports = {source: loop.output_port(name) for name, source in sources.items()}  # some signals share a port
+    sizes = [port.size() for port in ports.values()]
+    stacked = builder.AddNamedSystem("signals", Multiplexer(sizes))
+    for index, port in enumerate(ports.values()):
+        builder.Connect(port, stacked.get_input_port(index))
+    logger = LogVectorOutput(stacked.get_output_port(), builder, loop.scenario.sample_time)
+    ends = np.cumsum(sizes).tolist()
+    rows = {source: slice(end - size, end) for source, size, end in zip(ports, sizes, ends, strict=True)}
+    return logger, {name: rows[source] for name, source in sources.items()}
+
+
 def _raise_for(error: Exception, suspects: Sequence[str], time: float) -> NoReturn:
     """Say where a system from elsewhere failed; where none takes part, the fault is ours and passes as it is."""
     if not suspects:
         raise error
     place = traceback.extract_tb(error.__traceback__)[-1]
-    raise ControllerError(
+    raise BlockError(
         f"{' or '.join(suspects)} failed at t = {time:.2f} s: {type(error).__name__}: {one_line(error)} "
         f"({place.filename}, line {place.lineno})"
     ) from error

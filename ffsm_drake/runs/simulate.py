@@ -1,27 +1,28 @@
 """simulate: one run of a scenario, and its record."""
 
+import dataclasses
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import LeafSystem, System
 
+from ffsm_drake.loop.blocks import block_choices, block_sources
 from ffsm_drake.runs.dataset import make_dataset
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.scenario import Block, Scenario
+from ffsm_drake.systems.controllers import complete_gains
+from ffsm_drake.systems.registry import Factory, address_of, module_folder
 
 
 def simulate(
     scenario: Scenario,
     *,
+    blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
     progress: Callable[[float, float], None] | None = None,
     check_stability: bool = True,
-    own_disturbance: Callable[[Coordinates], System] | None = None,
-    make_operator: Callable[[Coordinates], LeafSystem] | None = None,
 ) -> RunRecord:
     """Run a scenario to its end and return the record. ``Rollout`` is cheaper for many runs.
 
@@ -30,15 +31,16 @@ def simulate(
 
     Args:
       scenario: what to run.
+      blocks: block -> factory (BlockSetup -> Drake system, for the controller also a control law) in place of what the
+        scenario says, such as ``{"sensing": Vicon, "forces.friction": Friction}``. The record's scenario names what can
+        be imported by name, so that the run can be repeated from its record.
       meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate`` to pace it).
       progress: called with (simulated time, duration) in s, once per simulated second.
       check_stability: warn (StabilityWarning) when the sampled loop starts unstable or its adaptation may become so.
-      own_disturbance: a source in place of the scenario's harmonics, see ``make_closed_loop``; the dataset's attribute
-        ``disturbance`` then holds its name.
-      make_operator: lets a system add to the disturbance, see ``make_closed_loop``.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
+      BlockError: a user-supplied block cannot be loaded, built, wired or run.
     """
     start = time.perf_counter()
     if check_stability:
@@ -46,15 +48,37 @@ def simulate(
 
         if remark := stability_warning(scenario):
             warnings.warn(remark, StabilityWarning, stacklevel=2)
-    rollout = Rollout(scenario, meshcat=meshcat, own_disturbance=own_disturbance, make_operator=make_operator)
+    rollout = Rollout(scenario, blocks=blocks, meshcat=meshcat)
     log = rollout.run(progress=progress)
-    dataset = make_dataset(log)
-    if own_disturbance is not None:
-        dataset.attrs["disturbance"] = rollout.loop.disturbance.get_name()
+    scenario = repeatable_scenario(scenario, blocks or {})
     return RunRecord(
         scenario=scenario,
         outcome=log.outcome,
-        dataset=dataset,
+        dataset=make_dataset(log),
         wall_time=log.wall_time | {"total": time.perf_counter() - start},
         software=software_versions(),
+        blocks=block_sources(scenario),
     )
+
+
+def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Scenario:
+    """The scenario from which a run can be repeated.
+
+    All gains of its controller are written out, the factories given in Python are named (one without an address as it
+    is called), and ``python_path`` leads to their modules.
+    """
+    if "controller" in blocks:
+        scenario = dataclasses.replace(scenario, controller=address_of(blocks["controller"]))
+    else:
+        scenario = complete_gains(scenario)
+    named = dataclasses.replace(scenario.blocks, forces=dict(scenario.blocks.forces))
+    for name, factory in blocks.items():
+        block = Block(system=address_of(factory))
+        if name.startswith("forces."):
+            named.forces[name.partition(".")[2]] = block
+        elif name != "controller":
+            setattr(named, name, block)
+    scenario = dataclasses.replace(scenario, blocks=named)
+    addresses = [scenario.controller, *(block.system for block in block_choices(scenario).values())]
+    folders = [str(folder) for folder in map(module_folder, addresses) if folder is not None]
+    return dataclasses.replace(scenario, python_path=list(dict.fromkeys([*scenario.python_path, *folders])))

@@ -1,9 +1,11 @@
 """The scenario: everything that defines a run, as plain data with units."""
 
 from ffsm_drake.scenario.loading import (
+    MANIFEST_FILE,
     is_overridden,
     load_scenario,
     override_scenario,
+    portable_scenario,
     scenario_from_dict,
     scenario_from_yaml,
     scenario_to_dict,
@@ -12,12 +14,10 @@ from ffsm_drake.scenario.loading import (
 )
 from ffsm_drake.scenario.resolving import schema_fields
 from ffsm_drake.scenario.schema import (
-    CONTROLLER_NAMES,
     ESTIMATOR_KINDS,
     Actuation,
-    AismcGains,
-    AsmcGains,
-    Controllers,
+    Block,
+    Blocks,
     Disturbance,
     Estimator,
     Harmonic,
@@ -29,21 +29,16 @@ from ffsm_drake.scenario.schema import (
     Reference,
     Scenario,
     Sensing,
-    TdcGains,
-    TdeAismcGains,
+    controller_key,
     inertia_matrix,
-    own_controller_name,
 )
-from ffsm_drake.scenario.validation import ENTRY_POINT_GROUP
 
 __all__ = [
-    "CONTROLLER_NAMES",
-    "ENTRY_POINT_GROUP",
+    "MANIFEST_FILE",
     "ESTIMATOR_KINDS",
     "Actuation",
-    "AismcGains",
-    "AsmcGains",
-    "Controllers",
+    "Block",
+    "Blocks",
     "Disturbance",
     "Estimator",
     "Harmonic",
@@ -55,13 +50,12 @@ __all__ = [
     "Reference",
     "Scenario",
     "Sensing",
-    "TdcGains",
-    "TdeAismcGains",
     "inertia_matrix",
     "is_overridden",
     "load_scenario",
     "override_scenario",
-    "own_controller_name",
+    "portable_scenario",
+    "controller_key",
     "scenario_from_dict",
     "scenario_from_yaml",
     "scenario_to_dict",

@@ -1,7 +1,8 @@
 """Loading a scenario in layers, later ones winning: the defaults, the YAML file, the overrides (``key=value``)."""
 
+import os
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import yaml
@@ -12,6 +13,7 @@ from ffsm_drake.scenario.schema import Scenario
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 from ffsm_drake.scenario.validation import require, validate
 
+MANIFEST_FILE = "manifest.json"  # of a run's folder; holds its scenario
 MAX_FILE_SIZE = 1_000_000  # bytes
 
 
@@ -24,7 +26,8 @@ def load_scenario(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Sc
     """Load a scenario by shipped name or file path, apply overrides, validate.
 
     Args:
-      name_or_path: a name of ``shipped_scenarios()``, or the path of a YAML file.
+      name_or_path: a name of ``shipped_scenarios()``, the path of a YAML file, or a run's folder or manifest.json: the
+        scenario of that run.
       overrides: ``key=value`` strings; the key is dotted, the value is YAML (``controllers.tdc.k_d.joint_1=50``).
 
     Raises:
@@ -50,6 +53,8 @@ def scenario_from_yaml(text: str, overrides: Iterable[str] = (), *, source: str 
         data = read_yaml(text)
     except StrictYamlError as error:
         raise ScenarioError("", f"is not valid YAML: {one_line(error)}", source=source) from error
+    if isinstance(data, dict) and Path(source).name == MANIFEST_FILE:
+        data = data.get("scenario", {})
     if isinstance(data, dict):  # at the top, names with an underscore hold what aliases refer to
         data = {key: value for key, value in data.items() if not (isinstance(key, str) and key.startswith("_"))}
     return scenario_from_dict({} if data is None else data, overrides, source=source)
@@ -62,7 +67,9 @@ def scenario_from_dict(data: Mapping[str, typing.Any], overrides: Iterable[str] 
         _choose_model_source(resolved["model"], data.get("model") or {})
     except ScenarioError as error:
         raise error.located(source) from None
-    _anchor_relative_paths(resolved["model"], Path(source).parent if source else None)
+    if source:
+        folder = Path(source).parent
+        _map_paths(resolved, lambda path: str((folder / path).resolve()))
     overridden = []
     for override in overrides:
         try:
@@ -98,6 +105,13 @@ def scenario_to_yaml(scenario: Scenario) -> str:
     return text
 
 
+def portable_scenario(scenario: Scenario, folder: Path) -> dict[str, typing.Any]:
+    """The whole scenario as plain data for a file in ``folder``, with paths relative to that."""
+    data = scenario_to_dict(scenario)
+    _map_paths(data, lambda path: os.path.relpath(path, folder.resolve()))
+    return data
+
+
 def override_scenario(scenario: Scenario, overrides: Iterable[str]) -> Scenario:
     """A new scenario with ``key=value`` overrides applied; the given one is left as it is."""
     return scenario_from_dict(scenario_to_dict(scenario), overrides)
@@ -111,6 +125,8 @@ def _find(name: str) -> Path:
     try:
         if path.is_file():
             return path
+        if (path / MANIFEST_FILE).is_file():
+            return path / MANIFEST_FILE
         kind = "a folder" if path.is_dir() else "not a regular file" if path.exists() else ""
     except (OSError, ValueError) as error:  # too long, not allowed to look, ...
         raise ScenarioError("", f"cannot be read: {one_line(error)}", source=name) from error
@@ -136,10 +152,14 @@ def _choose_model_source(model: dict[str, typing.Any], given: Mapping[str, typin
     )
 
 
-def _anchor_relative_paths(model: dict[str, typing.Any], folder: Path | None) -> None:
-    def anchored(path: str | None) -> str | None:
-        return path if path is None or folder is None or "://" in path else str((folder / path).resolve())
+def _map_paths(data: dict[str, typing.Any], changed: Callable[[str], str]) -> None:
+    """Apply a function to every path of a scenario in plain data that is not a package:// address."""
 
+    def path(value: str | None) -> str | None:
+        return value if value is None or "://" in value else changed(value)
+
+    model = data["model"]
     for key in ("directives", "servicer", "debris"):
-        model[key] = anchored(model[key])
-    model["packages"] = {name: anchored(path) for name, path in model["packages"].items()}
+        model[key] = path(model[key])
+    model["packages"] = {name: path(folder) for name, folder in model["packages"].items()}
+    data["python_path"] = [path(folder) for folder in data["python_path"]]

@@ -48,24 +48,30 @@ def build(schema: typing.Any, data: typing.Any) -> typing.Any:
 
 def resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: str) -> typing.Any:
     """Plain data for ``schema``: ``default`` (plain data, complete) overlaid with ``data``, each leaf checked."""
+    if schema is typing.Any:
+        return _plain(data, path)
     fields = schema_fields(schema)
     if fields is not None:
+        if isinstance(data, str) and hasattr(schema, "SHORTHAND"):
+            data = {schema.SHORTHAND: data}
         if not isinstance(data, Mapping):
             raise ScenarioError(path, f"must be a mapping with keys {', '.join(fields)}, not {shown(data)}")
         for key in data:
             if key not in fields:
                 raise _unknown_key(path, key, fields)
         return {
-            key: resolve(kind, default[key], data[key], _join(path, key)) if key in data else default[key]
+            key: resolve(kind, default[key], data[key], join(path, key)) if key in data else default[key]
             for key, kind in fields.items()
         }
     origin, args = typing.get_origin(schema), typing.get_args(schema)
     if origin in (typing.Union, types.UnionType):  # the only unions of the schema are optional values
+        if default is None and schema_fields(args[0]) is not None:
+            default = as_dict(args[0]())
         return None if data is None else resolve(args[0], default, data, path)
     if origin is dict:
         if args[1] is float and isinstance(data, (list, tuple)):
             raise ScenarioError(
-                _join(path, "all"),
+                join(path, "all"),
                 f"must be a number, not {shown(data)}; several go by name, as in {{all: 1, joints: 2}}",
             )
         if args[1] is float and not isinstance(data, Mapping):
@@ -75,14 +81,30 @@ def resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: str
         blank = None if schema_fields(args[1]) is None else as_dict(args[1]())
         for key in data:
             if not isinstance(key, str):
-                raise ScenarioError(_join(path, shown(key)), "a name must be text; put it in quotes")
-            _convert_leaf(str, key, _join(path, key))
-        return {key: resolve(args[1], blank, item, _join(path, key)) for key, item in data.items()}
+                raise ScenarioError(join(path, shown(key)), "a name must be text; put it in quotes")
+            _convert_leaf(str, key, join(path, key))
+        return {key: resolve(args[1], blank, item, join(path, key)) for key, item in data.items()}
     if origin is list:
         if not isinstance(data, (list, tuple)):
             raise ScenarioError(path, f"must be a list, not {shown(data)}")
         return [resolve(args[0], None, item, f"{path}[{i}]") for i, item in enumerate(data)]
     return _convert_leaf(schema, data, path)
+
+
+def _plain(data: typing.Any, path: str) -> typing.Any:
+    """Settings of a user's own: mappings, lists and leaves that a file can hold."""
+    if isinstance(data, Mapping):
+        return {
+            _convert_leaf(str, key, join(path, shown(key))): _plain(item, join(path, key)) for key, item in data.items()
+        }
+    if isinstance(data, (list, tuple)):
+        return [_plain(item, f"{path}[{i}]") for i, item in enumerate(data)]
+    if data is None or isinstance(data, bool):
+        return data
+    if isinstance(data, (int, float)):
+        number = _convert_leaf(float, data, path)
+        return data if isinstance(data, int) else number
+    return _convert_leaf(str, data, path)
 
 
 def _convert_leaf(schema: type, data: typing.Any, path: str) -> typing.Any:
@@ -133,7 +155,7 @@ def apply_override(resolved: dict[str, typing.Any], override: str) -> str:
         target = target[part]
     schema = _child_schema(schema, last, ".".join(parents))
     fields = schema_fields(schema)
-    if fields is not None and not isinstance(value, Mapping):
+    if fields is not None and not isinstance(value, Mapping) and not hasattr(schema, "SHORTHAND"):
         raise ScenarioError(key, f"is a group of settings; set one of them: {', '.join(fields)}")
     default = target.get(last) or as_dict(schema()) if fields is not None else None
     target[last] = resolve(schema, default, value, key)
@@ -144,6 +166,8 @@ def apply_override(resolved: dict[str, typing.Any], override: str) -> str:
 
 def _child_schema(schema: typing.Any, part: str, path: str) -> typing.Any:
     """The type of one step down a dotted key."""
+    if schema is typing.Any:
+        return schema
     fields = schema_fields(schema)
     if fields is not None:
         if part not in fields:
@@ -152,18 +176,18 @@ def _child_schema(schema: typing.Any, part: str, path: str) -> typing.Any:
     if typing.get_origin(schema) is dict:
         return typing.get_args(schema)[1]
     holds = "a list; give it whole" if typing.get_origin(schema) is list else "a single value"
-    raise ScenarioError(_join(path, part), f"unknown key; {path} holds {holds}")
+    raise ScenarioError(join(path, part), f"unknown key; {path} holds {holds}")
 
 
 def _unknown_key(path: str, key: typing.Any, fields: Iterable[str]) -> ScenarioError:
     valid = list(fields)
     return ScenarioError(
-        _join(path, key if isinstance(key, str) else shown(key)),
+        join(path, key if isinstance(key, str) else shown(key)),
         f"unknown key; valid here: {', '.join(valid)}{did_you_mean(key, valid)}",
     )
 
 
-def _join(path: str, key: typing.Any) -> str:
+def join(path: str, key: typing.Any) -> str:
     return f"{path}.{key}" if path else str(key)
 
 

@@ -7,13 +7,13 @@ number stands for ``{all: number}``.
 
 import dataclasses
 import math
+from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.systems.analysis import SimulatorConfig
 
 PerCoordinate = dict[str, float]
 ESTIMATOR_KINDS = ("one_sample", "kalman")
-CONTROLLER_NAMES = ("tdc", "asmc", "aismc", "tde_aismc")
 
 
 def _published(**values: float) -> PerCoordinate:
@@ -48,7 +48,7 @@ class MassProperties:
 
 @dataclasses.dataclass
 class Payload:
-    """The captured body: as it is, and as the controller believes it to be."""
+    """The captured body: its true mass properties, and the nominal ones, which the controller works with."""
 
     body: str = "debris::debris"  # scoped name of the captured body in the model
     truth: MassProperties = dataclasses.field(default_factory=MassProperties)
@@ -72,68 +72,6 @@ class Reference:
     """The planned motion: a fifth-order polynomial from the initial to the target posture."""
 
     duration: float = 20.0  # s; the target posture is held afterwards
-
-
-@dataclasses.dataclass
-class TdcGains:
-    """Time-delay control, equation (17)."""
-
-    k_d: PerCoordinate = _published(all=100.0)  # 1/s; gain K_D on the error's rate
-    k_p: PerCoordinate = _published(all=100.0, base_position=200.0)  # 1/s^2; gain K_P on the error
-
-
-@dataclasses.dataclass
-class AsmcGains:
-    """Adaptive sliding-mode control, equations (18) and (19)."""
-
-    k_d: PerCoordinate = _published(all=100.0)  # 1/s; gain K_D on the error's rate
-    k_s: PerCoordinate = _published(all=80.0)  # 1/s; reaching gain K_s, constant
-    # rad/s^2 or m/s^2; switching gain G at the start; (19) has a branch of its own for zero
-    g_initial: PerCoordinate = _published(all=0.0)
-    epsilon: float = 1e-4  # rad/s or m/s; bound on the sliding variable that switches the adaptation's sign
-    a: PerCoordinate = _published(all=1e-6, base_position=1e-7)  # rad/s^3 or m/s^3; adaptation rate, (19)'s phi
-    b: PerCoordinate = _published(all=1e5)  # s/rad or s/m; adaptation scale, (19)'s 1/alpha
-    g_max: PerCoordinate | None = None  # rad/s^2 or m/s^2; upper bound of G; null: unbounded
-
-
-@dataclasses.dataclass
-class AismcGains:
-    """Adaptive integral sliding-mode control, equations (20) and (21)."""
-
-    k_d: PerCoordinate = _published(all=100.0)  # 1/s; gain K_D on the error's rate
-    k_p: PerCoordinate = _published(all=100.0, base_position=200.0)  # 1/s^2; gain K_P on the error
-    # 1/s; reaching gain K_s at the start; the published 80 without bound adapts itself out of the sampled loop's
-    # stability on an exact plant
-    k_s_initial: PerCoordinate = _published(all=60.0)
-    # 1/(rad s) or 1/(m s); rate of K_s
-    alpha: PerCoordinate = _published(base_position=3e4, base_rotation=18e4, joints=9e4)
-    # 1/(rad s) or 1/(m s); accuracy scale of K_s, which rests at |s| = K_s^2 / beta
-    beta: PerCoordinate = _published(base_position=4e7, base_rotation=24e7, joints=12e7)
-    k_s_max: PerCoordinate | None = _published(all=70.0)  # 1/s; upper bound of K_s; null: unbounded
-
-
-@dataclasses.dataclass
-class TdeAismcGains(AismcGains):
-    """The proposed controller, equations (6), (9) and (10)."""
-
-    # 1/rad or 1/m; accuracy scale of K_s, which rests at |s| = K_s / beta
-    beta: PerCoordinate = _published(base_position=4e7, base_rotation=24e7, joints=12e7)
-    g_initial: PerCoordinate = _published(all=2e-4)  # rad/s^2 or m/s^2; switching gain G at the start
-    epsilon: float = 1e-4  # rad/s or m/s; bound on the sliding variable that switches the adaptation's sign
-    phi: PerCoordinate = _published(all=1e-1, base_position=1e-2)  # 1/s^2; rate of G
-    g_max: PerCoordinate | None = None  # rad/s^2 or m/s^2; upper bound of G; null: unbounded
-
-
-@dataclasses.dataclass
-class Controllers:
-    """The settings of every controller; ``Scenario.controller`` names the one in use."""
-
-    tdc: TdcGains = dataclasses.field(default_factory=TdcGains)
-    asmc: AsmcGains = dataclasses.field(default_factory=AsmcGains)
-    aismc: AismcGains = dataclasses.field(default_factory=AismcGains)
-    tde_aismc: TdeAismcGains = dataclasses.field(default_factory=TdeAismcGains)
-    # gains of controllers that come from elsewhere: name (its part after the colon) -> gain -> by coordinate
-    own: dict[str, dict[str, PerCoordinate]] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass
@@ -194,6 +132,27 @@ class Actuation:
     delay: int = 0  # control samples; age of a command when it acts
 
 
+@dataclasses.dataclass
+class Block:
+    """What fills a block of the closed loop; a text stands for ``{system: text}``."""
+
+    SHORTHAND: ClassVar[str] = "system"  # the field that a text alone gives
+
+    system: str = ""  # module:attribute, or the name of an installed one: a factory (BlockSetup -> Drake system)
+    settings: dict[str, Any] = dataclasses.field(default_factory=dict)  # handed to the factory as they are
+
+
+@dataclasses.dataclass
+class Blocks:
+    """User-supplied blocks in place of the scenario's own, which its section of the same name describes."""
+
+    reference: Block | None = None  # the planned motion
+    sensing: Block | None = None  # what the controller reads of the state
+    actuation: Block | None = None  # what becomes of the commanded force
+    # by name: external forces, summed; ``disturbance`` replaces the scenario's harmonics, any other name adds to them
+    forces: dict[str, Block] = dataclasses.field(default_factory=dict)
+
+
 def _default_simulator_config() -> SimulatorConfig:
     return SimulatorConfig(
         integration_scheme="runge_kutta3", max_step_size=0.01, accuracy=1e-10, use_error_control=False
@@ -218,9 +177,16 @@ class Scenario:
     # At the start, rad/s or m/s; base_rotation is the angular velocity in world axes. The reference starts at rest.
     initial_velocity: PerCoordinate = _published(all=0.0)
     reference: Reference = dataclasses.field(default_factory=Reference)
-    # tdc, asmc, aismc, tde_aismc, an installed one (such as pd_plus, computed_torque), or module:Class
+    # name of a shipped controller (tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus) or of an installed one, or
+    # module:attribute
     controller: str = "tde_aismc"
-    controllers: Controllers = dataclasses.field(default_factory=Controllers)
+    # gains: controller (its name, or what follows the colon) -> gain -> by coordinate; what is not given keeps its
+    # default; null takes an upper bound away
+    controllers: dict[str, dict[str, PerCoordinate | None]] = dataclasses.field(default_factory=dict)
+    blocks: Blocks = dataclasses.field(default_factory=Blocks)
+    # folders to look in for the modules of controllers and blocks, before Python's own; relative paths start at the
+    # scenario file's folder
+    python_path: list[str] = dataclasses.field(default_factory=list)
     estimator: Estimator = dataclasses.field(default_factory=Estimator)
     disturbance: Disturbance = dataclasses.field(default_factory=Disturbance)
     sensing: Sensing = dataclasses.field(default_factory=Sensing)
@@ -232,8 +198,8 @@ class Scenario:
         return math.floor(self.duration / self.sample_time + 1e-9)
 
 
-def own_controller_name(controller: str) -> str:
-    """The key in ``controllers.own`` of a controller: its name, or what follows the colon of ``module:Class``."""
+def controller_key(controller: str) -> str:
+    """The key in ``controllers`` of a controller: its name, or what follows the colon of ``module:attribute``."""
     return controller.rpartition(":")[2]
 
 

@@ -1,5 +1,6 @@
 """YAML for settings, read strictly: what it would pass over in silence, or never be done with, is refused."""
 
+import re
 from typing import Any
 
 import yaml
@@ -48,6 +49,12 @@ class _StrictLoader(yaml.SafeLoader):
             # PyYAML builds dates and numbers without looking: what Python objects to comes through as it is.
             text = " ".join(str(error).split()) or type(error).__name__
             raise StrictYamlError(f"{_place(node.start_mark)}: {text}") from error
+
+
+# YAML 1.1, which PyYAML reads, takes 1e-5 for text; YAML 1.2 and JSON take it for a number.
+_StrictLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+"), list("-+0123456789")
+)
 
 
 def read_yaml(text: str) -> Any:

@@ -1,18 +1,15 @@
 """Every value that can be judged without building the plant."""
 
-import dataclasses
 import re
-from importlib.metadata import entry_points
 
 import numpy as np
 from pydrake.systems.analysis import GetIntegrationSchemes
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.scenario.resolving import shown
-from ffsm_drake.scenario.schema import CONTROLLER_NAMES, ESTIMATOR_KINDS, MassProperties, Scenario, inertia_matrix
+from ffsm_drake.scenario.schema import ESTIMATOR_KINDS, MassProperties, Scenario, inertia_matrix
 
-_MODULE_AND_ATTRIBUTE = re.compile(r"[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")
-ENTRY_POINT_GROUP = "ffsm_drake.controllers"  # where installed packages offer further controllers
+_NAME = re.compile(r"[^\W\d]\w*|[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")  # or module:attribute
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # without an error estimate
 MAX_SAMPLES = 10_000_000
 MAX_STEPS = 1_000_000_000  # of the integrator; hours
@@ -35,14 +32,15 @@ def validate(scenario: Scenario) -> None:
     require(scenario.num_control_periods >= 1, "sample_time", f"must be at most duration ({scenario.duration} s)")
     require(scenario.divergence_speed > 0, "divergence_speed", "must be > 0")
     require(scenario.reference.duration > 0, "reference.duration", "must be > 0 s")
-    if scenario.controller not in CONTROLLER_NAMES and not _MODULE_AND_ATTRIBUTE.fullmatch(scenario.controller):
-        known = CONTROLLER_NAMES + tuple(sorted(entry_points(group=ENTRY_POINT_GROUP).names))
-        require(
-            scenario.controller in known,
-            "controller",
-            f"'{scenario.controller}' is unknown; choose one of {', '.join(known)}, or give module:Class"
-            + did_you_mean(scenario.controller, known),
-        )
+    require(bool(_NAME.fullmatch(scenario.controller)), "controller", _form(scenario.controller))
+    blocks = scenario.blocks
+    filled = {name: getattr(blocks, name) for name in ("reference", "sensing", "actuation")}
+    filled |= {f"forces.{name}": block for name, block in blocks.forces.items()}
+    for name, block in filled.items():
+        if block is not None:
+            require(bool(_NAME.fullmatch(block.system)), f"blocks.{name}.system", _form(block.system))
+    for name in blocks.forces:
+        require(name.isidentifier(), f"blocks.forces.{name}", "a force's name must be letters, digits and underscores")
     require(
         scenario.estimator.kind in ESTIMATOR_KINDS,
         "estimator.kind",
@@ -68,15 +66,6 @@ def validate(scenario: Scenario) -> None:
             f"must be within divergence_speed ({scenario.divergence_speed:g}), not {number}",
         )
     require(scenario.disturbance.frequency_scale >= 0, "disturbance.frequency_scale", "must be >= 0")
-    for name in CONTROLLER_NAMES:
-        gains = getattr(scenario.controllers, name)
-        for gain_field in dataclasses.fields(gains):
-            value = getattr(gains, gain_field.name)
-            for key, number in value.items() if isinstance(value, dict) else (("", value),):
-                path = ".".join(part for part in (f"controllers.{name}.{gain_field.name}", key) if part)
-                positive = gain_field.name in ("beta", "b", "epsilon")
-                require(number is None or number >= 0, path, f"must be >= 0, not {number}")
-                require(not positive or number > 0, path, "must be > 0")
     for name in ("velocity_noise", "position_noise"):
         for key, number in getattr(scenario.sensing, name).items():
             require(number >= 0, f"sensing.{name}.{key}", f"a standard deviation must be >= 0, not {number}")
@@ -89,6 +78,10 @@ def validate(scenario: Scenario) -> None:
         require(number >= 0, f"actuation.quantization.{key}", f"must be >= 0 (0: none), not {number}")
     for place, delay in (("sensing", scenario.sensing.delay), ("actuation", scenario.actuation.delay)):
         require(0 <= delay <= 1000, f"{place}.delay", f"must be from 0 to 1000 control samples, not {delay}")
+
+
+def _form(name: str) -> str:
+    return f"'{name}' must be a name or module:attribute"
 
 
 def _validate_simulator_config(scenario: Scenario) -> None:

@@ -12,6 +12,7 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.files import write_text, written_whole
 from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
 
@@ -24,13 +25,13 @@ def closed_loop_dot(scenario: Scenario) -> str:
     Of the plant's many ports only the connected ones are drawn.
     """
     with quiet_drake():  # the server is there for the wiring only
-        diagram = make_closed_loop(scenario, meshcat=start_meshcat()).diagram
+        diagram = Rollout(scenario, meshcat=start_meshcat()).loop.diagram
     return _without_idle_ports(system_dot(diagram, max_depth=1), "plant")
 
 
 def controller_dot(scenario: Scenario) -> str:
     """The scenario's controller alone, with its ports."""
-    return system_dot(make_closed_loop(scenario).controller)
+    return system_dot(make_closed_loop(scenario).blocks["controller"])
 
 
 def system_dot(system: System, *, max_depth: int | None = None) -> str:

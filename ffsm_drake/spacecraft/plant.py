@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
+from pydrake.geometry import CollisionFilterDeclaration
 from pydrake.math import RollPitchYaw
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import Frame, ModelInstanceIndex, RigidBody
+from pydrake.multibody.tree import BodyIndex, Frame, ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
@@ -28,6 +29,8 @@ def models_dir() -> Path:
 def add_combined_plant(builder: DiagramBuilder, model: Model) -> MultibodyPlant:
     """Add the finalized plant (continuous, no gravity, quaternion floating base) and its scene graph to a diagram.
 
+    Bodies never touch.
+
     Raises:
       ModelError: the directives or URDFs do not load, or do not give one floating base with one-degree joints.
     """
@@ -35,6 +38,9 @@ def add_combined_plant(builder: DiagramBuilder, model: Model) -> MultibodyPlant:
     plant.set_name("plant")
     scene_graph.set_name("scene_graph")
     _load(plant, model)
+    bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
+    nothing_touches = CollisionFilterDeclaration().ExcludeWithin(plant.CollectRegisteredGeometries(bodies))
+    scene_graph.collision_filter_manager().Apply(nothing_touches)
     return plant
 
 

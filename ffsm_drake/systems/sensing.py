@@ -12,7 +12,6 @@ from pydrake.systems.primitives import (
     Gain,
     MatrixGain,
     RandomSource,
-    ZeroOrderHold,
 )
 
 from ffsm_drake.common.errors import ScenarioError
@@ -43,10 +42,23 @@ class Quantizer(LeafSystem):
         output.SetFromVector(quantize(self._input.Eval(context), self._resolution))
 
 
+class Sensing(Diagram):
+    """The sensors, from ``state`` to ``estimated_state``; made by ``make_sensing``."""
+
+    def __init__(self, delay: int) -> None:
+        """Args: the age of a measurement when it is read, in control samples."""
+        super().__init__()
+        self._delay = delay
+
+    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
+        """Fill the delay: before the start, the spacecraft was where it is now, at ``state`` [q; v]."""
+        if self._delay > 0:
+            delay = self.GetSubsystemByName("delay")
+            self.GetMutableSubsystemContext(delay, context).SetDiscreteState(np.tile(state, self._delay))
+
+
 def make_sensing(settings: schema.Sensing, coordinates: Coordinates, *, sample_time: float) -> Diagram:
     """A diagram from ``state`` to ``estimated_state``, both [q; v] (nq + nv).
-
-    A second output, ``measurement``, holds what was read at the last control sample, for logging.
 
     Noise is one independent Gaussian sample per coordinate and control period, held in between. Rotation noise of
     standard deviation sigma is added to the quaternion of the base as sigma/2 per component: along the quaternion it
@@ -106,11 +118,9 @@ def make_sensing(settings: schema.Sensing, coordinates: Coordinates, *, sample_t
     for before, after in itertools.pairwise(stages):
         builder.Connect(before[1], after[0])
     signal = stages[-1][1]
-    hold = builder.AddNamedSystem("hold", ZeroOrderHold(sample_time, size))
-    builder.Connect(signal, hold.get_input_port())
     builder.ExportOutput(signal, "estimated_state")
-    builder.ExportOutput(hold.get_output_port(), "measurement")
-    diagram = builder.Build()
+    diagram = Sensing(settings.delay)
+    builder.BuildInto(diagram)
     diagram.set_name("sensing")
     return diagram
 

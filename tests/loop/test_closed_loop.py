@@ -9,7 +9,7 @@ import pytest
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
 
-from ffsm_drake import ControllerError, ScenarioError, load_scenario, make_closed_loop, simulate
+from ffsm_drake import BlockError, ScenarioError, load_scenario, make_closed_loop, simulate
 from ffsm_drake.loop.closed_loop import SIGNALS
 from ffsm_drake.show import block_diagram
 from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
@@ -158,5 +158,5 @@ def test_a_failing_own_disturbance_gets_one_line():
         def calc(self, context, output):
             output.SetFromVector(np.full(output.size(), np.nan if context.get_time() > 0.02 else 0.0))
 
-    with pytest.raises(ControllerError, match=r"disturbance 'Fails' failed at t = 0.0\d s: RuntimeError: .*NaN"):
+    with pytest.raises(BlockError, match=r"disturbance 'Fails' failed at t = 0.0\d s: RuntimeError: .*NaN"):
         simulate(load_scenario("postcapture", ["duration=0.1"]), own_disturbance=Fails)

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import (
-    ControllerError,
+    BlockError,
     ControllerSetup,
     RunRecord,
     SampledController,
@@ -333,7 +333,7 @@ def test_gains_default_and_override():
 
 def test_a_name_that_exists_nowhere():
     scenario = load_scenario("postcapture", ["controller=own_module:Nowhere"])
-    with pytest.raises(ControllerError, match="No module named 'own_module'"):
+    with pytest.raises(BlockError, match="No module named 'own_module'"):
         make_controller(scenario, make_nominal_plant(scenario))
 
 

@@ -18,10 +18,10 @@ from ffsm_drake.design.stability.sampled_loop import (
     law_gains,
     tolerated_eta,
 )
-from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
-from ffsm_drake.systems.controllers import make_controller
+from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors, make_controller
 from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_estimator
 from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.reference import QuinticReference, make_reference
@@ -155,7 +155,7 @@ def stability_warning(scenario: Scenario) -> str:
     A cheap look at three postures, for ``simulate`` to make before every run. Of controllers other than the paper's
     four it knows nothing.
     """
-    if scenario.controller not in CONTROLLER_NAMES:
+    if scenario.controller not in PAPER_LAWS:
         return ""
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     law = law_gains(scenario, nominal.coordinates)
@@ -195,13 +195,12 @@ def forecast_reaching_gain(
     the law over that distribution is integrated.
     """
     times = np.linspace(0.0, scenario.num_control_periods * scenario.sample_time, points)
-    gains = getattr(scenario.controllers, scenario.controller)
-    if not hasattr(gains, "alpha"):
-        return times, np.tile(law.k_s, (points, 1))
     coordinates = nominal.coordinates
-    key = f"controllers.{scenario.controller}"
-    alpha, beta = (coordinates.vector(getattr(gains, name), key=f"{key}.{name}") for name in ("alpha", "beta"))
-    switching = coordinates.vector(getattr(gains, "g_initial", {}), key=key, default=0.0)
+    gains = gain_vectors(scenario, coordinates)
+    if "alpha" not in gains:
+        return times, np.tile(law.k_s, (points, 1))
+    alpha, beta = gains["alpha"], gains["beta"]
+    switching = gains.get("g_initial", np.zeros_like(alpha))
     noise = [
         coordinates.vector(getattr(scenario.sensing, f"{name}_noise"), key=f"sensing.{name}_noise", default=0.0)
         for name in ("position", "velocity")

@@ -22,8 +22,9 @@ from scipy.linalg import eigh, solve_discrete_lyapunov
 from scipy.optimize import brentq
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -61,24 +62,19 @@ def law_gains(scenario: Scenario, coordinates: Coordinates) -> LawGains:
     Raises ScenarioError for unknown or missing coordinates, and for a controller that is not one of the paper's.
     """
     name = scenario.controller
-    if name not in CONTROLLER_NAMES:
+    if name not in PAPER_LAWS:
         raise ScenarioError(
-            "controller", f"the sampled-loop margins are those of {', '.join(CONTROLLER_NAMES)}; '{name}' is another"
+            "controller", f"the sampled-loop margins are those of {', '.join(PAPER_LAWS)}; '{name}' is another"
         )
-    gains = getattr(scenario.controllers, name)
-
-    def vector(field: str, default: float | None = None) -> np.ndarray:
-        return coordinates.vector(getattr(gains, field) or {}, key=f"controllers.{name}.{field}", default=default)
-
-    k_d, zero = vector("k_d"), np.zeros(len(coordinates.names))
+    gains, zero = gain_vectors(scenario, coordinates), np.zeros(len(coordinates.names))
+    k_d = gains["k_d"]
     if name == "tdc":
-        return LawGains(k_d=k_d, k_p=vector("k_p"), integral=False, k_s=zero, k_s_max=zero)
+        return LawGains(k_d=k_d, k_p=gains["k_p"], integral=False, k_s=zero, k_s_max=zero)
     if name == "asmc":
-        return LawGains(k_d=k_d, k_p=zero, integral=False, k_s=vector("k_s"), k_s_max=vector("k_s"))
-    k_s = vector("k_s_initial")
-    adapts = vector("alpha") > 0
-    k_s_max = np.where(adapts, vector("k_s_max", np.inf), k_s)
-    return LawGains(k_d=k_d, k_p=vector("k_p"), integral=True, k_s=k_s, k_s_max=k_s_max)
+        return LawGains(k_d=k_d, k_p=zero, integral=False, k_s=gains["k_s"], k_s_max=gains["k_s"])
+    k_s = gains["k_s_initial"]
+    k_s_max = np.where(gains["alpha"] > 0, gains["k_s_max"], k_s)
+    return LawGains(k_d=k_d, k_p=gains["k_p"], integral=True, k_s=k_s, k_s_max=k_s_max)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

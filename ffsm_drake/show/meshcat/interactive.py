@@ -14,21 +14,20 @@ from collections.abc import Callable
 
 import numpy as np
 from pydrake.geometry import Meshcat
-from pydrake.multibody.tree import JacobianWrtVariable
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import Diagram
 
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.common.lifetime import weak_callback
+from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.simulate import simulate
-from ffsm_drake.scenario import CONTROLLER_NAMES, Scenario
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.meshcat import set_stage, start_meshcat
 from ffsm_drake.show.meshcat.arrows import Arrow, base_bounding_box
 from ffsm_drake.show.meshcat.controls import Controls
 from ffsm_drake.show.meshcat.stage import SpacecraftView
-from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration, find_body
+from ffsm_drake.systems.controllers import complete_gains, controller_names
+from ffsm_drake.systems.setup import BlockSetup
 
 OPERATOR_ATTRIBUTE = "operator"  # of a record's dataset: what the operator did, in words
 
@@ -90,7 +89,8 @@ def run_interactive(
     try:
         while (run_scenario := operator.next_scenario()) is not None:
             try:
-                record = simulate(run_scenario, check_stability=check_stability, make_operator=operator.make_inputs)
+                hands = {"forces.disturbance": operator.make_disturbance}
+                record = simulate(run_scenario, check_stability=check_stability, blocks=hands)
             except FfsmError as error:  # of a controller whose gains the scenario lacks, say
                 operator.show_status(one_line(error))
                 continue
@@ -105,85 +105,6 @@ def run_interactive(
     finally:
         operator.close()
     return records
-
-
-class OperatorInputs(LeafSystem):
-    """What the operator does to the disturbance.
-
-    Inputs:
-      disturbance: (nv).
-      state: [q; v] (nq + nv).
-    Outputs:
-      external_force: scale * disturbance + J^T F (nv), J being that of the payload's centre of mass.
-      next_external_force: the same just after the update of a control sample, for a logger, which sees the state before
-        the update of its instant.
-    State (discrete, period ``sample_time``): [scale, F (3; world frame, N)] that acts, and what will act from the next
-    sample on.
-    """
-
-    def __init__(
-        self,
-        plant_model: PlantModel,
-        scenario: Scenario,
-        *,
-        initial: np.ndarray,
-        poll: Callable[[float, np.ndarray], np.ndarray],
-    ) -> None:
-        """Args:
-        plant_model: with the payload; used as a scratch pad.
-        scenario: names the payload.
-        initial: (4), acts until ``poll`` says otherwise.
-        poll: called with (time, q) at every control sample; returns what acts from the next sample on (4).
-        """
-        super().__init__()
-        self._model = plant_model
-        self._payload_frame = find_body(plant_model.plant, scenario.payload.body, key="payload.body").body_frame()
-        self._center_of_mass = np.array(scenario.payload.truth.center_of_mass)
-        self._poll = poll
-        num_velocities = plant_model.plant.num_velocities()
-        num_states = plant_model.plant.num_multibody_states()
-        self._disturbance = self.DeclareVectorInputPort("disturbance", num_velocities)
-        self._state = self.DeclareVectorInputPort("state", num_states)
-        self._acting = self.DeclareDiscreteState(initial)
-        self._next = self.DeclareDiscreteState(initial)
-        self.DeclarePeriodicDiscreteUpdateEvent(scenario.sample_time, 0.0, weak_callback(self._update))
-        for name, index in (("external_force", self._acting), ("next_external_force", self._next)):
-            self.DeclareVectorOutputPort(
-                name,
-                num_velocities,
-                lambda context, output, index=index: self._calc_force(context, output, index),
-                {
-                    self.input_port_ticket(self._disturbance.get_index()),
-                    self.input_port_ticket(self._state.get_index()),
-                    self.discrete_state_ticket(index),
-                },
-            )
-
-    def _update(self, context: Context, values: DiscreteValues) -> None:
-        q = self._state.Eval(context)[: self._model.plant.num_positions()]
-        values.set_value(self._acting, context.get_discrete_state(self._next).value())
-        values.set_value(self._next, self._poll(context.get_time(), q))
-
-    def _calc_force(self, context: Context, output: BasicVector, index: int) -> None:
-        scale, *push = context.get_discrete_state(index).value()
-        force = scale * self._disturbance.Eval(context)
-        if any(push):
-            q = self._state.Eval(context)[: self._model.plant.num_positions()]
-            force = force + self._calc_jacobian(q).T @ np.array(push)
-        output.SetFromVector(force)
-
-    def _calc_jacobian(self, q: np.ndarray) -> np.ndarray:
-        """Of the velocity of the payload's centre of mass in world, (3, nv)."""
-        plant, context = self._model.plant, self._model.context
-        plant.SetPositions(context, q)
-        return plant.CalcJacobianTranslationalVelocity(
-            context,
-            JacobianWrtVariable.kV,
-            self._payload_frame,
-            self._center_of_mass,
-            plant.world_frame(),
-            plant.world_frame(),
-        )
 
 
 @dataclasses.dataclass
@@ -218,8 +139,9 @@ class _Operator:
         self._show(0.0, configuration(self._view.plant, scenario.initial_posture, key="initial_posture"))
 
         controls = self._controls = Controls(meshcat)
-        others = [name for name in CONTROLLER_NAMES if name != scenario.controller]
-        for name in (scenario.controller, *others):
+        others = [name for name in controller_names() if name != scenario.controller]
+        self._controllers = (scenario.controller, *others)
+        for name in self._controllers:
             controls.add_button(start_button(name))
         controls.add_button(PAUSE, keycode="Space")
         controls.add_slider(TIME, low=0.0, high=scenario.duration, step=scenario.sample_time, value=0.0)
@@ -278,19 +200,14 @@ class _Operator:
         self.show_status("starting")
         return dataclasses.replace(scenario, simulator_config=config)
 
-    def make_inputs(self, _: Coordinates) -> OperatorInputs:
-        """The system for the closed loop of the run that starts."""
+    def make_disturbance(self, setup: BlockSetup) -> Diagram:
+        """The disturbance of the run that starts, under the operator's hands."""
         self._note_scale("from the start")
-        return OperatorInputs(
-            make_true_plant(self._run_scenario),
-            self._run_scenario,
-            initial=np.array([self._scale, 0.0, 0.0, 0.0]),
-            poll=self._poll,
-        )
+        return make_operated_disturbance(setup, initial=np.array([self._scale, 0.0, 0.0, 0.0]), poll=self._poll)
 
     def annotated(self, record: RunRecord) -> RunRecord:
         """The record, with what the operator did written into it."""
-        record = dataclasses.replace(record, scenario=self._run_scenario)
+        record = dataclasses.replace(record, scenario=complete_gains(self._run_scenario))
         if not self._events:
             return record
         noun = "input" if len(self._events) == 1 else "inputs"
@@ -346,7 +263,7 @@ class _Operator:
             raise KeyboardInterrupt
 
     def _read_buttons(self) -> None:
-        for name in CONTROLLER_NAMES:
+        for name in self._controllers:
             if self._controls.clicked(start_button(name)):
                 self._requested = name
         if self._controls.clicked(PAUSE):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ffsm_drake.studies.paper import paper
-from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, Results, Run
+from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, Results, Run, gain_of
 from ffsm_drake.studies.paper.verdict import (
     LOCALLY,
     NOTICEABLE,
@@ -127,7 +127,7 @@ def epsilon_trades_accuracy_for_smoothness(results: Results) -> Verdict:
         )
         effect[setting] = (small.mean_ripple / base.mean_ripple - 1.0, large.itae / base.itae - 1.0)
     data = results.record("euler", PROPOSED)
-    epsilon = data.scenario.controllers.tde_aismc.epsilon
+    epsilon = gain_of(data.scenario, "epsilon")
     above = float(np.mean(np.abs(data.dataset["sliding_variable"].values).max(axis=1) > epsilon))
 
     def sentence(setting: str) -> str:

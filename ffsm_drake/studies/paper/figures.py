@@ -16,7 +16,7 @@ from ffsm_drake.scenario import load_scenario
 from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
 from ffsm_drake.show.figures import run as plotting
 from ffsm_drake.studies.noise.study import NoiseRow, plot_study, study_noise
-from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS, Results
+from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS, Results, gain_of
 from ffsm_drake.studies.paper.table import METRICS, Row
 from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, ending, fixed
 
@@ -214,7 +214,7 @@ def plot_divergence(results: Results) -> Figure:
             for axes, series in ((gain_axes, gain), (error_axes, error)):
                 axes.plot(time[-1], series[-1], marker="x", markersize=9, markeredgewidth=2.2, color=look["color"])
     scenario = results.record("exact", PROPOSED).scenario
-    limit = 2.0 / scenario.sample_time - scenario.controllers.tde_aismc.k_d["all"]
+    limit = 2.0 / scenario.sample_time - gain_of(scenario, "k_d")
     gain_axes.axhline(limit, color="black", linewidth=1.0, linestyle=":")
     gain_axes.text(
         0.995, limit, f"limit {fixed(limit)}", transform=gain_axes.get_yaxis_transform(), ha="right", va="bottom",

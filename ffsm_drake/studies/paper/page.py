@@ -22,6 +22,7 @@ from ffsm_drake.studies.paper.runs import PROPOSED, SETTINGS, Case, Results
 from ffsm_drake.studies.paper.table import HEADER, Row, markdown_rows, table_csv, table_notes
 from ffsm_drake.studies.paper.verdict import Kind, Verdict, comparisons, ranking
 from ffsm_drake.studies.paper.wording import listed, span, times_span
+from ffsm_drake.systems.controllers import complete_gains
 
 TEMPLATE = "reproduction.html.j2"
 TITLE = "How far the paper holds"
@@ -99,7 +100,7 @@ def runs_made(results: Results) -> list[str]:
     table = sum(not case.variant for case in results.runs)
     diverged = sum(not run.outcome.completed for run in results.runs.values())
     scenario = Case(setting="bounded", controller=PROPOSED).scenario(results.overrides)
-    gains = scenario.controllers.tde_aismc
+    gains = complete_gains(scenario).controllers[PROPOSED]
     seconds = math.fsum(run.outcome.time for run in results.runs.values())
     lines = [
         f"{len(results.runs)} simulations, {seconds:.0f} s of flight: {table} for Table 2 (four controllers, three "
@@ -110,7 +111,8 @@ def runs_made(results: Results) -> list[str]:
         f"{span([1e6 * value for value in scenario.sensing.velocity_noise.values()], 1)} µrad/s and µm/s on the "
         "measured velocities, disturbance as an external generalized force, H q̈ + C = τ + τ_d (with the sign of "
         "equation (1) Table 2 cannot be met). Where K_s is bounded it starts at "
-        f"{span(gains.k_s_initial.values(), 2)} and stays below {span((gains.k_s_max or {}).values(), 2)} 1/s.",
+        f"{span((gains['k_s_initial'] or {}).values(), 2)} and stays below "
+        f"{span((gains['k_s_max'] or {}).values(), 2)} 1/s.",
     ]
     if results.overrides:
         lines.append(f"Not the reproduction proper: every run had {', '.join(results.overrides)}.")

@@ -184,6 +184,11 @@ class Results:
         return record
 
 
+def gain_of(scenario: Scenario, gain: str) -> float:
+    """A gain of the proposed controller in a record's scenario, where it is the same for all coordinates."""
+    return (scenario.controllers[PROPOSED][gain] or {})["all"]
+
+
 def keeps_record(case: Case) -> bool:
     """Whether the full record of a run is kept: where a figure is drawn from it, or a claim judged."""
     noise_free = case.controller == PROPOSED and case.variant == "no noise"

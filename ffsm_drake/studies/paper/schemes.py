@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.studies.paper.runs import (
     PROPOSED,
@@ -14,23 +15,15 @@ from ffsm_drake.studies.paper.verdict import (
     Verdict,
 )
 from ffsm_drake.studies.paper.wording import fixed, percent, span, times, times_span
-from ffsm_drake.systems.controllers import LAWS
+from ffsm_drake.systems.controllers import make_law
 
 
 def comparison_is_fair(results: Results) -> Verdict:
-    gains = results.record("euler", "asmc").scenario.controllers
-
-    def values(mapping: dict[str, float]) -> list[float]:
-        return list(mapping.values())
-
-    tdc = values(gains.tdc.k_p)
-    asmc = [k_s * k_d for k_s in values(gains.asmc.k_s) for k_d in values(gains.asmc.k_d)]
-    integral = [
-        k_p + k_s * k_d
-        for k_p in values(gains.aismc.k_p)
-        for k_s in values(gains.aismc.k_s_initial)
-        for k_d in values(gains.aismc.k_d)
-    ]
+    scenario = results.record("euler", "asmc").scenario
+    laws = {name: _law(scenario, name) for name in ("tdc", "asmc", "aismc")}
+    tdc = laws["tdc"].k_p
+    asmc = laws["asmc"].k_s * laws["asmc"].k_d
+    integral = laws["aismc"].k_p + laws["aismc"].k_s_initial * laws["aismc"].k_d
     before, after = (
         {
             setting: results.run(setting, "tdc", variant=variant).itae / results.run(setting, "asmc").itae
@@ -107,13 +100,18 @@ def without_k_p_surfaces_become_ordinary(results: Results) -> Verdict:
     )
 
 
+def _law(scenario: Scenario, name: str) -> Any:
+    """The injected dynamics of one of the paper's laws with the scenario's gains."""
+    return make_law(dataclasses.replace(scenario, controller=name), make_nominal_plant(scenario)).dynamics
+
+
 def _law_gap(results: Results, first: str, second: str, *, keep_k_p: bool, keep_g: bool) -> float:
     """Largest relative difference of two laws' feedback over random errors, with equal K_s and G."""
     scenario = results.record("euler", PROPOSED).scenario
     coordinates = make_nominal_plant(scenario).coordinates
     laws = {}
     for name in (first, second):
-        law = LAWS[name].from_gains(getattr(scenario.controllers, name), coordinates, scenario.sample_time)
+        law = _law(scenario, name)
         if not keep_k_p and hasattr(law, "k_p"):
             law = dataclasses.replace(law, k_p=np.zeros_like(law.k_p))
         laws[name] = law
@@ -129,7 +127,7 @@ def _law_gap(results: Results, first: str, second: str, *, keep_k_p: bool, keep_
         for law in laws.values():
             if hasattr(law, "k_s"):  # the constant gain of (18)
                 law = dataclasses.replace(law, k_s=k_s)
-            state = [given.get(key, value) for key, value in law.initial_state().items()]
+            state = {key: given.get(key, value) for key, value in law.initial_state().items()}
             feedback.append(law.step(e, e_dot, np.zeros(size), state)[0])
         largest = max(largest, float(np.linalg.norm(feedback[0] - feedback[1]) / np.linalg.norm(feedback[0])))
     return largest

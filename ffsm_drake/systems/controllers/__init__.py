@@ -1,49 +1,97 @@
-"""The controllers: the paper's four, time-delay estimation (tde.py) around their own laws, and the door for others."""
+"""Controllers: control laws as pure functions, and the one system around them."""
 
+import dataclasses
 from typing import Any
 
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import System
 
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Scenario, controller_key
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.controllers.estimators import make_estimator
-from ffsm_drake.systems.controllers.laws.aismc import AismcLaw
-from ffsm_drake.systems.controllers.laws.asmc import AsmcLaw
-from ffsm_drake.systems.controllers.laws.tdc import TdcLaw
-from ffsm_drake.systems.controllers.laws.tde_aismc import TdeAismcLaw
-from ffsm_drake.systems.controllers.registry import build_controller, controller_names, find_factory, setup_for
-from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS, ControllerSetup, Sample, SampledController
-from ffsm_drake.systems.controllers.time_delay import TimeDelayController
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, complete_gain, gain, gain_values, gains_of
+from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS, SampledController
+from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
+from ffsm_drake.systems.registry import Factory, block_names, call_factory, find_factory
+from ffsm_drake.systems.setup import BlockSetup
 
 __all__ = [
-    "LAWS",
     "OPTIONAL_OUTPUTS",
-    "ControllerSetup",
+    "PAPER_LAWS",
+    "ControlLaw",
+    "InjectedDynamics",
     "Sample",
     "SampledController",
+    "State",
+    "complete_gains",
     "controller_names",
+    "controller_setup",
+    "gain",
+    "gain_vectors",
     "make_controller",
+    "make_law",
 ]
 
-LAWS: dict[str, Any] = {"tdc": TdcLaw, "asmc": AsmcLaw, "aismc": AismcLaw, "tde_aismc": TdeAismcLaw}
+PAPER_LAWS = ("tdc", "asmc", "aismc", "tde_aismc")  # what the paper compares
 
 
-def make_controller(scenario: Scenario, nominal: PlantModel) -> LeafSystem:
-    """The scenario's controller as a LeafSystem of that name (its part after the colon).
+def controller_names() -> tuple[str, ...]:
+    """Every controller that can be named without a module: shipped, then installed."""
+    return block_names("controller")
+
+
+def controller_setup(scenario: Scenario, nominal: PlantModel) -> BlockSetup:
+    """What the scenario's controller is built from."""
+    name = controller_key(scenario.controller)
+    return BlockSetup(name=name, scenario=scenario, nominal=nominal, settings=scenario.controllers.get(name, {}))
+
+
+def make_controller(scenario: Scenario, nominal: PlantModel, factory: Factory | None = None) -> System:
+    """The scenario's controller, a system of that name (its part after the colon).
+
+    Args:
+      scenario: names the controller and its gains.
+      nominal: the plant with the nominal payload; the controller's own.
+      factory: builds it in place of the one that the scenario names: BlockSetup -> control law or Drake system.
 
     Raises:
-      ScenarioError: gains of unknown or missing coordinates.
-      ControllerError: a controller from elsewhere cannot be loaded, built or wired.
+      ScenarioError: an unknown controller or gain, gains of unknown or missing coordinates.
+      BlockError: a user-supplied controller cannot be loaded or built.
     """
-    name = scenario.controller
-    if name not in LAWS:
-        return build_controller(find_factory(name), setup_for(scenario, nominal))
-    law = LAWS[name].from_gains(getattr(scenario.controllers, name), nominal.coordinates, scenario.sample_time)
-    controller = TimeDelayController(
-        nominal=nominal,
-        estimator=make_estimator(scenario, nominal.coordinates),
-        law=law,
-        sample_time=scenario.sample_time,
-    )
-    controller.set_name(name)
-    return controller
+    setup = controller_setup(scenario, nominal)
+    made = _make(setup, factory)
+    if hasattr(made, "initial_state") and hasattr(made, "step"):
+        return SampledController(made, name=setup.name, coordinates=setup.coordinates, sample_time=setup.sample_time)
+    return made
+
+
+def make_law(scenario: Scenario, nominal: PlantModel) -> Any:
+    """The control law of the scenario's controller alone, such as a TimeDelayControl; errors as ``make_controller``."""
+    return _make(controller_setup(scenario, nominal), None)
+
+
+def gain_vectors(scenario: Scenario, coordinates: Coordinates) -> dict[str, Any]:
+    """The gains of the scenario's controller as its law gets them, by name: (nv), or a number; see ``gain_values``.
+
+    Empty for a controller that declares none. Raises ScenarioError and BlockError as ``make_controller`` does.
+    """
+    factory, name = _factory(scenario), controller_key(scenario.controller)
+    return gain_values(factory, scenario.controllers.get(name, {}), coordinates, name=name) if gains_of(factory) else {}
+
+
+def complete_gains(scenario: Scenario) -> Scenario:
+    """The scenario with all gains of its controller written out, those that it leaves to their defaults too."""
+    declared, key = gains_of(_factory(scenario)), controller_key(scenario.controller)
+    if not declared:
+        return scenario
+    given = scenario.controllers.get(key, {})
+    gains = {name: complete_gain(item, *([given[name]] if name in given else [])) for name, item in declared.items()}
+    return dataclasses.replace(scenario, controllers={**scenario.controllers, key: gains})
+
+
+def _make(setup: BlockSetup, factory: Factory | None) -> Any:
+    place = f"controller '{setup.scenario.controller}'"
+    return call_factory(factory or _factory(setup.scenario), setup, place=place)
+
+
+def _factory(scenario: Scenario) -> Factory:
+    return find_factory("controller", scenario.controller, python_path=scenario.python_path)

@@ -1,19 +1,23 @@
-"""Computed torque: feedback linearization with the believed model, a baseline without estimate or adaptation."""
+"""Computed torque: feedback linearization with the nominal model, a baseline without estimate or adaptation."""
 
-from collections.abc import Mapping
-from typing import ClassVar
+import dataclasses
 
 import numpy as np
 
-from ffsm_drake.systems.controllers.sampled import Sample, SampledController
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
+from ffsm_drake.systems.controllers.time_delay import matrix_vector
 
 
-class ComputedTorque(SampledController):
-    """tau = Hhat (a_d + K_d e' + K_p e) + Chat, with K_d in 1/s and K_p in 1/s^2."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ComputedTorque(ControlLaw):
+    """tau = Hhat (a_d + K_d e' + K_p e) + Chat."""
 
-    GAINS: ClassVar = {"k_p": 25.0, "k_d": 10.0}
+    model: PlantModel
+    k_p: np.ndarray = gain(25.0, "1/s^2", "gain K_p on the error")
+    k_d: np.ndarray = gain(10.0, "1/s", "gain K_d on the error's rate")
 
-    def law(self, sample: Sample, state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        u = sample.a_d + self.gains["k_d"] * sample.e_dot + self.gains["k_p"] * sample.e
-        force = self.nominal.calc_mass_matrix(sample.q) @ u + self.nominal.calc_bias(sample.q, sample.v)
-        return force, state
+    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        u = sample.a_d + self.k_d * sample.e_dot + self.k_p * sample.e
+        mass_matrix = self.model.calc_mass_matrix(sample.q)
+        return matrix_vector(mass_matrix, u) + self.model.calc_bias(sample.q, sample.v), state

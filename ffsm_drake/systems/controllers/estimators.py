@@ -14,8 +14,6 @@ disturbance rejection control", doi:10.1109/TIE.2008.2011621).
 """
 
 import dataclasses
-import functools
-from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -23,28 +21,15 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-
-Arrays = tuple[np.ndarray, ...]
+from ffsm_drake.systems.controllers.law import Sample, State
 
 # A filter needs some noise on every measurement: in units of acceleration at least this share of the larger of the
 # other measurement's and the walk's, below which the Riccati equation has no solution in double precision.
 SMALLEST_RATIO = 1e-7
 
 
-class Measurement(NamedTuple):  # made in every control update: a frozen dataclass takes five times as long
-    """What an estimator is given at one sample; arrays (nv), mass matrix (nv, nv)."""
-
-    e: np.ndarray  # measured error q_d - q, rad or m
-    e_dot: np.ndarray  # measured v_d - v
-    v: np.ndarray  # measured velocity
-    v_d: np.ndarray  # desired velocity
-    applied_force: np.ndarray  # force over the last period, N m or N; zero before the first
-    nominal_mass_matrix: np.ndarray  # Hhat at this sample
-    has_previous: float  # 1.0, or 0.0 at the very first sample
-
-
 class Estimate(NamedTuple):
-    """What the law and the force are computed from; arrays (nv)."""
+    """What the law and the force are computed from; arrays (..., nv)."""
 
     e: np.ndarray
     e_dot: np.ndarray
@@ -55,12 +40,18 @@ class Estimate(NamedTuple):
 class Estimator(Protocol):
     """An estimator as a pure function of arrays."""
 
-    def initial_state(self) -> Mapping[str, np.ndarray]:
-        """Name -> initial value of each piece of state, in the order that ``step`` takes and returns them."""
+    def initial_state(self) -> State:
+        """Name -> initial value of each piece of the estimator's memory."""
         ...
 
-    def step(self, measured: Measurement, state: Sequence[np.ndarray]) -> tuple[Estimate, Arrays]:
-        """One sample: the estimate, and the state at the next; ``state`` must not be changed in place."""
+    def step(self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State) -> tuple[Estimate, State]:
+        """One sample: the estimate, and the memory at the next.
+
+        Args:
+          sample: what was measured and wanted, and the force that acted.
+          nominal_mass_matrix: Hhat (..., nv, nv) at this sample.
+          state: the memory at this sample, by name; must not be changed in place.
+        """
         ...
 
 
@@ -71,20 +62,15 @@ class OneSampleEstimator:
     sample_time: float
     num_velocities: int
 
-    @functools.cached_property
-    def _rate(self) -> np.ndarray:
-        """Samples per second, (nv): NumPy takes half as long for two arrays as for an array and a number."""
-        return np.full(self.num_velocities, 1.0 / self.sample_time)
-
-    def initial_state(self) -> Mapping[str, np.ndarray]:
+    def initial_state(self) -> State:
         return {"delayed_velocity": np.zeros(self.num_velocities)}
 
-    def step(self, measured: Measurement, state: Sequence[np.ndarray]) -> tuple[Estimate, Arrays]:
+    def step(self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State) -> tuple[Estimate, State]:
         """One sample; see Estimator. Nothing is known of the acceleration at the very first: it counts as zero."""
-        (delayed_velocity,) = state
-        change = measured.v - delayed_velocity
-        acceleration = change * self._rate if measured.has_previous else np.zeros_like(change)
-        return Estimate(measured.e, measured.e_dot, measured.applied_force, acceleration), (measured.v,)
+        change = sample.v - state["delayed_velocity"]
+        acceleration = np.zeros_like(change) if sample.is_first else change * (1.0 / self.sample_time)
+        estimate = Estimate(sample.e, sample.e_dot, base_force=sample.applied_force, base_acceleration=acceleration)
+        return estimate, {"delayed_velocity": sample.v}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -97,28 +83,32 @@ class KalmanEstimator:
     sample_time: float
     gain: np.ndarray  # (nv, 3, 2): correction of [e, e', d] per unit of innovation of (e, e')
 
-    def initial_state(self) -> Mapping[str, np.ndarray]:
+    def initial_state(self) -> State:
         zeros = np.zeros(self.gain.shape[0])
         names = ("estimated_error", "estimated_error_rate", "estimated_negative_n", "delayed_desired_velocity")
         return dict.fromkeys(names, zeros)
 
-    def step(self, measured: Measurement, state: Sequence[np.ndarray]) -> tuple[Estimate, Arrays]:
+    def step(self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State) -> tuple[Estimate, State]:
         """One sample; see Estimator."""
-        e, e_dot, d, delayed_v_d = state
+        e, e_dot = state["estimated_error"], state["estimated_error_rate"]
+        d, delayed_v_d = state["estimated_negative_n"], state["delayed_desired_velocity"]
         step = self.sample_time
-        if measured.has_previous:
+        if not sample.is_first:
             # Over the last period: the reference's mean acceleration, less what the applied force should have given.
-            known = (measured.v_d - delayed_v_d) / step - np.linalg.solve(
-                measured.nominal_mass_matrix, measured.applied_force
-            )
-            acceleration = known + d
+            given = np.linalg.solve(nominal_mass_matrix, sample.applied_force[..., None])[..., 0]
+            acceleration = (sample.v_d - delayed_v_d) / step - given + d
             e = e + step * e_dot + (0.5 * step * step) * acceleration
             e_dot = e_dot + step * acceleration
-        innovation = np.stack((measured.e - e, measured.e_dot - e_dot), axis=1)
-        correction = np.einsum("ijk,ik->ij", self.gain, innovation)
-        e, e_dot, d = e + correction[:, 0], e_dot + correction[:, 1], d + correction[:, 2]
-        estimate = Estimate(e=e, e_dot=e_dot, base_force=np.zeros_like(d), base_acceleration=-d)
-        return estimate, (e, e_dot, d, measured.v_d)
+        innovation = np.stack((sample.e - e, sample.e_dot - e_dot), axis=-1)
+        correction = np.einsum("ijk,...ik->...ij", self.gain, innovation)
+        e, e_dot, d = e + correction[..., 0], e_dot + correction[..., 1], d + correction[..., 2]
+        estimate = Estimate(e, e_dot, base_force=np.zeros_like(d), base_acceleration=-d)
+        return estimate, {
+            "estimated_error": e,
+            "estimated_error_rate": e_dot,
+            "estimated_negative_n": d,
+            "delayed_desired_velocity": sample.v_d,
+        }
 
 
 def kalman_gain(*, position_noise: float, velocity_noise: float, walk: float, sample_time: float) -> np.ndarray:

@@ -1,26 +1,33 @@
 """PD+: a model-based baseline of Paden and Panja (1988), without any estimate of what the model lacks."""
 
-from collections.abc import Mapping
-from typing import ClassVar
+import dataclasses
 
 import numpy as np
 
-from ffsm_drake.systems.controllers.sampled import Sample, SampledController
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
+from ffsm_drake.systems.controllers.time_delay import matrix_vector
 
 
-class PdPlus(SampledController):
-    """tau = Hhat a_d + Chat(q, v) v_d + K_d e' + K_p e, with forces per error as gains (N m/rad, N/m and per s).
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PdPlus(ControlLaw):
+    """tau = Hhat a_d + Chat(q, v) v_d + K_d e' + K_p e.
 
     Chat(q, v) v_d is the symmetric bilinear form whose diagonal is Drake's bias term.
     """
 
-    GAINS: ClassVar = {
-        "k_p": {"base_position": 1200.0, "base_rotation": 300.0, "joints": 30.0},
-        "k_d": {"base_position": 1200.0, "base_rotation": 300.0, "joints": 30.0},
-    }
+    model: PlantModel
+    k_p: np.ndarray = gain(
+        {"base_position": 1200.0, "base_rotation": 300.0, "joints": 30.0}, "N m/rad or N/m", "gain K_p on the error"
+    )
+    k_d: np.ndarray = gain(
+        {"base_position": 1200.0, "base_rotation": 300.0, "joints": 30.0},
+        "N m s/rad or N s/m",
+        "gain K_d on the error's rate",
+    )
 
-    def law(self, sample: Sample, state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
+    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         q, v, v_d = sample.q, sample.v, sample.v_d
-        coriolis = 0.25 * (self.nominal.calc_bias(q, v + v_d) - self.nominal.calc_bias(q, v - v_d))
-        force = self.nominal.calc_mass_matrix(q) @ sample.a_d + coriolis
-        return force + self.gains["k_d"] * sample.e_dot + self.gains["k_p"] * sample.e, state
+        coriolis = 0.25 * (self.model.calc_bias(q, v + v_d) - self.model.calc_bias(q, v - v_d))
+        force = matrix_vector(self.model.calc_mass_matrix(q), sample.a_d) + coriolis
+        return force + self.k_d * sample.e_dot + self.k_p * sample.e, state

@@ -1,166 +1,137 @@
-"""A controller of one's own: what it is built from, and a base class that leaves only the control law to write."""
+"""The one system around every control law: sampled, held, all memory in the context."""
 
-import dataclasses
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from ffsm_drake.common.errors import ControllerError, ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.scenario import PerCoordinate
-from ffsm_drake.spacecraft.coordinates import Coordinates, position_error
-from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample
 
-# Outputs that a controller may have besides generalized_force; they are recorded when present, (nv) each.
+# What of a law's memory is an output, and recorded, (nv) each.
 OPTIONAL_OUTPUTS = ("sliding_variable", "reaching_gain", "switching_gain")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class ControllerSetup:
-    """What a controller is built from: ``factory(setup)`` returns a LeafSystem with the ports of SampledController."""
-
-    name: str  # the system's name, and the key of its gains in ``controllers.own``
-    nominal: PlantModel  # the plant as the controller believes it
-    sample_time: float  # L, s
-    gains: Mapping[str, PerCoordinate] = dataclasses.field(default_factory=dict)  # as the scenario gives them
-
-    @property
-    def coordinates(self) -> Coordinates:
-        return self.nominal.coordinates
-
-    def gain_vectors(self, defaults: Mapping[str, float | PerCoordinate]) -> dict[str, np.ndarray]:
-        """Every gain as a vector (nv): the scenario's value where it gives one, else the default.
-
-        Raises ScenarioError for a gain that has no default here, or an unknown coordinate.
-        """
-        place = f"controllers.own.{self.name}"
-        for name in self.gains:
-            if name not in defaults:
-                raise ScenarioError(
-                    f"{place}.{name}",
-                    f"unknown gain; {self.name} has {', '.join(defaults) or 'no gains'}{did_you_mean(name, defaults)}",
-                )
-        vectors = {}
-        for name, default in defaults.items():
-            by_default = dict(default) if isinstance(default, Mapping) else {"all": float(default)}
-            values = {**by_default, **self.gains.get(name, {})}
-            if "all" in self.gains.get(name, {}):  # the scenario's ``all`` outdoes a default for a group
-                values = dict(self.gains[name])
-            vectors[name] = self.coordinates.vector(values, key=f"{place}.{name}")
-        return vectors
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Sample:
-    """What a control law sees at t_k. Frames and units: [w_WB, v_WB, joint rates] in the world frame, rad, m, s."""
-
-    q: np.ndarray  # (nq) measured configuration
-    v: np.ndarray  # (nv) measured velocity
-    q_d: np.ndarray  # (nq) reference
-    v_d: np.ndarray  # (nv)
-    a_d: np.ndarray  # (nv)
-    e: np.ndarray  # (nv) q_d - q, the base's attitude as a rotation vector
-    e_dot: np.ndarray  # (nv) v_d - v
+_ONE = np.ones(1)
 
 
 class SampledController(LeafSystem):
-    """A sampled controller around a control law; a subclass writes ``law``, and ``GAINS`` and ``initial_state`` if any.
+    """A control law, evaluated once per control period.
 
-    Inputs: estimated_state [q; v] (nq + nv), desired_state [q_d; v_d] (nq + nv), desired_acceleration (nv).
-    Outputs, read from the state and held over the period: generalized_force tau (nv), and those of OPTIONAL_OUTPUTS
-    that ``initial_state`` names.
-    All memory is discrete state, updated every ``sample_time``: nothing may be kept on ``self`` between samples, or a
-    reset would not reset it.
+    Inputs:
+      estimated_state: measured [q; v] (nq + nv).
+      desired_state: [q_d; v_d] (nq + nv).
+      desired_acceleration: (nv).
+      applied_force: optional (nv), the force that acted over the last period (saturated, quantised); without it
+        the commanded force is taken to have acted.
+    Outputs, read from the state so that no integrator stage runs Python:
+      generalized_force: tau (nv), held over the period: base torque and force in world axes, joint torques.
+      sliding_variable, reaching_gain, switching_gain: where the law's memory has them, (nv).
+    Discrete state, updated every ``sample_time``:
+      generalized_force (nv), has_previous (1; 0 before the first update), then the law's memory by name.
     """
 
-    GAINS: ClassVar[Mapping[str, float | PerCoordinate]] = {}  # name -> default, a number or by coordinate or group
-
-    def __init__(self, setup: ControllerSetup) -> None:
+    def __init__(self, law: ControlLaw, *, name: str, coordinates: Coordinates, sample_time: float) -> None:
+        """Args: a law for ``coordinates``; the system's name; the control period L, s."""
         super().__init__()
-        self.set_name(setup.name)
-        self.nominal = setup.nominal
-        self.sample_time = setup.sample_time
-        self.gains = setup.gain_vectors(self.GAINS)
-        self._num_velocities = len(setup.coordinates.names)
-        num_states = 2 * self._num_velocities + 1
+        self.set_name(name)
+        self.law = law
+        num_velocities = len(coordinates.names)
+        self._num_positions = len(coordinates.position_names)
+        num_states = self._num_positions + num_velocities
         self._estimated_state = self.DeclareVectorInputPort("estimated_state", num_states)
         self._desired_state = self.DeclareVectorInputPort("desired_state", num_states)
-        self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", self._num_velocities)
-        memory = self.initial_state()
-        if not isinstance(memory, Mapping) or "generalized_force" in memory:
-            raise ControllerError(
-                f"{setup.name}: initial_state must return a mapping of names to arrays, without 'generalized_force'"
+        self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", num_velocities)
+        self._applied_force = self.DeclareVectorInputPort("applied_force", num_velocities)
+        memory = law.initial_state()
+        if not isinstance(memory, Mapping) or {"generalized_force", "has_previous"} & set(memory):
+            raise BlockError(
+                f"controller '{name}': initial_state must return a mapping of names to arrays, without "
+                "'generalized_force' and 'has_previous'"
             )
-        groups = {"generalized_force": np.zeros(self._num_velocities), **memory}
-        self._shapes = {name: np.shape(value) for name, value in groups.items()}
-        index = {name: self.DeclareDiscreteState(np.asarray(value, dtype=float)) for name, value in groups.items()}
-        for name in ("generalized_force", *OPTIONAL_OUTPUTS):
-            if name in index:
-                self.DeclareStateOutputPort(name, index[name])
-        self.DeclarePeriodicDiscreteUpdateEvent(setup.sample_time, 0.0, weak_callback(self._update))
+        self._force = self.DeclareDiscreteState(np.zeros(num_velocities))
+        self._has_previous = self.DeclareDiscreteState(np.zeros(1))
+        self._memory = {key: self.DeclareDiscreteState(np.asarray(value, dtype=float)) for key, value in memory.items()}
+        self._shapes = {"generalized_force": (num_velocities,)} | {key: np.shape(memory[key]) for key in memory}
+        self.DeclareStateOutputPort("generalized_force", self._force)
+        for key in OPTIONAL_OUTPUTS:
+            if key in self._memory:
+                self.DeclareStateOutputPort(key, self._memory[key])
+        self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
-    def initial_state(self) -> Mapping[str, np.ndarray]:
-        """Name -> initial value (n,) of each piece of the law's memory."""
-        return {}
-
-    def law(self, sample: Sample, state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        """The generalized force tau (nv; N m and N) for a sample, and the memory's next value by name."""
-        raise ControllerError(f"{type(self).__name__} must define law(sample, state)")
+    def state(self, context: Context, name: str) -> np.ndarray:
+        """A copy of one piece of the discrete state; the names are those of the class docstring."""
+        index = {"generalized_force": self._force, "has_previous": self._has_previous, **self._memory}[name]
+        return np.array(context.get_discrete_state(index).value())
 
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
-        estimated, desired = self._estimated_state.Eval(context), self._desired_state.Eval(context)
-        split = self._num_velocities + 1
-        q, v, q_d, v_d = estimated[:split], estimated[split:], desired[:split], desired[split:]
+        estimated = self._estimated_state.Eval(context)
+        desired = self._desired_state.Eval(context)
+        split = self._num_positions
+        # As coordinates.position_error, and the rate in the same step.
+        difference = desired - estimated
+        e, e_dot = difference[1:split], difference[split:]
+        e[:3] = rotation_error(desired[:4], estimated[:4])
+        value = context.get_discrete_state().value
+        is_first = not value(self._has_previous).item()
         sample = Sample(
-            q=q,
-            v=v,
-            q_d=q_d,
-            v_d=v_d,
-            a_d=self._desired_acceleration.Eval(context),
-            e=position_error(q_d, q),
-            e_dot=v_d - v,
+            estimated[:split],
+            estimated[split:],
+            desired[:split],
+            desired[split:],
+            self._desired_acceleration.Eval(context),
+            e,
+            e_dot,
+            self._applied_force.Eval(context) if self._applied_force.HasValue(context) else value(self._force),
+            is_first,
         )
-        old = context.get_discrete_state()
-        names = list(self._shapes)[1:]
-        state = {name: np.array(old.value(index)) for index, name in enumerate(names, start=1)}
-        returned = self._call_law(sample, state, context.get_time())
-        if not (isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping)):
-            raise ControllerError(
-                f"{self.get_name()}: law must return (generalized_force, memory), an array and a mapping, "
-                f"not {_described(returned)}"
-            )
+        returned = self._step(sample, {name: value(index) for name, index in self._memory.items()}, context)
+        if is_first:
+            self._check(returned)
+            discrete_values.set_value(self._has_previous, _ONE)  # unset, a value stays what it was
         force, memory = returned
-        unknown = [str(name) for name in memory if name not in names]
-        if unknown:
-            raise ControllerError(
-                f"{self.get_name()}: law returned '{unknown[0]}', which initial_state does not name; "
-                f"its memory is {', '.join(names) or 'empty'}"
-            )
-        for index, (name, shape) in enumerate(self._shapes.items()):
-            if index and name not in memory:
-                raise ControllerError(f"{self.get_name()}: law returned no '{name}'; it must return all its memory")
-            try:
-                value = np.asarray(memory[name] if index else force, dtype=float)
-            except (TypeError, ValueError) as error:
-                raise ControllerError(
-                    f"{self.get_name()}: law returned '{name}' that is not an array of numbers: {one_line(error)}"
-                ) from error
-            if value.shape != shape:
-                raise ControllerError(
-                    f"{self.get_name()}: law returned '{name}' of shape {value.shape}; it must be {shape}"
-                )
-            discrete_values.set_value(index, value)
+        discrete_values.set_value(self._force, force)
+        for name, index in self._memory.items():
+            discrete_values.set_value(index, memory[name])
 
-    def _call_law(self, sample: Sample, state: Mapping[str, np.ndarray], time: float) -> object:
+    def _step(
+        self, sample: Sample, state: Mapping[str, np.ndarray], context: Context
+    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
         try:
-            return self.law(sample, state)
+            return self.law.step(sample, state)
         except SystemExit as error:  # would end the process as if all were well
-            raise ControllerError(
-                f"{self.get_name()}: law called sys.exit at t = {time:.2f} s; raise an exception"
+            raise BlockError(
+                f"{self.get_name()}: step called sys.exit at t = {context.get_time():.2f} s; raise an exception"
             ) from error
+
+    def _check(self, returned: object) -> None:
+        """Raise BlockError unless the law returned what it must; once, as shapes do not change."""
+        name = self.get_name()
+        if not (isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping)):
+            raise BlockError(
+                f"{name}: step must return (generalized_force, state), an array and a mapping, not "
+                f"{_described(returned)}"
+            )
+        values = {"generalized_force": returned[0], **returned[1]}
+        names = [key for key in self._shapes if key != "generalized_force"]
+        for key in values:
+            if key not in self._shapes:
+                raise BlockError(
+                    f"{name}: step returned '{key}', which initial_state does not name; its memory is "
+                    f"{', '.join(names) or 'empty'}"
+                )
+        for key, shape in self._shapes.items():
+            if key not in values:
+                raise BlockError(f"{name}: step returned no '{key}'; it must return all its memory")
+            try:
+                actual = np.asarray(values[key], dtype=float).shape
+            except (TypeError, ValueError) as error:
+                raise BlockError(
+                    f"{name}: step returned '{key}' that is not an array of numbers: {one_line(error)}"
+                ) from error
+            if actual != shape:
+                raise BlockError(f"{name}: step returned '{key}' of shape {actual}; it must be {shape}")
 
 
 def _described(returned: object) -> str:

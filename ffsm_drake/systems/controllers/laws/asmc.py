@@ -1,71 +1,53 @@
 """ASMC: adaptive sliding-mode control with time-delay estimation, equations (18) and (19)."""
 
 import dataclasses
-import functools
-from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ffsm_drake.scenario import AsmcGains
-from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.controllers.estimators import Arrays
+from ffsm_drake.systems.controllers.law import State, gain
+from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
 # Floor of b|s| where (19) divides by it: the gain is clipped at zero long before the quotient matters.
 _SMALLEST_SCALED_S = 1e-12
 
 
 def switching_gain_rate(s: np.ndarray, g: np.ndarray, *, a: np.ndarray, b: np.ndarray, epsilon: float) -> np.ndarray:
-    """dG/dt (nv) of equation (19), with a = phi and b = 1/alpha of its print: fast growth, slow decay."""
-    magnitude = np.abs(s)
-    scaled = b * magnitude
-    direction = np.sign(max(magnitude.tolist()) - epsilon)  # on so few numbers faster than NumPy's max
-    if direction < 0.0:
-        return np.where(g > 0.0, -a / np.maximum(scaled, _SMALLEST_SCALED_S), a * scaled)
-    return np.where(g > 0.0, direction * (a * scaled), a * scaled)
+    """dG/dt (..., nv) of equation (19), with a = phi and b = 1/alpha of its print: fast growth, slow decay."""
+    scaled = b * np.abs(s)
+    sigma = np.sign(np.abs(s).max(axis=-1, keepdims=True) - epsilon)
+    decays = (g > 0.0) & (sigma < 0.0)
+    return np.where(decays, -a / np.maximum(scaled, _SMALLEST_SCALED_S), np.where(g > 0.0, sigma, 1.0) * (a * scaled))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class AsmcLaw:
+class Asmc(InjectedDynamics):
     """u = a_d + K_D e' + K_s s + G sgn s with s = e' + K_D e (equation (18)). Gains are diagonals (nv)."""
 
     sample_time: float
-    k_d: np.ndarray
-    k_s: np.ndarray
-    g_initial: np.ndarray
-    epsilon: float
-    a: np.ndarray
-    b: np.ndarray
-    g_max: np.ndarray
+    k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the error's rate")
+    k_s: np.ndarray = gain(80.0, "1/s", "reaching gain K_s, constant")
+    g_initial: np.ndarray = gain(
+        0.0, "rad/s^2 or m/s^2", "switching gain G at the start; (19) has a branch of its own for zero"
+    )
+    epsilon: float = gain(
+        1e-4,
+        "rad/s or m/s",
+        "bound on the sliding variable that switches the adaptation's sign",
+        scalar=True,
+        positive=True,
+    )
+    a: np.ndarray = gain({"all": 1e-6, "base_position": 1e-7}, "rad/s^3 or m/s^3", "adaptation rate, the phi of (19)")
+    b: np.ndarray = gain(1e5, "s/rad or s/m", "adaptation scale, the 1/alpha of (19)", positive=True)
+    g_max: np.ndarray = gain(None, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True)
 
-    @classmethod
-    def from_gains(cls, gains: AsmcGains, coordinates: Coordinates, sample_time: float) -> "AsmcLaw":
-        """The law for a scenario's gains. Raises ScenarioError for an unknown or missing coordinate."""
-        return cls(
-            sample_time=sample_time,
-            epsilon=gains.epsilon,
-            g_max=coordinates.vector(gains.g_max or {}, key="controllers.asmc.g_max", default=np.inf),
-            **{
-                name: coordinates.vector(getattr(gains, name), key=f"controllers.asmc.{name}")
-                for name in ("k_d", "k_s", "g_initial", "a", "b")
-            },
-        )
-
-    @functools.cached_property
-    def _constants(self) -> Arrays:
-        """The sample time and zero, (nv) each: NumPy takes half as long for two arrays as for an array and a number."""
-        return np.full_like(self.k_d, self.sample_time), np.zeros_like(self.k_d)
-
-    def initial_state(self) -> Mapping[str, np.ndarray]:
+    def initial_state(self) -> State:
         return {"sliding_variable": np.zeros_like(self.k_d), "switching_gain": self.g_initial}
 
-    def step(
-        self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: Sequence[np.ndarray]
-    ) -> tuple[np.ndarray, Arrays]:
+    def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see InjectedDynamics."""
-        _, g = state
+        g = state["switching_gain"]
         s = e_dot + self.k_d * e
         u = a_d + self.k_d * e_dot + self.k_s * s + g * np.sign(s)
-        rate = switching_gain_rate(s, g, a=self.a, b=self.b, epsilon=self.epsilon)
-        period, zero = self._constants
-        g_next = np.minimum(np.maximum(g + period * rate, zero), self.g_max)
-        return u, (s, g_next)
+        g_rate = switching_gain_rate(s, g, a=self.a, b=self.b, epsilon=self.epsilon)
+        g_next = np.minimum(np.maximum(g + self.sample_time * g_rate, 0.0), self.g_max)
+        return u, {"sliding_variable": s, "switching_gain": g_next}

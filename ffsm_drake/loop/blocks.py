@@ -1,0 +1,200 @@
+"""The blocks of the closed loop: which there are, their ports, and what fills them.
+
+A block is a named place in the diagram. The scenario's own section fills it (``sensing``, ``actuation``, ...), unless
+``blocks`` in the scenario, or a factory given in Python, puts another system there.
+
+Any block may have a method ``set_initial_state(context, state)``: it is called before a run, with the block's context
+and the plant's [q; v].
+"""
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping
+from typing import Any
+
+from pydrake.systems.framework import Diagram, LeafSystem, System
+
+from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
+from ffsm_drake.scenario import Block, Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.actuation import make_actuation
+from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, make_controller
+from ffsm_drake.systems.disturbance import make_disturbance
+from ffsm_drake.systems.reference import make_reference
+from ffsm_drake.systems.registry import Factory, call_factory, find_factory, module_file
+from ffsm_drake.systems.sensing import make_sensing
+from ffsm_drake.systems.setup import BlockSetup
+
+STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Ports:
+    """The ports of a block: name -> size."""
+
+    inputs: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    outputs: Mapping[str, str]
+    optional_inputs: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    optional_outputs: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    held: bool = False  # no output may follow an input at once
+
+
+BLOCKS: dict[str, Ports] = {
+    "reference": Ports(outputs={"desired_state": STATE, "desired_acceleration": VELOCITY}),
+    "sensing": Ports(inputs={"state": STATE}, outputs={"estimated_state": STATE}),
+    "controller": Ports(
+        inputs={"estimated_state": STATE, "desired_state": STATE, "desired_acceleration": VELOCITY},
+        optional_inputs={"applied_force": VELOCITY},
+        outputs={"generalized_force": VELOCITY},
+        optional_outputs=dict.fromkeys(OPTIONAL_OUTPUTS, VELOCITY),
+        held=True,
+    ),
+    "actuation": Ports(
+        inputs={"commanded_force": VELOCITY},
+        optional_inputs={"state": STATE},
+        outputs={"applied_force": VELOCITY},
+    ),
+    "forces": Ports(
+        outputs={"generalized_force": VELOCITY},
+        optional_inputs={"state": STATE},
+        # The force just after the update of a control sample, for the record, which sees the state before it.
+        optional_outputs={"next_generalized_force": VELOCITY},
+    ),
+}
+DISTURBANCE = "forces.disturbance"
+
+
+def kind_of(name: str) -> str:
+    """The row of BLOCKS of a block's name: "forces" for "forces.friction"."""
+    return name.partition(".")[0]
+
+
+def block_choices(scenario: Scenario) -> dict[str, Block]:
+    """The blocks that the scenario fills with something else than its own section, by name."""
+    named = {name: getattr(scenario.blocks, name) for name in ("reference", "sensing", "actuation")}
+    named |= {f"forces.{name}": block for name, block in scenario.blocks.forces.items()}
+    return {name: block for name, block in named.items() if block is not None}
+
+
+def make_blocks(
+    scenario: Scenario, nominal: PlantModel, factories: Mapping[str, Factory] | None = None
+) -> dict[str, System]:
+    """All blocks by name, checked. ``actuation`` is missing where what is commanded acts.
+
+    Args:
+      scenario: what fills them.
+      nominal: the plant with the nominal payload; the controller's own.
+      factories: block -> factory in place of what the scenario names; "forces.<name>" for a force.
+
+    Raises:
+      ScenarioError: a value is given for an unknown coordinate; an unknown block or name.
+      BlockError: a user-supplied block cannot be loaded, built or wired.
+    """
+    given = dict(factories or {})
+    for name in given:
+        valid = [*(block for block in BLOCKS if block != "forces"), "forces.<name>"]
+        if name not in valid[:-1] and not (name.startswith("forces.") and name[7:].isidentifier()):
+            raise ScenarioError(f"blocks.{name}", f"is no block; choose {', '.join(valid)}{did_you_mean(name, valid)}")
+    choices, coordinates = block_choices(scenario), nominal.coordinates
+    others = [name for name in (*choices, *given) if name.startswith("forces.") and name != DISTURBANCE]
+    blocks: dict[str, System] = {}
+    for name in ("reference", "sensing", "controller", "actuation", DISTURBANCE, *dict.fromkeys(others)):
+        key = "controller" if name == "controller" else f"blocks.{name}"
+        if name == "controller":
+            made = make_controller(scenario, nominal, given.get(name))
+        elif name in given or name in choices:
+            choice = choices.get(name, Block())
+            factory = given.get(name) or find_factory(
+                kind_of(name), choice.system, key=key, python_path=scenario.python_path
+            )
+            system_name = name.rpartition(".")[2]
+            setup = BlockSetup(name=system_name, scenario=scenario, nominal=nominal, settings=choice.settings)
+            made = call_factory(factory, setup, place=f"{key} '{_label(factory, choice)}'")
+            if isinstance(made, System):
+                made.set_name(system_name)
+        else:
+            made = _own(name, scenario, coordinates)
+        if made is not None or name != "actuation":
+            check_ports(made, kind_of(name), coordinates, place=key if name != "controller" else _place(scenario))
+            blocks[name] = made
+    return blocks
+
+
+def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
+    """Where each block comes from: block -> ``system``, and for a user-supplied one ``file`` and its ``sha256``."""
+    names = {name: f"scenario: {name}" for name in ("reference", "sensing", "actuation")}
+    names |= {"controller": scenario.controller, DISTURBANCE: "scenario: disturbance"}
+    names |= {name: choice.system for name, choice in block_choices(scenario).items()}
+    sources = {}
+    for name, system in names.items():
+        sources[name], file = {"system": system}, module_file(system)
+        if file is not None:
+            sources[name] |= {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+    return sources
+
+
+def make_disturbance_block(setup: BlockSetup) -> System:
+    """The scenario's disturbance, as a factory: for a force that wraps it."""
+    choice = block_choices(setup.scenario).get(DISTURBANCE)
+    if choice is None:
+        return make_disturbance(setup.scenario.disturbance, setup.coordinates)
+    factory = find_factory("forces", choice.system, python_path=setup.scenario.python_path)
+    return call_factory(factory, dataclasses.replace(setup, settings=choice.settings), place=f"blocks.{DISTURBANCE}")
+
+
+def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str) -> None:
+    """Raise BlockError unless a system has a block's ports, with the right sizes.
+
+    Args:
+      system: what fills the block.
+      block: a key of BLOCKS.
+      coordinates: of the spacecraft; they give the sizes.
+      place: names the block in the error.
+    """
+    ports = BLOCKS[block]
+    if not isinstance(system, System):
+        raise BlockError(f"{place} must be a Drake system, not {type(system).__name__}")
+    size = {STATE: 2 * len(coordinates.names) + 1, VELOCITY: len(coordinates.names)}
+    for kind, required, optional in (
+        ("input", ports.inputs, ports.optional_inputs),
+        ("output", ports.outputs, ports.optional_outputs),
+    ):
+        known = {**required, **optional}
+        count = system.num_input_ports() if kind == "input" else system.num_output_ports()
+        port_at = system.get_input_port if kind == "input" else system.get_output_port
+        found = {port_at(i).get_name(): port_at(i) for i in range(count)}
+        for name in required:
+            if name not in found:
+                raise BlockError(f"{place}: needs an {kind} port '{name}' of size {size[known[name]]}")
+        for name, port in found.items():
+            if name not in known:
+                if kind == "input":  # would stay unconnected
+                    choice = f"{', '.join(known) or 'none'}{did_you_mean(name, known)}"
+                    raise BlockError(f"{place}: unknown input port '{name}'; known: {choice}")
+            elif port.size() != size[known[name]]:
+                raise BlockError(f"{place}: {kind} port '{name}' must have size {size[known[name]]}, not {port.size()}")
+            elif kind == "output" and ports.held and system.HasDirectFeedthrough(int(port.get_index())):
+                raise BlockError(
+                    f"{place}: output port '{name}' must not follow an input at once; declare it with "
+                    "DeclareStateOutputPort, or with prerequisites {self.all_state_ticket()}"
+                )
+
+
+def _own(name: str, scenario: Scenario, coordinates: Coordinates) -> Diagram | LeafSystem | None:
+    """What the scenario's own section of a block describes."""
+    if name == "reference":
+        return make_reference(scenario, coordinates)
+    if name == "sensing":
+        return make_sensing(scenario.sensing, coordinates, sample_time=scenario.sample_time)
+    if name == "actuation":
+        return make_actuation(scenario.actuation, coordinates, sample_time=scenario.sample_time)
+    return make_disturbance(scenario.disturbance, coordinates)
+
+
+def _place(scenario: Scenario) -> str:
+    return f"controller '{scenario.controller}'"
+
+
+def _label(factory: Factory, choice: Block) -> str:
+    return choice.system or getattr(factory, "__name__", type(factory).__name__)

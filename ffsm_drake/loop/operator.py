@@ -1,0 +1,103 @@
+"""The disturbance under an operator's hands: scaled, and with pushes on the payload."""
+
+from collections.abc import Callable
+
+import numpy as np
+from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, DiscreteValues, LeafSystem
+
+from ffsm_drake.common.lifetime import weak_callback
+from ffsm_drake.loop.blocks import make_disturbance_block
+from ffsm_drake.spacecraft.plant import find_body
+from ffsm_drake.systems.setup import BlockSetup
+
+
+def make_operated_disturbance(
+    setup: BlockSetup, *, initial: np.ndarray, poll: Callable[[float, np.ndarray], np.ndarray]
+) -> Diagram:
+    """The force ``disturbance`` of a scenario, which an operator scales and adds pushes to.
+
+    Args:
+      setup: of the force.
+      initial: [scale, F (3; world frame, N)], acts until ``poll`` says otherwise.
+      poll: called with (time, q) at every control sample; returns what acts from the next sample on (4).
+    """
+    builder = DiagramBuilder()
+    disturbance = builder.AddSystem(make_disturbance_block(setup))
+    operator = builder.AddNamedSystem("operator", OperatorInputs(setup, initial=initial, poll=poll))
+    builder.Connect(disturbance.GetOutputPort("generalized_force"), operator.GetInputPort("disturbance"))
+    builder.ExportInput(operator.GetInputPort("state"), "state")
+    if disturbance.HasInputPort("state"):
+        builder.ConnectInput("state", disturbance.GetInputPort("state"))
+    for name in ("generalized_force", "next_generalized_force"):
+        builder.ExportOutput(operator.GetOutputPort(name), name)
+    return builder.Build()
+
+
+class OperatorInputs(LeafSystem):
+    """What an operator does to the disturbance.
+
+    Inputs:
+      disturbance: (nv).
+      state: [q; v] (nq + nv).
+    Outputs:
+      generalized_force: scale * disturbance + J^T F (nv), J being that of the payload's centre of mass.
+      next_generalized_force: the same just after the update of a control sample, for a logger, which sees the state
+        before the update of its instant.
+    State (discrete, period ``sample_time``): [scale, F (3; world frame, N)] that acts, and what will act from the next
+    sample on.
+    """
+
+    def __init__(
+        self, setup: BlockSetup, *, initial: np.ndarray, poll: Callable[[float, np.ndarray], np.ndarray]
+    ) -> None:
+        """Args: as for ``make_operated_disturbance``."""
+        super().__init__()
+        scenario, self._model = setup.scenario, setup.true
+        self._payload_frame = find_body(self._model.plant, scenario.payload.body, key="payload.body").body_frame()
+        self._center_of_mass = np.array(scenario.payload.truth.center_of_mass)
+        self._poll = poll
+        num_velocities = self._model.plant.num_velocities()
+        num_states = self._model.plant.num_multibody_states()
+        self._disturbance = self.DeclareVectorInputPort("disturbance", num_velocities)
+        self._state = self.DeclareVectorInputPort("state", num_states)
+        self._acting = self.DeclareDiscreteState(initial)
+        self._next = self.DeclareDiscreteState(initial)
+        self.DeclarePeriodicDiscreteUpdateEvent(scenario.sample_time, 0.0, weak_callback(self._update))
+        for name, index in (("generalized_force", self._acting), ("next_generalized_force", self._next)):
+            self.DeclareVectorOutputPort(
+                name,
+                num_velocities,
+                lambda context, output, index=index: self._calc_force(context, output, index),
+                {
+                    self.input_port_ticket(self._disturbance.get_index()),
+                    self.input_port_ticket(self._state.get_index()),
+                    self.discrete_state_ticket(index),
+                },
+            )
+
+    def _update(self, context: Context, values: DiscreteValues) -> None:
+        q = self._state.Eval(context)[: self._model.plant.num_positions()]
+        values.set_value(self._acting, context.get_discrete_state(self._next).value())
+        values.set_value(self._next, self._poll(context.get_time(), q))
+
+    def _calc_force(self, context: Context, output: BasicVector, index: int) -> None:
+        scale, *push = context.get_discrete_state(index).value()
+        force = scale * self._disturbance.Eval(context)
+        if any(push):
+            q = self._state.Eval(context)[: self._model.plant.num_positions()]
+            force = force + self._calc_jacobian(q).T @ np.array(push)
+        output.SetFromVector(force)
+
+    def _calc_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Of the velocity of the payload's centre of mass in world, (3, nv)."""
+        plant, context = self._model.plant, self._model.context
+        plant.SetPositions(context, q)
+        return plant.CalcJacobianTranslationalVelocity(
+            context,
+            JacobianWrtVariable.kV,
+            self._payload_frame,
+            self._center_of_mass,
+            plant.world_frame(),
+            plant.world_frame(),
+        )

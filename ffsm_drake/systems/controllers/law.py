@@ -1,0 +1,188 @@
+"""The contract of a control law: a frozen object whose ``step`` is a pure function of arrays.
+
+A law declares its gains as fields of a frozen dataclass, each with default, unit and meaning. A scenario sets them
+under ``controllers.<name>``, by coordinate, by group or for all; the law gets them as vectors (nv).
+
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class ComputedTorque(ControlLaw):
+        model: PlantModel
+        k_p: np.ndarray = gain(25.0, "1/s^2", "gain on the error")
+        k_d: np.ndarray = gain(10.0, "1/s", "gain on the error's rate")
+
+        def step(self, sample, state):
+            u = sample.a_d + self.k_d * sample.e_dot + self.k_p * sample.e
+            return self.model.calc_mass_matrix(sample.q) @ u + self.model.calc_bias(sample.q, sample.v), state
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
+from ffsm_drake.scenario import PerCoordinate
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.setup import BlockSetup
+
+State = Mapping[str, np.ndarray]
+
+
+class Sample(NamedTuple):  # made in every control update: a frozen dataclass takes five times as long
+    """What a law sees at t_k. All axes are the world's; v = [w_WB, v_WB, joint rates]; rad, m, s, N m, N."""
+
+    q: np.ndarray  # (..., nq) measured configuration
+    v: np.ndarray  # (..., nv) measured velocity
+    q_d: np.ndarray  # (..., nq) reference
+    v_d: np.ndarray  # (..., nv)
+    a_d: np.ndarray  # (..., nv)
+    e: np.ndarray  # (..., nv) q_d - q, the base's attitude as a rotation vector
+    e_dot: np.ndarray  # (..., nv) v_d - v
+    applied_force: np.ndarray  # (..., nv) what acted over the last period; zero at the first sample
+    is_first: bool  # whether there was no sample before
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Gain:
+    """The declaration of one gain."""
+
+    default: float | PerCoordinate | None  # by coordinate or group; a number: for all; None: no bound
+    unit: str
+    meaning: str
+    scalar: bool  # one number for all coordinates
+    positive: bool  # must be > 0; otherwise >= 0
+    bound: bool  # an upper bound, which null takes away
+
+
+def gain(
+    default: float | PerCoordinate | None,
+    unit: str = "",
+    meaning: str = "",
+    *,
+    scalar: bool = False,
+    positive: bool = False,
+    bound: bool = False,
+) -> Any:
+    """A field of a law that a scenario can set; see Gain."""
+    declared = Gain(default=default, unit=unit, meaning=meaning, scalar=scalar, positive=positive, bound=bound)
+    return dataclasses.field(metadata={"gain": declared})
+
+
+class ControlLaw:
+    """Base of every control law; a subclass is a frozen dataclass with a ``step``.
+
+    Arrays have the shape (..., nv): one run, or several at once.
+    """
+
+    def initial_state(self) -> State:
+        """Name -> initial value of each piece of the law's memory."""
+        return {}
+
+    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        """One control sample.
+
+        Args:
+          sample: what was measured and what is wanted.
+          state: the memory at this sample, by name; must not be changed in place.
+
+        Returns: the generalized force tau (..., nv; N m and N), held until the next sample, and the memory by then.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define step(sample, state)")
+
+    @classmethod
+    def from_setup(cls, setup: BlockSetup) -> "ControlLaw":
+        """The law for a scenario: gains by the names of its fields, besides ``model`` and ``sample_time``.
+
+        Raises:
+          ScenarioError: a gain of unknown or missing coordinates, or out of its range.
+          BlockError: a field that is none of these.
+        """
+        return cls(**field_values(cls, setup))
+
+
+def gains_of(kind: Any) -> dict[str, Gain]:
+    """The gains that a law declares, by name."""
+    fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
+    return {field.name: field.metadata["gain"] for field in fields if "gain" in field.metadata}
+
+
+def field_values(kind: type, setup: BlockSetup) -> dict[str, Any]:
+    """The values of a law's fields for a setup; errors as for ``ControlLaw.from_setup``."""
+    gains = gain_values(kind, setup.settings, setup.coordinates, name=setup.name)
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ():
+        if field.name in gains:
+            values[field.name] = gains[field.name]
+        elif field.name == "model":
+            values[field.name] = setup.nominal
+        elif field.name == "sample_time":
+            values[field.name] = setup.sample_time
+        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            raise BlockError(
+                f"controller '{setup.name}': field '{field.name}' must be a gain(...), model, sample_time or have a "
+                "default"
+            )
+    return values
+
+
+def gain_values(
+    kind: Any, given: Mapping[str, Any], coordinates: Coordinates, *, name: str
+) -> dict[str, np.ndarray | float]:
+    """Every gain that a law declares: the value that is given, else the default.
+
+    Args:
+      kind: the law's class.
+      given: as a scenario gives them: gain -> by coordinate, or null.
+      coordinates: of the spacecraft.
+      name: the controller's, for errors.
+
+    Returns: vectors (nv), numbers for scalar ones; infinity stands for no bound.
+
+    Raises:
+      ScenarioError: an unknown gain, unknown or missing coordinates, a value out of its range.
+    """
+    declared, place = gains_of(kind), f"controllers.{name}"
+    for gain_name in given:
+        if gain_name not in declared:
+            raise ScenarioError(
+                f"{place}.{gain_name}",
+                f"unknown gain; {name} has {', '.join(declared) or 'no gains'}{did_you_mean(gain_name, declared)}",
+            )
+    return {
+        gain_name: _value(item, given.get(gain_name, _DEFAULT), coordinates, key=f"{place}.{gain_name}")
+        for gain_name, item in declared.items()
+    }
+
+
+_DEFAULT: Any = object()
+
+
+def _value(declared: Gain, given: Any, coordinates: Coordinates, *, key: str) -> np.ndarray | float:
+    if given is None and not declared.bound:
+        raise ScenarioError(key, "must be a number or numbers by coordinate, not null")
+    values = complete_gain(declared, given)
+    if values is None:
+        return np.full(len(coordinates.names), np.inf)
+    for name, number in values.items():
+        wanted = "> 0" if declared.positive else ">= 0"
+        if not (number > 0.0 if declared.positive else number >= 0.0):
+            raise ScenarioError(key if declared.scalar else f"{key}.{name}", f"must be {wanted}, not {number:g}")
+    if declared.scalar:
+        if set(values) != {"all"}:
+            raise ScenarioError(key, f"must be one number for all coordinates, not {', '.join(values)}")
+        return values["all"]
+    return coordinates.vector(values, key=key)
+
+
+def complete_gain(declared: Gain, given: Any = _DEFAULT) -> PerCoordinate | None:
+    """A gain by name of coordinate or group: what is given, and the default where it says nothing; None: no bound."""
+    value = declared.default if given is _DEFAULT else given
+    if value is None:
+        return None
+    values = _by_name(value)
+    # A value for all outdoes the defaults of groups.
+    return values if "all" in values or declared.default is None else {**_by_name(declared.default), **values}
+
+
+def _by_name(value: float | Mapping[str, float]) -> PerCoordinate:
+    return dict(value) if isinstance(value, Mapping) else {"all": float(value)}

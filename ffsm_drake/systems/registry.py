@@ -1,0 +1,157 @@
+"""Finding what fills a block: by a shipped name, an installed entry point, or ``module:attribute``."""
+
+import importlib
+import re
+import sys
+import sysconfig
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
+from ffsm_drake.systems.setup import BlockSetup
+
+Factory = Callable[[BlockSetup], Any]
+
+_LAWS = "ffsm_drake.systems.controllers.laws"
+# Block -> name -> address. A new law is one line here.
+SHIPPED: dict[str, dict[str, str]] = {
+    "controller": {
+        "tdc": f"{_LAWS}.tdc:Tdc",
+        "asmc": f"{_LAWS}.asmc:Asmc",
+        "aismc": f"{_LAWS}.aismc:Aismc",
+        "tde_aismc": f"{_LAWS}.tde_aismc:TdeAismc",
+        "computed_torque": "ffsm_drake.systems.controllers.computed_torque:ComputedTorque",
+        "pd_plus": "ffsm_drake.systems.controllers.pd_plus:PdPlus",
+    },
+}
+# Block -> group of the entry points by which installed packages offer further ones.
+ENTRY_POINT_GROUPS = {
+    "reference": "ffsm_drake.reference",
+    "sensing": "ffsm_drake.sensing",
+    "controller": "ffsm_drake.controllers",
+    "actuation": "ffsm_drake.actuation",
+    "forces": "ffsm_drake.forces",
+}
+
+
+def block_names(block: str) -> tuple[str, ...]:
+    """The names of what can fill a block without giving a module: shipped, then installed."""
+    shipped = SHIPPED.get(block, {})
+    installed = sorted(set(entry_points(group=ENTRY_POINT_GROUPS[block]).names) - set(shipped))
+    return (*shipped, *installed)
+
+
+def is_shipped(block: str, name: str) -> bool:
+    """Whether a name stands for a part of this package."""
+    return name in SHIPPED.get(block, {})
+
+
+def find_factory(block: str, name: str, *, key: str = "", python_path: Sequence[str] = ()) -> Factory:
+    """What builds a block.
+
+    Args:
+      block: "controller", "sensing", ... as in ``ENTRY_POINT_GROUPS``.
+      name: a shipped or installed name, or ``module:attribute``.
+      key: the name's place in the scenario, for errors; default: the block.
+      python_path: folders to look for the module in, before Python's own.
+
+    Raises:
+      ScenarioError: an unknown name.
+      BlockError: it cannot be imported or called.
+    """
+    place = f"{key or block} '{name}'"
+    address = SHIPPED.get(block, {}).get(name, name)
+    try:
+        if ":" in address:
+            factory = _load(address, place, python_path)
+        else:
+            found = entry_points(group=ENTRY_POINT_GROUPS[block], name=name)
+            if not found:
+                names = block_names(block)
+                choice = f"choose one of {', '.join(names)}, or give" if names else "give"
+                raise ScenarioError(
+                    key or block, f"'{name}' is unknown; {choice} module:attribute{did_you_mean(name, names)}"
+                )
+            factory = next(iter(found)).load()
+    except FfsmError:
+        raise
+    except ModuleNotFoundError as error:
+        raise BlockError(
+            f"{place} cannot be loaded: {one_line(error)}; run from the folder that holds it, or name that folder in "
+            "python_path or PYTHONPATH"
+        ) from error
+    except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
+        raise BlockError(f"{place} cannot be loaded: {type(error).__name__}: {one_line(error)}") from error
+    if not callable(factory):
+        raise BlockError(f"{place} must be a class or function, not {type(factory).__name__}")
+    checked: Factory = factory
+    return checked
+
+
+def address_of(factory: Factory) -> str:
+    """``module:attribute`` of a factory, by which ``find_factory`` finds it again; its name where it has no such."""
+    name = str(getattr(factory, "__qualname__", type(factory).__name__))
+    module = str(getattr(factory, "__module__", "__main__"))
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    return f"{module}:{name}" if found is factory and module != "__main__" else re.sub(r"\W", "_", name)
+
+
+def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
+    """What a factory makes of a setup. Raises BlockError naming ``place`` when it cannot."""
+    factory = getattr(factory, "from_setup", factory)
+    try:
+        return factory(setup)
+    except FfsmError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise BlockError(f"{place} cannot be built: {type(error).__name__}: {one_line(error)}") from error
+
+
+def module_file(address: str) -> Path | None:
+    """The file of the module in ``module:attribute`` once it is imported; None for an installed package's."""
+    file = getattr(sys.modules.get(address.partition(":")[0]), "__file__", None)
+    if ":" not in address or file is None:
+        return None
+    installed = [Path(folder) for folder in {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}]
+    return None if any(Path(file).is_relative_to(folder) for folder in installed) else Path(file)
+
+
+def module_folder(address: str) -> Path | None:
+    """The folder to put on Python's path to import the module in ``module:attribute``; None as for ``module_file``."""
+    file = module_file(address)
+    if file is None:
+        return None
+    depth = address.partition(":")[0].count(".") + (file.name == "__init__.py")
+    return file.parents[depth]
+
+
+def _load(address: str, place: str, python_path: Sequence[str]) -> Any:
+    name, _, attribute = address.partition(":")
+    top = name.partition(".")[0]
+    folders = [folder for folder in python_path if any(Path(folder).glob(f"{top}.py")) or Path(folder, top).is_dir()]
+    with _first_on_path(folders):
+        found: Any = importlib.import_module(name)
+    folder = module_folder(address)
+    if folders and folder is not None and str(folder.resolve()) not in [str(Path(item).resolve()) for item in folders]:
+        raise BlockError(f"{place}: a module '{top}' from {folder} is loaded already; rename one of them")
+    for part in attribute.split("."):
+        if not hasattr(found, part):
+            near = [other for other, value in vars(found).items() if callable(value)]
+            raise BlockError(f"{place}: {name} has no '{part}'{did_you_mean(part, near)}")
+        found = getattr(found, part)
+    return found
+
+
+@contextmanager
+def _first_on_path(folders: Sequence[str]) -> Iterator[None]:
+    before = list(sys.path)
+    sys.path[:0] = folders
+    try:
+        yield
+    finally:
+        sys.path[:] = before

@@ -1,0 +1,39 @@
+"""What a block of the closed loop is built from."""
+
+import dataclasses
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BlockSetup:
+    """What a block is built from: ``factory(setup)`` returns a Drake system with the block's ports.
+
+    A controller's factory may return a control law instead. A controller works with ``nominal`` only; ``true`` is for
+    blocks of the world around it, such as sensors and forces.
+    """
+
+    name: str  # of the system in the diagram
+    scenario: Scenario
+    nominal: PlantModel  # the plant with the nominal payload
+    settings: Mapping[str, Any]  # as the scenario gives them to this block
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Names of the generalized velocities."""
+        return self.nominal.coordinates
+
+    @property
+    def sample_time(self) -> float:
+        """The control period L, s."""
+        return self.scenario.sample_time
+
+    @functools.cached_property
+    def true(self) -> PlantModel:
+        """The plant with the true payload; a scratch pad of this setup's own."""
+        return make_true_plant(self.scenario)
