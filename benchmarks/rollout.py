@@ -32,6 +32,7 @@ from ffsm_drake.scenario import MassProperties, Scenario, load_scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import configuration, make_plant
+from ffsm_drake.systems.controllers import gain_vectors
 from ffsm_drake.systems.reference import make_reference
 
 JOINTS = (5, 7, 14)
@@ -143,11 +144,7 @@ class MujocoLoop:
         )
         self.data, self.nominal_data = mujoco.MjData(self.model), mujoco.MjData(self.nominal)
         self.reference = make_reference(scenario, coordinates)
-        gains = scenario.controllers.tde_aismc
-        self.gains = {
-            name: coordinates.vector(getattr(gains, name), key=name)
-            for name in ("k_d", "k_p", "k_s_initial", "alpha", "beta", "g_initial", "phi", "k_s_max")
-        }
+        self.gains = gain_vectors(scenario, coordinates)
         harmonics = scenario.disturbance.harmonics
         self.harmonics = [
             coordinates.vector({n: getattr(h, field) for n, h in harmonics.items()}, key=field, default=0.0)
@@ -160,7 +157,7 @@ class MujocoLoop:
         period, num_samples, nv = self.scenario.sample_time, len(noise), noise.shape[1]
         k_d, k_p, alpha, beta, phi = (self.gains[name] for name in ("k_d", "k_p", "alpha", "beta", "phi"))
         k_s, g, k_s_max = self.gains["k_s_initial"], self.gains["g_initial"], self.gains["k_s_max"]
-        epsilon = self.scenario.controllers.tde_aismc.epsilon
+        epsilon = self.gains["epsilon"]
         # Plan and disturbance are known beforehand; MuJoCo holds forces over a step, so the disturbance is that of the
         # step's middle.
         times = period * np.arange(num_samples)

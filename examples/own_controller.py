@@ -1,28 +1,38 @@
-"""A controller of one's own, flown, judged and compared with the paper's; from the shell the same is
+"""A user-supplied controller, checked, run and compared with the paper's; from the shell the same is
 
 ffsm compare postcapture -c own_controller:MyPdPlus -c tde_aismc          (in the folder of this file)
 """
 
+import dataclasses
+
+import numpy as np
+
 import ffsm_drake
+from ffsm_drake import gain
 from ffsm_drake.show.outputs import results_table
 from ffsm_drake.testing import check_controller
 
 
-class MyPdPlus(ffsm_drake.SampledController):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MyPdPlus(ffsm_drake.ControlLaw):
     """PD+: tau = Hhat a_d + Chat(q, v) v_d + K_d e' + K_p e."""
 
-    GAINS = {"k_p": {"base_position": 1200, "base_rotation": 300, "joints": 30}, "k_d": {"all": 300, "joints": 30}}
+    model: ffsm_drake.PlantModel
+    k_p: np.ndarray = gain(
+        {"base_position": 1200, "base_rotation": 300, "joints": 30}, "N m/rad or N/m", "on the error"
+    )
+    k_d: np.ndarray = gain({"all": 300, "joints": 30}, "N m s/rad or N s/m", "on its rate")
 
-    def law(self, sample, state):
-        plant = self.nominal
-        coriolis = plant.calc_bias(sample.q, sample.v + sample.v_d) - plant.calc_bias(sample.q, sample.v - sample.v_d)
-        force = plant.calc_mass_matrix(sample.q) @ sample.a_d + 0.25 * coriolis
-        return force + self.gains["k_d"] * sample.e_dot + self.gains["k_p"] * sample.e, state
+    def step(self, sample, state):
+        q, v, v_d = sample.q, sample.v, sample.v_d
+        coriolis = 0.25 * (self.model.calc_bias(q, v + v_d) - self.model.calc_bias(q, v - v_d))
+        force = self.model.calc_mass_matrix(q) @ sample.a_d + coriolis
+        return force + self.k_d * sample.e_dot + self.k_p * sample.e, state
 
 
 def main():
     print(check_controller(MyPdPlus))
-    mine = ["controller=own_controller:MyPdPlus", "controllers.own.MyPdPlus.k_p.joints=20"]
+    mine = ["controller=own_controller:MyPdPlus", "controllers.MyPdPlus.k_p.joints=20"]
     scenarios = [ffsm_drake.load_scenario("postcapture", overrides) for overrides in (mine, ["controller=tde_aismc"])]
     records = [ffsm_drake.simulate(scenario) for scenario in scenarios]
     print(results_table(records))

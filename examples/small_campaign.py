@@ -10,7 +10,7 @@ from pathlib import Path
 from ffsm_drake.campaign import load_spec, local_workers, open_store, start_campaign
 
 SPEC = """
-description: Captured mass and belief of it
+description: Captured mass and its nominal value
 scenario: postcapture
 controllers: [tdc, asmc]
 cases: 8

@@ -11,10 +11,12 @@ def test_my_sensors():
 """
 
 import dataclasses
+import json
 import tempfile
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
@@ -22,7 +24,17 @@ from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.loop.blocks import check_ports
-from ffsm_drake.scenario import PerCoordinate, Posture, Scenario, controller_key, load_scenario, override_scenario
+from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.scenario import (
+    PerCoordinate,
+    Posture,
+    Scenario,
+    controller_key,
+    load_scenario,
+    override_scenario,
+    scenario_from_dict,
+    scenario_to_dict,
+)
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.reference import make_reference
@@ -37,15 +49,16 @@ class ConformanceError(AssertionError):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Conformance:
-    """What was checked, and what an update costs."""
+    """What was checked, and what it costs."""
 
-    controller: str
+    name: str
     checks: tuple[str, ...]
-    update_time: float  # s per update, the fastest of several runs
+    # s: of a controller per update, the fastest of several runs; of another block, the closed loop's per sample
+    update_time: float
 
     def __str__(self) -> str:
         passed = "\n".join(f"  {check}" for check in self.checks)
-        return f"{self.controller} conforms ({1e6 * self.update_time:.0f} us per update):\n{passed}"
+        return f"{self.name} conforms ({1e6 * self.update_time:.0f} us per sample):\n{passed}"
 
 
 def check_controller(
@@ -87,7 +100,56 @@ def check_controller(
         raise ConformanceError(
             f"{name}: an update takes {1e3 * cost:.1f} ms, more than the period of {1e3 * base.sample_time:g} ms"
         )
-    return Conformance(controller=name, checks=tuple(passed), update_time=cost)
+    return Conformance(name=name, checks=tuple(passed), update_time=cost)
+
+
+def check_block(
+    block: str,
+    factory: Factory,
+    *,
+    scenario: str | Path | Scenario = "postcapture",
+    settings: Mapping[str, Any] | None = None,
+) -> Conformance:
+    """Check a user-supplied block in the closed loop; for a controller, ``check_controller`` checks more.
+
+    Ports and sizes; signals that are finite; no memory outside the context (a second run, and a second closed loop,
+    give the same bits).
+
+    Args:
+      block: "reference", "sensing", "actuation", or "forces.<name>".
+      factory: BlockSetup -> Drake system.
+      scenario: the spacecraft to check it with.
+      settings: what the scenario would give to the block.
+
+    Raises:
+      ConformanceError: the first part of the contract that is broken.
+    """
+    base = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    place = f"blocks.{block} '{getattr(factory, '__name__', type(factory).__name__)}'"
+    base = dataclasses.replace(base, duration=_SAMPLES * base.sample_time)
+    if settings:
+        base = scenario_from_dict(
+            scenario_to_dict(base), [f"blocks.{block}={json.dumps({'system': 'given', 'settings': dict(settings)})}"]
+        )
+    try:
+        rollout = Rollout(base, blocks={block: factory})
+        first = rollout.run()
+        for name, values in first.series.items():
+            if not np.isfinite(values).all():
+                raise ConformanceError(f"{place}: '{name}' is not finite in the closed loop; {first.outcome.message}")
+        for again, when in (
+            (rollout.run(), "a second run differs from the first: keep memory in the context, not on self"),
+            (Rollout(base, blocks={block: factory}).run(), "two closed loops differ: keep no state in module or class"),
+        ):
+            if any(not np.array_equal(again.series[name], values) for name, values in first.series.items()):
+                raise ConformanceError(f"{place}: {when}; draw random numbers from a RandomSource")
+    except FfsmError as error:
+        raise ConformanceError(str(error)) from error
+    return Conformance(
+        name=place,
+        checks=("ports: names and sizes", "finite signals", "no memory outside the context"),
+        update_time=first.wall_time["advance_to"] / _SAMPLES,
+    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -74,8 +74,8 @@ class Evaluator:
                 scenario = scenario_of(self._spec, case, controller)
                 log = self._run(scenario)
                 row |= judge(self._spec, log)
-                prediction = predict_stability(scenario)
-                row |= dict(zip(PREDICTIONS, (prediction.starting, prediction.expected), strict=True))
+                if (prediction := predict_stability(scenario)) is not None:
+                    row |= dict(zip(PREDICTIONS, (prediction.starting, prediction.expected), strict=True))
             except Exception as error:
                 row |= error_row(described(error))
             return row | {

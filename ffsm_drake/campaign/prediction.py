@@ -9,6 +9,7 @@ from ffsm_drake.design.stability.margins import forecast_reaching_gain, sampling
 from ffsm_drake.design.stability.sampled_loop import LoopGains, coupled_loop, law_gains
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.systems.controllers import PAPER_LAWS
 from ffsm_drake.systems.reference import make_reference
 
 POSTURES = (0.0, 0.5, 1.0)  # fractions of the planned motion
@@ -30,8 +31,13 @@ class Prediction:
         return self.radius < 1.0
 
 
-def predict_stability(scenario: Scenario) -> Prediction:
-    """The prediction for a scenario. Raises ModelError or ScenarioError where a value cannot be used."""
+def predict_stability(scenario: Scenario) -> Prediction | None:
+    """The prediction for a scenario; None for a controller that is not one of the paper's.
+
+    Raises ModelError or ScenarioError where a value cannot be used.
+    """
+    if scenario.controller not in PAPER_LAWS:
+        return None
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     law = law_gains(scenario, nominal.coordinates)
     sampling = sampling_of(scenario, nominal.coordinates)

@@ -34,7 +34,10 @@ class StabilityMap:
 
     def side(self, controller: str) -> np.ndarray:
         """(n, m) the radius held within 1 +- 0.1: the boundary is drawn midway between points on either side."""
-        return np.clip(np.nan_to_num(self.radius[controller], nan=np.inf), 0.9, 1.1)
+        radius = self.radius[controller]
+        if np.isnan(radius).all():  # nothing is predicted of this controller: no boundary
+            return np.full_like(radius, 0.9)
+        return np.clip(np.nan_to_num(radius, nan=np.inf), 0.9, 1.1)
 
 
 def predict_map(
@@ -68,13 +71,17 @@ def predict_map(
         drawn = {**fixed, axes[0]: float(x[j]), axes[1]: float(y[i])}
         try:
             case = make_case(spec, 0, {name: drawn[name] for name in spec.distributions})
-            return predict_stability(scenario_of(spec, case, controller)).radius
+            prediction = predict_stability(scenario_of(spec, case, controller))
+            return math.nan if prediction is None else prediction.radius
         except (FfsmError, ArithmeticError, ValueError):
             return math.nan  # no boundary here
 
     radius = {}
     for k, controller in enumerate(spec.controllers):
-        radius[controller] = _refined(functools.partial(predict, controller), x.size)
+        if math.isnan(predict(controller, 0, 0)) and math.isnan(predict(controller, x.size - 1, x.size - 1)):
+            radius[controller] = np.full((x.size, x.size), np.nan)
+        else:
+            radius[controller] = _refined(functools.partial(predict, controller), x.size)
         if progress is not None:
             progress(k + 1, len(spec.controllers))
     return StabilityMap(

@@ -1,9 +1,9 @@
-"""simulate: one run of a scenario, and its record."""
+"""simulate and compare: runs of a scenario, and their records."""
 
 import dataclasses
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from pydrake.geometry import Meshcat
 
@@ -12,7 +12,7 @@ from ffsm_drake.runs.dataset import make_dataset
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Block, Scenario
-from ffsm_drake.systems.controllers import complete_gains
+from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.registry import Factory, address_of, module_folder
 
 
@@ -59,6 +59,26 @@ def simulate(
         software=software_versions(),
         blocks=block_sources(scenario),
     )
+
+
+def compare(
+    scenario: Scenario,
+    controllers: Sequence[str] = PAPER_LAWS,
+    *,
+    progress: Callable[[float, float], None] | None = None,
+) -> list[RunRecord]:
+    """Run several controllers on the same scenario with the same noise; a record for each, in their order.
+
+    Args:
+      scenario: what to run; its own ``controller`` does not matter.
+      controllers: names, as for ``Scenario.controller``; default: the paper's four.
+      progress: as for ``simulate``.
+
+    Raises:
+      ModelError, ScenarioError, BlockError: as ``simulate``.
+    """
+    chosen = [dataclasses.replace(scenario, controller=name) for name in controllers]
+    return [simulate(each, progress=progress) for each in chosen]
 
 
 def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Scenario:
