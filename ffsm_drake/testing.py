@@ -309,8 +309,8 @@ def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
 
 def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
     with tempfile.TemporaryDirectory() as folder:
-        one = _two_armed(scenario, ("left", "right"), Path(folder) / "left_first.urdf")
-        two = _two_armed(scenario, ("right", "left"), Path(folder) / "right_first.urdf")
+        one = two_armed(scenario, ("left", "right"), Path(folder) / "left_first.urdf")
+        two = two_armed(scenario, ("right", "left"), Path(folder) / "right_first.urdf")
         listed, otherwise = (make_nominal_plant(model).coordinates.names for model in (one, two))
         order = np.array([listed.index(name) for name in otherwise])
         samples = _inputs(one, seed=6)
@@ -326,7 +326,7 @@ def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
     return "forces follow the joints' names, not their order"
 
 
-def _two_armed(scenario: Scenario, names: tuple[str, str], urdf: Path) -> Scenario:
+def two_armed(scenario: Scenario, names: tuple[str, str], urdf: Path) -> Scenario:
     """A spacecraft with two one-joint arms, listed in the given order; the left one holds the debris."""
     urdf.write_text(_two_arms(names), encoding="utf-8")
     target = Posture(base_position=[0.1, -0.2, 0.3], base_rpy=[0.1, 0.2, -0.1], joints={"left": 0.5, "right": -0.2})

@@ -126,7 +126,16 @@ def located_errors(scenario: str, overrides: Sequence[str] = ()) -> Iterator[Non
 
 def scenario_stem() -> str:
     """The running command's SCENARIO as a name for a folder."""
-    return Path(click.get_current_context().params["scenario"]).stem
+    return (repeated_run() or Path(click.get_current_context().params["scenario"])).stem
+
+
+def repeated_run() -> Path | None:
+    """The folder of the run that the running command's SCENARIO names; None where it is no run's."""
+    from ffsm_drake.scenario import MANIFEST_FILE
+
+    path = Path(click.get_current_context().params["scenario"])
+    folder = path.parent if path.name == MANIFEST_FILE else path
+    return folder.resolve() if (folder / MANIFEST_FILE).is_file() else None
 
 
 def print_json(data: Any) -> None:

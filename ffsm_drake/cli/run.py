@@ -18,6 +18,7 @@ from ffsm_drake.cli.common import (
     located_errors,
     overrides_option,
     print_json,
+    repeated_run,
     reports_errors,
     scenario_argument,
     scenario_options,
@@ -45,7 +46,8 @@ _report = click.option("--report/--no-report", default=True, show_default=True, 
 def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, meshcat: bool) -> None:
     """Run a scenario and write its record and report.
 
-    SCENARIO is a shipped name (see 'ffsm scenarios') or a YAML file. The folder then holds record.nc, metrics.json,
+    SCENARIO is a shipped name (see 'ffsm scenarios'), a YAML file, or a run's folder: that run is repeated, into
+    out/NAME_again, and the two records are compared. The folder then holds record.nc, metrics.json,
     manifest.json and report.html, one page with results, plots, recording, findings and margins. With --meshcat each
     flight has a folder of its own.
 
@@ -59,14 +61,22 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.spacecraft.plant import check_pictures
 
-    directory = out or Path("out") / scenario_stem()
+    repeated = repeated_run()
+    directory = out or Path("out") / (f"{scenario_stem()}_again" if repeated else scenario_stem())
     check_writable(directory)  # before the run, which may take a while
     if report or meshcat:
         check_pictures(scenario.model)
     if not meshcat:
         record = _simulate(scenario)
         record.save(directory)
-        sys.exit(_finish([record], directory, as_json=as_json, report=report))
+        code = _finish([record], directory, as_json=as_json, report=report)
+        if repeated is not None:
+            from ffsm_drake.runs.record import RunRecord
+
+            same = RunRecord.load(repeated).dataset.identical(record.dataset)
+            remark = "the same record, bit for bit" if same else "not the same record"
+            click.echo(f"{remark}, as {repeated}", err=as_json)
+        sys.exit(code)
     from ffsm_drake.show.meshcat.interactive import run_interactive
 
     click.echo("Open Controls, top right in the page, holds the panel.", err=True)

@@ -91,34 +91,55 @@ def make_blocks(
       ScenarioError: a value is given for an unknown coordinate; an unknown block or name.
       BlockError: a user-supplied block cannot be loaded, built or wired.
     """
-    given = dict(factories or {})
+    given, choices = dict(factories or {}), block_choices(scenario)
     for name in given:
         valid = [*(block for block in BLOCKS if block != "forces"), "forces.<name>"]
         if name not in valid[:-1] and not (name.startswith("forces.") and name[7:].isidentifier()):
             raise ScenarioError(f"blocks.{name}", f"is no block; choose {', '.join(valid)}{did_you_mean(name, valid)}")
-    choices, coordinates = block_choices(scenario), nominal.coordinates
     others = [name for name in (*choices, *given) if name.startswith("forces.") and name != DISTURBANCE]
     blocks: dict[str, System] = {}
     for name in ("reference", "sensing", "controller", "actuation", DISTURBANCE, *dict.fromkeys(others)):
-        key = "controller" if name == "controller" else f"blocks.{name}"
+        choice, factory = choices.get(name), given.get(name)
         if name == "controller":
-            made = make_controller(scenario, nominal, given.get(name))
-        elif name in given or name in choices:
-            choice = choices.get(name, Block())
-            factory = given.get(name) or find_factory(
-                kind_of(name), choice.system, key=key, python_path=scenario.python_path
-            )
-            system_name = name.rpartition(".")[2]
-            setup = BlockSetup(name=system_name, scenario=scenario, nominal=nominal, settings=choice.settings)
-            made = call_factory(factory, setup, place=f"{key} '{_label(factory, choice)}'")
-            if isinstance(made, System):
-                made.set_name(system_name)
+            choice = Block(system=scenario.controller)
+        called = getattr(factory, "__name__", "") or (choice.system if choice else "")
+        place = f"{'controller' if name == 'controller' else f'blocks.{name}'} '{called}'"
+        if name == "controller":
+            made = make_controller(scenario, nominal, factory)
+        elif choice is None and factory is None:
+            made = _own(name, scenario, nominal.coordinates)
+            if made is None:
+                continue
         else:
-            made = _own(name, scenario, coordinates)
-        if made is not None or name != "actuation":
-            check_ports(made, kind_of(name), coordinates, place=key if name != "controller" else _place(scenario))
-            blocks[name] = made
+            made = _user_supplied(name, choice or Block(), factory, scenario, nominal, place=place)
+        check_ports(made, kind_of(name), nominal.coordinates, place=place)
+        if name != "controller":  # which has its own
+            made.set_name(name.rpartition(".")[2])
+        blocks[name] = made
     return blocks
+
+
+def _user_supplied(
+    name: str, choice: Block, factory: Factory | None, scenario: Scenario, nominal: PlantModel, *, place: str
+) -> Any:
+    """What a factory makes of a block: the one given in Python, else the one that the scenario names."""
+    if factory is None:
+        path = scenario.python_path
+        factory = find_factory(kind_of(name), choice.system, key=f"blocks.{name}", python_path=path)
+    system_name = name.rpartition(".")[2]
+    setup = BlockSetup(name=system_name, scenario=scenario, nominal=nominal, settings=choice.settings)
+    return call_factory(factory, setup, place=place)
+
+
+def _own(name: str, scenario: Scenario, coordinates: Coordinates) -> Diagram | LeafSystem | None:
+    """What the scenario's own section of a block describes; None for an ideal actuator."""
+    if name == "reference":
+        return make_reference(scenario, coordinates)
+    if name == "sensing":
+        return make_sensing(scenario.sensing, coordinates, sample_time=scenario.sample_time)
+    if name == "actuation":
+        return make_actuation(scenario.actuation, coordinates, sample_time=scenario.sample_time)
+    return make_disturbance(scenario.disturbance, coordinates)
 
 
 def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
@@ -139,8 +160,8 @@ def make_disturbance_block(setup: BlockSetup) -> System:
     choice = block_choices(setup.scenario).get(DISTURBANCE)
     if choice is None:
         return make_disturbance(setup.scenario.disturbance, setup.coordinates)
-    factory = find_factory("forces", choice.system, python_path=setup.scenario.python_path)
-    return call_factory(factory, dataclasses.replace(setup, settings=choice.settings), place=f"blocks.{DISTURBANCE}")
+    place = f"blocks.{DISTURBANCE} '{choice.system}'"
+    return _user_supplied(DISTURBANCE, choice, None, setup.scenario, setup.nominal, place=place)
 
 
 def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str) -> None:
@@ -154,7 +175,8 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
     """
     ports = BLOCKS[block]
     if not isinstance(system, System):
-        raise BlockError(f"{place} must be a Drake system, not {type(system).__name__}")
+        wanted = "a control law or a Drake system" if block == "controller" else "a Drake system"
+        raise BlockError(f"{place} must be {wanted}, not {type(system).__name__}")
     size = {STATE: 2 * len(coordinates.names) + 1, VELOCITY: len(coordinates.names)}
     for kind, required, optional in (
         ("input", ports.inputs, ports.optional_inputs),
@@ -164,37 +186,21 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
         count = system.num_input_ports() if kind == "input" else system.num_output_ports()
         port_at = system.get_input_port if kind == "input" else system.get_output_port
         found = {port_at(i).get_name(): port_at(i) for i in range(count)}
-        for name in required:
+        for name in found:
+            if kind == "input" and name not in known:  # it would stay unconnected
+                choice = f"{', '.join(known) or 'none'}{did_you_mean(name, known)}"
+                raise BlockError(f"{place}: unknown input port '{name}'; known: {choice}")
+        for name, meaning in known.items():
             if name not in found:
-                raise BlockError(f"{place}: needs an {kind} port '{name}' of size {size[known[name]]}")
-        for name, port in found.items():
-            if name not in known:
-                if kind == "input":  # would stay unconnected
-                    choice = f"{', '.join(known) or 'none'}{did_you_mean(name, known)}"
-                    raise BlockError(f"{place}: unknown input port '{name}'; known: {choice}")
-            elif port.size() != size[known[name]]:
-                raise BlockError(f"{place}: {kind} port '{name}' must have size {size[known[name]]}, not {port.size()}")
-            elif kind == "output" and ports.held and system.HasDirectFeedthrough(int(port.get_index())):
+                if name in required:
+                    raise BlockError(f"{place}: needs an {kind} port '{name}' of size {size[meaning]}")
+                continue
+            if found[name].size() != size[meaning]:
+                raise BlockError(
+                    f"{place}: {kind} port '{name}' must have size {size[meaning]}, not {found[name].size()}"
+                )
+            if kind == "output" and ports.held and system.HasDirectFeedthrough(int(found[name].get_index())):
                 raise BlockError(
                     f"{place}: output port '{name}' must not follow an input at once; declare it with "
                     "DeclareStateOutputPort, or with prerequisites {self.all_state_ticket()}"
                 )
-
-
-def _own(name: str, scenario: Scenario, coordinates: Coordinates) -> Diagram | LeafSystem | None:
-    """What the scenario's own section of a block describes."""
-    if name == "reference":
-        return make_reference(scenario, coordinates)
-    if name == "sensing":
-        return make_sensing(scenario.sensing, coordinates, sample_time=scenario.sample_time)
-    if name == "actuation":
-        return make_actuation(scenario.actuation, coordinates, sample_time=scenario.sample_time)
-    return make_disturbance(scenario.disturbance, coordinates)
-
-
-def _place(scenario: Scenario) -> str:
-    return f"controller '{scenario.controller}'"
-
-
-def _label(factory: Factory, choice: Block) -> str:
-    return choice.system or getattr(factory, "__name__", type(factory).__name__)

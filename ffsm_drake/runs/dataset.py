@@ -47,7 +47,7 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
             by_coordinate, series["applied_force"], "what the actuators make of tau, held likewise", force,
         ),
         "disturbance_force": (
-            by_coordinate, series["disturbance_force"], "external disturbance tau_d at this instant", force,
+            by_coordinate, series["disturbance_force"], "external forces tau_d at this instant, summed", force,
         ),
         "end_effector_position": (by_axis, end_effector, "end effector in the world frame", "m"),
         "desired_end_effector_position": (by_axis, desired_end_effector, "its reference", "m"),
@@ -66,6 +66,9 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     ):
         if name in series:
             variables[name] = (by_coordinate, series[name], meaning, "1/s" if name == "reaching_gain" else unit)
+    for name in series:
+        if name.startswith("force_"):  # several external forces act, and disturbance_force is their sum
+            variables[name] = (by_coordinate, series[name], f"external force '{name[6:]}' at this instant", force)
     return xr.Dataset(
         {
             name: (dims, values, {"long_name": meaning, "units": units})

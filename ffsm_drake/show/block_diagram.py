@@ -7,14 +7,15 @@ import sys
 from itertools import zip_longest
 from pathlib import Path
 
-from pydrake.systems.framework import System
+from pydrake.geometry import MeshcatVisualizer
+from pydrake.systems.framework import DiagramBuilder, System
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.files import write_text, written_whole
-from ffsm_drake.loop.closed_loop import make_closed_loop
-from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.loop.closed_loop import add_closed_loop, build_closed_loop, make_closed_loop
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
+from ffsm_drake.spacecraft.plant import add_combined_plant
 
 NO_GRAPHVIZ = "Graphviz's 'dot' is not installed: no SVG (install the package 'graphviz', or render the .dot elsewhere)"
 
@@ -25,7 +26,12 @@ def closed_loop_dot(scenario: Scenario) -> str:
     Of the plant's many ports only the connected ones are drawn.
     """
     with quiet_drake():  # the server is there for the wiring only
-        diagram = Rollout(scenario, meshcat=start_meshcat()).loop.diagram
+        builder = DiagramBuilder()
+        plant = add_combined_plant(builder, scenario.model)
+        loop = add_closed_loop(builder, scenario, plant=plant)
+        visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), start_meshcat())
+        visualizer.set_name("meshcat_visualizer")
+        diagram = build_closed_loop(builder, loop).diagram
     return _without_idle_ports(system_dot(diagram, max_depth=1), "plant")
 
 

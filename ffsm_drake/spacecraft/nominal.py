@@ -25,12 +25,16 @@ class PlantModel:
     coordinates: Coordinates
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """The mass matrix H (nv, nv) in configuration q (nq)."""
+        """The mass matrix H (..., nv, nv) in configurations q (..., nq)."""
+        if q.ndim > 1:
+            return np.stack([self.calc_mass_matrix(one) for one in q])
         self._set_positions(q)
         return self.plant.CalcMassMatrix(self.context)
 
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The Coriolis and centrifugal term C (nv) of H dv/dt + C = tau + tau_d, N m and N."""
+        """The Coriolis and centrifugal term C (..., nv) of H dv/dt + C = tau + tau_d, N m and N."""
+        if q.ndim > 1:
+            return np.stack([self.calc_bias(*one) for one in zip(q, v, strict=True)])
         self._set_positions(q)
         if not math.isfinite(v.dot(v)):
             raise ValueError("the velocity v is not finite")

@@ -23,7 +23,7 @@ def test_a_released_rollout_is_freed(overrides):
     rollout = Rollout(load_scenario("postcapture", ["duration=0.05", *overrides]))
     log = rollout.run()
     loop = rollout.loop
-    parts = [weakref.ref(part) for part in (loop.diagram, loop.controller, loop.reference, loop.sensing)]
+    parts = [weakref.ref(part) for part in (loop.diagram, *loop.blocks.values())]
     rollout.release()
     del rollout, loop
     gc.collect()
@@ -42,7 +42,7 @@ def test_a_system_that_was_never_wired_is_freed():
 def test_without_release_it_is_not():
     """When this fails, Drake's bindings have learnt to let go, and the release is no longer needed."""
     rollout = Rollout(load_scenario("postcapture", ["duration=0.05"]))
-    controller = weakref.ref(rollout.loop.controller)
+    controller = weakref.ref(rollout.loop.blocks["controller"])
     del rollout
     gc.collect()
     assert controller() is not None

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import ConstantVectorSource
 
-from ffsm_drake import BlockError, ScenarioError, load_scenario, make_closed_loop, simulate
+from ffsm_drake import load_scenario, make_closed_loop
 from ffsm_drake.loop.closed_loop import SIGNALS
+from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.show import block_diagram
 from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
 
@@ -21,7 +20,7 @@ def test_systems_and_signals_have_names():
     loop = make_closed_loop(load_scenario("postcapture"))
     names = {system.get_name() for system in loop.diagram.GetSystems()}
     assert names == {
-        "plant", "reference", "tde_aismc", "disturbance", "sensing", "total_force",
+        "plant", "reference", "tde_aismc", "disturbance", "sensing", "measurement", "total_force",
     }  # fmt: skip
     outputs = [loop.diagram.get_output_port(i).get_name() for i in range(loop.diagram.num_output_ports())]
     assert outputs == [*SIGNALS, "sliding_variable", "reaching_gain", "switching_gain"]
@@ -31,9 +30,9 @@ def test_the_geometry_is_loaded_only_to_be_shown():
     """It takes longer than all the rest of the build."""
     scenario = load_scenario("postcapture")
     with quiet_drake():
-        shown = make_closed_loop(scenario, meshcat=start_meshcat())
+        shown = Rollout(scenario, meshcat=start_meshcat()).loop
     names = {system.get_name() for system in shown.diagram.GetSystems()}
-    plain = make_closed_loop(scenario)
+    plain = Rollout(scenario).loop
     assert names - {system.get_name() for system in plain.diagram.GetSystems()} == {"scene_graph", "meshcat_visualizer"}
 
 
@@ -88,7 +87,7 @@ def test_initialize_sets_posture_payload_and_seed():
     assert noise[0][12:].any()
     assert not noise[0][:12].any()
     plant_context = loop.plant.GetMyContextFromRoot(context)
-    assert loop.plant.GetPositions(plant_context) == pytest.approx(loop.reference.evaluate(0.0)[0])
+    assert loop.plant.GetPositions(plant_context) == pytest.approx(loop.blocks["reference"].evaluate(0.0)[0])
     assert loop.plant.CalcTotalMass(plant_context) == pytest.approx(549.0)
 
 
@@ -126,37 +125,3 @@ def test_without_graphviz_the_dot_file_is_written_and_one_line_says_what_to_do(t
     assert block_diagram.main(tmp_path) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["closed_loop.dot", "controller.dot"]
     assert "install the package 'graphviz'" in capsys.readouterr().out
-
-
-def test_an_own_disturbance_takes_the_place_of_the_harmonics():
-    def pulse(coordinates):
-        amplitude = np.zeros(len(coordinates.names))
-        amplitude[coordinates.names.index("joint_2")] = 0.3
-        source = ConstantVectorSource(amplitude)
-        builder = DiagramBuilder()
-        builder.AddSystem(source)
-        builder.ExportOutput(source.get_output_port(), "generalized_force")
-        diagram = builder.Build()
-        diagram.set_name("pulse")
-        return diagram
-
-    record = simulate(load_scenario("postcapture", ["duration=0.1"]), own_disturbance=pulse)
-    force = record.dataset["disturbance_force"]
-    assert (force.sel(coordinate="joint_2") == 0.3).all()
-    assert float(abs(force).sum()) == pytest.approx(0.3 * force.sizes["time"])
-    assert record.dataset.attrs["disturbance"] == "pulse"
-    with pytest.raises(ScenarioError, match="own_disturbance: needs an output port 'generalized_force' of size 11"):
-        simulate(load_scenario("postcapture"), own_disturbance=lambda coordinates: ConstantVectorSource([0.0]))
-
-
-def test_a_failing_own_disturbance_gets_one_line():
-    class Fails(LeafSystem):
-        def __init__(self, coordinates):
-            super().__init__()
-            self.DeclareVectorOutputPort("generalized_force", len(coordinates.names), self.calc)
-
-        def calc(self, context, output):
-            output.SetFromVector(np.full(output.size(), np.nan if context.get_time() > 0.02 else 0.0))
-
-    with pytest.raises(BlockError, match=r"disturbance 'Fails' failed at t = 0.0\d s: RuntimeError: .*NaN"):
-        simulate(load_scenario("postcapture", ["duration=0.1"]), own_disturbance=Fails)

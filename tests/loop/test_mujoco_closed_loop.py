@@ -6,6 +6,7 @@ first as in the paper; only the gains are read from the scenario. See mujoco_ora
 
 import abc
 import functools
+import types
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
+from ffsm_drake.systems.controllers import complete_gains
 
 # Table 1 of the paper.
 DURATION = 20.0  # s
@@ -92,7 +94,7 @@ class Law(abc.ABC):
     """The injected dynamics u of a controller; subclasses hold K_s, G and the error's integral."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self.gains = getattr(scenario.controllers, scenario.controller)
+        self.gains = types.SimpleNamespace(**complete_gains(scenario).controllers[scenario.controller])
         self.K_D = self.diagonal(self.gains.k_d)
 
     @staticmethod
@@ -133,7 +135,7 @@ class Asmc(Law):
     def u(self, e: np.ndarray, de: np.ndarray, ddq_d: np.ndarray) -> np.ndarray:
         s = de + self.K_D * e
         u = ddq_d + self.K_D * de + self.K_s * s + self.G * np.sign(s)
-        sigma = 1 if np.max(np.abs(s)) > self.gains.epsilon else -1
+        sigma = 1 if np.max(np.abs(s)) > self.gains.epsilon["all"] else -1
         for i in range(11):
             if self.G[i] > 0:
                 rate = self.a[i] * (self.b[i] * max(abs(s[i]), 1e-17)) ** sigma * sigma
@@ -180,8 +182,8 @@ class Proposed(Aismc):
 
     def switching(self, s: np.ndarray) -> np.ndarray:
         term = self.G * np.sign(s)
-        direction = np.sign(np.max(np.abs(s)) - self.gains.epsilon)
-        grow_from_zero, adapt = self.phi * self.gains.epsilon, self.phi * np.abs(s) * direction
+        direction = np.sign(np.max(np.abs(s)) - self.gains.epsilon["all"])
+        grow_from_zero, adapt = self.phi * self.gains.epsilon["all"], self.phi * np.abs(s) * direction
         self.G = np.maximum(0, self.G + PERIOD * np.where(self.G > 0, adapt, grow_from_zero))
         return term
 

@@ -22,7 +22,10 @@ def test_constant_error_and_constant_effort():
 )
 def test_energy_of_the_disturbances(scales, expected):
     loop = make_closed_loop(load_scenario("paper", scales))
-    port, context = loop.disturbance.GetOutputPort("generalized_force"), loop.disturbance.CreateDefaultContext()
+    port, context = (
+        loop.blocks["forces.disturbance"].GetOutputPort("generalized_force"),
+        loop.blocks["forces.disturbance"].CreateDefaultContext(),
+    )
     values = []
     for time in np.linspace(0, DURATION, 4001):
         context.SetTime(time)
@@ -33,11 +36,16 @@ def test_energy_of_the_disturbances(scales, expected):
 
 def test_disturbance_is_table_1():
     loop = make_closed_loop(load_scenario("paper"))
-    context = loop.disturbance.CreateDefaultContext()
+    disturbance = loop.blocks["forces.disturbance"]
+    context = disturbance.CreateDefaultContext()
     t = 3.7
     context.SetTime(t)
     value = dict(
-        zip(loop.coordinates.names, loop.disturbance.GetOutputPort("generalized_force").Eval(context), strict=True)
+        zip(
+            loop.coordinates.names,
+            loop.blocks["forces.disturbance"].GetOutputPort("generalized_force").Eval(context),
+            strict=True,
+        )
     )
     for part in ("base_position", "base_rotation"):
         expected = (0.4 * np.sin(0.3 * t), 0.3 * np.cos(0.1 * t), 0.2 * np.sin(0.3 * t))

@@ -1,14 +1,18 @@
 """What the actuators make of the commanded force, what the plant gets of it, and that the estimate knows."""
 
+import dataclasses
+
 import flight_settings
 import numpy as np
 import pytest
+from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant, simulate
-from ffsm_drake.loop import closed_loop
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.spacecraft.coordinates import position_error
-from ffsm_drake.systems.controllers.estimators import Measurement, make_estimator
+from ffsm_drake.systems.controllers import Sample, SampledController, gain_vectors
+from ffsm_drake.systems.controllers.estimators import make_estimator
+from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.sensing import quantize
 
 FLIGHT = (
@@ -103,12 +107,17 @@ def test_saturation_then_quantization_then_delay(run):
     assert_the_plant_got_the_applied_force(record)
 
 
-class _WithoutFeedback(closed_loop.DiagramBuilder):
-    """Builds the closed loop with the controller's applied_force left open."""
-
-    def Connect(self, *ports):
-        if ports[-1].get_name() != "applied_force":
-            super().Connect(*ports)
+def without_feedback(setup):
+    """TDC without the port for the applied force."""
+    builder = DiagramBuilder()
+    law = Tdc.from_setup(setup)
+    inner = builder.AddSystem(
+        SampledController(law, name="tdc", coordinates=setup.coordinates, sample_time=setup.sample_time)
+    )
+    for name in ("estimated_state", "desired_state", "desired_acceleration"):
+        builder.ExportInput(inner.GetInputPort(name), name)
+    builder.ExportOutput(inner.GetOutputPort("generalized_force"), "generalized_force")
+    return builder.Build()
 
 
 def replay(record, *, applied):
@@ -118,36 +127,28 @@ def replay(record, *, applied):
     """
     data, scenario = record.dataset, record.scenario
     nominal = make_nominal_plant(scenario)
-    k_d, k_p = (nominal.coordinates.vector(getattr(scenario.controllers.tdc, name), key="") for name in ("k_d", "k_p"))
+    gains = gain_vectors(dataclasses.replace(scenario, controller="tdc"), nominal.coordinates)
     estimator = make_estimator(scenario, nominal.coordinates)
-    state = tuple(estimator.initial_state().values())
+    state = estimator.initial_state()
     names = ("measured_position", "measured_velocity", "desired_position", "desired_velocity", "desired_acceleration")
     n, commands = [], []
     for k, (q, v, q_d, v_d, a_d) in enumerate(zip(*(data[name].values for name in names), strict=True)):
         mass_matrix = nominal.calc_mass_matrix(q)
-        measured = Measurement(
-            e=position_error(q_d, q),
-            e_dot=v_d - v,
-            v=v,
-            v_d=v_d,
-            applied_force=applied[k - 1] if k else np.zeros(v.size),
-            nominal_mass_matrix=mass_matrix,
-            has_previous=float(k > 0),
-        )
-        estimate, state = estimator.step(measured, state)
+        e, before = position_error(q_d, q), applied[k - 1] if k else np.zeros(v.size)
+        sample = Sample(q, v, q_d, v_d, a_d, e, v_d - v, before, k == 0)
+        estimate, state = estimator.step(sample, mass_matrix, state)
         n.append(estimate.base_acceleration - np.linalg.solve(mass_matrix, estimate.base_force))
-        u = a_d + k_d * estimate.e_dot + k_p * estimate.e
+        u = a_d + gains["k_d"] * estimate.e_dot + gains["k_p"] * estimate.e
         commands.append(mass_matrix @ (u - n[-1]))
     return np.array(n), np.array(commands)
 
 
 @pytest.mark.parametrize("kind", ["kalman", "one_sample"])
-def test_a_limit_that_binds_for_a_while_does_not_wind_up_the_estimate(kind, monkeypatch):
+def test_a_limit_that_binds_for_a_while_does_not_wind_up_the_estimate(kind):
     quiet = ("sensing.velocity_noise=1e-6", "sensing.position_noise=0")
     scenario = load_scenario(FLIGHT[0], [*FLIGHT[1:], TIGHT, f"estimator.kind={kind}", *quiet])
     fed = simulate(scenario, check_stability=False)
-    monkeypatch.setattr(closed_loop, "DiagramBuilder", _WithoutFeedback)
-    blind = simulate(scenario, check_stability=False)
+    blind = simulate(scenario, blocks={"controller": without_feedback}, check_stability=False)
     assert fed.outcome.completed
     assert fed.metrics["peak_error"]["base_position"] < 0.01
     assert fed.metrics["final_error"]["base_position"] < 2e-4
@@ -156,7 +157,7 @@ def test_a_limit_that_binds_for_a_while_does_not_wind_up_the_estimate(kind, monk
     # Blind, what the limit withheld is taken for an uncertainty.
     n_fed, _ = replay(fed, applied=forces(fed)[1])
     n_blind, commands = replay(blind, applied=forces(blind)[0])
-    assert commands == pytest.approx(forces(blind)[0], rel=1e-6, abs=1e-6)  # so it was flown blind
+    assert commands == pytest.approx(forces(blind)[0], rel=1e-6, abs=1e-6)  # so it ran blind
     assert np.abs(n_fed[:, 3:6]).max() < 0.01
     assert np.abs(n_blind[:, 3:6]).max() > 20 * np.abs(n_fed[:, 3:6]).max()
 

@@ -5,9 +5,9 @@ import pytest
 from flight_settings import FLIGHT, NO_NOISE
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
+from ffsm_drake.systems.controllers import Sample, gain_vectors
 from ffsm_drake.systems.controllers.estimators import (
     KalmanEstimator,
-    Measurement,
     OneSampleEstimator,
     kalman_gain,
     make_estimator,
@@ -51,21 +51,24 @@ def test_one_sample_is_the_limit_of_kalman(seed):
     one_sample = OneSampleEstimator(sample_time=PERIOD, num_velocities=SIZE)
     kalman = KalmanEstimator(sample_time=PERIOD, gain=gain)
     v, v_d, e, e_dot, force = smooth_motion(rng, 300)
-    states = [tuple(estimator.initial_state().values()) for estimator in (one_sample, kalman)]
+    states = [dict(estimator.initial_state()) for estimator in (one_sample, kalman)]
     n, tau = ([], []), ([], [])
     for k in range(v.shape[0]):
-        measured = Measurement(
+        before = force[k - 1] if k else np.zeros(SIZE)
+        sample = Sample(
+            q=None,
+            v=v[k],
+            q_d=None,
+            v_d=v_d[k],
+            a_d=None,
             e=e[k],
             e_dot=e_dot[k],
-            v=v[k],
-            v_d=v_d[k],
-            applied_force=force[k - 1] if k else np.zeros(SIZE),
-            nominal_mass_matrix=mass_matrix,
-            has_previous=float(k > 0),
+            applied_force=before,
+            is_first=k == 0,
         )
         u = 3.0 * e_dot[k] + 2.0 * e[k] + 0.1
         for i, estimator in enumerate((one_sample, kalman)):
-            estimate, states[i] = estimator.step(measured, states[i])
+            estimate, states[i] = estimator.step(sample, mass_matrix, states[i])
             n[i].append(estimate.base_acceleration - np.linalg.solve(mass_matrix, estimate.base_force))
             tau[i].append(
                 time_delay_force(
@@ -150,7 +153,7 @@ def test_an_unknown_constant_disturbance_leaves_no_error(run):
     assert np.ptp(disturbance, axis=0) == pytest.approx(np.zeros(11), abs=1e-15)
     assert np.abs(disturbance[0]).max() > 0.1
     nominal = make_nominal_plant(scenario)
-    k_p = nominal.coordinates.vector(scenario.controllers.tdc.k_p, key="")
+    k_p = gain_vectors(scenario, nominal.coordinates)["k_p"]
     mass_matrix = nominal.calc_mass_matrix(data["position"].values[-1])
     without_estimate = np.abs(np.linalg.solve(mass_matrix, disturbance[-1]) / k_p)
     error = np.abs(data["error"].values[-1])
@@ -170,22 +173,16 @@ def test_the_published_estimate_is_the_default(name):
     assert list(estimator.initial_state()) == ["delayed_velocity"]
     rng = np.random.default_rng(0)
     e, e_dot, v, v_d, force, old = rng.normal(size=(6, 11))
-    for has_previous in (0.0, 1.0):
-        measured = Measurement(
-            e=e,
-            e_dot=e_dot,
-            v=v,
-            v_d=v_d,
-            applied_force=force,
-            nominal_mass_matrix=np.eye(11),
-            has_previous=has_previous,
+    for is_first in (True, False):
+        sample = Sample(
+            q=None, v=v, q_d=None, v_d=v_d, a_d=None, e=e, e_dot=e_dot, applied_force=force, is_first=is_first
         )
-        estimate, (kept,) = estimator.step(measured, (old,))
+        estimate, kept = estimator.step(sample, np.eye(11), {"delayed_velocity": old})
         assert estimate.e is e
         assert estimate.e_dot is e_dot
         assert np.array_equal(estimate.base_force, force)
-        assert estimate.base_acceleration == pytest.approx(has_previous * (v - old) / 0.01, rel=1e-14)
-        assert np.array_equal(kept, v)
+        assert estimate.base_acceleration == pytest.approx((0 if is_first else 1) * (v - old) / 0.01, rel=1e-14)
+        assert np.array_equal(kept["delayed_velocity"], v)
 
 
 def test_settings_of_kalman_do_not_touch_the_published_run(run):

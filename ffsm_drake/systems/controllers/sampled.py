@@ -86,7 +86,11 @@ class SampledController(LeafSystem):
             self._applied_force.Eval(context) if self._applied_force.HasValue(context) else value(self._force),
             is_first,
         )
-        returned = self._step(sample, {name: value(index) for name, index in self._memory.items()}, context)
+        state = {name: value(index) for name, index in self._memory.items()}
+        if is_first:
+            for values in state.values():
+                values.setflags(write=False)  # a law that writes into them is told so once
+        returned = self._step(sample, state, context)
         if is_first:
             self._check(returned)
             discrete_values.set_value(self._has_previous, _ONE)  # unset, a value stays what it was

@@ -1,5 +1,6 @@
-"""Controllers from elsewhere: the door, the conformance kit, and what a bad one is told."""
+"""User-supplied controllers: how they are found, the conformance kit, and what a bad one is told."""
 
+import dataclasses
 import importlib.util
 import inspect
 import sys
@@ -12,16 +13,17 @@ from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import (
     BlockError,
-    ControllerSetup,
+    ControlLaw,
     RunRecord,
-    SampledController,
+    Sample,
+    ScenarioError,
+    gain,
     load_scenario,
     make_nominal_plant,
     simulate,
 )
 from ffsm_drake.cli import main
-from ffsm_drake.scenario import CONTROLLER_NAMES
-from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, controller_names, make_controller
+from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, controller_names, gain_vectors, make_controller, make_law
 from ffsm_drake.testing import ConformanceError, check_controller
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -48,33 +50,17 @@ def test_the_example_is_short_and_conforms(example):
 def test_the_example_agrees_with_the_shipped_one(example):
     gains = "{k_p: {base_position: 900, base_rotation: 300, joints: 20}, k_d: {all: 250, joints: 25}}"
     common = ["duration=0.3"]
-    ours = simulate(load_scenario("postcapture", [*common, "controller=pd_plus", f"controllers.own.pd_plus={gains}"]))
+    ours = simulate(load_scenario("postcapture", [*common, "controller=pd_plus", f"controllers.pd_plus={gains}"]))
     theirs = simulate(
-        load_scenario(
-            "postcapture", [*common, "controller=own_controller:MyPdPlus", f"controllers.own.MyPdPlus={gains}"]
-        )
+        load_scenario("postcapture", [*common, "controller=own_controller:MyPdPlus", f"controllers.MyPdPlus={gains}"])
     )
     assert np.array_equal(ours.dataset["generalized_force"], theirs.dataset["generalized_force"])
     assert np.abs(ours.dataset["generalized_force"]).max() > 0
 
 
-@pytest.mark.parametrize("name", ["computed_torque", "pd_plus"])
-def test_installed_controllers_conform(name):
-    assert name in controller_names()
+@pytest.mark.parametrize("name", controller_names())
+def test_shipped_controllers_conform(name):
     check_controller(name)
-
-
-@pytest.mark.parametrize("name", CONTROLLER_NAMES)
-def test_the_papers_controllers_conform(name):
-    def factory(setup):
-        scenario = load_scenario("paper", [f"controller={name}", f"sample_time={setup.sample_time}"])
-        return make_controller(scenario, setup.nominal)
-
-    scenario = load_scenario("paper", [f"controller={name}"])
-    if name == "tdc":
-        check_controller(factory, scenario=scenario)
-    else:  # their gains by group serve any model too
-        check_controller(factory)
 
 
 def test_computed_torque_needs_a_true_model():
@@ -85,34 +71,33 @@ def test_computed_torque_needs_a_true_model():
     assert right < 0.02 * wrong  # what is left is that the force is held over the period
 
 
-class HidesState(SampledController):
-    def __init__(self, setup):
-        super().__init__(setup)
-        self.integral = np.zeros(len(setup.coordinates.names))
+@dataclasses.dataclass(frozen=True)
+class HidesState(ControlLaw):
+    integral: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(1))
 
-    def law(self, sample, state):
-        self.integral += sample.e
-        return 10 * sample.e_dot + self.integral, state
+    def step(self, sample, state):
+        self.integral[0] += sample.e[0]
+        return 10 * sample.e_dot + self.integral[0], state
 
 
-class Random(SampledController):
-    def law(self, sample, state):
+class Random(ControlLaw):
+    def step(self, sample, state):
         return sample.e + 1e-9 * np.random.default_rng().standard_normal(sample.e.size), state
 
 
-class ByIndex(SampledController):
-    def law(self, sample, state):
+class ByIndex(ControlLaw):
+    def step(self, sample, state):
         return np.arange(1.0, 1.0 + sample.e.size) * sample.e, state
 
 
-class DividesByError(SampledController):
-    def law(self, sample, state):
+class DividesByError(ControlLaw):
+    def step(self, sample, state):
         with np.errstate(all="ignore"):
             return sample.e_dot / np.linalg.norm(sample.e), state
 
 
-class Constant(SampledController):
-    def law(self, sample, state):
+class Constant(ControlLaw):
+    def step(self, sample, state):
         return np.ones_like(sample.e), state
 
 
@@ -152,7 +137,7 @@ class Peeks(Follows):
 
 
 class Plain(Ports):
-    """A sampled controller without the base class."""
+    """A sampled controller without a law."""
 
     def __init__(self, setup):
         super().__init__(setup)
@@ -175,22 +160,37 @@ class OddPort(LeafSystem):
         self.DeclareVectorInputPort("state", 6)
 
 
-class Forgets(SampledController):
+class Forgets(ControlLaw):
     def initial_state(self):
         return {"memory": np.zeros(2)}
 
-    def law(self, sample, state):
+    def step(self, sample, state):
         return sample.e, {}
 
 
-class WrongSize(SampledController):
-    def law(self, sample, state):
+class WritesIntoState(Forgets):
+    def step(self, sample, state):
+        state["memory"][:] = 1.0
+        return sample.e, state
+
+
+class WrongSize(ControlLaw):
+    def step(self, sample, state):
         return sample.q, state
 
 
-class DividesByZero(SampledController):
-    def law(self, sample, state):
+class DividesByZero(ControlLaw):
+    def step(self, sample, state):
         return 1 / 0
+
+
+class WithoutAStep(ControlLaw):
+    pass
+
+
+@dataclasses.dataclass(frozen=True)
+class OddField(ControlLaw):
+    speed: float
 
 
 @pytest.mark.parametrize(
@@ -206,14 +206,20 @@ class DividesByZero(SampledController):
         (Ports, "needs an output port 'generalized_force' of size 11"),
         (SmallPort, "input port 'estimated_state' must have size 23, not 6"),
         (OddPort, "unknown input port 'state'; known: estimated_state"),
-        (Forgets, "law returned no 'memory'"),
+        (Forgets, "step returned no 'memory'"),
+        (WritesIntoState, "destination is read-only"),
+        (WithoutAStep, r"must define step\(sample, state\)"),
+        (OddField, r"field 'speed' must be a gain\(...\), model, sample_time or have a default"),
         (WrongSize, r"of shape \(12,\); it must be \(11,\)"),
         (DividesByZero, "the update raises ZeroDivisionError"),
-        (lambda setup: 3, "must be a LeafSystem, not int"),
+        (lambda setup: 3, "must be a control law or a Drake system, not int"),
         (lambda: 3, "cannot be built: TypeError"),
         ("nowhere:Class", "cannot be loaded: No module named 'nowhere'; run from the folder that holds it"),
         ("math:pi", "must be a class or function, not float"),
-        ("unheard_of", "is unknown; choose one of tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus"),
+        (
+            "unheard_of",
+            "is unknown; choose one of tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus, or give module:",
+        ),
     ],
 )
 def test_the_kit_says_what_is_wrong(factory, expected):
@@ -223,37 +229,42 @@ def test_the_kit_says_what_is_wrong(factory, expected):
 
 
 def test_the_two_armed_model_really_lists_its_joints_in_another_order(tmp_path):
-    from ffsm_drake.testing import _two_armed
+    from ffsm_drake.testing import two_armed
 
     base = load_scenario("postcapture")
     joints = {
-        make_nominal_plant(_two_armed(base, names, tmp_path / f"{names[0]}.urdf")).coordinates.joints
+        make_nominal_plant(two_armed(base, names, tmp_path / f"{names[0]}.urdf")).coordinates.joints
         for names in (("left", "right"), ("right", "left"))
     }
     assert joints == {("left", "right"), ("right", "left")}
 
 
 MODULE = """
+import dataclasses
 import numpy as np
-from ffsm_drake import SampledController
+from ffsm_drake import ControlLaw, gain
 
-class Integral(SampledController):
-    GAINS = {"k_p": 50.0, "k_d": 200.0, "k_i": {"all": 0.0, "joints": 5.0}}
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Integral(ControlLaw):
+    sample_time: float
+    k_p: np.ndarray = gain(50.0)
+    k_d: np.ndarray = gain(200.0)
+    k_i: np.ndarray = gain({"all": 0.0, "joints": 5.0})
 
     def initial_state(self):
-        return {"integral": np.zeros_like(self.gains["k_i"]), "sliding_variable": np.zeros_like(self.gains["k_i"])}
+        return {"integral": np.zeros_like(self.k_i), "sliding_variable": np.zeros_like(self.k_i)}
 
-    def law(self, sample, state):
+    def step(self, sample, state):
         integral = state["integral"] + self.sample_time * sample.e
-        surface = self.gains["k_d"] * sample.e_dot + self.gains["k_p"] * sample.e + self.gains["k_i"] * integral
+        surface = self.k_d * sample.e_dot + self.k_p * sample.e + self.k_i * integral
         return surface, {"integral": integral, "sliding_variable": surface}
 
-class Nan(SampledController):
-    def law(self, sample, state):
+class Nan(ControlLaw):
+    def step(self, sample, state):
         return sample.e + (np.nan if sample.q_d[4] < 0.0999999 else 0.0), state
 
-class Raises(SampledController):
-    def law(self, sample, state):
+class Raises(ControlLaw):
+    def step(self, sample, state):
         raise RuntimeError("no idea")
 """
 
@@ -270,11 +281,13 @@ def module(tmp_path, monkeypatch):
 
 def test_from_the_command_line(module):
     arguments = ["run", "--controller", "users_own:Integral", "--set", "duration=0.2", "--no-report", "--out", "mine"]
-    result = CliRunner().invoke(main, [*arguments, "--set", "controllers.own.Integral.k_i.joints=7"])
+    result = CliRunner().invoke(main, [*arguments, "--set", "controllers.Integral.k_i.joints=7"])
     assert result.exit_code == 0, result.output
     record = RunRecord.load("mine")
     assert record.scenario.controller == "users_own:Integral"
-    assert record.scenario.controllers.own == {"Integral": {"k_i": {"joints": 7.0}}}
+    assert record.scenario.controllers["Integral"] == {
+        "k_p": {"all": 50.0}, "k_d": {"all": 200.0}, "k_i": {"all": 0.0, "joints": 7.0},
+    }  # fmt: skip
     assert set(OPTIONAL_OUTPUTS) & set(record.dataset) == {"sliding_variable"}
     assert np.array_equal(record.dataset["sliding_variable"], record.dataset["generalized_force"])
 
@@ -294,8 +307,8 @@ def test_compare_takes_any(module):
         (["-c", "users_own:Raises"], 2, "'users_own:Raises' failed at t = 0.00 s: RuntimeError: no idea"),
         (["-c", "users_own:Nan"], 3, "users_own:Nan diverged at t = 0."),
         (["-c", "users_own:Nothing"], 2, "users_own has no 'Nothing'"),
-        (["-c", "users_own:Integral", "--set", "controllers.own.Integral.k=1"], 2, "Integral has k_p, k_d, k_i"),
-        (["-c", "users_own:Integral", "--set", "controllers.own.Integral.k_p.joint_9=1"], 2, "unknown coordinate"),
+        (["-c", "users_own:Integral", "--set", "controllers.Integral.k=1"], 2, "Integral has k_p, k_d, k_i"),
+        (["-c", "users_own:Integral", "--set", "controllers.Integral.k_p.joint_9=1"], 2, "unknown coordinate"),
     ],
 )
 def test_bad_ones_get_one_line(module, arguments, code, expected):
@@ -306,7 +319,7 @@ def test_bad_ones_get_one_line(module, arguments, code, expected):
 
 
 def test_the_closed_loop_takes_a_plain_leaf_system(module):
-    """Without the base class, with the contract's ports alone."""
+    """Without a law, with the ports alone."""
     text = inspect.getsource(Ports) + "\n\n" + inspect.getsource(Plain)
     (module / "plain.py").write_text(f"from pydrake.systems.framework import LeafSystem\n\n\n{text}")
     sys.path.append(str(module))
@@ -317,18 +330,66 @@ def test_the_closed_loop_takes_a_plain_leaf_system(module):
     check_controller(Plain)
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Gains(ControlLaw):
+    k: np.ndarray = gain({"all": 1.0, "joints": 2.0})
+    limit: np.ndarray = gain(5.0, bound=True)
+    scale: float = gain(1.0, scalar=True, positive=True)
+
+    def step(self, sample, state):
+        return self.k * sample.e, state
+
+
 def test_gains_default_and_override():
-    nominal = make_nominal_plant(load_scenario("postcapture"))
+    coordinates = make_nominal_plant(load_scenario("postcapture")).coordinates
 
-    def gains(**given):
-        return ControllerSetup(name="x", nominal=nominal, sample_time=0.01, gains=given).gain_vectors(
-            {"k": {"all": 1.0, "joints": 2.0}}
-        )["k"]
+    def gains(*overrides):
+        scenario = load_scenario("postcapture", [f"controller={__name__}:Gains", *overrides])
+        return gain_vectors(scenario, coordinates)
 
-    assert gains().tolist() == [1.0] * 6 + [2.0] * 5
-    assert gains(k={"joint_2": 5.0}).tolist() == [1.0] * 6 + [2.0, 5.0, 2.0, 2.0, 2.0]
-    assert gains(k={"all": 3.0}).tolist() == [3.0] * 11
-    assert gains(k={"all": 3.0, "joints": 4.0}).tolist() == [3.0] * 6 + [4.0] * 5
+    assert gains()["k"].tolist() == [1.0] * 6 + [2.0] * 5
+    assert gains("controllers.Gains.k.joint_2=5")["k"].tolist() == [1.0] * 6 + [2.0, 5.0, 2.0, 2.0, 2.0]
+    assert gains("controllers.Gains.k=3")["k"].tolist() == [3.0] * 11
+    assert gains("controllers.Gains.k={all: 3, joints: 4}")["k"].tolist() == [3.0] * 6 + [4.0] * 5
+    assert gains()["limit"].tolist() == [5.0] * 11
+    assert np.isinf(gains("controllers.Gains.limit=null")["limit"]).all()
+    assert gains("controllers.Gains.scale=2")["scale"] == 2.0
+    for override, problem in (
+        ("controllers.Gains.k=null", "controllers.Gains.k: must be a number or numbers by coordinate, not null"),
+        ("controllers.Gains.k.joints=-1", "controllers.Gains.k.joints: must be >= 0, not -1"),
+        ("controllers.Gains.scale=0", "controllers.Gains.scale: must be > 0, not 0"),
+        ("controllers.Gains.scale.joints=1", "controllers.Gains.scale: must be one number for all coordinates"),
+        ("controllers.Gains.k.elbow=1", "controllers.Gains.k.elbow: unknown coordinate"),
+        ("controllers.Gains.q=1", "controllers.Gains.q: unknown gain; Gains has k, limit, scale"),
+    ):
+        with pytest.raises(ScenarioError) as caught:
+            gains(override)
+        assert problem in str(caught.value)
+
+
+@pytest.mark.parametrize("name", controller_names())
+def test_a_law_gives_each_of_several_runs_the_bits_it_has_alone(name):
+    """Arrays (runs, nv) in, arrays (runs, nv) out."""
+    scenario = load_scenario("flight_sensors" if name == "tdc" else "postcapture", [f"controller={name}"])
+    law, size = make_law(scenario, make_nominal_plant(scenario)), 11
+    random = np.random.default_rng(0)
+
+    def sample(first):
+        q = random.normal(size=(3, size + 1))
+        others = [1e-4 * random.normal(size=(3, size)) for _ in range(5)]
+        return [q, others[0], q, others[1], others[2], others[3], others[4], np.zeros((3, size)), first]
+
+    together = {key: np.tile(value, (3, 1)) for key, value in law.initial_state().items()}
+    alone = [dict(law.initial_state()) for _ in range(3)]
+    for k in range(3):
+        given = sample(k == 0)
+        forces, together = law.step(Sample(*given), together)
+        assert forces.shape == (3, size)
+        for i in range(3):
+            one = [value if isinstance(value, bool) else value[i] for value in given]
+            force, alone[i] = law.step(Sample(*one), alone[i])
+            assert np.array_equal(force, forces[i])
+            assert all(np.array_equal(alone[i][key], together[key][i]) for key in together)
 
 
 def test_a_name_that_exists_nowhere():
@@ -337,7 +398,7 @@ def test_a_name_that_exists_nowhere():
         make_controller(scenario, make_nominal_plant(scenario))
 
 
-def test_every_controller_flies_every_shipped_scenario_briefly(shipped_scenario, any_controller):
+def test_every_controller_runs_on_every_shipped_scenario(shipped_scenario, any_controller):
     record = simulate(
         load_scenario(shipped_scenario, [f"controller={any_controller}", "duration=0.3"]), check_stability=False
     )
