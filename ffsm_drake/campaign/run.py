@@ -14,9 +14,9 @@ from ffsm_drake.campaign.executor import Stop, WorkerLost, Workers, run_tasks
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.store import Store, create_store, open_store
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.runs.dataset import make_dataset
-from ffsm_drake.runs.record import RunRecord, software_versions
+from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.simulate import make_record
 
 # A process that has grown to this is replaced: Drake keeps every diagram with a system written in Python alive, some
 # 4 MiB for each closed loop that has to be built anew.
@@ -164,11 +164,5 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
         repeated = error_row(described(error))
     record = None
     if log is not None:
-        record = RunRecord(
-            scenario=log.scenario,
-            outcome=log.outcome,
-            dataset=make_dataset(log),
-            wall_time=log.wall_time | {"total": time.perf_counter() - start},
-            software=software_versions(),
-        )
+        record = make_record(log, start=start)
     return Repeated(record=record, stored=stored, repeated=repeated, differences=same_verdict(stored, repeated))

@@ -159,6 +159,7 @@ def rerun(
       ffsm campaign rerun payload_uncertainty --case 17 --controller aismc
     """
     from ffsm_drake.campaign.run import repeat_run
+    from ffsm_drake.scenario import controller_key
 
     with _open(source, database) as store:
         names = store.spec.controllers if controller is None else (controller,)
@@ -181,12 +182,12 @@ def rerun(
             else:
                 click.echo(f"{what}; every figure is bit for bit the stored one")
             if repeated.record is not None:
-                repeated.record.save(folder / name)
+                repeated.record.save(folder / controller_key(name))
                 if not no_recording:
                     from ffsm_drake.show.meshcat import write_recording
 
-                    write_recording(repeated.record, folder / name / "recording.html")
-                click.echo(f"  written to {folder / name}")
+                    write_recording(repeated.record, folder / controller_key(name) / "recording.html")
+                click.echo(f"  written to {folder / controller_key(name)}")
     sys.exit(0 if same else EXIT_DIFFERENT)
 
 

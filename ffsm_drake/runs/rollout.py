@@ -248,6 +248,7 @@ def _add_logger(builder: DiagramBuilder, loop: ClosedLoop) -> tuple[VectorLogSin
     for index, port in enumerate(ports.values()):
         builder.Connect(port, stacked.get_input_port(index))
     logger = LogVectorOutput(stacked.get_output_port(), builder, loop.scenario.sample_time)
+    logger.set_name("log")
     ends = np.cumsum(sizes).tolist()
     rows = {source: slice(end - size, end) for source, size, end in zip(ports, sizes, ends, strict=True)}
     return logger, {name: rows[source] for name, source in sources.items()}

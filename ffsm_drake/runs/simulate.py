@@ -10,7 +10,7 @@ from pydrake.geometry import Meshcat
 from ffsm_drake.loop.blocks import block_choices, block_sources
 from ffsm_drake.runs.dataset import make_dataset
 from ffsm_drake.runs.record import RunRecord, software_versions
-from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.rollout import Rollout, RunLog
 from ffsm_drake.scenario import Block, Scenario
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.registry import Factory, address_of, module_folder
@@ -49,8 +49,12 @@ def simulate(
         if remark := stability_warning(scenario):
             warnings.warn(remark, StabilityWarning, stacklevel=2)
     rollout = Rollout(scenario, blocks=blocks, meshcat=meshcat)
-    log = rollout.run(progress=progress)
-    scenario = repeatable_scenario(scenario, blocks or {})
+    return make_record(rollout.run(progress=progress), blocks=blocks, start=start)
+
+
+def make_record(log: RunLog, *, start: float, blocks: Mapping[str, Factory] | None = None) -> RunRecord:
+    """The record of a run that began at the wall time ``start`` (``time.perf_counter``), with the factories it had."""
+    scenario = repeatable_scenario(log.scenario, blocks or {})
     return RunRecord(
         scenario=scenario,
         outcome=log.outcome,

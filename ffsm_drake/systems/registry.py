@@ -141,8 +141,8 @@ def _load(address: str, place: str, python_path: Sequence[str]) -> Any:
         raise BlockError(f"{place}: a module '{top}' from {folder} is loaded already; rename one of them")
     for part in attribute.split("."):
         if not hasattr(found, part):
-            near = [other for other, value in vars(found).items() if callable(value)]
-            raise BlockError(f"{place}: {name} has no '{part}'{did_you_mean(part, near)}")
+            near = [other for other in dir(found) if callable(getattr(found, other, None))]
+            raise BlockError(f"{place}: {name} has no '{attribute}'{did_you_mean(part, near)}")
         found = getattr(found, part)
     return found
 

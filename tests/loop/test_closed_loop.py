@@ -57,7 +57,7 @@ def test_showing_the_bodies_does_not_make_them_collide(tmp_path):
     )  # fmt: skip
     for meshcat in (None, start_meshcat()):
         with quiet_drake():
-            loop = make_closed_loop(scenario, meshcat=meshcat)
+            loop = Rollout(scenario, meshcat=meshcat).loop
         context = loop.diagram.CreateDefaultContext()
         loop.initialize(loop.diagram, context)
         derivatives = loop.diagram.EvalTimeDerivatives(context).CopyToVector()

@@ -171,7 +171,7 @@ def _value(declared: Gain, given: Any, coordinates: Coordinates, *, key: str) ->
         if set(values) != {"all"}:
             raise ScenarioError(key, f"must be one number for all coordinates, not {', '.join(values)}")
         return values["all"]
-    return coordinates.vector(values, key=key)
+    return coordinates.vector(values, key=key, default=np.inf if declared.bound else None)
 
 
 def complete_gain(declared: Gain, given: Any = _DEFAULT) -> PerCoordinate | None:
@@ -180,8 +180,10 @@ def complete_gain(declared: Gain, given: Any = _DEFAULT) -> PerCoordinate | None
     if value is None:
         return None
     values = _by_name(value)
-    # A value for all outdoes the defaults of groups.
-    return values if "all" in values or declared.default is None else {**_by_name(declared.default), **values}
+    # A value for all outdoes the defaults of groups, and a bound that is given is all there is of it.
+    if "all" in values or declared.default is None or declared.bound:
+        return values
+    return {**_by_name(declared.default), **values}
 
 
 def _by_name(value: float | Mapping[str, float]) -> PerCoordinate:
