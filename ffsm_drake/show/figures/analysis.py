@@ -1,4 +1,4 @@
-"""One page of pictures of an analysis: what the proof speaks of, over time, beside its bounds."""
+"""One page of pictures of an analysis: the quantities of the proof over time, beside their bounds."""
 
 import textwrap
 from collections.abc import Callable
@@ -28,7 +28,7 @@ _STRETCHES = 200
 def plot_analysis(analysis: Analysis) -> Figure:
     """TDE error, condition (8), sliding variable, Lyapunov function, gains and spectrum of a run, six panels.
 
-    At the right of a panel's title stand the verdicts of its findings; a panel that does not apply says why.
+    The verdicts of a panel's findings are at the right of its title; a panel that does not apply says why.
     """
     figure = Figure(figsize=(13.0, 12.5), layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.07))
     attributes = analysis.series.attrs
