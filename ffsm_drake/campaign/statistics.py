@@ -76,8 +76,7 @@ def read_table(store: Store) -> Table:
         )
     values = {}
     for name in store.spec.distributions:
-        quoted = '"' + name.replace('"', '""') + '"'
-        column = [row[0] for row in store.query(f"SELECT {quoted} FROM cases ORDER BY case_index")]
+        column = store.sampled(name)
         if all(isinstance(value, (int, float)) for value in column) and len(set(column)) > 1:
             values[name] = np.array(column, dtype=float)
     return Table(runs=runs, values=values)

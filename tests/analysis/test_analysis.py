@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
+from ffsm_drake import make_nominal_plant, make_true_plant
 from ffsm_drake.analysis import analyze
 from ffsm_drake.analysis.balances import displacements
 from ffsm_drake.analysis.chattering import effort_spectrum, reversals, split_frequency, split_variance, total_variation
@@ -447,11 +447,11 @@ def test_the_proofs_conditions_hold_while_the_loop_diverges(run, analysis):
     assert "diverged" in result.series.attrs["outcome"]
 
 
-def test_a_run_without_a_finite_sample_is_not_applicable_throughout(monkeypatch):
-    from ffsm_drake.systems.controllers import time_delay as tde
-
-    monkeypatch.setattr(tde, "time_delay_force", lambda *, delayed_force, **_: np.full_like(delayed_force, np.nan))
-    result = analyze(simulate(load_scenario("postcapture", ["duration=1"])))
+def test_a_run_without_a_finite_sample_is_not_applicable_throughout(run):
+    record = run("postcapture", "duration=1")
+    data = record.dataset.copy(deep=True)
+    data["generalized_force"].values[0] = np.nan
+    result = analyze(dataclasses.replace(record, dataset=data))
     assert {finding.verdict for finding in result.findings} == {"not applicable"}
     assert len(plot_analysis(result).subfigs) == 6
 
