@@ -425,6 +425,18 @@ def test_what_does_not_apply_says_why(analysis):
     assert "tdc has no sliding variable" in text.replace("\n", " ")
 
 
+def test_what_a_record_holds_decides_not_the_name_of_its_controller(run, analysis):
+    """Without the controller's module its constants are unknown; s, K_s and G are in the record all the same."""
+    record = run("postcapture")
+    result = analyze(dataclasses.replace(record, scenario=dataclasses.replace(record.scenario, controller="gone:Law")))
+    own = analysis("postcapture")
+    for key in ("tde_error_bound", "direct_bound", "switching_gain_bound", "energy_balance"):
+        assert result.finding(key).numbers == own.finding(key).numbers
+    assert np.isnan(result.finding("reaching_law").numbers["largest_k_d_l"])
+    assert "nan" not in result.finding("reaching_law").statement
+    assert "(9) and (10), which those of gone:Law do not" in result.finding("ultimate_bound").statement
+
+
 def test_statements_carry_the_numbers(analysis):
     result = analysis("postcapture")
     bound = result.finding("tde_error_bound")
