@@ -1,4 +1,4 @@
-"""Conservation laws as a check of the integrator: what it got wrong in momentum and energy."""
+"""Balances of momentum and energy, which check the integrator."""
 
 import itertools
 from typing import TYPE_CHECKING
@@ -28,7 +28,7 @@ def displacements(position: np.ndarray) -> np.ndarray:
 
 
 def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
-    """T(t) - T(0) minus the work of tau + tau_d since the start, J (n), and what to compare it with.
+    """T(t) - T(0) minus the work of tau + tau_d since the start, J (n), and quantities to compare it with.
 
     Keys:
       residual: tau is constant over a period, so its work is tau . displacement; tau_d and v are taken as linear within

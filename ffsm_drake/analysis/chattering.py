@@ -1,4 +1,4 @@
-"""How much the control force chatters: its spectrum, its reversals, its total variation.
+"""Chattering of the control force: spectrum, reversals, total variation.
 
 Forces are arrays (n, nv), N m or N, one row per sample.
 """
@@ -22,7 +22,7 @@ def split_frequency(period: float) -> float:
 
 
 def effort_spectrum(effort: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (m), Hz, and power spectral density (m, nv), squared force per Hz: smooth, to look at.
+    """Frequencies (m), Hz, and power spectral density (m, nv), squared force per Hz, smoothed for plotting.
 
     Welch's mean over half-overlapping Hann windows, each with its linear trend (the planned motion) taken out.
     """
@@ -35,8 +35,8 @@ def effort_spectrum(effort: np.ndarray, period: float) -> tuple[np.ndarray, np.n
 def split_variance(effort: np.ndarray, period: float, *, split: float) -> tuple[np.ndarray, np.ndarray]:
     """Variance of each coordinate's force, its linear trend taken out: the parts (below, from ``split`` on).
 
-    Both (nv), squared force, over the whole record, from the periodogram without a window: it counts every sample
-    alike, and by Parseval's theorem the two parts sum to the variance itself.
+    Both (nv), squared force, over the whole record, from the periodogram without a window: it weights
+    all samples equally, and by Parseval's theorem the two parts sum to the variance.
     """
     frequency, power = periodogram(detrend(effort, axis=0), fs=1.0 / period, detrend=False, scaling="spectrum", axis=0)
     high = frequency >= split
@@ -49,7 +49,7 @@ def total_variation(effort: np.ndarray) -> np.ndarray:
 
 
 def reversals(effort: np.ndarray) -> np.ndarray:
-    """How often the force turns round (nv): sign changes of tau_{k+1} - tau_k, standing still not counted."""
+    """Number of reversals of the force (nv): sign changes of tau_{k+1} - tau_k, without the zero changes."""
     counts = []
     for change in np.diff(effort, axis=0).T:
         direction = np.sign(change[change != 0.0])

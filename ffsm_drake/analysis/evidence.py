@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Evidence:
-    """A record cut to its finite part, what several findings need of it, and the place where series gather."""
+    """A record cut to its finite part, quantities that several findings share, and the series they add."""
 
     def __init__(self, record: RunRecord) -> None:
         self.record = record
@@ -52,12 +52,12 @@ class Evidence:
         """The gains that the controller declares, (nv) or numbers; empty where it declares none or cannot be loaded."""
         try:
             return gain_vectors(self.scenario, self.coordinates)
-        except FfsmError:  # its module is not here; the record suffices for all else
+        except FfsmError:  # its module is not available; most findings do not need it
             return {}
 
     @property
     def too_short(self) -> str:
-        """Why nothing can be said of periods; empty where there is at least one."""
+        """Why there is no complete period; empty where there is at least one."""
         return "" if len(self.time) >= 2 else f"the record has {len(self.time)} finite samples, less than one period"
 
     @property
@@ -128,7 +128,7 @@ class Evidence:
 
 
 def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
-    """The samples before the first at which anything recorded is not finite: a run may end in such numbers."""
+    """The samples before the first at which any recorded value is not finite, as at the end of a diverged run."""
     finite = np.ones(dataset.sizes["time"], dtype=bool)
     for variable in dataset.data_vars.values():
         finite &= np.isfinite(variable.values).reshape(finite.size, -1).all(axis=1)
@@ -141,7 +141,7 @@ def largest(values: np.ndarray) -> np.ndarray:
 
 
 def ratio(part: float, whole: float) -> float:
-    """part / whole; 0 for nothing of nothing, infinite for something of nothing."""
+    """part / whole; where whole is 0, it is 0 if part is 0, else infinite."""
     if whole != 0.0:
         return part / whole
     return 0.0 if part == 0.0 else np.inf

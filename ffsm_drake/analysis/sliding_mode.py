@@ -1,4 +1,4 @@
-"""What holds of s and the gains whatever adapts them: the reaching law (7) and the bounds that need no proof."""
+"""The reaching law (7) and bounds on s and G, for any sliding-mode law that records s."""
 
 import numpy as np
 
@@ -21,13 +21,13 @@ def reaching_law_remainder(
 def direct_bound(*, first: np.ndarray, bound: np.ndarray, k_s_min: np.ndarray, g_min: np.ndarray) -> np.ndarray:
     """Bound on |s_i| (nv) that follows from equation (7) alone: max(|s_i(0)|, (N*_i - G_i)^+ / K_si).
 
-    Beyond it d|s_i|/dt <= N*_i - G_i - K_si |s_i| < 0. Neither adaptation nor V is needed, but (7) must hold as it
-    stands, which it does in continuous time only.
+    Beyond it d|s_i|/dt <= N*_i - G_i - K_si |s_i| < 0. Neither adaptation nor V is needed, but (7) must hold
+    exactly, as it does in continuous time only.
 
     Args: s at the start, N* by coordinate, and the smallest K_s and G of the run, all (nv).
     """
     excess = np.maximum(bound - g_min, 0.0)
-    # 0 / 0 is no excess at all; anything else over 0 is no bound at all.
+    # Without K_s, |s| is bounded only where there is no excess.
     steady = np.divide(excess, k_s_min, out=np.where(excess > 0.0, np.inf, 0.0), where=k_s_min > 0.0)
     return np.maximum(np.abs(first), steady)
 

@@ -26,7 +26,7 @@ FORMAT = 1
 _APPLICATION_ID = 0x66667363  # marks the file as a campaign's
 _RESULT = ("outcome", "outcome_time", "message", *METRICS, *PREDICTIONS, "wall_time", "worker", "rss_mib")
 _TEXT = ("outcome", "message", "worker")
-_CHUNK = 200  # rows held at a time
+_CHUNK = 200  # cases held at a time
 PATIENCE = 5.0  # s to wait for another program's lock
 
 
