@@ -105,7 +105,7 @@ def _plot_condition_8(part: SubFigure, analysis: Analysis) -> Axes:
         time, analysis.series["condition_8_in_h"], color=_GREEN, linewidth=1.8, linestyle=(0, (4, 1)), marker=marker,
         label="the same in the metric of $H$: max |1 - η|",
     )  # fmt: skip
-    axes.axhline(1.0, color="black", linewidth=1.0, linestyle=_DASHED, label="limit of (8); η of a true belief")
+    axes.axhline(1.0, color="black", linewidth=1.0, linestyle=_DASHED, label="limit of (8); η for the true payload")
     axes.set_ylim(0.0, 1.05 * max(1.05, float(eta.max()), float(analysis.series["condition_8"].max())))
     _legend(part, axes, columns=2)
     return axes
