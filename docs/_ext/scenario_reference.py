@@ -1,6 +1,6 @@
-"""The table of every scenario key: types and defaults of ffsm_drake.scenario, and the meanings written beside them.
+"""The table of every scenario key: types, defaults and meanings from ffsm_drake.scenario, gains from the control laws.
 
-A page that holds the line ``<!-- scenario reference -->`` gets it there, as Markdown, whenever the site is built.
+It replaces the line ``<!-- scenario reference -->`` of a page, as Markdown, when the site is built.
 """
 
 import dataclasses
@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from ffsm_drake.scenario import PerCoordinate, Scenario, schema_fields
 from ffsm_drake.scenario.json_schema import field_comments
+from ffsm_drake.systems.controllers import controller_names
+from ffsm_drake.systems.controllers.law import gains_of
+from ffsm_drake.systems.registry import find_factory
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -48,7 +51,7 @@ def _kind(kind: Any) -> str:
     if kind == PerCoordinate:
         return "by coordinate"
     if typing.get_origin(kind) is list:
-        return "list of numbers"
+        return "list of texts" if typing.get_args(kind) == (str,) else "list of numbers"
     if typing.get_origin(kind) is dict:
         return "mapping"
     return {float: "number", int: "whole number", bool: "true/false", str: "text"}[kind]
@@ -85,14 +88,35 @@ def _groups(cls: type, default: Any, path: str = "") -> Iterator[tuple[str, type
         inner = _without_null(kind)
         place = f"{path}.{name}" if path else name
         if schema_fields(inner) is not None:
-            yield from _groups(inner, getattr(default, name), place)
+            given = getattr(default, name)
+            yield from _groups(inner, inner() if given is None else given, place)
         elif typing.get_origin(inner) is dict and schema_fields(typing.get_args(inner)[1]) is not None:
             element = typing.get_args(inner)[1]
-            yield f"{place}.COORDINATE", element, element()
+            yield f"{place}.{'COORDINATE' if place == 'disturbance.harmonics' else 'NAME'}", element, element()
+
+
+def _gains(controller: str) -> list[Row]:
+    """The gains that a controller declares."""
+    return [
+        Row(name, "number" if item.scalar else "by coordinate", _default(item.default), item.unit, item.meaning)
+        for name, item in gains_of(find_factory("controller", controller)).items()
+    ]
+
+
+def _table(rows: list[Row]) -> list[str]:
+    return [
+        "| key | value | default | unit | meaning |",
+        "|---|---|---|---|---|",
+        *(
+            f"| `{row.key}` | {row.kind} | {row.default} | {_escaped(row.unit)} | {_escaped(row.meaning)} |"
+            for row in rows
+        ),
+        "",
+    ]
 
 
 def markdown() -> str:
-    """Every key of a scenario, one table per group of settings."""
+    """Every key of a scenario, one table per group of settings; the gains of the installed controllers last."""
     lines: list[str] = []
     described = set()
     for path, cls, default in _groups(Scenario, Scenario()):
@@ -104,12 +128,9 @@ def markdown() -> str:
         if summary and cls not in described:
             lines += [summary, ""]
         described.add(cls)
-        lines += ["| key | value | default | unit | meaning |", "|---|---|---|---|---|"]
-        lines += [
-            f"| `{row.key}` | {row.kind} | {row.default} | {_escaped(row.unit)} | {_escaped(row.meaning)} |"
-            for row in table
-        ]
-        lines.append("")
+        lines += _table(table)
+    for controller in controller_names():
+        lines += [f"## `controllers.{controller}`", "", *_table(_gains(controller))]
     return "\n".join(lines)
 
 

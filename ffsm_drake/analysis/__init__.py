@@ -1,8 +1,20 @@
-"""What the paper proves and claims, checked on a run: ``analyze(record)`` after any simulation, of any controller.
+"""Check the theory on a recorded run: ``analyze(record)``, for any controller.
 
-Nothing here runs during a simulation. A run that ended early is analysed up to there.
+Nothing here runs during a simulation. A run that ended early is analysed up to its last finite sample.
 """
 
-from ffsm_drake.analysis.findings import Analysis, Finding, analyze
+from ffsm_drake.analysis import balances, chattering, estimation, inertia, lyapunov, sliding_mode
+from ffsm_drake.analysis.evidence import Evidence
+from ffsm_drake.analysis.findings import TITLES, Analysis, Finding
+from ffsm_drake.runs.record import RunRecord
 
 __all__ = ["Analysis", "Finding", "analyze"]
+
+_SUBJECTS = (inertia, estimation, sliding_mode, lyapunov, chattering, balances)
+
+
+def analyze(record: RunRecord) -> Analysis:
+    """Evaluate every finding on a run, completed or not. A finding that does not apply says why."""
+    run = Evidence(record)
+    found = {finding.key: finding for subject in _SUBJECTS for finding in subject.findings(run)}
+    return Analysis(findings=tuple(found[key] for key in TITLES), series=run.dataset())

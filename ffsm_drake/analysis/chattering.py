@@ -1,10 +1,13 @@
-"""How much the control force chatters: its spectrum, its reversals, its total variation.
+"""Chattering of the control force: spectrum, reversals, total variation.
 
 Forces are arrays (n, nv), N m or N, one row per sample.
 """
 
 import numpy as np
 from scipy.signal import detrend, periodogram, welch
+
+from ffsm_drake.analysis.evidence import Evidence, ratio
+from ffsm_drake.analysis.findings import Finding, finding, not_applicable
 
 SEGMENT = 256  # samples of one segment of the smoothed spectrum
 FEWEST_SAMPLES = 16
@@ -19,7 +22,7 @@ def split_frequency(period: float) -> float:
 
 
 def effort_spectrum(effort: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (m), Hz, and power spectral density (m, nv), squared force per Hz: smooth, to look at.
+    """Frequencies (m), Hz, and power spectral density (m, nv), squared force per Hz, smoothed for plotting.
 
     Welch's mean over half-overlapping Hann windows, each with its linear trend (the planned motion) taken out.
     """
@@ -32,8 +35,8 @@ def effort_spectrum(effort: np.ndarray, period: float) -> tuple[np.ndarray, np.n
 def split_variance(effort: np.ndarray, period: float, *, split: float) -> tuple[np.ndarray, np.ndarray]:
     """Variance of each coordinate's force, its linear trend taken out: the parts (below, from ``split`` on).
 
-    Both (nv), squared force, over the whole record, from the periodogram without a window: it counts every sample
-    alike, and by Parseval's theorem the two parts sum to the variance itself.
+    Both (nv), squared force, over the whole record, from the periodogram without a window: it weights
+    all samples equally, and by Parseval's theorem the two parts sum to the variance.
     """
     frequency, power = periodogram(detrend(effort, axis=0), fs=1.0 / period, detrend=False, scaling="spectrum", axis=0)
     high = frequency >= split
@@ -46,9 +49,47 @@ def total_variation(effort: np.ndarray) -> np.ndarray:
 
 
 def reversals(effort: np.ndarray) -> np.ndarray:
-    """How often the force turns round (nv): sign changes of tau_{k+1} - tau_k, standing still not counted."""
+    """Number of reversals of the force (nv): sign changes of tau_{k+1} - tau_k, without the zero changes."""
     counts = []
     for change in np.diff(effort, axis=0).T:
         direction = np.sign(change[change != 0.0])
         counts.append(np.count_nonzero(np.diff(direction)))
     return np.array(counts, dtype=float)
+
+
+def findings(run: Evidence) -> list[Finding]:
+    """``chattering``, of any controller."""
+    tau, period = run.values("generalized_force"), run.period
+    if len(tau) < FEWEST_SAMPLES:
+        return not_applicable(f"a spectrum needs {FEWEST_SAMPLES} samples, the record has {len(tau)}", "chattering")
+    split = split_frequency(period)
+    frequency, density = effort_spectrum(tau, period)
+    run.axes["frequency"] = frequency
+    run.attributes["split_frequency"] = split
+    run.add(
+        "effort_spectrum", ("frequency", "coordinate"), density, units="(N m)^2/Hz, N^2/Hz",
+        meaning="power spectral density of tau (Welch)",
+    )  # fmt: skip
+    low, high = split_variance(tau, period, split=split)
+    turns = reversals(tau) / (period * (len(tau) - 1))  # n samples have n - 1 changes in n - 1 periods
+    variation = total_variation(tau)
+    numbers: dict[str, float | str] = {
+        "split_frequency": split,
+        "sampling_frequency": 1.0 / period,
+        "effort_share": ratio(float(high.sum()), float(np.square(tau).sum(axis=1).mean())),
+        **run.named("share", np.array([ratio(*pair) for pair in zip(high, low + high, strict=True)])),
+        **run.named("rms", np.sqrt(high)),
+        **run.named("reversals_per_second", turns),
+        **run.named("total_variation", variation),
+    }
+    for group, part in run.groups.items():
+        numbers[f"share.{group}"] = ratio(float(high[part].sum()), float((low + high)[part].sum()))
+        numbers[f"rms.{group}"] = float(np.sqrt(high[part].sum()))
+        numbers[f"reversals_per_second.{group}"] = float(turns[part].mean())
+        numbers[f"total_variation.{group}"] = float(variation[part].sum())
+    shares = ", ".join(f"{numbers[f'share.{group}']:.3g} ({group})" for group in run.groups)
+    statement = (
+        f"The share of tau's variance from {{split_frequency:g}} Hz on is {shares}; "
+        "{effort_share:.3g} of the mean |tau|^2, and so of ISV, is chattering."
+    )
+    return [finding("chattering", statement, numbers)]

@@ -1,11 +1,14 @@
-"""Time-delay estimation, judged after the run: its error, its bound, and the condition (8) that is said to bound it."""
+"""Time-delay estimation: its error and its bound, computed after the run."""
 
-import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ffsm_drake.design.stability.sampled_loop import inertia_ratios
+from ffsm_drake.analysis.findings import Finding, finding, not_applicable
 from ffsm_drake.spacecraft.nominal import PlantModel
+
+if TYPE_CHECKING:
+    from ffsm_drake.analysis.evidence import Evidence
 
 
 def mass_matrices(model: PlantModel, positions: np.ndarray) -> np.ndarray:
@@ -17,7 +20,7 @@ def mass_matrices(model: PlantModel, positions: np.ndarray) -> np.ndarray:
 def commanded_acceleration(
     *, effort: np.ndarray, measured_velocity: np.ndarray, nominal_mass_matrix: np.ndarray, period: float
 ) -> np.ndarray:
-    """The injected dynamics u_k (n, nv) that gave the recorded force, from equation (6) solved for u, per s^2.
+    """The injected dynamics u_k (n, nv) that gave the recorded force: equation (6) solved for u, per s^2.
 
     u_k = (v_k - v_{k-1}) / L + Hhat_k^-1 (tau_k - tau_{k-1}). As in the controller, the first sample has no past: its
     acceleration and the force before it are zero.
@@ -46,41 +49,38 @@ def estimation_error(*, velocity: np.ndarray, commanded: np.ndarray, period: flo
     return np.diff(velocity, axis=0) / period - commanded[:-1]
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class InertiaMatch:
-    """How well Hhat matches H at one posture or at several (leading axis n)."""
-
-    eta: np.ndarray  # eigenvalues of H^-1 Hhat, ascending (n, nv): free of units; > 1 is an over-estimated inertia
-    norm: np.ndarray  # ||E - H^-1 Hhat||_2 of equation (8), for the given unit of length (n)
-
-    @property
-    def norm_in_h(self) -> np.ndarray:
-        """The same norm in the metric of H, sup |(E - H^-1 Hhat) x|_H / |x|_H = max |1 - eta|: free of units (n)."""
-        return np.abs(1.0 - self.eta).max(axis=-1, initial=0.0)
-
-
-def match_inertia(
-    true: np.ndarray, nominal: np.ndarray, *, is_length: np.ndarray, unit_of_length: float = 1.0
-) -> InertiaMatch:
-    """Compare mass matrices H and Hhat (n, nv, nv).
-
-    Args:
-      is_length: which coordinates are lengths rather than angles (nv); equation (8) depends on their unit.
-      unit_of_length: the unit, in m, that lengths are expressed in for the norm of (8).
-    """
-    size = true.shape[-1]
-    eta = [inertia_ratios(actual, believed) for actual, believed in zip(true, nominal, strict=True)]
-    # A length of x metres is x / unit in the new unit.
-    scale = np.where(is_length, 1.0 / unit_of_length, 1.0)
-    difference = np.eye(size) - np.linalg.solve(true, nominal)
-    norm = np.linalg.norm(difference * scale[:, None] / scale, ord=2, axis=(1, 2))
-    return InertiaMatch(eta=np.array(eta).reshape(-1, size), norm=norm)
-
-
 def start_up_time(period: float) -> float:
-    """How long the start-up transient is taken to last, s: 0.1 s, or ten samples where those are longer.
+    """Duration of the start-up transient, s: 0.1 s, or ten samples where those are longer.
 
-    At the first sample the controller has no past, so that Nhat is 0 whatever N is; with the published gains the
+    At the first sample the controller has no past, so that Nhat is 0 whatever N is. With the published gains the
     slowest pole this excites is about -0.74 per sample, which ten samples bring down to 5 %.
     """
     return max(0.1, 10.0 * period)
+
+
+def findings(run: "Evidence") -> list[Finding]:
+    """``tde_error_bound``."""
+    if run.too_short:
+        return not_applicable(run.too_short, "tde_error_bound")
+    bounds = {"bound": run.bound, "bound_late": run.late_bound}
+    unit = "rad/s^2, m/s^2"
+    run.add("tde_error", ("period", "coordinate"), run.tde_error, units=unit, meaning="TDE error N - Nhat")
+    run.add("tde_error_bound", "coordinate", run.bound, units=unit, meaning="largest |TDE error| over the run")
+    run.add(
+        "tde_error_bound_late", "coordinate", run.late_bound, units=unit,
+        meaning="largest |TDE error| after the start-up",
+    )  # fmt: skip
+    worst = int(run.bound.argmax())
+    numbers: dict[str, float | str] = {
+        "start_up_time": start_up_time(run.period),
+        "worst_coordinate": run.coordinates.names[worst],
+        "time_of_bound": float(run.time[np.abs(run.tde_error[:, worst]).argmax()]),
+    }
+    for name, values in bounds.items():
+        numbers |= {name: float(values.max()), **run.grouped(name, values), **run.named(name, values)}
+    statement = (
+        "N* = {bound:.3g} ({worst_coordinate} at {time_of_bound:.3g} s)"
+        + ("; after the first {start_up_time:g} s, {bound_late:.3g}" if run.outlasts_start_up else "")
+        + " (rad/s^2 or m/s^2)."
+    )
+    return [finding("tde_error_bound", statement, numbers)]

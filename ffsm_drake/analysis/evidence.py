@@ -1,24 +1,24 @@
 """A run prepared for analysis."""
 
 import functools
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ffsm_drake.analysis import chattering, estimation
+from ffsm_drake.analysis import estimation
+from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
-from ffsm_drake.systems.controllers import PAPER_LAWS, make_law
+from ffsm_drake.systems.controllers import gain_vectors
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Numbers = dict[str, float | str]
-
 
 class Evidence:
-    """A record cut to its finite part, what several findings need of it, and the place where series gather."""
+    """A record cut to its finite part, quantities that several findings share, and the series they add."""
 
     def __init__(self, record: RunRecord) -> None:
         self.record = record
@@ -30,6 +30,11 @@ class Evidence:
         self.true = make_true_plant(self.scenario)
         self.after_start_up = self.time >= estimation.start_up_time(self.period) - 1e-9
         self.series: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
+        self.attributes: dict[str, str | float] = {
+            **record.dataset.attrs,
+            "outcome": record.outcome.message,
+            "start_up_time": estimation.start_up_time(self.period),
+        }
         self.axes: dict[str, np.ndarray] = {"time": self.time, "period": self.time[:-1]}
 
     @property
@@ -43,16 +48,22 @@ class Evidence:
         return {name: part for name, part in self.coordinates.groups.items() if len(range(*part.indices(size)))}
 
     @functools.cached_property
-    def law(self) -> Any:
-        """The control law with its gains; None for a controller that is not one of the four."""
-        if self.scenario.controller not in PAPER_LAWS:
-            return None
-        return make_law(self.scenario, self.nominal).dynamics
+    def constants(self) -> Mapping[str, Any]:
+        """The gains that the controller declares, (nv) or numbers; empty where it declares none or cannot be loaded."""
+        try:
+            return gain_vectors(self.scenario, self.coordinates)
+        except FfsmError:  # its module is not available; most findings do not need it
+            return {}
 
     @property
     def too_short(self) -> str:
-        """Why nothing can be said of periods; empty where there is at least one."""
+        """Why there is no complete period; empty where there is at least one."""
         return "" if len(self.time) >= 2 else f"the record has {len(self.time)} finite samples, less than one period"
+
+    @property
+    def outlasts_start_up(self) -> bool:
+        """Whether any period begins after the start-up."""
+        return bool(self.after_start_up[:-1].any())
 
     def values(self, name: str) -> np.ndarray:
         values: np.ndarray = self.data[name].values
@@ -86,21 +97,17 @@ class Evidence:
     @functools.cached_property
     def gains(self) -> tuple[np.ndarray, np.ndarray]:
         """K_s and G at every sample, both (n, nv); constant ones from the scenario, zero where the law has none."""
-        shape = self.values("velocity").shape
-        constant = getattr(self.law, "k_s", None)
-        k_s = (
-            self.values("reaching_gain")
-            if "reaching_gain" in self.data
-            else np.broadcast_to(np.zeros(shape[1]) if constant is None else constant, shape)
-        )
-        g = self.values("switching_gain") if "switching_gain" in self.data else np.zeros(shape)
+        v = self.values("velocity")
+        constant = np.broadcast_to(self.constants.get("k_s", 0.0), v.shape)
+        k_s = self.values("reaching_gain") if "reaching_gain" in self.data else constant
+        g = self.values("switching_gain") if "switching_gain" in self.data else np.zeros_like(v)
         return k_s, g
 
-    def named(self, prefix: str, values: np.ndarray) -> Numbers:
+    def named(self, prefix: str, values: np.ndarray) -> dict[str, float]:
         """``prefix.coordinate`` -> value, for values (nv)."""
         return {f"{prefix}.{name}": float(x) for name, x in zip(self.coordinates.names, values, strict=True)}
 
-    def grouped(self, prefix: str, values: np.ndarray) -> Numbers:
+    def grouped(self, prefix: str, values: np.ndarray) -> dict[str, float]:
         """``prefix.group`` -> the largest of the group's coordinates, for values (nv)."""
         return {f"{prefix}.{name}": float(values[part].max()) for name, part in self.groups.items()}
 
@@ -116,17 +123,12 @@ class Evidence:
                 "group": ("coordinate", list(coordinates.group_of)),
                 "unit": ("coordinate", list(coordinates.units)),
             },
-            attrs={
-                **self.record.dataset.attrs,
-                "outcome": self.record.outcome.message,
-                "start_up_time": estimation.start_up_time(self.period),
-                "split_frequency": chattering.split_frequency(self.period),
-            },
+            attrs=self.attributes,
         )
 
 
 def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
-    """The samples before the first at which anything recorded is not finite: a run may end in such numbers."""
+    """The samples before the first at which any recorded value is not finite, as at the end of a diverged run."""
     finite = np.ones(dataset.sizes["time"], dtype=bool)
     for variable in dataset.data_vars.values():
         finite &= np.isfinite(variable.values).reshape(finite.size, -1).all(axis=1)
@@ -139,7 +141,7 @@ def largest(values: np.ndarray) -> np.ndarray:
 
 
 def ratio(part: float, whole: float) -> float:
-    """part / whole; 0 for nothing of nothing, infinite for something of nothing."""
+    """part / whole; where whole is 0, it is 0 if part is 0, else infinite."""
     if whole != 0.0:
         return part / whole
     return 0.0 if part == 0.0 else np.inf

@@ -1,22 +1,14 @@
-"""The stability proof of Section 3.2, evaluated on what happened: equations (7) and (12) to (16), and Lemma 1.
+"""The stability proof of Section 3.2 evaluated on a run: equations (12) to (16) and Lemma 1.
 
-N* is the bound on the TDE errors; here, the one found in the run. The arrays are samples (n, nv) of s, K_s, G.
+N* is the largest TDE error of the run. The arrays are samples (n, nv) of s, K_s, G.
 """
 
 import dataclasses
 
 import numpy as np
 
-
-def reaching_law_remainder(
-    *, s: np.ndarray, k_s: np.ndarray, g: np.ndarray, tde_error: np.ndarray, period: float
-) -> np.ndarray:
-    """What equation (7) leaves out, per period (n - 1, nv): (s_{k+1} - s_k) / L + Ntilde + K_s s + G sgn s.
-
-    (7) is about continuous time. Over a period, s also changes by what de/dt and d^2e/dt^2 vary within it, the noise of
-    two measurements, and on a plant stepped by explicit Euler the step's own error.
-    """
-    return np.diff(s, axis=0) / period + tde_error + (k_s * s + g * np.sign(s))[:-1]
+from ffsm_drake.analysis.evidence import Evidence, ratio
+from ffsm_drake.analysis.findings import Finding, Numbers, finding, not_applicable
 
 
 def outside(s: np.ndarray, k_s: np.ndarray, *, beta: np.ndarray, epsilon: float) -> np.ndarray:
@@ -70,15 +62,105 @@ def ultimate_bound(*, bound: float, alpha: np.ndarray, beta: np.ndarray, phi: np
     return float(np.sqrt(np.where(np.isnan(squares), np.inf, squares).sum()))
 
 
-def direct_bound(*, first: np.ndarray, bound: np.ndarray, k_s_min: np.ndarray, g_min: np.ndarray) -> np.ndarray:
-    """Bound on |s_i| (nv) that follows from equation (7) alone: max(|s_i(0)|, (N*_i - G_i)^+ / K_si).
+def findings(run: Evidence) -> list[Finding]:
+    """Section 3.2: for a run that records s, K_s and G, of a law with the constants of (9) and (10)."""
+    keys = ("lyapunov_derivative", "ultimate_bound", "lemma_1_premise", "lemma_1_conclusion")
+    recorded, constants = {"sliding_variable", "reaching_gain", "switching_gain"}, {"alpha", "beta", "phi", "epsilon"}
+    if not (recorded <= {*run.data} and constants <= {*run.constants}):
+        return not_applicable(
+            f"the proof is about gains that adapt by (9) and (10), which those of {run.scenario.controller} do not",
+            *keys,
+        )
+    if run.too_short:
+        return not_applicable(run.too_short, *keys)
+    s, k_s, bound = run.values("sliding_variable"), run.gains[0], float(run.bound.max())
+    alpha, beta, phi, epsilon = (run.constants[name] for name in ("alpha", "beta", "phi", "epsilon"))
+    peak = np.abs(s).max(axis=1)  # ||s||_inf
+    scaled = beta.max() * peak
+    run.add("scaled_sliding_variable", "time", scaled, units="1/s", meaning="largest beta_i times ||s||_inf")
+    limit = {
+        "bound": bound,
+        "ultimate_bound": ultimate_bound(bound=bound, alpha=alpha, beta=beta, phi=phi, epsilon=float(epsilon)),
+        "largest_norm": float(np.linalg.norm(s, axis=1).max()),
+    }
+    limit["ratio"] = ratio(limit["largest_norm"], limit["ultimate_bound"])
+    premise = {
+        "largest": float(scaled.max()),
+        "largest_of_smallest_beta": float(beta.min() * peak.max()),
+        "bound": bound,
+        "ratio": ratio(float(scaled.max()), bound),
+        "share_of_samples": float(np.mean(scaled < bound)),
+    }
+    conclusion = {
+        "smallest_k_s": float(k_s.min()),
+        "largest_k_s": float(k_s.max()),
+        "largest_initial_k_s": float(k_s[0].max()),
+        "bound": bound,
+        "ratio": ratio(float(k_s.max()), bound),
+        "share_of_gains": float(np.mean(k_s < bound)),
+    }
+    return [
+        _derivative(run, bound),
+        finding(
+            "ultimate_bound",
+            "||s||_2 reaches {largest_norm:.3g}; (16) gives {ultimate_bound:.3g} for N* = {bound:.3g}.",
+            limit,
+            holds=limit["largest_norm"] <= limit["ultimate_bound"],
+        ),
+        finding(
+            "lemma_1_premise",
+            "The largest beta_i ||s||_inf is {largest:.3g}, {ratio:.2g} times N* = {bound:.3g}; all beta_i satisfy the "
+            "premise in {share_of_samples:.3g} of the samples.",
+            premise,
+            holds=premise["largest"] < bound,
+        ),
+        finding(
+            "lemma_1_conclusion",
+            "K_si lies in [{smallest_k_s:.4g}, {largest_k_s:.4g}] 1/s, up to {ratio:.2g} times N* = {bound:.3g}.",
+            conclusion,
+            holds=conclusion["largest_k_s"] < bound,
+        ),
+    ]
 
-    Beyond it d|s_i|/dt <= N*_i - G_i - K_si |s_i| < 0. Neither adaptation nor V is needed, but (7) must hold as it
-    stands, which it does in continuous time only.
 
-    Args: s at the start, N* by coordinate, and the smallest K_s and G of the run, all (nv).
-    """
-    excess = np.maximum(bound - g_min, 0.0)
-    # 0 / 0 is no excess at all; anything else over 0 is no bound at all.
-    steady = np.divide(excess, k_s_min, out=np.where(excess > 0.0, np.inf, 0.0), where=k_s_min > 0.0)
-    return np.maximum(np.abs(first), steady)
+def _derivative(run: Evidence, bound: float) -> Finding:
+    s, (k_s, g) = run.values("sliding_variable"), run.gains
+    alpha, beta, phi, epsilon = (run.constants[name] for name in ("alpha", "beta", "phi", "epsilon"))
+    v = lyapunov(s=s, k_s=k_s, g=g, alpha=alpha, phi=phi, bound=bound, period=run.period)
+    beyond = outside(s, k_s, beta=beta, epsilon=float(epsilon))
+    parts = {"s": v.rate_of_s, "K_s": v.rate_of_k_s, "G": v.rate_of_g}
+    run.add("lyapunov", "time", v.value, units="1", meaning="V of equation (12)")
+    run.add("lyapunov_rate", "period", v.rate, units="1/s", meaning="dV/dt of equation (13), over the period")
+    for name, part in parts.items():
+        meaning = f"the part of dV/dt from {name}"
+        run.add(f"lyapunov_rate_of_{name.lower()}", "period", part, units="1/s", meaning=meaning)
+    meaning = "coordinates with |s_i| > max(K_si / beta_i, epsilon)"
+    run.add("outside", "time", beyond.sum(axis=1), units="1", meaning=meaning)
+    rising, left, wholly = v.rate > 0.0, beyond[:-1].any(axis=1), beyond[:-1].all(axis=1)
+    # The term of (13) that is the largest where V rises.
+    driver = max(parts, key=lambda name: parts[name][rising].sum()) if rising.any() else "none"
+    numbers: Numbers = {
+        "bound": bound,
+        "epsilon": float(epsilon),
+        "samples": float(rising.size),
+        "outside_any": float(left.sum()),
+        "outside_all": float(wholly.sum()),
+        "rising_outside_any": float((rising & left).sum()),
+        "rising_outside_all": float((rising & wholly).sum()),
+        "inside": float((~left).sum()),
+        "rising_inside": float((rising & ~left).sum()),
+        "largest_rate_outside": float(v.rate[left].max()) if left.any() else np.nan,
+        "largest_rate_inside": float(v.rate[~left].max()) if (~left).any() else np.nan,
+        "value_first": float(v.value[0]),
+        "value_last": float(v.value[-1]),
+        "driver": driver,
+    }
+    if not left.any():
+        reason = "s never leaves |s_i| <= max(K_si/beta_i, epsilon), where the paper makes no claim"
+        return dataclasses.replace(not_applicable(reason, "lyapunov_derivative")[0], numbers=numbers)
+    statement = (
+        "dV/dt > 0 in {rising_outside_any:g} of the {outside_any:g} samples with some |s_i| > max(K_si/beta_i, "
+        "epsilon), and in {rising_inside:g} of the {inside:g} others; V goes from {value_first:.4g} to "
+        "{value_last:.4g}."
+    )
+    return finding("lyapunov_derivative", statement, numbers, holds=not (rising & left).any())

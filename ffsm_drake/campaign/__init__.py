@@ -1,4 +1,4 @@
-"""Campaigns: thousands of runs of dispersed scenarios, kept in one database, judged in one report.
+"""Campaigns: thousands of runs of dispersed scenarios, stored in one database and evaluated in one report.
 
 spec -> sampling -> cases -> evaluate (in workers, by executor) -> store -> statistics -> report; ``run`` drives.
 """

@@ -1,4 +1,4 @@
-"""The distributions of a dispersed value: from a point of the unit interval to a value."""
+"""Distributions of a dispersed value: maps from the unit interval to a value."""
 
 import dataclasses
 import math
@@ -10,9 +10,9 @@ from ffsm_drake.campaign.errors import CampaignError
 
 
 class Distribution(Protocol):
-    """What a parameter's entry in the specification describes."""
+    """The distribution of a parameter or factor."""
 
-    uses_point: bool  # whether it takes a dimension of the sampling
+    uses_point: bool  # whether it uses a dimension of the sampling
 
     def value(self, u: float, case: int) -> Any:
         """The value of case number ``case`` at the quantile u in (0, 1)."""
@@ -31,7 +31,7 @@ class Uniform:
 
 @dataclasses.dataclass(frozen=True)
 class LogUniform:
-    """The logarithm is uniform: every decade is equally likely."""
+    """Uniform in the logarithm: every decade is equally likely."""
 
     low: float
     high: float
@@ -65,7 +65,7 @@ class Choice:
 
 @dataclasses.dataclass(frozen=True)
 class Listed:
-    """The values one after the other, by the case's number, and again from the start."""
+    """The values in turn, by the case's number, repeated from the start."""
 
     values: tuple[Any, ...]
     uses_point = False
@@ -87,7 +87,7 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
     """The distribution that one entry of the specification describes; ``place`` names it in errors.
 
     Raises:
-      CampaignError: an unknown distribution or field, a missing one, or numbers that make no distribution.
+      CampaignError: an unknown distribution or field, a missing one, or numbers out of range.
     """
     if not isinstance(data, Mapping):
         raise CampaignError(f"{place}: must be a mapping such as {{distribution: uniform, low: 0, high: 1}}")
@@ -119,7 +119,7 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
 
 
 def number(data: Any, *, place: str) -> float:
-    """A finite number; text such as 1e-7, which YAML does not take for one, is read too."""
+    """A finite number, also from text such as 1e-7, which YAML reads as a string."""
     try:
         if isinstance(data, bool) or not isinstance(data, (int, float, str)):
             raise ValueError
@@ -132,14 +132,14 @@ def number(data: Any, *, place: str) -> float:
 
 
 def check_keys(data: Mapping[str, Any], valid: tuple[str, ...], *, place: str) -> None:
-    """Raise CampaignError for a key that is not valid there."""
+    """Raise CampaignError for a key that is not valid."""
     for key in data:
         if key not in valid:
             raise CampaignError(f"{place}.{key}: unknown key; valid here: {', '.join(valid)}")
 
 
 def _tidy(value: Any, *, place: str) -> Any:
-    """A value as the scenario takes it: numbers finite, also within lists and where YAML reads them as text."""
+    """A value for the scenario; numbers must be finite, also within lists and where YAML reads them as text."""
     if isinstance(value, list):
         return [_tidy(item, place=place) for item in value]
     if value is None or isinstance(value, (bool, int)):

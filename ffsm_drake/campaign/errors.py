@@ -1,4 +1,4 @@
-"""What can be wrong with a campaign's specification, database or workers."""
+"""Errors of a campaign's specification, database or workers."""
 
 from ffsm_drake.common.errors import FfsmError
 
@@ -8,7 +8,7 @@ class CampaignError(FfsmError):
 
 
 class InterruptedCampaign(KeyboardInterrupt):
-    """The campaign was told to stop; what it has is stored."""
+    """The campaign was asked to stop; finished runs are stored."""
 
     def __init__(self, done: int, total: int) -> None:
         self.done, self.total = done, total

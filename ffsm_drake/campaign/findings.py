@@ -1,4 +1,4 @@
-"""All that a report shows, computed once."""
+"""Everything that a campaign's report shows, computed once."""
 
 import dataclasses
 from collections.abc import Callable
@@ -23,14 +23,14 @@ from ffsm_drake.campaign.store import Store
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Findings:
-    """A campaign, judged."""
+    """The evaluation of a campaign."""
 
     spec: Spec
     table: Table
     success: dict[str, Interval]  # by controller
     differences: list[Difference]
     sensitivities: list[Sensitivity]
-    influential: list[str]  # sampled numbers, the one that matters most first
+    influential: list[str]  # sampled numbers, most influential first
     agreement: list[Agreement]
     map: StabilityMap | None  # None with fewer than two sampled numbers
 
@@ -42,11 +42,11 @@ class Findings:
 def find(
     store: Store, *, axes: tuple[str, str] | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Findings:
-    """Judge what a database holds so far.
+    """Evaluate the results that a database holds so far.
 
     Args:
       store: the database.
-      axes: the map's two values; None for the two that matter most.
+      axes: the map's two values; None for the two most influential.
       progress: called with (done, total) controllers of the map.
 
     Raises:

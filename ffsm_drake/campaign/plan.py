@@ -1,4 +1,4 @@
-"""What is to come, and what has come so far, in plain text."""
+"""The plan and the status of a campaign, as plain text."""
 
 import itertools
 import statistics
@@ -15,7 +15,7 @@ _WINDOW = 1000  # runs over which memory is averaged
 
 
 def plan_text(spec: Spec, *, workers: int) -> str:
-    """A specification's cases in brief, and how long they would take; runs the first one to find out.
+    """A summary of the cases and an estimate of the duration, for which the first case is run.
 
     Raises:
       CampaignError, ModelError, ScenarioError: a value cannot be used.
@@ -46,7 +46,7 @@ def plan_text(spec: Spec, *, workers: int) -> str:
 
 
 def status_text(store: Store) -> str:
-    """How far a campaign is, the outcomes by controller, and what its processes needed."""
+    """Progress of a campaign, outcomes by controller, run times and memory."""
     spec, counts = store.spec, store.counts()
     done = store.num_results()
     lines = [

@@ -1,4 +1,4 @@
-"""What the linear sampled loop says of a case before it is run: cheap enough to be asked for every run."""
+"""Stability of a case predicted from the linear sampled loop, cheap enough for every run."""
 
 import dataclasses
 import math

@@ -1,4 +1,4 @@
-"""How far a campaign is: one line that fills up on a terminal, plain lines elsewhere."""
+"""Progress of a campaign: a progress bar on a terminal, plain lines elsewhere."""
 
 import sys
 import time
@@ -52,7 +52,7 @@ def progress_text(progress: "Progress") -> str:
 
 
 def duration_text(seconds: float) -> str:
-    """A duration in the units that suit it."""
+    """A duration in seconds, minutes or hours."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)

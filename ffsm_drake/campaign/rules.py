@@ -1,12 +1,12 @@
-"""Derived values: a few named rules, each from values of the same case to one more.
+"""Derived values: named rules that compute a value from others of the same case.
 
   scale         of (one name or several) multiplied with each other and with ``by`` (a number or a list; default 1)
   sum           of (several names), added up; lists of the same length element by element
   relative      of * (1 + error)
   solid_cube    inertia of a homogeneous cube: mass side^2 / 6 about each axis
-  solid_sphere  inertia of a homogeneous ball: 2/5 mass radius^2 about each axis
+  solid_sphere  inertia of a homogeneous sphere: 2/5 mass radius^2 about each axis
 
-A name is a factor, a parameter, a value derived before, or any other scenario key, which then has the scenario's value.
+A name is a factor, a parameter, a value derived before, or any other key of the scenario.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ Value = float | list[float]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Rule:
-    """One entry of ``derive``: what it reads, and what it makes of that."""
+    """One entry of ``derive``: the values it reads, and the function applied to them."""
 
     sources: tuple[str, ...]
     apply: Callable[[list[Value]], Value]
@@ -102,5 +102,5 @@ def _relative(values: list[Value]) -> Value:
 
 def _single(value: Value) -> float:
     if isinstance(value, list):
-        raise CampaignError("a list stands where a single number is needed")
+        raise CampaignError("needs a single number, not a list")
     return value

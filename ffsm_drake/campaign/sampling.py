@@ -1,4 +1,4 @@
-"""Points of the unit cube, and the seeds of the cases: both from the campaign's seed alone."""
+"""Points of the unit cube and seeds of the cases, both determined by the campaign's seed."""
 
 import numpy as np
 from scipy.stats import qmc

@@ -1,4 +1,4 @@
-"""When a run counts as settled: its tracking error stays within tolerances until the end."""
+"""The criterion for a settled run: its tracking error stays within tolerances until the end."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ class Settled:
     tolerance: Mapping[str, float]  # rad or m, by group
 
     def time(self, time: np.ndarray, error: np.ndarray, group_of: Sequence[str]) -> float | None:
-        """From when on (s) the error of a whole run stays within; None when it is not settled.
+        """The time (s) from which the error stays within the tolerances; None when the run is not settled.
 
         Args:
           time: control samples (n,), s.
@@ -40,7 +40,7 @@ class Settled:
 
 
 def parse_settled(data: Any, *, place: str) -> Settled:
-    """The criterion of a specification. Raises CampaignError for an unknown key or a number that is no tolerance."""
+    """The criterion of a specification. Raises CampaignError for an unknown key or a value out of range."""
     if not isinstance(data, Mapping):
         raise CampaignError(f"{place}: must be a mapping with hold and tolerance")
     check_keys(data, ("hold", "tolerance"), place=place)

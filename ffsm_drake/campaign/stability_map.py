@@ -21,7 +21,7 @@ REFINEMENT = 3  # finer by this near the boundary
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class StabilityMap:
-    """Predicted spectral radius over a grid; below 1 is stable, NaN where nothing can be predicted."""
+    """Predicted spectral radius over a grid; below 1 is stable, NaN where there is no prediction."""
 
     x_name: str
     y_name: str
@@ -33,7 +33,7 @@ class StabilityMap:
     fixed: Mapping[str, object]  # the other sampled values
 
     def side(self, controller: str) -> np.ndarray:
-        """(n, m) the radius held within 1 +- 0.1: the boundary is drawn midway between points on either side."""
+        """The radius (n, m) clipped to 1 +- 0.1, so that the boundary is drawn midway between points on either side."""
         radius = self.radius[controller]
         if np.isnan(radius).all():  # nothing is predicted of this controller: no boundary
             return np.full_like(radius, 0.9)
@@ -60,7 +60,7 @@ def predict_map(
     """
     for name in axes:
         if name not in values:
-            raise CampaignError(f"--map: '{name}' is no sampled number; choose two of {', '.join(values)}")
+            raise CampaignError(f"--map: '{name}' is not a sampled number; choose two of {', '.join(values)}")
     if axes[0] == axes[1]:
         raise CampaignError("--map: needs two different values")
     log = [isinstance(spec.distributions[name], LogUniform) for name in axes]
@@ -90,9 +90,9 @@ def predict_map(
 
 
 def _refined(predict: Callable[[int, int], float], size: int) -> np.ndarray:
-    """The grid (size, size): every REFINEMENT-th point, all of those in cells that the boundary crosses.
+    """The grid (size, size): every REFINEMENT-th point, and all points of the cells that the boundary crosses.
 
-    The other cells are filled with their first corner: they lie on one side.
+    The other cells lie on one side of the boundary and are filled with the value at their first corner.
     """
     grid, known = np.full((size, size), np.nan), np.zeros((size, size), dtype=bool)
 

@@ -1,4 +1,4 @@
-"""What a campaign's runs say: success rates, paired differences, sensitivities, agreement with the prediction."""
+"""Statistics of a campaign: success rates, paired differences, sensitivities, agreement with the prediction."""
 
 import dataclasses
 import functools
@@ -17,7 +17,7 @@ CONFIDENCE = 0.95
 BINS = 10  # equally filled, for the share of variance that a value explains
 _RESAMPLES = 2000
 _PERMUTATIONS = 500
-_COMPARED = 10  # fewer pairs than this are not judged
+_COMPARED = 10  # fewest pairs for a confidence interval
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,12 +35,12 @@ class Runs:
 
     @functools.cached_property
     def valid(self) -> np.ndarray:
-        """Whether the run came to a result; an error is none."""
+        """Whether the run has a result; an error has none."""
         return self.outcome != "error"
 
     @functools.cached_property
     def radius(self) -> np.ndarray:
-        """Predicted spectral radius, the larger of both."""
+        """Predicted spectral radius, the larger of the two."""
         return np.fmax(*(self.metrics[name] for name in PREDICTIONS))
 
 
@@ -57,7 +57,7 @@ class Table:
 
 
 def read_table(store: Store) -> Table:
-    """Read what a database holds so far."""
+    """Read the results that a database holds so far."""
     columns = ("outcome_time", "wall_time", *METRICS, *PREDICTIONS)
     runs = {}
     for controller in store.spec.controllers:
@@ -76,8 +76,7 @@ def read_table(store: Store) -> Table:
         )
     values = {}
     for name in store.spec.distributions:
-        quoted = '"' + name.replace('"', '""') + '"'
-        column = [row[0] for row in store.query(f"SELECT {quoted} FROM cases ORDER BY case_index")]
+        column = store.sampled(name)
         if all(isinstance(value, (int, float)) for value in column) and len(set(column)) > 1:
             values[name] = np.array(column, dtype=float)
     return Table(runs=runs, values=values)
@@ -151,13 +150,13 @@ def _bootstrap(sample: np.ndarray, statistic: Callable[..., Any], *, seed: int) 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """How a value bears on whether runs fail."""
+    """How a value affects whether runs fail."""
 
     name: str
     controller: str
-    correlation: float  # Spearman's, with failure; positive: larger values fail more
+    correlation: float  # Spearman's, with failure; positive: larger values fail more often
     share: float  # of the variance of failure that the value alone explains, by equally filled bins
-    chance: float  # the share that a value without any effect would reach in one of twenty campaigns
+    chance: float  # 95 % quantile of the share of a value without effect
 
     @property
     def matters(self) -> bool:
@@ -165,7 +164,7 @@ class Sensitivity:
 
 
 def sensitivities(table: Table, *, seed: int) -> list[Sensitivity]:
-    """Every sampled value and controller; NaN where all runs end alike."""
+    """Every sampled value and controller; NaN where all runs have the same outcome."""
     return [
         _sensitivity(name, table.at(name, runs), runs, seed=seed)
         for runs in table.runs.values()
@@ -205,7 +204,7 @@ def most_influential(found: list[Sensitivity]) -> list[str]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """The linear prediction against what happened, in runs."""
+    """Number of runs by linear prediction and outcome."""
 
     controller: str
     stable_settled: int
@@ -219,7 +218,7 @@ class Agreement:
 
     @property
     def share(self) -> float:
-        """Share of the runs that ended as predicted."""
+        """Share of the runs with the predicted outcome."""
         return (self.stable_settled + self.unstable_failed) / self.total if self.total else math.nan
 
 

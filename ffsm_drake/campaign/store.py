@@ -6,12 +6,9 @@ results refer to). The view ``runs`` joins them all: one row per run, for any SQ
 """
 
 import contextlib
-import csv
 import datetime
 import fcntl
-import importlib
 import json
-import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,16 +17,17 @@ from typing import IO, Any
 from ffsm_drake.campaign.cases import Case
 from ffsm_drake.campaign.errors import CampaignError
 from ffsm_drake.campaign.evaluate import METRICS, OUTCOMES, PREDICTIONS, Row
+from ffsm_drake.campaign.export import write_csv, write_parquet
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import RecordError, one_line
 from ffsm_drake.common.files import written_whole
 
 FORMAT = 1
-_APPLICATION_ID = 0x66667363  # what makes the file one of ours
+_APPLICATION_ID = 0x66667363  # marks the file as a campaign's
 _RESULT = ("outcome", "outcome_time", "message", *METRICS, *PREDICTIONS, "wall_time", "worker", "rss_mib")
 _TEXT = ("outcome", "message", "worker")
-_CHUNK = 200  # rows held at a time
-_PATIENCE = 5.0  # s to wait for another program's lock
+_CHUNK = 200  # cases held at a time
+PATIENCE = 5.0  # s to wait for another program's lock
 
 
 class Store:
@@ -40,50 +38,43 @@ class Store:
         self.path = path
         self.spec = spec
 
+    def query(self, sql: str, parameters: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
+        """The rows of any SELECT."""
+        with _one_line_errors(self.path):
+            yield from self._connection.execute(sql, parameters)
+
     def pending(self) -> Iterator[tuple[Case, str]]:
         """Every case and controller without a row, in order; a few cases are held at a time."""
         last = -1
-        while True:
-            with _told(self.path):
-                rows = self._connection.execute(
-                    "SELECT * FROM cases WHERE case_index > ? ORDER BY case_index LIMIT ?", (last, _CHUNK)
-                ).fetchall()
-                if not rows:
-                    return
-                done = set(
-                    self._connection.execute(
-                        "SELECT case_index, controller FROM results WHERE case_index BETWEEN ? AND ?",
-                        (rows[0][0], rows[-1][0]),
-                    )
-                )
-            for row in rows:
-                case = self._case(row)
-                yield from (
-                    (case, controller) for controller in self.spec.controllers if (case.index, controller) not in done
-                )
+        chunk = "SELECT * FROM cases WHERE case_index > ? ORDER BY case_index LIMIT ?"
+        stored = "SELECT case_index, controller FROM results WHERE case_index BETWEEN ? AND ?"
+        while rows := list(self.query(chunk, (last, _CHUNK))):
             last = rows[-1][0]
+            done = set(self.query(stored, (rows[0][0], last)))
+            for case in map(self._case, rows):
+                yield from ((case, name) for name in self.spec.controllers if (case.index, name) not in done)
 
     def case(self, index: int) -> Case:
         """One case by its number. Raises CampaignError when there is no such case."""
-        with _told(self.path):
-            row = self._connection.execute("SELECT * FROM cases WHERE case_index = ?", (index,)).fetchone()
-        if row is None:
-            raise CampaignError(f"{self.path}: has no case {index}; there are 0 to {self.spec.cases - 1}")
-        return self._case(row)
+        for row in self.query("SELECT * FROM cases WHERE case_index = ?", (index,)):
+            return self._case(row)
+        raise CampaignError(f"{self.path}: has no case {index}; there are 0 to {self.spec.cases - 1}")
 
     def _case(self, row: Sequence[Any]) -> Case:
         index, seed, *values = row
         return Case(index=index, seed=seed, values=dict(zip(self.spec.names, map(_from_column, values), strict=True)))
 
+    def sampled(self, name: str) -> list[Any]:
+        """A sampled or derived value as the database keeps it, for every case in order."""
+        return [row[0] for row in self.query(f"SELECT {_quoted(name)} FROM cases ORDER BY case_index")]
+
     def add(self, rows: Iterable[tuple[Case, str, Row]]) -> None:
         """Store results in one transaction."""
-        with _told(self.path), self._connection:
+        insert = f"INSERT INTO results VALUES ({', '.join('?' * (3 + len(_RESULT)))})"
+        with _one_line_errors(self.path), self._connection:
             for case, controller, row in rows:
                 software = self._software(row["software"])
-                self._connection.execute(
-                    f"INSERT INTO results VALUES ({', '.join('?' * (3 + len(_RESULT)))})",
-                    (case.index, controller, *(row[name] for name in _RESULT), software),
-                )
+                self._connection.execute(insert, (case.index, controller, *(row[name] for name in _RESULT), software))
 
     def _software(self, text: str) -> int:
         self._connection.execute("INSERT OR IGNORE INTO software (versions) VALUES (?)", (text,))
@@ -91,14 +82,9 @@ class Store:
 
     def result(self, case: int, controller: str) -> dict[str, Any]:
         """The stored row of one run, by column of the view ``runs``. Raises CampaignError when it is not there yet."""
-        with _told(self.path):
-            cursor = self._connection.execute(
-                "SELECT * FROM runs WHERE case_index = ? AND controller = ?", (case, controller)
-            )
-            row = cursor.fetchone()
-        if row is None:
-            raise CampaignError(f"{self.path}: holds no run of case {case} with {controller}")
-        return dict(zip((column[0] for column in cursor.description), row, strict=True))
+        for row in self.query("SELECT * FROM runs WHERE case_index = ? AND controller = ?", (case, controller)):
+            return dict(zip(self.columns, row, strict=True))
+        raise CampaignError(f"{self.path}: holds no run of case {case} with {controller}")
 
     def counts(self) -> dict[str, dict[str, int]]:
         """Controller -> outcome -> number of runs."""
@@ -110,15 +96,10 @@ class Store:
     def num_results(self) -> int:
         return int(next(self.query("SELECT count(*) FROM results"))[0])
 
-    def query(self, sql: str, parameters: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
-        """The rows of any SELECT."""
-        with _told(self.path):
-            yield from self._connection.execute(sql, parameters)
-
     @property
     def columns(self) -> tuple[str, ...]:
         """The columns of the view ``runs``."""
-        with _told(self.path):
+        with _one_line_errors(self.path):
             return tuple(item[0] for item in self._connection.execute("SELECT * FROM runs LIMIT 0").description)
 
     def export(self, path: Path) -> None:
@@ -127,53 +108,25 @@ class Store:
         Raises:
           CampaignError: another suffix, ``pyarrow`` is missing, or the file cannot be written.
         """
-        writers = {".csv": self._write_csv, ".parquet": self._write_parquet}
-        if path.suffix not in writers:
-            raise CampaignError(f"{path}: must end in {' or '.join(writers)}")
+        if path.suffix not in (".csv", ".parquet"):
+            raise CampaignError(f"{path}: must end in .csv or .parquet")
+        rows = self.query("SELECT * FROM runs ORDER BY case_index, controller")
         try:
             with written_whole(path) as temporary:
-                writers[path.suffix](temporary)
+                if path.suffix == ".csv":
+                    write_csv(temporary, self.columns, rows)
+                else:
+                    write_parquet(
+                        temporary, self.columns, rows, texts={*_TEXT, "controller", "software", *self._texts()}
+                    )
         except RecordError as error:
             raise CampaignError(one_line(error)) from error
 
-    def _write_csv(self, path: Path) -> None:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(self.columns)
-            writer.writerows(self.query("SELECT * FROM runs ORDER BY case_index, controller"))
-
-    def _write_parquet(self, path: Path) -> None:
-        try:
-            pa: Any = importlib.import_module("pyarrow")  # optional, and without types
-            pq: Any = importlib.import_module("pyarrow.parquet")
-        except ImportError:
-            raise CampaignError("Parquet needs the extra 'campaign': pip install 'ffsm-drake[campaign]'") from None
-        texts = {*_TEXT, "controller", "software", *self._text_values()}
-        whole = {"case_index", "random_seed"}
-        schema = pa.schema(
-            [
-                (name, pa.string() if name in texts else pa.int64() if name in whole else pa.float64())
-                for name in self.columns
-            ]
-        )
-        rows = self.query("SELECT * FROM runs ORDER BY case_index, controller")
-        with pq.ParquetWriter(path, schema) as writer:
-            for chunk in _chunks(rows, 50 * _CHUNK):
-                columns = [
-                    [None if value is None else str(value) for value in column] if name in texts else column
-                    for name, column in zip(self.columns, zip(*chunk, strict=True), strict=True)
-                ]
-                writer.write_table(pa.table(columns, schema=schema))
-
-    def _text_values(self) -> list[str]:
+    def _texts(self) -> Iterator[str]:
         """The names of the cases' values that are not numbers throughout."""
-        return [
-            name
-            for name in self.spec.names
-            if next(self.query(f"SELECT count(*) FROM cases WHERE typeof({_quoted(name)}) NOT IN ('real', 'integer')"))[
-                0
-            ]
-        ]
+        for name in self.spec.names:
+            if any(isinstance(value, str) for value in self.sampled(name)):
+                yield name
 
 
 @contextlib.contextmanager
@@ -193,24 +146,15 @@ def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Stor
                     f"{spec.fingerprint[:12]}); choose another file with --database"
                 )
         raise CampaignError(f"{path}: exists; finish it with 'ffsm campaign resume {path}', or choose --database")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CampaignError(f"{path}: cannot be written: {one_line(error)}") from error
-    # Filled under another name: a database that is there is whole.
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    with _held(path):
+    with _held(path), _one_line_errors(path):
         try:
-            with _told(path), contextlib.closing(_connect(temporary)) as connection:
+            # Filled under another name, so that a database at ``path`` always holds all cases.
+            with written_whole(path) as temporary, contextlib.closing(_connect(temporary)) as connection:
                 _fill(connection, spec, cases)
-            temporary.replace(path)
-        finally:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
-        with _told(path), contextlib.closing(_connect(path)) as connection:
-            connection.execute("PRAGMA journal_mode = WAL")
-            connection.execute("PRAGMA synchronous = NORMAL")
-            yield Store(connection, path, spec)
+        except RecordError as error:
+            raise CampaignError(one_line(error)) from error
+    with open_store(path, writing=True) as store:
+        yield store
 
 
 @contextlib.contextmanager
@@ -218,31 +162,33 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
     """Open a database; with ``writing``, hold it as its only writer.
 
     Raises:
-      CampaignError: there is none, it is no campaign's or damaged, or somebody else writes to it.
+      CampaignError: there is none, it is no campaign's or damaged, or another process writes to it.
     """
     if not path.is_file():
         raise CampaignError(f"{path}: no such database; 'ffsm campaign run' makes one")
-    with _held(path) if writing else contextlib.nullcontext():  # noqa: SIM117
-        with _told(path), contextlib.closing(_connect(path)) as connection:
-            if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION_ID:
-                raise CampaignError(f"{path}: is not a campaign's database")
-            problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-            if problem != "ok":
-                raise CampaignError(f"{path}: is damaged: {' '.join(problem.split())}")
-            notes = dict(connection.execute("SELECT key, value FROM campaign"))
-            if notes.get("format") != str(FORMAT):
-                raise CampaignError(f"{path}: format {notes.get('format')} is not the supported {FORMAT}")
-            spec = spec_from_json(notes["specification"])
-            if writing:
-                connection.execute("PRAGMA journal_mode = WAL")
-                connection.execute("PRAGMA synchronous = NORMAL")
-                connection.execute("BEGIN IMMEDIATE")  # whether anybody else holds it
-                connection.rollback()
-            yield Store(connection, path, spec)
+    with contextlib.ExitStack() as stack:
+        if writing:
+            stack.enter_context(_held(path))
+        stack.enter_context(_one_line_errors(path))
+        connection = stack.enter_context(contextlib.closing(_connect(path)))
+        if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION_ID:
+            raise CampaignError(f"{path}: is not a campaign's database")
+        problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+        if problem != "ok":
+            raise CampaignError(f"{path}: is damaged: {' '.join(problem.split())}")
+        notes = dict(connection.execute("SELECT key, value FROM campaign"))
+        if notes.get("format") != str(FORMAT):
+            raise CampaignError(f"{path}: format {notes.get('format')} is not the supported {FORMAT}")
+        if writing:
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute("PRAGMA synchronous = NORMAL")
+            connection.execute("BEGIN IMMEDIATE")  # fails where another program holds it
+            connection.rollback()
+        yield Store(connection, path, spec_from_json(notes["specification"]))
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(path, timeout=_PATIENCE)
+    return sqlite3.connect(path, timeout=PATIENCE)
 
 
 def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case]) -> None:
@@ -280,9 +226,10 @@ def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case]) -> 
 
 @contextlib.contextmanager
 def _held(path: Path) -> Iterator[None]:
-    """Be the only driver of a database, through a lock that ends with the process."""
+    """Hold the lock of a database's only writer; it ends with the process."""
     file: IO[str]
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         file = path.with_name(f".{path.name}.lock").open("w", encoding="utf-8")
     except OSError as error:
         raise CampaignError(f"{path}: cannot be written: {one_line(error)}") from error
@@ -295,8 +242,8 @@ def _held(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Turn SQLite's errors into one line."""
+def _one_line_errors(path: Path) -> Iterator[None]:
+    """Turn SQLite's errors into CampaignError."""
     try:
         yield
     except sqlite3.OperationalError as error:

@@ -18,7 +18,7 @@ def get_value(data: Any, key: str) -> Any:
 
 
 def set_value(data: Any, key: str, value: Any) -> None:
-    """Write the value at a dotted key; missing mappings on the way are added for the scenario's schema to judge.
+    """Write the value at a dotted key; missing mappings are added; the scenario's schema checks them later.
 
     Raises:
       CampaignError: the key leads through a single value, or past the end of a list.

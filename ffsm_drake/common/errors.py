@@ -1,4 +1,4 @@
-"""The errors a user can meet: each is one line that says where, what is wrong and what would be right."""
+"""Errors caused by bad input. Each is one line: where, what is wrong, and what would be right."""
 
 import difflib
 import functools
@@ -10,7 +10,7 @@ from typing import Any
 
 
 class FfsmError(Exception):
-    """Base of every error that bad input can cause; its text is one line, whatever it quotes."""
+    """Base of every error caused by bad input; its text is one line."""
 
     def __init__(self, text: str) -> None:
         super().__init__(" ".join(text.splitlines()))
@@ -29,12 +29,12 @@ class ScenarioError(FfsmError):
         return functools.partial(ScenarioError, source=self.source), (self.key, self.problem)
 
     def located(self, source: str) -> "ScenarioError":
-        """The same error, with the file it came from in front."""
+        """The same error with its file named first."""
         return self if self.source else ScenarioError(self.key, self.problem, source=source)
 
 
 class ModelError(FfsmError):
-    """A URDF or model directive that does not give a usable spacecraft."""
+    """A URDF or model directive that does not describe a usable spacecraft."""
 
 
 class BlockError(FfsmError):
@@ -51,14 +51,14 @@ def one_line(error: BaseException) -> str:
 
 
 def did_you_mean(name: object, valid: Iterable[str]) -> str:
-    """``; did you mean 'x'?`` with the valid name closest to a wrong one, or nothing when none is close."""
+    """``; did you mean 'x'?`` with the closest valid name, or an empty string when none is close."""
     close = difflib.get_close_matches(str(name), list(valid), n=1)
     return f"; did you mean '{close[0]}'?" if close else ""
 
 
 @contextmanager
 def warnings_as_lines() -> Iterator[None]:
-    """Print warnings as single lines on the standard error stream, without the place in the source."""
+    """Print warnings as single lines on standard error, without their place in the source."""
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
         print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)

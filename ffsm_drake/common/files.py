@@ -1,4 +1,4 @@
-"""Writing files whole: a reader never sees half a file, and a failed write leaves the old one."""
+"""Atomic writes: a reader never sees half a file, and a failed write keeps the old one."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -27,9 +27,9 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def write_together(files: Mapping[Path, Callable[[Path], object]]) -> None:
-    """Write files that belong together: each value writes to the path it is given; none takes its place before all are.
+    """Write several files: each value writes to the path it is given; no file is replaced before all are written.
 
-    So a failed write leaves the old files, all of them. Raises RecordError naming the file that cannot be written.
+    A failed write keeps all the old files. Raises RecordError naming the file that cannot be written.
     """
     temporaries = {path: _temporary(path) for path in files}
     try:
@@ -51,7 +51,7 @@ def write_together(files: Mapping[Path, Callable[[Path], object]]) -> None:
 
 
 def check_writable(directory: Path) -> None:
-    """Raise RecordError unless files could be written into a folder, there or yet to be made; creates nothing."""
+    """Raise RecordError unless files could be written into a folder, which need not exist; creates nothing."""
     place = directory.absolute()
     try:
         while not _exists(place):
@@ -65,7 +65,7 @@ def check_writable(directory: Path) -> None:
 
 
 def _exists(path: Path) -> bool:
-    """As os.path.lexists, but a name that no file could have, or a folder that hides it, raises OSError."""
+    """Like os.path.lexists, but raises OSError for an impossible name or a folder without permission."""
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError):

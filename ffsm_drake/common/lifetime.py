@@ -1,8 +1,8 @@
-"""Letting go of diagrams that hold Python systems, so that thousands can be built in one process.
+"""Free diagrams that contain Python systems, so that thousands can be built in one process.
 
-Drake's bindings (1.51) keep such a diagram for ever, for two reasons. A callback that is a bound method holds its
-system from the C++ side, where the garbage collector sees nothing. And a Python system and its ports hold each other
-through an attribute that the collector visits twice, which makes it take the system for one in use.
+Drake's bindings (1.51) never free such a diagram, for two reasons. A callback that is a bound method keeps its system
+alive from the C++ side, which the garbage collector cannot see. And a Python system and its ports refer to each other
+through an attribute that the collector visits twice, so that it counts the system as in use.
 """
 
 import weakref
@@ -15,7 +15,7 @@ _PEERS = "_pydrake_internal_ref_cycle_peers"
 
 
 def weak_callback(method: Callable[..., None]) -> Callable[..., None]:
-    """A callback for a system's own event or output that does not hold the system."""
+    """A callback for a system's own event or output that does not keep the system alive."""
     reference: Any = weakref.WeakMethod(method)
 
     def call(*arguments: Any) -> None:
@@ -25,16 +25,16 @@ def weak_callback(method: Callable[..., None]) -> Callable[..., None]:
 
 
 def untie(system: System) -> None:
-    """Undo the tie between a system, with all that it contains, and its ports, so that the collector can free it.
+    """Remove the references between a system (and all it contains) and its ports, so that the collector can free it.
 
-    A tie comes back with every look at a port. A port that is kept longer than its system must not be used.
+    Accessing a port creates them again. A port that outlives its system must not be used.
     """
     if isinstance(system, Diagram):
         for part in system.GetSystems():
             untie(part)
     peers = _peers(system)
     for peer in list(peers):
-        if not isinstance(peer, tuple):  # which would be a callback, that the C++ side only borrows
+        if not isinstance(peer, tuple):  # a tuple is a callback, to which the C++ side holds no reference
             _peers(peer).discard(system)
             peers.discard(peer)
 

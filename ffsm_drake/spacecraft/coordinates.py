@@ -1,7 +1,7 @@
 """Names of the generalized velocities, and the difference of two configurations.
 
-Everything that acts on single coordinates (gains, disturbances, noise, reports) speaks of them by name or by group; the
-order is Drake's v = [w_WB, v_WB, joint rates], and no other place needs to know it.
+Gains, disturbances, noise and reports address coordinates by name or by group. Their order is Drake's,
+v = [w_WB, v_WB, joint rates]; only this module depends on it.
 """
 
 import dataclasses
@@ -35,7 +35,7 @@ class Coordinates:
 
     @property
     def position_names(self) -> tuple[str, ...]:
-        """Names of q, in Drake's order (nv + 1: a quaternion stands for the rotation)."""
+        """Names of q, in Drake's order (nv + 1: the rotation is a quaternion)."""
         return BASE_QUATERNION + BASE_POSITION + self.joints
 
     @property
@@ -85,9 +85,9 @@ class Coordinates:
 
 
 def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[float, float, float]:
-    """Rotation vector, in the world frame, that turns R(quaternion) into R(quaternion_d): log(R_d R^T), rad.
+    """Rotation vector, in the world frame, from R(quaternion) to R(quaternion_d): log(R_d R^T), rad.
 
-    Quaternions are (w, x, y, z); their norms do not matter. Plain floats: this runs in every controller update.
+    Quaternions are (w, x, y, z); their norms do not matter. Plain floats, because this runs in every controller update.
     """
     dw, dx, dy, dz = quaternion_d.tolist()
     w, x, y, z = quaternion.tolist()
@@ -96,7 +96,7 @@ def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[fl
     ex = dx * w - dw * x - dy * z + dz * y
     ey = dy * w - dw * y - dz * x + dx * z
     ez = dz * w - dw * z - dx * y + dy * x
-    if ew < 0.0:  # the shorter way round
+    if ew < 0.0:  # the shorter rotation
         ew, ex, ey, ez = -ew, -ex, -ey, -ez
     sine = math.sqrt(ex * ex + ey * ey + ez * ez)
     factor = 2.0 * math.atan2(sine, ew) / sine if sine > 0.0 else 0.0
@@ -118,7 +118,7 @@ def position_errors(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
     """``position_error`` of many configurations at once: (n, nq) each -> (n, nv)."""
     dw, dx, dy, dz = q_d[:, :4].T
     w, x, y, z = q[:, :4].T
-    # The product quaternion_d * conjugate(quaternion), the shorter way round.
+    # The product quaternion_d * conjugate(quaternion), for the shorter rotation.
     ew = dw * w + dx * x + dy * y + dz * z
     axis = np.stack(
         [

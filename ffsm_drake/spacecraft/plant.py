@@ -16,11 +16,11 @@ from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
 from ffsm_drake.scenario import Model, Posture
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS, NUM_BASE_VELOCITIES, Coordinates
 
-DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError)  # what C++ exceptions arrive as
+DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError)  # the types of C++ exceptions in Python
 
 
 def models_dir() -> Path:
-    """The folder that ``package://ffsm_drake/`` stands for: beside the package when installed, else the checkout's."""
+    """The folder of ``package://ffsm_drake/``: inside the package when installed, else the checkout's."""
     package = Path(__file__).parents[1]
     installed = package / "models"
     return installed if installed.is_dir() else package.parent / "models"
@@ -29,7 +29,7 @@ def models_dir() -> Path:
 def add_combined_plant(builder: DiagramBuilder, model: Model) -> MultibodyPlant:
     """Add the finalized plant (continuous, no gravity, quaternion floating base) and its scene graph to a diagram.
 
-    Bodies never touch.
+    Contact is off.
 
     Raises:
       ModelError: the directives or URDFs do not load, or do not give one floating base with one-degree joints.
@@ -45,12 +45,12 @@ def add_combined_plant(builder: DiagramBuilder, model: Model) -> MultibodyPlant:
 
 
 def check_pictures(model: Model) -> None:
-    """Raise ModelError unless the model loads with all that is drawn of it, which a run alone can do without."""
+    """Raise ModelError unless the model loads with its visual geometry, which a run does not need."""
     add_combined_plant(DiagramBuilder(), model)
 
 
 def make_plant(model: Model) -> MultibodyPlant:
-    """The finalized plant alone, for computations outside a diagram. Raises ModelError as add_combined_plant does."""
+    """The finalized plant without a diagram, for computations. Raises ModelError as add_combined_plant does."""
     plant = MultibodyPlant(time_step=0.0)
     _load(plant, model)
     return plant
@@ -82,7 +82,7 @@ def _load(plant: MultibodyPlant, model: Model) -> None:
         for key, frame, instance in (("end_effector", end_effector, "servicer"), ("grasp", grasp, "debris")):
             if frame.model_instance() != plant.GetModelInstanceByName(instance):
                 raise ModelError(
-                    f"model.{key}: '{frame.scoped_name()}' is not a frame of the {instance}; name one of its"
+                    f"model.{key}: '{frame.scoped_name()}' is not a frame of the {instance}; name one that is"
                 )
         try:
             plant.WeldFrames(end_effector, grasp)
@@ -103,12 +103,12 @@ def _load(plant: MultibodyPlant, model: Model) -> None:
 
 
 def cause_of(error: Exception) -> str:
-    """What Drake says, without the place in its own source."""
+    """Drake's error text without its place in Drake's source."""
     return re.sub(r"Failure at \S+ in \S+\(\): ", "", one_line(error))
 
 
 def _add_models(parser: Parser, file: str, place: str) -> list[ModelInstanceIndex]:
-    """Parse a file or package:// address; whatever Drake objects to becomes a ModelError."""
+    """Parse a file or package:// address. Raises ModelError for whatever Drake rejects."""
     if "://" not in file:
         try:
             found, folder = Path(file).is_file(), Path(file).is_dir()
@@ -120,7 +120,7 @@ def _add_models(parser: Parser, file: str, place: str) -> list[ModelInstanceInde
     try:
         instances: list[ModelInstanceIndex] = parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
     except DRAKE_ERRORS as error:
-        # Drake starts with the file again, and its line.
+        # Drake's text begins with the file and line.
         cause = cause_of(error)
         raise ModelError(
             place + (cause.removeprefix(file) if cause.startswith(f"{file}:") else f": {cause}")

@@ -6,17 +6,19 @@ import json
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
+from ffsm_drake import make_nominal_plant, make_true_plant
 from ffsm_drake.analysis import analyze
 from ffsm_drake.analysis.balances import displacements
 from ffsm_drake.analysis.chattering import effort_spectrum, reversals, split_frequency, split_variance, total_variation
-from ffsm_drake.analysis.estimation import match_inertia
 from ffsm_drake.analysis.findings import TITLES
-from ffsm_drake.analysis.lyapunov import direct_bound, lyapunov, outside, ultimate_bound
+from ffsm_drake.analysis.inertia import match_inertia
+from ffsm_drake.analysis.lyapunov import lyapunov, outside, ultimate_bound
+from ffsm_drake.analysis.sliding_mode import direct_bound
 from ffsm_drake.runs.record import to_json
 from ffsm_drake.show.figures.analysis import plot_analysis
 from ffsm_drake.spacecraft.coordinates import position_error
@@ -382,6 +384,7 @@ def test_every_run_gives_every_finding_and_a_figure(analysis, overrides):
         assert "nan" not in finding.statement
         assert all(isinstance(number, (float, str)) for number in finding.numbers.values()), finding.key
         assert finding.numbers or finding.statement.startswith("Not applicable: "), finding.key
+        assert finding.holds == {"holds": True, "does not hold": False}.get(finding.verdict)
         json.loads(to_json(dataclasses.asdict(finding)))
         assert finding.statement in str(result)
     for name, variable in result.series.data_vars.items():
@@ -395,6 +398,12 @@ def test_the_figure_can_be_drawn(analysis, overrides):
     file = io.BytesIO()
     plot_analysis(analysis("postcapture", *overrides)).savefig(file, format="png", dpi=20)
     assert len(file.getvalue()) > 5000
+
+
+def test_every_finding_is_documented():
+    page = Path(__file__).parents[2] / "docs" / "findings.md"
+    headings = [line.removeprefix("## ").strip("`") for line in page.read_text().splitlines() if line.startswith("## ")]
+    assert headings == list(TITLES)
 
 
 def test_what_does_not_apply_says_why(analysis):
@@ -416,11 +425,23 @@ def test_what_does_not_apply_says_why(analysis):
     assert "tdc has no sliding variable" in text.replace("\n", " ")
 
 
+def test_what_a_record_holds_decides_not_the_name_of_its_controller(run, analysis):
+    """Without the controller's module its constants are unknown; s, K_s and G are in the record all the same."""
+    record = run("postcapture")
+    result = analyze(dataclasses.replace(record, scenario=dataclasses.replace(record.scenario, controller="gone:Law")))
+    own = analysis("postcapture")
+    for key in ("tde_error_bound", "direct_bound", "switching_gain_bound", "energy_balance"):
+        assert result.finding(key).numbers == own.finding(key).numbers
+    assert np.isnan(result.finding("reaching_law").numbers["largest_k_d_l"])
+    assert "nan" not in result.finding("reaching_law").statement
+    assert "(9) and (10), which those of gone:Law do not" in result.finding("ultimate_bound").statement
+
+
 def test_statements_carry_the_numbers(analysis):
     result = analysis("postcapture")
     bound = result.finding("tde_error_bound")
     assert f"N* = {bound.numbers['bound']:.3g} ({bound.numbers['worst_coordinate']} at 0 s)" in bound.statement
-    assert f"{bound.numbers['bound_late.joints']:.3g} (rad/s^2" in bound.statement
+    assert f"{bound.numbers['bound_late']:.3g} (rad/s^2" in bound.statement
     assert f"{result.finding('condition_8').numbers['eta_min']:.4g}" in result.finding("condition_8").statement
 
 
@@ -438,11 +459,11 @@ def test_the_proofs_conditions_hold_while_the_loop_diverges(run, analysis):
     assert "diverged" in result.series.attrs["outcome"]
 
 
-def test_a_run_without_a_finite_sample_is_not_applicable_throughout(monkeypatch):
-    from ffsm_drake.systems.controllers import time_delay as tde
-
-    monkeypatch.setattr(tde, "time_delay_force", lambda *, delayed_force, **_: np.full_like(delayed_force, np.nan))
-    result = analyze(simulate(load_scenario("postcapture", ["duration=1"])))
+def test_a_run_without_a_finite_sample_is_not_applicable_throughout(run):
+    record = run("postcapture", "duration=1")
+    data = record.dataset.copy(deep=True)
+    data["generalized_force"].values[0] = np.nan
+    result = analyze(dataclasses.replace(record, dataset=data))
     assert {finding.verdict for finding in result.findings} == {"not applicable"}
     assert len(plot_analysis(result).subfigs) == 6
 

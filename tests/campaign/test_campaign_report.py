@@ -132,7 +132,7 @@ def test_the_predicted_boundary_agrees_with_the_outcomes(database):
 def test_the_map_wants_two_sampled_numbers(database):
     from ffsm_drake.campaign.errors import CampaignError
 
-    with open_store(database) as store, pytest.raises(CampaignError, match="'sample_time' is no sampled number"):
+    with open_store(database) as store, pytest.raises(CampaignError, match="'sample_time' is not a sampled number"):
         predict_map(store.spec, ("sample_time", "nominal_error"), {"nominal_error": np.arange(3.0)})
 
 

@@ -299,7 +299,7 @@ def test_a_database_in_use(database, tmp_path, monkeypatch):
     with (tmp_path / ".used.db.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         one_line_error(invoke("resume", path), "is in use; another campaign is writing to it")
-    monkeypatch.setattr("ffsm_drake.campaign.store._PATIENCE", 0.1)
+    monkeypatch.setattr("ffsm_drake.campaign.store.PATIENCE", 0.1)
     with contextlib.closing(sqlite3.connect(path)) as connection:
         connection.execute("BEGIN EXCLUSIVE")
         one_line_error(invoke("resume", path), "database is locked")

@@ -86,7 +86,7 @@ BAD = {
     "unknown source": (changed("derive", duration={"rule": "scale", "of": "nothing"}), "'nothing' is neither"),
     "list as a number": (
         changed("derive", duration={"rule": "relative", "of": "sample_time", "error": "payload.truth.inertia"}),
-        "a list stands where a single number is needed",
+        "needs a single number, not a list",
     ),
     "bad tolerance": ({"settled": {"tolerance": {"joints": 0}}}, "joints: must be > 0"),
     "impossible value": (

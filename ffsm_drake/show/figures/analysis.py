@@ -1,4 +1,4 @@
-"""One page of pictures of an analysis: what the proof speaks of, over time, beside its bounds."""
+"""One page of pictures of an analysis: the quantities of the proof over time, beside their bounds."""
 
 import textwrap
 from collections.abc import Callable
@@ -28,7 +28,7 @@ _STRETCHES = 200
 def plot_analysis(analysis: Analysis) -> Figure:
     """TDE error, condition (8), sliding variable, Lyapunov function, gains and spectrum of a run, six panels.
 
-    At the right of a panel's title stand the verdicts of its findings; a panel that does not apply says why.
+    The verdicts of a panel's findings are at the right of its title; a panel that does not apply says why.
     """
     figure = Figure(figsize=(13.0, 12.5), layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.07))
     attributes = analysis.series.attrs
@@ -105,7 +105,7 @@ def _plot_condition_8(part: SubFigure, analysis: Analysis) -> Axes:
         time, analysis.series["condition_8_in_h"], color=_GREEN, linewidth=1.8, linestyle=(0, (4, 1)), marker=marker,
         label="the same in the metric of $H$: max |1 - η|",
     )  # fmt: skip
-    axes.axhline(1.0, color="black", linewidth=1.0, linestyle=_DASHED, label="limit of (8); η of a true belief")
+    axes.axhline(1.0, color="black", linewidth=1.0, linestyle=_DASHED, label="limit of (8); η for the true payload")
     axes.set_ylim(0.0, 1.05 * max(1.05, float(eta.max()), float(analysis.series["condition_8"].max())))
     _legend(part, axes, columns=2)
     return axes

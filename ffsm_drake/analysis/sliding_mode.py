@@ -1,0 +1,134 @@
+"""The reaching law (7) and bounds on s and G, for any sliding-mode law that records s."""
+
+import numpy as np
+
+from ffsm_drake.analysis.estimation import start_up_time
+from ffsm_drake.analysis.evidence import Evidence, largest, ratio, rms
+from ffsm_drake.analysis.findings import Finding, Numbers, finding, not_applicable
+
+
+def reaching_law_remainder(
+    *, s: np.ndarray, k_s: np.ndarray, g: np.ndarray, tde_error: np.ndarray, period: float
+) -> np.ndarray:
+    """What equation (7) leaves out, per period (n - 1, nv): (s_{k+1} - s_k) / L + Ntilde + K_s s + G sgn s.
+
+    (7) is about continuous time. Over a period, s also changes by what de/dt and d^2e/dt^2 vary within it, by the noise
+    of two measurements, and on a plant stepped by explicit Euler by the step's own error.
+    """
+    return np.diff(s, axis=0) / period + tde_error + (k_s * s + g * np.sign(s))[:-1]
+
+
+def direct_bound(*, first: np.ndarray, bound: np.ndarray, k_s_min: np.ndarray, g_min: np.ndarray) -> np.ndarray:
+    """Bound on |s_i| (nv) that follows from equation (7) alone: max(|s_i(0)|, (N*_i - G_i)^+ / K_si).
+
+    Beyond it d|s_i|/dt <= N*_i - G_i - K_si |s_i| < 0. Neither adaptation nor V is needed, but (7) must hold
+    exactly, as it does in continuous time only.
+
+    Args: s at the start, N* by coordinate, and the smallest K_s and G of the run, all (nv).
+    """
+    excess = np.maximum(bound - g_min, 0.0)
+    # Without K_s, |s| is bounded only where there is no excess.
+    steady = np.divide(excess, k_s_min, out=np.where(excess > 0.0, np.inf, 0.0), where=k_s_min > 0.0)
+    return np.maximum(np.abs(first), steady)
+
+
+def findings(run: Evidence) -> list[Finding]:
+    """``reaching_law``, ``direct_bound``, ``switching_gain_bound``: for a run that records s."""
+    keys = ("reaching_law", "direct_bound", "switching_gain_bound")
+    if "sliding_variable" not in run.data:
+        return not_applicable(f"the controller {run.scenario.controller} has no sliding variable", *keys)
+    if run.too_short:
+        return not_applicable(run.too_short, *keys)
+    s, (k_s, g) = run.values("sliding_variable"), run.gains
+    remainder = reaching_law_remainder(s=s, k_s=k_s, g=g, tde_error=run.tde_error, period=run.period)
+    for name, dim, values, unit, meaning in (
+        ("sliding_variable", "time", s, "rad/s, m/s", "s"),
+        ("reaching_gain", "time", k_s, "1/s", "K_s"),
+        ("switching_gain", "time", g, "rad/s^2, m/s^2", "G"),
+        ("reaching_law_remainder", "period", remainder, "rad/s^2, m/s^2", "ds/dt minus what equation (7) gives"),
+    ):
+        run.add(name, (dim, "coordinate"), values, units=unit, meaning=meaning)
+    return [_reaching_law(run, remainder), _direct_bound(run, remainder), *_switching_gain(run)]
+
+
+def _reaching_law(run: Evidence, remainder: np.ndarray) -> Finding:
+    late = run.after_start_up[:-1]
+    numbers = {
+        "start_up_time": start_up_time(run.period),
+        "remainder": float(largest(remainder).max()),
+        "remainder_late": float(largest(remainder[late]).max()),
+        "rms_ratio": ratio(rms(remainder), rms(run.tde_error)),
+        "rms_ratio_late": ratio(rms(remainder[late]), rms(run.tde_error[late])),
+        "largest_k_d_l": float(np.max(run.constants.get("k_d", np.nan)) * run.period),
+        "largest_k_s_l": float(run.gains[0].max() * run.period),
+        **run.grouped("remainder", largest(remainder)),
+    }
+    statement = (
+        "Over a period, ds/dt differs from -Ntilde - K_s s - G sgn s by up to {remainder:.3g} rad/s^2 or m/s^2, in "
+        "root mean square {rms_ratio:.3g} times Ntilde; K_s L = {largest_k_s_l:.3g}"
+        + (", K_D L = {largest_k_d_l:.3g}." if "k_d" in run.constants else ".")
+    )
+    return finding("reaching_law", statement, numbers)
+
+
+def _direct_bound(run: Evidence, remainder: np.ndarray) -> Finding:
+    s, (k_s, g), late = run.values("sliding_variable"), run.gains, run.after_start_up
+
+    def evaluate(disturbance: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The bounds (nv), and largest |s_i| over bound (nv), on the samples of ``part`` (n)."""
+        if not part[:-1].any():
+            return (np.full(s.shape[1], np.nan),) * 2
+        bound = direct_bound(
+            first=s[part][0],
+            bound=largest(disturbance[part[:-1]]),
+            k_s_min=k_s[part].min(axis=0),
+            g_min=g[part].min(axis=0),
+        )
+        reached = largest(s[part])
+        return bound, np.divide(reached, bound, out=np.where(reached > 0.0, np.inf, 0.0), where=bound > 0.0)
+
+    whole = np.ones_like(late)
+    bound, times = evaluate(run.tde_error, whole)
+    _, late_times = evaluate(run.tde_error, late)
+    _, full_times = evaluate(run.tde_error - remainder, whole)
+    run.add(
+        "direct_bound", "coordinate", bound, units="rad/s, m/s", meaning="bound on |s_i| from equation (7), whole run"
+    )
+    numbers: Numbers = {
+        "start_up_time": start_up_time(run.period),
+        "coordinates": float(times.size),
+        "coordinates_within": float(np.count_nonzero(times <= 1.0)),
+        "worst_ratio": float(times.max()),
+        "worst_coordinate": run.coordinates.names[int(times.argmax())],
+        "coordinates_within_late": float(np.count_nonzero(late_times <= 1.0)) if run.outlasts_start_up else np.nan,
+        "worst_ratio_late": float(late_times.max()),
+        "worst_ratio_with_remainder": float(full_times.max()),
+        **run.named("bound", bound),
+        **run.named("ratio", times),
+    }
+    statement = (
+        "|s_i| stays within max(|s_i(0)|, (N*_i - G_i)^+ / K_si) in {coordinates_within:g} of {coordinates:g} "
+        "coordinates; the largest ratio is {worst_ratio:.3g} ({worst_coordinate})."
+    )
+    return finding("direct_bound", statement, numbers, holds=bool((times <= 1.0).all()))
+
+
+def _switching_gain(run: Evidence) -> list[Finding]:
+    key, g = "switching_gain_bound", run.gains[1]
+    if "switching_gain" not in run.data:
+        return not_applicable(f"the controller {run.scenario.controller} has no switching gain", key)
+    bound = float(run.bound.max())
+    numbers = {
+        "largest_g": float(g.max()),
+        "bound": bound,
+        "bound_late": float(run.late_bound.max()),
+        "ratio": ratio(float(g.max()), bound),
+        "coordinates": float(g.shape[1]),
+        "coordinates_within_own_bound": float(np.count_nonzero((g <= run.bound).all(axis=0))),
+        **run.named("largest_g", g.max(axis=0)),
+    }
+    statement = (
+        "G_i reaches {largest_g:.3g}, where N* = {bound:.3g}; {coordinates_within_own_bound:g} of {coordinates:g} "
+        "coordinates stay within their own N*_i."
+    )
+    return [finding(key, statement, numbers, holds=bool(g.max() <= bound))]
