@@ -5,10 +5,6 @@ import numpy as np
 from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.runs import CONTROLLERS, PROPOSED, Results, gain_of
 from ffsm_drake.studies.paper.verdict import (
-    LOCALLY,
-    NOTICEABLE,
-    REPRODUCED,
-    SLIGHTLY,
     Both,
     Judged,
     both,
@@ -16,6 +12,7 @@ from ffsm_drake.studies.paper.verdict import (
     comparisons,
     rankings,
     ratios,
+    ratios_in_both,
     table_rows,
 )
 from ffsm_drake.studies.paper.wording import fixed, percent, scientific, signed, times_span
@@ -30,7 +27,7 @@ def values_of_isv(results: Results) -> Judged:
         f"Ours over the paper's, all twelve cells: {ratio.told(times_span)}. Within 3 % counts as "
         "reproduced. Geometry, sign of the disturbance and noise level, which the paper leaves open, were chosen to "
         "meet these values.",
-        ratio.judged(lambda values: all(abs(value - 1.0) <= REPRODUCED for value in values)),
+        ratio.judged(lambda values: all(abs(value - 1.0) <= paper.REPRODUCED for value in values)),
     )
 
 
@@ -62,20 +59,17 @@ def order_of_effort(results: Results) -> Judged:
     return f"Comparisons by ISV: {parts}.", counts.judged(lambda found: found[0] == found[1] == len(cases))
 
 
-@claim(
-    "The proposed controller pays for its accuracy with slightly more effort than AISMC.",
-    "Section 4, Table 2",
-)
+@claim("The proposed controller pays for its accuracy with slightly more effort than AISMC.", "Section 4, Table 2")
 def effort_is_slightly_larger(results: Results) -> Judged:
-    ratio = both(lambda setting: ratios(results, "isv", setting, PROPOSED, "aismc"))
+    ratio = ratios_in_both(results, "isv", PROPOSED, "aismc")
     noisy = both(lambda setting: ratios(results, "isv", setting, PROPOSED, (PROPOSED, "G = 0"))[:1])
-    quiet = both(lambda setting: ratios(results, "isv", setting, (PROPOSED, "no noise"), (PROPOSED, "G = 0, no noise")))
+    quiet = ratios_in_both(results, "isv", (PROPOSED, "no noise"), (PROPOSED, "G = 0, no noise"))
     printed = [values[PROPOSED] / values["aismc"] for values in paper.ISV.values()]
     return (
         f"ISV over AISMC's: {ratio.told(times_span)} (the paper's: {times_span(printed)}). The switching term alone "
         f"multiplies the proposed controller's ISV by {noisy.pair(times_span)}, without noise by "
         f"{quiet.pair(times_span)}. Slightly: up to 5 %.",
-        ratio.judged(lambda values: min(values) > 1.0 and max(values) <= 1.0 + SLIGHTLY),
+        ratio.judged(lambda values: min(values) > 1.0 and max(values) <= 1.0 + paper.SLIGHTLY),
     )
 
 
@@ -101,7 +95,7 @@ def chattering_is_local(results: Results) -> Judged:
         f"{growth('', 'G = 0').told(fixed)}; without noise, where nothing hides it, "
         f"{growth('no noise', 'G = 0, no noise').pair(fixed)}. There it is more than doubled in "
         f"{share.pair(percent)} of all seconds and coordinates; locally: in less than half.",
-        share.judged(lambda value: value < LOCALLY),
+        share.judged(lambda value: value < paper.LOCALLY),
     )
 
 
@@ -126,5 +120,5 @@ def epsilon_trades_accuracy_for_smoothness(results: Results) -> Judged:
     return (
         f"What ε does: {parts}. (‖s‖∞ exceeds the published ε = {scientific(epsilon, 1)} in {percent(above)} of "
         "the samples, Euler.) An effect below 2 % counts as none.",
-        effect.judged(lambda e: min(e) > NOTICEABLE),
+        effect.judged(lambda e: min(e) > paper.NOTICEABLE),
     )

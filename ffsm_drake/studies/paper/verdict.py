@@ -17,15 +17,6 @@ Kind = Literal["holds", "holds only", "does not hold", "not reproduced"]
 Topic = Literal["Accuracy", "Effort and chattering", "Comparison of the schemes", "Stability and robustness", "Theory"]
 T = TypeVar("T")
 
-# What the paper's adverbs are taken to mean.
-NEARLY_TENFOLD = 5.0  # "nearly one order of magnitude": at least this factor
-SLIGHTLY = 0.05  # "slightly larger": by at most this share
-NOTICEABLE = 0.02  # an effect below this share is none
-REPRODUCED = 0.03  # a table's values are reproduced within this share
-LOCALLY = 0.5  # "only locally": in less than this share of time and coordinates
-PRECISELY = 1e-5  # "high precision": errors at the end below this, rad and m
-ACCURATELY = 0.1  # "accurately estimated": within this share
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Verdict:
@@ -47,6 +38,7 @@ class Verdict:
 Ruling = tuple[Kind, str]  # kind and condition of a verdict
 Judged = tuple[str, Ruling]  # what was measured, and what follows from it
 Judge = Callable[[Results], Judged]
+Side = str | tuple[str, str]  # a controller, or a controller and a variant of its runs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,17 +79,17 @@ class Both(Generic[T]):
     """A quantity in both settings."""
 
     euler: T
-    exact: T
+    bounded: T
 
     def told(self, write: Callable[[T], str]) -> str:
-        return f"with explicit Euler {write(self.euler)}; with exact integration and K_s bounded {write(self.exact)}"
+        return f"with explicit Euler {write(self.euler)}; with exact integration and K_s bounded {write(self.bounded)}"
 
     def pair(self, write: Callable[[T], str]) -> str:
         """In the same order, where it has been said which is which."""
-        return f"{write(self.euler)} and {write(self.exact)}"
+        return f"{write(self.euler)} and {write(self.bounded)}"
 
     def judged(self, good: Callable[[T], bool]) -> Ruling:
-        return in_both(good(self.euler), good(self.exact))
+        return in_both(good(self.euler), good(self.bounded))
 
 
 def both(measure: Callable[[str], T]) -> Both[T]:
@@ -110,10 +102,8 @@ def comparisons(results: Results) -> list[tuple[str, int]]:
     return [(disturbance, seed) for disturbance in DISTURBANCES for seed in range(results.num_seeds)]
 
 
-def ratios(
-    results: Results, metric: str, setting: str, over: tuple[str, str] | str, under: tuple[str, str] | str
-) -> list[float]:
-    """A metric of one controller, or (controller, variant), over another's, for every (disturbance, seed) run of both.
+def ratios(results: Results, metric: str, setting: str, over: Side, under: Side) -> list[float]:
+    """A metric of one controller over another's, for every (disturbance, seed) run of both.
 
     Infinite where the first diverged, NaN where the second did.
     """
@@ -123,6 +113,10 @@ def ratios(
     )
     pairs = [(getattr(run, metric), getattr(second[key], metric)) for key, run in first.items() if key in second]
     return [a / b if math.isfinite(b) else math.nan for a, b in pairs]
+
+
+def ratios_in_both(results: Results, metric: str, over: Side, under: Side) -> Both[list[float]]:
+    return both(lambda setting: ratios(results, metric, setting, over, under))
 
 
 def divergence_times(results: Results, setting: str, controller: str, **which: str) -> list[float]:
