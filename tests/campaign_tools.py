@@ -13,9 +13,9 @@ from pathlib import Path
 import yaml
 
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
-from ffsm_drake.campaign.executor import Stop, local_workers
 from ffsm_drake.campaign.run import start_campaign
 from ffsm_drake.campaign.spec import load_spec
+from ffsm_drake.common.workers import Stop, local_workers
 
 DRIVER = "from ffsm_drake.cli.campaign import campaign; campaign(prog_name='ffsm campaign')"
 SMALL = {
@@ -129,12 +129,3 @@ def run_with_kills(spec: Path, database: Path, *, kills: int, seed: int, mean_de
         time.sleep(0.05)
     assert not [pid for pid in workers_seen if alive(pid)]
     return events
-
-
-def die_if(task: int, victims: list[int], memory: str) -> int:
-    """A task for the executor: the victims kill their process, once each; ``memory`` is a folder for what was done."""
-    mark = Path(memory) / str(task)
-    if task in victims and not mark.exists():
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return 10 * task

@@ -10,10 +10,10 @@ from pathlib import Path
 from ffsm_drake.campaign.cases import Case, make_cases, scenario_of
 from ffsm_drake.campaign.errors import InterruptedCampaign
 from ffsm_drake.campaign.evaluate import CIRCUMSTANCES, Row, described, error_row, evaluate, judge, same_verdict
-from ffsm_drake.campaign.executor import Stop, WorkerLost, Workers, run_tasks
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.store import Store, create_store, open_store
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.workers import Stop, WorkerLost, Workers, run_tasks
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import make_record

@@ -13,9 +13,9 @@ from ffsm_drake.campaign.errors import CampaignError
 from ffsm_drake.cli.common import reports_errors
 
 if TYPE_CHECKING:
-    from ffsm_drake.campaign.executor import Workers
     from ffsm_drake.campaign.spec import Spec
     from ffsm_drake.campaign.store import Store
+    from ffsm_drake.common.workers import Workers
 
 EXIT_DIFFERENT = 3
 _FOLDER = Path("out/campaigns")
@@ -91,9 +91,9 @@ def run(spec: str, database: Path | None, cases: int | None, workers: int | None
       ffsm campaign run payload_uncertainty
       ffsm campaign run mine.yaml --database /scratch/mine.db --scheduler tcp://10.0.0.5:8786
     """
-    from ffsm_drake.campaign.executor import stop_on_signals
     from ffsm_drake.campaign.progress import ProgressLine
     from ffsm_drake.campaign.run import start_campaign
+    from ffsm_drake.common.workers import stop_on_signals
 
     loaded = _load(spec, cases)
     path = database or _default_database(spec)
@@ -114,9 +114,9 @@ def resume(source: str, database: Path | None, workers: int | None, scheduler: s
     Example:
       ffsm campaign resume out/campaigns/payload_uncertainty.db
     """
-    from ffsm_drake.campaign.executor import stop_on_signals
     from ffsm_drake.campaign.progress import ProgressLine
     from ffsm_drake.campaign.run import resume_campaign
+    from ffsm_drake.common.workers import stop_on_signals
 
     path = _locate(source, database)
     with stop_on_signals() as stop, _workers(workers, scheduler) as crew, _closing(ProgressLine()) as progress:
@@ -254,7 +254,7 @@ def _open(source: str, database: Path | None) -> Iterator["Store"]:
 
 @contextmanager
 def _workers(count: int | None, scheduler: str | None) -> Iterator["Workers"]:
-    from ffsm_drake.campaign.executor import cluster_workers, local_workers
+    from ffsm_drake.common.workers import cluster_workers, local_workers
 
     if scheduler is not None and count is not None:
         raise CampaignError("--workers: the cluster at --scheduler has its own; leave one of them out")

@@ -45,8 +45,8 @@ def noise(out: Path, seeds: int) -> None:
     Example:
       ffsm noise --seeds 3
     """
-    from ffsm_drake.studies.noise.study import study_markdown, study_noise, write_study
+    from ffsm_drake.studies.noise import study_noise, write_study
 
-    study = study_noise(seeds=seeds, workers=2, progress=batch_progress)
-    click.echo(study_markdown(study))
-    click.echo(f"Written to {out}; open {write_study(study, out).with_suffix('.png')}")
+    written = write_study(study_noise(seeds=seeds, workers=2, progress=batch_progress), out)
+    click.echo(written.read_text(encoding="utf-8"))
+    click.echo(f"Written to {out}; open {written.with_suffix('.png')}")

@@ -45,6 +45,10 @@ class RecordError(FfsmError):
     """A run directory that cannot be written or read."""
 
 
+class WorkersError(FfsmError):
+    """Worker processes, or a cluster, that cannot do the work."""
+
+
 def one_line(error: BaseException) -> str:
     """The text of any exception on a single line."""
     return " ".join(str(error).split()) or type(error).__name__

@@ -1,9 +1,13 @@
 """Atomic writes: a reader never sees half a file, and a failed write keeps the old one."""
 
+import csv
+import io
+import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from ffsm_drake.common.errors import RecordError, one_line
 
@@ -81,3 +85,16 @@ def write_text(path: Path, text: str) -> None:
     """Write a UTF-8 text file whole."""
     with written_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows of the same columns as comma-separated values; numbers with eight digits, empty where not finite."""
+
+    def cell(value: Any) -> Any:
+        return value if not isinstance(value, float) else f"{value:.8g}" if math.isfinite(value) else ""
+
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: cell(value) for name, value in row.items()} for row in rows)
+    return text.getvalue()

@@ -1,4 +1,4 @@
-"""Running campaigns: the same table whoever computes it when, whatever is killed; faults of databases; the report."""
+"""Running campaigns: the same table whoever computes it when, whatever is killed; faults of databases."""
 
 import contextlib
 import csv
@@ -10,15 +10,12 @@ import sqlite3
 import subprocess
 import sys
 import time
-from concurrent.futures import Executor, Future
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import pytest
 from campaign_tools import (
     alive,
     count,
-    die_if,
     run_here,
     run_with_kills,
     start_driver,
@@ -30,11 +27,11 @@ from click.testing import CliRunner
 
 from ffsm_drake import RunRecord
 from ffsm_drake.campaign.errors import CampaignError
-from ffsm_drake.campaign.executor import Stop, WorkerLost, Workers, local_workers, run_tasks
 from ffsm_drake.campaign.run import start_campaign
 from ffsm_drake.campaign.spec import load_spec
 from ffsm_drake.campaign.store import open_store
 from ffsm_drake.cli.campaign import campaign
+from ffsm_drake.common.workers import Stop, local_workers
 
 linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
 
@@ -92,72 +89,6 @@ def test_an_interrupted_campaign_is_resumed(tmp_path):
     result = invoke("resume", path, "--workers", "1")
     assert result.exit_code == 0, result.output
     assert table(path) == table(run_here(spec, tmp_path / "whole.db", workers=2))
-
-
-class Fragile(Executor):
-    """Runs tasks at once, and breaks like a pool of processes when a task is one of the deadly."""
-
-    def __init__(self, deadly):
-        self.deadly, self.broken = deadly, False
-
-    def submit(self, function, task):
-        if self.broken:
-            raise BrokenProcessPool
-        future = Future()
-        self.broken = task in self.deadly
-        if self.broken:
-            future.set_exception(BrokenProcessPool())
-        else:
-            future.set_result(function(task))
-        return future
-
-
-def fragile_workers(deadly):
-    return Workers(open=lambda: Fragile(deadly), in_flight=lambda: 3, renewable=True)
-
-
-def test_a_task_that_kills_its_worker_is_given_up():
-    results = dict(
-        run_tasks(
-            lambda task: 10 * task, range(6), arguments=lambda task: (task,), workers=fragile_workers({3}), stop=Stop()
-        )
-    )
-    assert isinstance(results.pop(3), WorkerLost)
-    assert results == {task: 10 * task for task in (0, 1, 2, 4, 5)}
-
-
-def test_workers_that_all_die_end_the_campaign():
-    with pytest.raises(CampaignError, match="every worker dies"):
-        list(
-            run_tasks(
-                abs, range(9), arguments=lambda task: (task,), workers=fragile_workers(set(range(9))), stop=Stop()
-            )
-        )  # fmt: skip
-
-
-def test_a_killed_worker_is_replaced_and_its_task_repeated(tmp_path):
-    with local_workers(2) as workers:
-        results = list(
-            run_tasks(die_if, range(4), arguments=lambda task: (task, [1], str(tmp_path)), workers=workers, stop=Stop())
-        )
-    assert sorted(results) == [(task, 10 * task) for task in range(4)]
-
-
-def test_worn_processes_are_replaced():
-    with local_workers(1) as workers:
-        results = list(
-            run_tasks(
-                process_of, range(4), arguments=lambda task: (task,), workers=workers, stop=Stop(),
-                worn=lambda result: True,
-            )
-        )  # fmt: skip
-    assert sorted(task for task, _ in results) == [0, 1, 2, 3]
-    assert len({pid for _, pid in results}) >= 2
-
-
-def process_of(task):
-    assert os.environ["OMP_NUM_THREADS"] == "1"
-    return os.getpid()
 
 
 def test_a_failing_case_is_a_row(tmp_path):
@@ -303,17 +234,6 @@ def test_a_database_in_use(database, tmp_path, monkeypatch):
     with contextlib.closing(sqlite3.connect(path)) as connection:
         connection.execute("BEGIN EXCLUSIVE")
         one_line_error(invoke("resume", path), "database is locked")
-
-
-def test_no_scheduler_there(spec, tmp_path):
-    pytest.importorskip("distributed")
-    from ffsm_drake.campaign.executor import cluster_workers
-
-    with (
-        pytest.raises(CampaignError, match="no Dask scheduler answers there"),
-        cluster_workers("tcp://127.0.0.1:9", patience=0.5),
-    ):
-        pass
 
 
 def test_stopping_before_the_start_leaves_all_to_resume(spec, database, tmp_path):

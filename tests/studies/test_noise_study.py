@@ -11,7 +11,9 @@ from matplotlib.image import imread
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.studies.noise.study import CONTROLLERS, NoiseCase, NoiseStudy, fly, study_csv, study_noise, write_study
+from ffsm_drake.studies.noise import NoiseStudy, study_noise, write_study
+from ffsm_drake.studies.noise.cases import CONTROLLERS, NoiseCase
+from ffsm_drake.studies.noise.study import run_case
 
 SIGMAS = (1e-5, 1e-4)
 DURATION = 2.0
@@ -139,12 +141,12 @@ def test_same_seeds_same_table_whatever_the_workers():
     done = []
     one = study_noise(**settings, progress=lambda *call: done.append(call[:2]))
     assert done == [(k + 1, len(one.rows)) for k in range(len(one.rows))]
-    assert study_csv(one) == study_csv(study_noise(**settings, workers=2))
+    assert repr(one) == repr(study_noise(**settings, workers=2))  # a diverged run's NaN equals nothing
 
 
 def test_the_seed_changes_the_noise():
     isv = [
-        fly(
+        run_case(
             NoiseCase(controller="tdc", estimator="one_sample", gains="published", sigma=1e-4, seed=seed, duration=0.2)
         ).isv
         for seed in (0, 1)

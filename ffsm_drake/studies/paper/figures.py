@@ -15,7 +15,8 @@ from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
 from ffsm_drake.show.figures import run as plotting
-from ffsm_drake.studies.noise.study import NoiseRow, plot_study, study_noise
+from ffsm_drake.studies.noise.picture import plot_study
+from ffsm_drake.studies.noise.study import NoiseRow, study_noise
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS, Results, gain_of
 from ffsm_drake.studies.paper.table import METRICS, Row
 from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, ending, fixed

@@ -1,5 +1,5 @@
 # ruff: noqa: RUF001 (the texts use mathematical signs)
-"""What the paper prints: Table 2, with the two slips that its own numbers give away."""
+"""What the paper prints: Table 2, with two slips that its own numbers give away; and what its adverbs are taken for."""
 
 from ffsm_drake.studies.paper.runs import CONTROLLERS
 
@@ -35,3 +35,12 @@ CORRECTIONS = {
     "read as 1.914×10⁻³, like its neighbours",
     ("isv", "tau_d3", "tdc"): "printed without the star of the best value, although it is the smallest of its row",
 }
+
+# What the paper's adverbs are taken to mean.
+NEARLY_TENFOLD = 5.0  # "nearly one order of magnitude": at least this factor
+SLIGHTLY = 0.05  # "slightly larger": by at most this share
+NOTICEABLE = 0.02  # an effect below this share is none
+REPRODUCED = 0.03  # a table's values are reproduced within this share
+LOCALLY = 0.5  # "only locally": in less than this share of time and coordinates
+PRECISELY = 1e-5  # "high precision": errors at the end below this, rad and m
+ACCURATELY = 0.1  # "accurately estimated": within this share

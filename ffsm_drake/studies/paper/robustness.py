@@ -1,155 +1,117 @@
 # ruff: noqa: RUF001 (the texts use mathematical signs)
-"""Claims about stability and robustness; the table of nominal payloads. See ``verdict`` for their form."""
+"""Claims about stability and robustness; the table of nominal payloads."""
 
 import dataclasses
 import functools
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
-from ffsm_drake.studies.paper.runs import (
-    CONTROLLERS,
-    NOMINALS,
-    PROPOSED,
-    Case,
-    Results,
-    gain_of,
-)
+from ffsm_drake.studies.paper.runs import CONTROLLERS, NOMINALS, PROPOSED, Case, Results, gain_of
 from ffsm_drake.studies.paper.verdict import (
-    Verdict,
+    Judged,
+    both,
+    claims_about,
     comparisons,
+    divergence_times,
+    holds_if,
     in_both,
 )
-from ffsm_drake.studies.paper.wording import (
-    NAMES,
-    fate,
-    fixed,
-    itae_of,
-    listed,
-    span,
-)
+from ffsm_drake.studies.paper.wording import NAMES, fate, fixed, itae_of, listed, named, span
+
+claim = claims_about("Stability and robustness")
+
+_VARIANTS = ("", *NOMINALS)  # the first is the paper's own nominal payload
 
 
-def published_gains_are_stable(results: Results) -> Verdict:
+@claim("The proposed scheme is stable with the published gains.", "Sections 3.2 and 4")
+def published_gains_are_stable(results: Results) -> Judged:
+    euler, exact = (divergence_times(results, setting, PROPOSED) for setting in ("euler", "exact"))
+    total = len(comparisons(results))
+    when = f", at {span(exact, 2)} s" if exact else ""
+    record = results.record("exact", PROPOSED)
+    starting = gain_of(record.scenario, "k_s_initial")
+    highest = float(record.dataset["reaching_gain"].values.max())
+    return (
+        f"With explicit Euler {len(euler)} of {total} runs diverge. With exact integration between the samples "
+        f"{len(exact)} of {total} do{when}: law (9) carries K_s from {fixed(starting, 2)} to {fixed(highest)} "
+        "1/s (τ_d1); a sampled loop with a perfect mass matrix tolerates K_D + K_s < 2/L, that is K_s < "
+        f"{fixed(_tolerated_k_s(results, 1.0))} 1/s.",
+        in_both(not euler, not exact),
+    )
+
+
+@claim("An estimate that satisfies (8) bounds the TDE errors and so guarantees stability.", "Section 3.1, equation (8)")
+def condition_8_protects(results: Results) -> Judged:
+    ratios = {variant: _mass_ratio(results, variant) for variant in _VARIANTS}
     runs = {
-        setting: [
-            results.run(setting, PROPOSED, disturbance=disturbance, seed=seed)
-            for disturbance, seed in comparisons(results)
-        ]
-        for setting in ("euler", "exact")
+        variant: {name: results.run("bounded", name, variant=variant) for name in CONTROLLERS} for variant in _VARIANTS
     }
-    ended = {setting: [run for run in of if not run.outcome.completed] for setting, of in runs.items()}
-    scenario = results.record("exact", PROPOSED).scenario
-    start = gain_of(scenario, "k_s_initial")
-    limit = _tolerated_k_s(results, 1.0)
-    highest = float(results.record("exact", PROPOSED).dataset["reaching_gain"].values.max())
-    when = f", at {span((run.outcome.time for run in ended['exact']), 2)} s" if ended["exact"] else ""
-    return Verdict(
-        topic="Stability and robustness",
-        claim="The proposed scheme is stable with the published gains.",
-        place="Sections 3.2 and 4",
-        measured=f"With explicit Euler {len(ended['euler'])} of {len(runs['euler'])} runs diverge. With exact "
-        f"integration between the samples {len(ended['exact'])} of {len(runs['exact'])} do{when}: law (9) carries K_s "
-        f"from {fixed(start, 2)} to {fixed(highest)} 1/s (τ_d1); a sampled "
-        f"loop with a perfect mass matrix tolerates K_D + K_s < 2/L, that is K_s < {fixed(limit)} 1/s.",
-        **in_both(not ended["euler"], not ended["exact"]),
+    fatal, harmless = [], []
+    for variant in sorted(_VARIANTS, key=_nominal_mass):
+        text = f"{_nominal_mass(variant):.0f} kg ({fixed(ratios[variant].norm)})"
+        completed = runs[variant][PROPOSED].outcome.completed
+        if ratios[variant].norm < 1.0 and not completed:
+            high = ratios[variant].high
+            fatal.append(
+                f"nominal {text}: {named(runs[variant], fate)}. H⁻¹Ĥ has eigenvalues up to {fixed(high)}, for which a "
+                f"sampled loop tolerates K_s < {fixed(_tolerated_k_s(results, high), 2)} 1/s"
+            )
+        elif ratios[variant].norm >= 1.0 and completed:
+            harmless.append(text)
+    none = "none of those tested"
+    return (
+        "Exact integration, K_s of the proposed controller bounded, payload of 100 kg; in brackets the largest "
+        f"‖E − H⁻¹Ĥ‖₂ (m, rad) along the motion. (8) satisfied, yet diverging: {'; '.join(fatal) or none}. (8) "
+        f"violated, yet the proposed controller completes: nominal {listed(harmless) or none}. The paper's own "
+        f"estimate comes to {fixed(ratios[''].norm)}; the norm mixes metres and radians, so that the unit of length "
+        "decides it.",
+        holds_if(not fatal),
     )
 
 
-def condition_8_protects(results: Results) -> Verdict:
-    variants = ("", *NOMINALS)
-    ratios = {variant: _mass_ratio(results, variant) for variant in variants}
-    runs = {
-        (name, variant): results.run("bounded", name, variant=variant) for name in CONTROLLERS for variant in variants
-    }
-    admitted = [variant for variant in variants if ratios[variant].norm < 1.0]
-    fatal = [variant for variant in admitted if not runs[PROPOSED, variant].outcome.completed]
-    harmless = [
-        variant for variant in variants if variant not in admitted and runs[PROPOSED, variant].outcome.completed
-    ]
-
-    def witness(variant: str) -> str:
-        high = ratios[variant].high
-        fates = ", ".join(f"{NAMES[name]} {fate(runs[name, variant])}" for name in CONTROLLERS)
-        return (
-            f"believed {_believed(variant):.0f} kg ({fixed(ratios[variant].norm)}): {fates}. H⁻¹Ĥ has eigenvalues up "
-            f"to {fixed(high)}, for which a sampled loop tolerates K_s < {fixed(_tolerated_k_s(results, high), 2)} 1/s"
-        )
-
-    over = "; ".join(map(witness, fatal)) if fatal else "none of those tested"
-    under = listed(
-        f"{_believed(variant):.0f} kg ({fixed(ratios[variant].norm)})" for variant in sorted(harmless, key=_believed)
-    )
-    return Verdict(
-        topic="Stability and robustness",
-        claim="An estimate that satisfies (8) bounds the TDE errors and so guarantees stability.",
-        place="Section 3.1, equation (8)",
-        measured="Exact integration, K_s of the proposed controller bounded, payload of 100 kg; in brackets the "
-        f"largest ‖E − H⁻¹Ĥ‖₂ (m, rad) along the motion. (8) satisfied, yet diverging: {over}. (8) violated, yet the "
-        f"proposed controller completes: believed {under or 'none of those tested'}. The paper's own estimate comes to "
-        f"{fixed(ratios[''].norm)}; the norm mixes metres and radians, so that the unit of length decides it.",
-        kind="does not hold" if fatal else "holds",
+@claim("The controller is robust to the unknown payload.", "Abstract, sections 1 and 5")
+def payload_uncertainty_is_tolerated(results: Results) -> Judged:
+    tested = _kilograms(_VARIANTS)
+    completed = both(lambda setting: _kilograms(_completed(results, setting, PROPOSED)))
+    ruling = holds_if(completed.bounded == tested)
+    if completed.bounded not in ("none", tested):
+        ruling = ("holds only", f"for nominal masses of {completed.bounded} kg of those tried")
+    return (
+        f"The true payload has 100 kg. With a nominal payload of {tested} kg, inertia alike (the paper tests 80 kg "
+        f"only), the proposed controller completes at {completed.bounded} with exact integration and K_s bounded, at "
+        f"{completed.euler} with explicit Euler and the published gains.",
+        ruling,
     )
 
 
-def payload_uncertainty_is_tolerated(results: Results) -> Verdict:
-    tested = _kilograms(["", *NOMINALS])
-    completed = {
-        setting: _kilograms(
-            variant for variant in ("", *NOMINALS) if results.run(setting, PROPOSED, variant=variant).outcome.completed
-        )
-        for setting in ("euler", "bounded")
-    }
-    outcome: dict[str, Any] = {"kind": "does not hold"}
-    if completed["bounded"] == tested:
-        outcome = {"kind": "holds"}
-    elif completed["bounded"]:
-        outcome = {
-            "kind": "holds only",
-            "condition": f"for nominal masses of {completed['bounded']} kg of those tried",
-        }
-    return Verdict(
-        topic="Stability and robustness",
-        claim="The controller is robust to the unknown payload.",
-        place="Abstract, sections 1 and 5",
-        measured=f"The true payload has 100 kg. Believed to have {tested} kg, inertia alike (the paper tests 80 kg "
-        f"only), the proposed controller completes at {completed['bounded'] or 'none'} with exact integration and K_s "
-        f"bounded, at {completed['euler'] or 'none'} with explicit Euler and the published gains.",
-        **outcome,
-    )
-
-
-def more_robust_than_its_rivals(results: Results) -> Verdict:
-    survived = {
-        name: [
-            variant for variant in ("", *NOMINALS) if results.run("bounded", name, variant=variant).outcome.completed
-        ]
-        for name in CONTROLLERS
-    }
-    parts = "; ".join(f"{NAMES[name]} {_kilograms(variants) or 'none'}" for name, variants in survived.items())
+@claim("It is more robust than earlier controllers with time-delay estimation.", "Section 5")
+def more_robust_than_its_rivals(results: Results) -> Judged:
+    survived = {name: _completed(results, "bounded", name) for name in CONTROLLERS}
     rivals = max(len(survived[name]) for name in CONTROLLERS if name != PROPOSED)
-    return Verdict(
-        topic="Stability and robustness",
-        claim="It is more robust than earlier controllers with time-delay estimation.",
-        place="Section 5",
-        measured="Believed payloads (kg, truly 100) with which each controller completes on the exactly integrated "
-        f"plant, K_s of the proposed one bounded: {parts}. A large estimate multiplies the velocity gain K_D + K_s, of "
-        "which TDC has the least.",
-        kind="holds" if len(survived[PROPOSED]) > rivals else "does not hold",
+    return (
+        "Nominal payloads (kg, truly 100) with which each controller completes on the exactly integrated plant, K_s of "
+        f"the proposed one bounded: {named(survived, _kilograms, '; ')}. A large estimate multiplies the velocity gain "
+        "K_D + K_s, of which TDC has the least.",
+        holds_if(len(survived[PROPOSED]) > rivals),
     )
+
+
+def _completed(results: Results, setting: str, name: str) -> list[str]:
+    """The nominal payloads with which a controller reaches the end."""
+    return [variant for variant in _VARIANTS if results.run(setting, name, variant=variant).outcome.completed]
 
 
 def nominal_payload_table(results: Results) -> tuple[list[str], list[list[str]]]:
     """Header and rows: nominal payload, the left side of (8), eigenvalues of H^-1 Hhat, and each controller's ITAE."""
-    header = ["believed payload", "‖E − H⁻¹Ĥ‖₂", "eigenvalues of H⁻¹Ĥ", *[NAMES[name] for name in CONTROLLERS]]
+    header = ["nominal payload", "‖E − H⁻¹Ĥ‖₂", "eigenvalues of H⁻¹Ĥ", *[NAMES[name] for name in CONTROLLERS]]
     rows = []
-    for variant in sorted(("", *NOMINALS), key=_believed):
+    for variant in sorted(_VARIANTS, key=_nominal_mass):
         ratio = _mass_ratio(results, variant)
         rows.append(
             [
-                f"{_believed(variant):.0f} kg" + ("" if variant else " (the paper's)"),
+                f"{_nominal_mass(variant):.0f} kg" + ("" if variant else " (the paper's)"),
                 f"{ratio.norm:.2f}",
                 f"{ratio.low:.2f} to {ratio.high:.2f}",
                 *[itae_of(results.run("bounded", name, variant=variant)) for name in CONTROLLERS],
@@ -159,14 +121,13 @@ def nominal_payload_table(results: Results) -> tuple[list[str], list[list[str]]]
 
 
 @functools.cache
-def _believed(variant: str) -> float:
-    """Mass of the payload that a variant makes the controller believe in, kg."""
+def _nominal_mass(variant: str) -> float:
+    """Mass of a variant's nominal payload, kg."""
     return Case(setting="bounded", controller=PROPOSED, variant=variant).scenario().payload.nominal.mass
 
 
 def _kilograms(variants: Iterable[str]) -> str:
-    masses = sorted(map(_believed, variants))
-    return listed(f"{mass:.0f}" for mass in masses) if masses else ""
+    return listed(f"{mass:.0f}" for mass in sorted(map(_nominal_mass, variants))) or "none"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -1,20 +1,22 @@
 """The runs of the reproduction: which there are, and what is kept of each."""
 
 import dataclasses
+import functools
 import math
-import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
-from multiprocessing import get_context
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from itertools import product
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.runs.record import Outcome, RunRecord
+from ffsm_drake.common.workers import map_tasks
+from ffsm_drake.runs.record import Outcome, RunRecord, software_versions
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
+from ffsm_drake.systems.controllers import complete_gains
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 PROPOSED = "tde_aismc"
 CONTROLLERS = (PROPOSED, "aismc", "asmc", "tdc")  # the columns of Table 2
@@ -68,7 +70,7 @@ _NO_SWITCHING = (
 
 
 def _nominal(fraction: float) -> tuple[str, ...]:
-    """The payload believed to be a fraction of Table 1's target (100 kg, 16.7 kg m^2)."""
+    """A nominal payload that is a fraction of Table 1's target (100 kg, 16.7 kg m^2)."""
     return (
         f"payload.nominal.mass={100.0 * fraction}",
         f"payload.nominal.inertia=[{', '.join([str(16.7 * fraction)] * 3)}]",
@@ -109,6 +111,10 @@ class Case:
         shared = self.setting == "bounded" and self.controller != PROPOSED
         return dataclasses.replace(self, setting="exact") if shared else self
 
+    def __str__(self) -> str:
+        parts = (self.setting, self.controller, self.disturbance, f"seed {self.seed}", self.variant)
+        return ", ".join(part for part in parts if part)
+
     def scenario(self, overrides: Sequence[str] = ()) -> Scenario:
         """The scenario; ``overrides`` win over everything that the case says."""
         setting = SETTINGS[self.setting]
@@ -136,7 +142,7 @@ class Run:
     ripple: np.ndarray
     # Sum over the coordinates of |mean error| over the last five seconds, rad and m.
     resting_error: float
-    record: RunRecord | None
+    dataset: "xr.Dataset | None"  # the time series, where the case ``keeps_record``
 
     @property
     def itae(self) -> float:
@@ -169,19 +175,35 @@ class Results:
         case = Case(setting=setting, controller=controller, disturbance=disturbance, seed=seed, variant=variant)
         return self.runs[case.canonical]
 
-    def over_seeds(self, setting: str, controller: str, *, disturbance: str = "tau_d1", variant: str = "") -> list[Run]:
-        """The runs of a case that differ in the noise only."""
-        return [
-            self.run(setting, controller, disturbance=disturbance, seed=seed, variant=variant)
-            for seed in range(self.num_seeds)
-        ]
+    def runs_of(
+        self, setting: str, controller: str, *, variant: str = "", disturbance: str | None = None
+    ) -> dict[tuple[str, int], Run]:
+        """All runs made of a controller, or those with one disturbance, by (disturbance, seed)."""
+        one = Case(setting=setting, controller=controller, variant=variant).canonical
+        return {
+            (case.disturbance, case.seed): run
+            for case, run in self.runs.items()
+            if (case.setting, case.controller, case.variant) == (one.setting, controller, variant)
+            and disturbance in (None, case.disturbance)
+        }
 
     def record(self, setting: str, controller: str, *, variant: str = "") -> RunRecord:
         """The full record of a case that ``keeps_record``."""
-        record = self.run(setting, controller, variant=variant).record
-        if record is None:
-            raise LookupError(f"no record is kept of {setting}, {controller}, {variant}")
-        return record
+        return self._records[Case(setting=setting, controller=controller, variant=variant).canonical]
+
+    @functools.cached_property
+    def _records(self) -> dict[Case, RunRecord]:
+        return {
+            case: RunRecord(
+                scenario=complete_gains(case.scenario(self.overrides)),
+                outcome=run.outcome,
+                dataset=run.dataset,
+                wall_time={},
+                software=software_versions(),
+            )
+            for case, run in self.runs.items()
+            if run.dataset is not None
+        }
 
 
 def gain_of(scenario: Scenario, gain: str) -> float:
@@ -190,7 +212,7 @@ def gain_of(scenario: Scenario, gain: str) -> float:
 
 
 def keeps_record(case: Case) -> bool:
-    """Whether the full record of a run is kept: where a figure is drawn from it, or a claim judged."""
+    """Whether the full record of a run is kept: a figure or a claim needs it."""
     noise_free = case.controller == PROPOSED and case.variant == "no noise"
     return case.disturbance == "tau_d1" and case.seed == 0 and (case.variant == "" or noise_free)
 
@@ -199,36 +221,33 @@ def table_cases(num_seeds: int) -> list[Case]:
     """The runs of Table 2 in all settings."""
     return _distinct(
         Case(setting=setting, controller=controller, disturbance=disturbance, seed=seed)
-        for setting in SETTINGS
-        for disturbance in DISTURBANCES
-        for controller in CONTROLLERS
-        for seed in range(num_seeds)
+        for setting, disturbance, controller, seed in product(SETTINGS, DISTURBANCES, CONTROLLERS, range(num_seeds))
     )
 
 
 def figure_cases() -> list[Case]:
     """The runs that the figures show."""
-    return _distinct(Case(setting=setting, controller=controller) for setting in SETTINGS for controller in CONTROLLERS)
+    return _distinct(Case(setting=setting, controller=name) for setting, name in product(SETTINGS, CONTROLLERS))
 
 
 def claim_cases(num_seeds: int) -> list[Case]:
     """The runs that single claims need beyond Table 2."""
-    cases = []
-    for setting in ("euler", "bounded"):
-        for variant in ("no noise", "at rest"):
-            cases += [Case(setting=setting, controller=name, variant=variant) for name in CONTROLLERS]
-        cases += [Case(setting=setting, controller=PROPOSED, seed=k, variant="G = 0") for k in range(num_seeds)]
-        cases.append(Case(setting=setting, controller="asmc", variant="G = 0"))
-        cases.append(Case(setting=setting, controller=PROPOSED, variant="G = 0, no noise"))
-        cases += [
-            Case(setting=setting, controller=PROPOSED, variant=f"epsilon {change}") for change in ("/ 10", "x 10")
+    both = ("euler", "bounded")
+    wanted = [
+        *product(both, CONTROLLERS, ("no noise", "at rest")),
+        *product(both, [PROPOSED], ("G = 0, no noise", "epsilon / 10", "epsilon x 10")),
+        *product(both, ["asmc"], ["G = 0"]),
+        *product(both, ["tdc"], ["stiffness of ASMC"]),
+        *product(["bounded"], CONTROLLERS, NOMINALS),
+        *product(["euler"], [PROPOSED], NOMINALS),
+    ]
+    without_g = product(SETTINGS, range(num_seeds))
+    return _distinct(
+        [
+            *(Case(setting=setting, controller=name, variant=variant) for setting, name, variant in wanted),
+            *(Case(setting=setting, controller=PROPOSED, seed=seed, variant="G = 0") for setting, seed in without_g),
         ]
-        cases.append(Case(setting=setting, controller="tdc", variant="stiffness of ASMC"))
-    cases += [Case(setting="exact", controller=PROPOSED, seed=k, variant="G = 0") for k in range(num_seeds)]
-    for nominal in NOMINALS:
-        cases += [Case(setting="bounded", controller=name, variant=nominal) for name in CONTROLLERS]
-        cases.append(Case(setting="euler", controller=PROPOSED, variant=nominal))
-    return _distinct(cases)
+    )
 
 
 def all_cases(num_seeds: int) -> list[Case]:
@@ -248,74 +267,23 @@ def run_cases(
     workers: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Results:
-    """Simulate the cases; the results do not depend on the number of workers.
+    """Simulate the cases.
 
     Args:
       overrides: ``key=value`` for every run, as for ``load_scenario``.
-      workers: processes at work; beyond one they are spawned, so a script must call this under
-        ``if __name__ == "__main__":``.
-      progress: called with (runs done, runs in all, what is next or was last).
+      workers, progress: as for ``map_tasks``.
 
     Raises:
-      KeyboardInterrupt: the user stopped the runs.
       FfsmError: an override that cannot be used.
+      KeyboardInterrupt: the user stopped the runs.
     """
-    runs: dict[Case, Run] = {}
-
-    def tell(case: Case) -> None:
-        if progress is not None:
-            progress(len(runs), len(cases), describe(case))
-
-    # Records do not pickle, and travel badly: runs that keep theirs stay in this process.
-    apart = [case for case in cases if workers > 1 and not keeps_record(case)]
-    with _pool(workers if apart else 0) as pool:
-        pending = {case: pool.submit(_run_apart, case, tuple(overrides)) for case in apart} if pool else {}
-        for case in cases:
-            if case not in pending:
-                tell(case)
-                runs[case] = _run(case, overrides)
-        for case, future in pending.items():
-            tell(case)
-            answer = future.result()
-            if isinstance(answer, str):
-                raise FfsmError(answer)
-            runs[case] = answer
-    return Results(runs={case: runs[case] for case in cases}, num_seeds=num_seeds, overrides=tuple(overrides))
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor | None]:
-    """Spawned worker processes, or None for no workers; what has not begun when the block fails is dropped."""
-    if workers == 0:
-        yield None
-        return
-    # Drake's threads do not survive a fork.
-    pool = ProcessPoolExecutor(
-        workers, mp_context=get_context("spawn"), initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
-    )
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _run_apart(case: Case, overrides: Sequence[str]) -> Run | str:
-    """``_run`` in a worker; an error comes back as its line, because not all of them pickle."""
-    try:
-        return _run(case, overrides)
-    except FfsmError as error:
-        return str(error)
-
-
-def describe(case: Case) -> str:
-    """One line that names a case."""
-    parts = (case.setting, case.controller, case.disturbance, f"seed {case.seed}", case.variant)
-    return ", ".join(part for part in parts if part)
+    run = functools.partial(_run, overrides=tuple(overrides))
+    runs = map_tasks(run, cases, workers=workers, progress=progress)
+    return Results(runs=dict(zip(cases, runs, strict=True)), num_seeds=num_seeds, overrides=tuple(overrides))
 
 
 def _run(case: Case, overrides: Sequence[str]) -> Run:
-    # Some of these gains are known to be unstable: that is what is shown.
-    record = simulate(case.scenario(overrides), check_stability=False)
+    record = simulate(case.scenario(overrides), check_stability=False)  # some of these gains are known to be unstable
     if record.outcome.status == "interrupted":
         raise KeyboardInterrupt
     period = record.scenario.sample_time
@@ -325,7 +293,7 @@ def _run(case: Case, overrides: Sequence[str]) -> Run:
         metrics=record.metrics,
         ripple=_ripple(record.dataset["generalized_force"].values, round(1.0 / period)),
         resting_error=float(np.abs(record.dataset["error"].values[-round(5.0 / period) :].mean(axis=0)).sum()),
-        record=record if keeps_record(case) else None,
+        dataset=record.dataset if keeps_record(case) else None,
     )
 
 

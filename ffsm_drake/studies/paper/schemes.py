@@ -1,4 +1,4 @@
-"""Claims about how the four schemes compare and turn into one another. See ``verdict`` for their form."""
+"""Claims about how the four schemes compare and turn into one another."""
 
 import dataclasses
 from typing import Any
@@ -7,96 +7,68 @@ import numpy as np
 
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.studies.paper.runs import (
-    PROPOSED,
-    Results,
-)
+from ffsm_drake.studies.paper.runs import PROPOSED, Results
 from ffsm_drake.studies.paper.verdict import (
-    Verdict,
+    Judged,
+    both,
+    claims_about,
+    divergence_times,
+    holds_if,
+    ratios,
+    ratios_in_both,
 )
-from ffsm_drake.studies.paper.wording import fixed, percent, span, times, times_span
+from ffsm_drake.studies.paper.wording import fixed, percent, span, times_span
 from ffsm_drake.systems.controllers import make_law
 
+claim = claims_about("Comparison of the schemes")
 
-def comparison_is_fair(results: Results) -> Verdict:
+
+@claim("The same parameters for all four controllers make a fair comparison.", "Section 4")
+def comparison_is_fair(results: Results) -> Judged:
     scenario = results.record("euler", "asmc").scenario
-    laws = {name: _law(scenario, name) for name in ("tdc", "asmc", "aismc")}
-    tdc = laws["tdc"].k_p
-    asmc = laws["asmc"].k_s * laws["asmc"].k_d
-    integral = laws["aismc"].k_p + laws["aismc"].k_s_initial * laws["aismc"].k_d
-    before, after = (
-        {
-            setting: results.run(setting, "tdc", variant=variant).itae / results.run(setting, "asmc").itae
-            for setting in ("euler", "bounded")
-        }
-        for variant in ("", "stiffness of ASMC")
-    )
-    unequal = min(asmc) > 2.0 * max(tdc)
-    return Verdict(
-        topic="Comparison of the schemes",
-        claim="The same parameters for all four controllers make a fair comparison.",
-        place="Section 4",
-        measured=f"Factor of the position error in the commanded acceleration (1/s²): TDC {span(tdc)}, ASMC K_s K_D "
-        f"= {span(asmc, 4)}, AISMC and proposed K_P + K_s K_D = {span(integral, 4)} at the start. ITAE of TDC "
-        f"over ASMC: {fixed(before['euler'])} with explicit Euler, {fixed(before['bounded'])} with exact integration. "
-        f"With ASMC's stiffness TDC comes to {times(after['euler'])} and {times(after['bounded'])}.",
-        kind="does not hold" if unequal else "holds",
+    tdc, asmc, aismc = (_law(scenario, name) for name in ("tdc", "asmc", "aismc"))
+    asmc_stiffness, stiffness = asmc.k_s * asmc.k_d, aismc.k_p + aismc.k_s_initial * aismc.k_d
+    before = both(lambda setting: ratios(results, "itae", setting, "tdc", "asmc")[0])
+    after = ratios_in_both(results, "itae", ("tdc", "stiffness of ASMC"), "asmc")
+    return (
+        f"Factor of the position error in the commanded acceleration (1/s²): TDC {span(tdc.k_p)}, ASMC K_s K_D = "
+        f"{span(asmc_stiffness, 4)}, AISMC and proposed K_P + K_s K_D = {span(stiffness, 4)} at the start. ITAE of TDC "
+        f"over ASMC: {before.told(fixed)}. With ASMC's stiffness TDC comes to {after.pair(times_span)}.",
+        holds_if(min(asmc_stiffness) <= 2.0 * max(tdc.k_p)),
     )
 
 
-def without_g_it_is_aismc(results: Results) -> Verdict:
+@claim("With G = 0 the proposed controller (6) becomes AISMC (20).", "Section 3.3")
+def without_g_it_is_aismc(results: Results) -> Judged:
     gap = _law_gap(results, PROPOSED, "aismc", keep_k_p=True, keep_g=False)
-    ratio = {
-        setting: times_span(
-            [
-                a.itae / b.itae
-                for a, b in zip(
-                    results.over_seeds(setting, PROPOSED, variant="G = 0"),
-                    results.over_seeds(setting, "aismc"),
-                    strict=True,
-                )
-            ]
-        )
-        for setting in ("euler", "exact")
-    }
-    diverged = [run for run in results.over_seeds("exact", PROPOSED, variant="G = 0") if not run.outcome.completed]
-    end = f", diverging at {span((run.outcome.time for run in diverged), 2)} s" if diverged else ""
-    outcome: dict[str, Any] = {"kind": "does not hold"}
-    if gap == 0.0:
-        outcome = {"kind": "holds only", "condition": "with law (21) in place of (9)"}
-    return Verdict(
-        topic="Comparison of the schemes",
-        claim="With G = 0 the proposed controller (6) becomes AISMC (20).",
-        place="Section 3.3",
-        measured=f"For the same K_s the two laws differ by {percent(gap)} of the command over random errors: with law "
-        "(21) for K_s they are one controller. But (6) comes with law (9): with G = 0 and (9) its ITAE is "
-        f"{ratio['euler']} times AISMC's with explicit Euler"
-        + (f"; with exact integration and the published gains it does not stay with AISMC{end}." if diverged else
-           f" and {ratio['exact']} times with exact integration."),
-        **outcome,
-    )  # fmt: skip
+    euler, exact = (
+        times_span(ratios(results, "itae", setting, (PROPOSED, "G = 0"), "aismc")) for setting in ("euler", "exact")
+    )
+    ended = divergence_times(results, "exact", PROPOSED, variant="G = 0")
+    fate = f"it does not stay with AISMC, diverging at {span(ended, 2)} s" if ended else f"{exact} times"
+    return (
+        f"For the same K_s the two laws differ by {percent(gap)} of the command over random errors: with law (21) for "
+        f"K_s they are one controller. But (6) comes with law (9): with G = 0 and (9) its ITAE is {euler} times "
+        f"AISMC's with explicit Euler; with exact integration and the published gains {fate}.",
+        ("holds only", "with law (21) in place of (9)") if gap == 0.0 else ("does not hold", ""),
+    )
 
 
-def without_k_p_surfaces_become_ordinary(results: Results) -> Verdict:
+@claim(
+    "With K_P = 0 the integral surface becomes an ordinary one, and (6) and (20) become (18) and (17).", "Section 3.3"
+)
+def without_k_p_surfaces_become_ordinary(results: Results) -> Judged:
     robust = _law_gap(results, PROPOSED, "asmc", keep_k_p=False, keep_g=True)
     plain = _law_gap(results, "aismc", "tdc", keep_k_p=False, keep_g=True)
-    outcome: dict[str, Any] = {"kind": "does not hold"}
-    if robust == 0.0:
-        outcome = {
-            "kind": "holds only",
-            "condition": "for (6) and (18), with the same K_s and G, not for (20) and (17)",
-        }
-        if plain == 0.0:
-            outcome = {"kind": "holds"}
-    return Verdict(
-        topic="Comparison of the schemes",
-        claim="With K_P = 0 the integral surface becomes an ordinary one, and (6) and (20) become (18) and (17).",
-        place="Section 3.3",
-        measured="Difference of the commanded accelerations over random errors with K_P = 0 and equal K_s and G, as a "
-        f"share of the command: (6) and (18) {percent(robust)}, (20) and (17) {percent(plain)}: (20) keeps K_s s = "
+    ruling = holds_if(robust == plain == 0.0)
+    if robust == 0.0 != plain:
+        ruling = ("holds only", "for (6) and (18), with the same K_s and G, not for (20) and (17)")
+    return (
+        "Difference of the commanded accelerations over random errors with K_P = 0 and equal K_s and G, as a share of "
+        f"the command: (6) and (18) {percent(robust)}, (20) and (17) {percent(plain)}: (20) keeps K_s s = "
         "K_s (ė + K_D e), which TDC has not; it takes K_s = 0 to reach (17). The adaptation laws differ besides: K_s "
         "is constant in (18), and G follows (19), not (10).",
-        **outcome,
+        ruling,
     )
 
 

@@ -1,12 +1,12 @@
 # ruff: noqa: RUF001 (the texts use mathematical signs)
 """Table 2: ours beside the paper's."""
 
-import csv
 import dataclasses
-import io
 import math
 import statistics
+from itertools import product
 
+from ffsm_drake.common.files import csv_text
 from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, SETTINGS, Results, Run
 from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, scientific, span, superscript, times
@@ -45,32 +45,26 @@ class Row:
 def make_table(results: Results) -> list[Row]:
     """All rows: by setting, disturbance, controller."""
     rows = []
-    for setting in SETTINGS:
-        for disturbance in DISTURBANCES:
-            runs = {name: results.over_seeds(setting, name, disturbance=disturbance) for name in CONTROLLERS}
-            cells = {metric: _cells(metric, disturbance, runs) for metric in METRICS}
-            for name in CONTROLLERS:
-                ended = [run for run in runs[name] if not run.outcome.completed]
-                rows.append(
-                    Row(
-                        setting=setting,
-                        disturbance=disturbance,
-                        controller=name,
-                        num_diverged=len(ended),
-                        num_runs=len(runs[name]),
-                        diverged=_endings(ended, len(runs[name])),
-                        itae=cells["itae"][name],
-                        isv=cells["isv"][name],
-                    )
+    for setting, disturbance in product(SETTINGS, DISTURBANCES):
+        runs = {name: list(results.runs_of(setting, name, disturbance=disturbance).values()) for name in CONTROLLERS}
+        itae, isv = (_cells(metric, disturbance, runs) for metric in METRICS)
+        for name in CONTROLLERS:
+            ended = [run for run in runs[name] if not run.outcome.completed]
+            which = "" if len(ended) == len(runs[name]) else f" ({len(ended)} of {len(runs[name])} runs)"
+            times_ended = span((run.outcome.time for run in ended), 2)
+            rows.append(
+                Row(
+                    setting=setting,
+                    disturbance=disturbance,
+                    controller=name,
+                    num_diverged=len(ended),
+                    num_runs=len(runs[name]),
+                    diverged=f"{ended[0].outcome.status} at {times_ended} s{which}" if ended else "",
+                    itae=itae[name],
+                    isv=isv[name],
                 )
+            )
     return rows
-
-
-def _endings(ended: list[Run], num_runs: int) -> str:
-    if not ended:
-        return ""
-    which = "" if len(ended) == num_runs else f" ({len(ended)} of {num_runs} runs)"
-    return f"{ended[0].outcome.status} at {span((run.outcome.time for run in ended), 2)} s{which}"
 
 
 def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[str, Cell]:
@@ -94,27 +88,22 @@ def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[st
 
 def table_csv(rows: list[Row]) -> str:
     """The table as comma-separated values, full precision; empty where runs diverged."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     fields = ("mean", "spread", "paper", "ratio", "rank", "paper_rank")
-    writer.writerow(
+    return csv_text(
         [
-            "setting", "disturbance", "controller", "runs", "diverged_runs", "diverged",
-            *[f"{metric}_{field}" for metric in METRICS for field in fields],
-            *[f"{metric}_paper_correction" for metric in METRICS],
+            {
+                "setting": row.setting,
+                "disturbance": row.disturbance,
+                "controller": row.controller,
+                "runs": row.num_runs,
+                "diverged_runs": row.num_diverged,
+                "diverged": row.diverged,
+                **{f"{metric}_{field}": getattr(getattr(row, metric), field) for metric in METRICS for field in fields},
+                **{f"{metric}_paper_correction": getattr(row, metric).correction for metric in METRICS},
+            }
+            for row in rows
         ]
-    )  # fmt: skip
-    for row in rows:
-        cells = [getattr(row, metric) for metric in METRICS]
-        numbers = [getattr(cell, field) for cell in cells for field in fields]
-        writer.writerow(
-            [
-                row.setting, row.disturbance, row.controller, row.num_runs, row.num_diverged, row.diverged,
-                *["" if math.isnan(number) else f"{number:.8g}" for number in numbers],
-                *[cell.correction for cell in cells],
-            ]
-        )  # fmt: skip
-    return text.getvalue()
+    )
 
 
 def shown(metric: str, value: float) -> str:

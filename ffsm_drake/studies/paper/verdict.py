@@ -1,33 +1,21 @@
-"""The form of a verdict on a claim, and what the claims have in common: ``Claim = f(results) -> Verdict``.
+"""The form of a claim and of the verdict on it, and what the claims have in common.
 
-Every figure in a verdict is computed from the results, and so is the verdict itself. The setting ``euler`` is the
-paper's own simulation, ``bounded`` the exactly integrated plant with the proposed controller's K_s bounded
-(``runs.SETTINGS``).
+Every figure in a verdict is computed from the results, and the verdict follows from the figures. Of the settings
+(``runs.SETTINGS``), ``euler`` is the paper's own simulation and ``bounded`` the exactly integrated plant with the
+proposed controller's K_s bounded: the two in which every controller reaches the end.
 """
 
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Generic, Literal, TypeVar
 
-from ffsm_drake.studies.paper.runs import (
-    CONTROLLERS,
-    DISTURBANCES,
-    Results,
-)
+from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, Results
 from ffsm_drake.studies.paper.table import Row, make_table
 
 Kind = Literal["holds", "holds only", "does not hold", "not reproduced"]
 Topic = Literal["Accuracy", "Effort and chattering", "Comparison of the schemes", "Stability and robustness", "Theory"]
-
-# What the paper's adverbs are taken to mean.
-NEARLY_TENFOLD = 5.0  # "nearly one order of magnitude": at least this factor
-SLIGHTLY = 0.05  # "slightly larger": by at most this share
-NOTICEABLE = 0.02  # an effect below this share is none
-REPRODUCED = 0.03  # a table's values are reproduced within this share
-LOCALLY = 0.5  # "only locally": in less than this share of time and coordinates
-PRECISELY = 1e-5  # "high precision": errors at the end below this, rad and m
-ACCURATELY = 0.1  # "accurately estimated": within this share
+T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,19 +35,66 @@ class Verdict:
         return f"{self.kind} {self.condition}".strip()
 
 
-Claim = Callable[[Results], Verdict]
+Ruling = tuple[Kind, str]  # kind and condition of a verdict
+Judged = tuple[str, Ruling]  # what was measured, and what follows from it
+Judge = Callable[[Results], Judged]
+Side = str | tuple[str, str]  # a controller, or a controller and a variant of its runs
 
-_EULER_ONLY = "under explicit Euler integration at the control period"
-_EXACT_ONLY = "on the exactly integrated plant"
+
+@dataclasses.dataclass(frozen=True)
+class Claim:
+    """One claim of the paper; called with the results it gives the verdict."""
+
+    topic: Topic
+    claim: str
+    place: str
+    judge: Judge
+
+    def __call__(self, results: Results) -> Verdict:
+        measured, (kind, condition) = self.judge(results)
+        return Verdict(
+            topic=self.topic, claim=self.claim, place=self.place, measured=measured, kind=kind, condition=condition
+        )
 
 
-def in_both(euler: bool, exact: bool) -> dict[str, Any]:
-    """The verdict on a claim that can be told in both settings."""
-    if euler and exact:
-        return {"kind": "holds"}
-    if euler or exact:
-        return {"kind": "holds only", "condition": _EULER_ONLY if euler else _EXACT_ONLY}
-    return {"kind": "does not hold"}
+def claims_about(topic: Topic) -> Callable[[str, str], Callable[[Judge], Claim]]:
+    """A decorator ``claim(text, place)`` that makes a claim of the function that judges it."""
+    return lambda text, place: lambda judge: Claim(topic, text, place, judge)
+
+
+def holds_if(good: bool) -> Ruling:
+    return ("holds", "") if good else ("does not hold", "")
+
+
+def in_both(euler: bool, exact: bool) -> Ruling:
+    """The verdict on a claim that is judged in both settings."""
+    if euler != exact:
+        settings = "under explicit Euler integration at the control period", "on the exactly integrated plant"
+        return "holds only", settings[0] if euler else settings[1]
+    return holds_if(euler)
+
+
+@dataclasses.dataclass(frozen=True)
+class Both(Generic[T]):
+    """A quantity in both settings."""
+
+    euler: T
+    bounded: T
+
+    def told(self, write: Callable[[T], str]) -> str:
+        return f"with explicit Euler {write(self.euler)}; with exact integration and K_s bounded {write(self.bounded)}"
+
+    def pair(self, write: Callable[[T], str]) -> str:
+        """In the same order, where it has been said which is which."""
+        return f"{write(self.euler)} and {write(self.bounded)}"
+
+    def judged(self, good: Callable[[T], bool]) -> Ruling:
+        return in_both(good(self.euler), good(self.bounded))
+
+
+def both(measure: Callable[[str], T]) -> Both[T]:
+    """``measure(setting)`` in both settings."""
+    return Both(measure("euler"), measure("bounded"))
 
 
 def comparisons(results: Results) -> list[tuple[str, int]]:
@@ -67,15 +102,27 @@ def comparisons(results: Results) -> list[tuple[str, int]]:
     return [(disturbance, seed) for disturbance in DISTURBANCES for seed in range(results.num_seeds)]
 
 
-def metric_ratios(results: Results, metric: str, setting: str, over: str, under: str) -> list[float]:
-    """A metric of one controller over that of another, by (disturbance, seed); infinite where the first diverged."""
-    values = []
-    for disturbance, seed in comparisons(results):
-        first, second = (
-            getattr(results.run(setting, name, disturbance=disturbance, seed=seed), metric) for name in (over, under)
-        )
-        values.append(first / second if math.isfinite(second) else math.nan)
-    return values
+def ratios(results: Results, metric: str, setting: str, over: Side, under: Side) -> list[float]:
+    """A metric of one controller over another's, for every (disturbance, seed) run of both.
+
+    Infinite where the first diverged, NaN where the second did.
+    """
+    first, second = (
+        results.runs_of(setting, name, variant=variant)
+        for name, variant in ((side, "") if isinstance(side, str) else side for side in (over, under))
+    )
+    pairs = [(getattr(run, metric), getattr(second[key], metric)) for key, run in first.items() if key in second]
+    return [a / b if math.isfinite(b) else math.nan for a, b in pairs]
+
+
+def ratios_in_both(results: Results, metric: str, over: Side, under: Side) -> Both[list[float]]:
+    return both(lambda setting: ratios(results, metric, setting, over, under))
+
+
+def divergence_times(results: Results, setting: str, controller: str, **which: str) -> list[float]:
+    """When runs of a controller diverged, s; ``which`` as for ``Results.runs_of``."""
+    runs = results.runs_of(setting, controller, **which).values()
+    return [run.outcome.time for run in runs if not run.outcome.completed]
 
 
 def ranking(results: Results, metric: str, setting: str, disturbance: str, seed: int) -> list[str]:
@@ -84,6 +131,11 @@ def ranking(results: Results, metric: str, setting: str, disturbance: str, seed:
         CONTROLLERS,
         key=lambda name: getattr(results.run(setting, name, disturbance=disturbance, seed=seed), metric),
     )
+
+
+def rankings(results: Results, metric: str, setting: str) -> list[list[str]]:
+    """The ranking of every comparison."""
+    return [ranking(results, metric, setting, *case) for case in comparisons(results)]
 
 
 def table_rows(results: Results, setting: str) -> list[Row]:

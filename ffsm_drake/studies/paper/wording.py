@@ -2,10 +2,12 @@
 """Numbers as text."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from typing import TypeVar
 
 from ffsm_drake.studies.paper.runs import Run
 
+T = TypeVar("T")
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NAMES = {"tde_aismc": "proposed", "aismc": "AISMC", "asmc": "ASMC", "tdc": "TDC"}
 DISTURBANCE_NAMES = {"tau_d1": "τ_d1", "tau_d2": "τ_d2 (3 × frequency)", "tau_d3": "τ_d3 (3 × amplitude)"}
@@ -74,6 +76,11 @@ def itae_of(run: Run) -> str:
 def ending(run: Run) -> str:
     """Such as 'diverged at 5.3 s'."""
     return f"{run.outcome.status} at {run.outcome.time:.1f} s"
+
+
+def named(values: Mapping[str, T], write: Callable[[T], str], separator: str = ", ") -> str:
+    """Values by controller or group, such as 'proposed 0.16, AISMC 0.10'."""
+    return separator.join(f"{NAMES.get(name, name.replace('_', ' '))} {write(value)}" for name, value in values.items())
 
 
 def listed(items: Iterable[str]) -> str:

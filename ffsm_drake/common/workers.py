@@ -1,8 +1,10 @@
-"""Work on many processes: any ``concurrent.futures`` executor, with lost workers replaced and what they did repeated.
+"""The one process pool: tasks on any ``concurrent.futures`` executor, with lost workers replaced and tasks repeated.
 
-Processes that die take every task in flight of a local pool with them, and none says whose fault it was. So the tasks
-that were in flight are then run one at a time: a task that is alone when its worker dies, ``ATTEMPTS`` times, is given
-up as WorkerLost.
+``map_tasks`` is for a list of tasks on this machine; ``run_tasks`` takes tasks one by one, also on a Dask cluster.
+
+A process that dies breaks its local pool, and every task in flight is lost with it; nobody says which task was to
+blame. So the tasks that were in flight are repeated one at a time. A task that is alone when its worker dies,
+``ATTEMPTS`` times, is given up as WorkerLost.
 """
 
 import contextlib
@@ -12,13 +14,12 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from multiprocessing import get_context, parent_process
 from typing import Any, Generic, TypeVar
 
-from ffsm_drake.campaign.errors import CampaignError
-from ffsm_drake.common.errors import one_line
+from ffsm_drake.common.errors import FfsmError, WorkersError, one_line
 
 ATTEMPTS = 3
 # Library threads per worker process: the workers themselves fill the machine.
@@ -75,27 +76,39 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
       patience: s to wait for the scheduler and its first worker.
 
     Raises:
-      CampaignError: ``distributed`` is not installed, or no scheduler or worker answers.
+      WorkersError: ``distributed`` is not installed, or no scheduler or worker answers.
     """
     try:
         distributed: Any = importlib.import_module("distributed")  # optional, and without types
     except ImportError:
-        raise CampaignError("--scheduler needs the extra 'cluster': pip install 'ffsm-drake[cluster]'") from None
+        raise WorkersError("a Dask cluster needs the extra 'cluster': pip install 'ffsm-drake[cluster]'") from None
     try:
         client = distributed.Client(address, timeout=patience, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
-        raise CampaignError(f"{address}: no Dask scheduler answers there: {one_line(error)}") from error
+        raise WorkersError(f"{address}: no Dask scheduler answers there: {one_line(error)}") from error
     with client:
         try:
             client.wait_for_workers(1, timeout=patience)
         except TimeoutError:
-            raise CampaignError(f"{address}: no worker joined the cluster within {patience:g} s") from None
+            raise WorkersError(f"{address}: no worker joined the cluster within {patience:g} s") from None
         yield Workers(
             # Not pure: a task is what it is, not a value to be looked up by its arguments.
             open=lambda: client.get_executor(pure=False),
             in_flight=lambda: 2 * max(len(client.nthreads()), 1),
             renewable=False,
         )
+
+
+class _InThisProcess(Executor):
+    """Runs each task as it is submitted."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*args, **kwargs))
+        except FfsmError as error:
+            future.set_exception(error)
+        return future
 
 
 def _follow_parent() -> None:
@@ -111,17 +124,11 @@ def _follow_parent() -> None:
     threading.Thread(target=follow, name="follow-parent", daemon=True).start()
 
 
-class Stop:
+class Stop(threading.Event):
     """Whether somebody asked to stop; ``set`` from a signal handler or another thread."""
 
-    def __init__(self) -> None:
-        self._event = threading.Event()
-
-    def set(self) -> None:
-        self._event.set()
-
     def __bool__(self) -> bool:
-        return self._event.is_set()
+        return self.is_set()
 
 
 @contextlib.contextmanager
@@ -160,13 +167,50 @@ def run_tasks(
     yielded, and nothing more is started.
 
     Args:
-      function: importable by its name in the workers; must not raise.
+      function: importable by its name in the workers; of its errors only FfsmError is passed on as it is.
       worn: whether a result shows that its process should be replaced.
 
     Raises:
-      CampaignError: the workers do not work: every task is lost, or a task cannot be given to them.
+      FfsmError: what ``function`` raised.
+      WorkersError: the workers do not work: every task is lost, or a task cannot be given to them.
     """
     yield from _Runner(function, iter(tasks), arguments, workers, stop, worn).run()
+
+
+def map_tasks(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    *,
+    workers: int,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> list[Result]:
+    """``function(task)`` for every task, in the order of the tasks; the results do not depend on the workers.
+
+    Args:
+      function: importable by its name.
+      workers: processes. One is this process; more are spawned, so a script must call this under
+        ``if __name__ == "__main__":``.
+      progress: called after every task with (tasks done, tasks in all, the task as text).
+
+    Raises:
+      FfsmError: what ``function`` raised.
+      WorkersError: a task's worker died every time.
+      KeyboardInterrupt: Ctrl-C or SIGTERM; the tasks under way were finished.
+    """
+    here = Workers(open=_InThisProcess, in_flight=lambda: 1, renewable=False)
+    results: dict[int, Result] = {}
+    with stop_on_signals() as stop, local_workers(workers) if workers > 1 else contextlib.nullcontext(here) as crew:
+        done = run_tasks(function, range(len(tasks)), arguments=lambda k: (tasks[k],), workers=crew, stop=stop)
+        with contextlib.closing(done):
+            for k, result in done:
+                if isinstance(result, WorkerLost):
+                    raise WorkersError(f"{tasks[k]}: the worker process died each time it ran this")
+                results[k] = result
+                if progress is not None:
+                    progress(len(results), len(tasks), str(tasks[k]))
+    if len(results) < len(tasks):
+        raise KeyboardInterrupt
+    return [results[k] for k in range(len(tasks))]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,51 +222,47 @@ class _Flight(Generic[Task]):
     strikes: int  # how many workers it has lost while it was alone
 
 
+@dataclasses.dataclass
 class _Runner(Generic[Task, Result]):
-    def __init__(
-        self,
-        function: Callable[..., Result],
-        tasks: Iterator[Task],
-        arguments: Callable[[Task], tuple[Any, ...]],
-        workers: Workers,
-        stop: Stop,
-        worn: Callable[[Result], bool],
-    ) -> None:
-        self._function, self._tasks, self._arguments = function, tasks, arguments
-        self._workers, self._stop, self._worn = workers, stop, worn
-        self._flying: dict[Future[Result], _Flight[Task]] = {}
-        self._suspects: deque[tuple[Task, int]] = deque()  # with their strikes
-        self._succeeded = False
-        self._lost = 0
+    function: Callable[..., Result]
+    tasks: Iterator[Task]
+    arguments: Callable[[Task], tuple[Any, ...]]
+    workers: Workers
+    stop: Stop
+    worn: Callable[[Result], bool]
+    flying: dict[Future[Result], _Flight[Task]] = dataclasses.field(default_factory=dict)
+    suspects: deque[tuple[Task, int]] = dataclasses.field(default_factory=deque)  # with their strikes
+    succeeded: bool = False
+    lost: int = 0
 
     def run(self) -> Iterator[tuple[Task, Result | WorkerLost]]:
-        self._executor = self._workers.open()
+        self.executor = self.workers.open()
         try:
             while True:
-                if self._stop:
+                if self.stop:
                     self._recall()
                 else:
                     self._fill()
-                if self._flying:
-                    done, _ = wait(self._flying, timeout=_POLL, return_when=FIRST_COMPLETED)
+                if self.flying:
+                    done, _ = wait(self.flying, timeout=_POLL, return_when=FIRST_COMPLETED)
                     yield from self._collect(done)
-                elif self._stop or not self._suspects:
+                elif self.stop or not self.suspects:
                     return
         finally:
-            for future in self._flying:
+            for future in self.flying:
                 future.cancel()
-            self._executor.shutdown(wait=True)
+            self.executor.shutdown(wait=True)
 
     def _fill(self) -> None:
         """Submit as much as may be in flight; a suspect flies alone."""
-        if self._suspects:
-            if not self._flying:
-                self._submit(*self._suspects.popleft())
+        if self.suspects:
+            if not self.flying:
+                self._submit(*self.suspects.popleft())
             return
-        limit = self._workers.in_flight()
-        while len(self._flying) < limit and not self._suspects:
+        limit = self.workers.in_flight()
+        while len(self.flying) < limit and not self.suspects:
             try:
-                task = next(self._tasks)
+                task = next(self.tasks)
             except StopIteration:
                 return
             self._submit(task, 0)
@@ -231,59 +271,61 @@ class _Runner(Generic[Task, Result]):
         try:
             # A process that is started here is born deaf to Ctrl-C: only the driver decides when to stop.
             with _interrupts_blocked():
-                future = self._executor.submit(self._function, *self._arguments(task))
+                future = self.executor.submit(self.function, *self.arguments(task))
         except BrokenExecutor:  # a worker died while idle
-            self._suspects.append((task, strikes))
-            if not self._flying:
+            self.suspects.append((task, strikes))
+            if not self.flying:
                 self._renew()
             return
-        self._flying[future] = _Flight(task, self._executor, strikes)
+        self.flying[future] = _Flight(task, self.executor, strikes)
 
     def _recall(self) -> None:
         """Take back what has not been started."""
-        for future in [future for future in self._flying if future.cancel()]:
-            del self._flying[future]
+        for future in [future for future in self.flying if future.cancel()]:
+            del self.flying[future]
 
     def _collect(self, done: set[Future[Result]]) -> Iterator[tuple[Task, Result | WorkerLost]]:
-        alone = len(self._flying) == 1
+        alone = len(self.flying) == 1
         if any(_broken(future) for future in done):
             # The pool is gone: every other future of it ends now too.
-            done, _ = wait(self._flying)
+            done, _ = wait(self.flying)
         broken, worn = False, False
         for future in done:
-            flight = self._flying.pop(future)
+            flight = self.flying.pop(future)
             if future.cancelled():
-                raise CampaignError("the cluster cancelled a run: its scheduler is gone, or somebody cleared it")
+                raise WorkersError("the cluster cancelled a task: its scheduler is gone, or somebody cleared it")
             error = future.exception()
             if error is None:
                 result = future.result()
-                self._succeeded = True
-                worn = worn or (flight.executor is self._executor and self._worn(result))
+                self.succeeded = True
+                worn = worn or (flight.executor is self.executor and self.worn(result))
                 yield flight.task, result
             elif isinstance(error, BrokenExecutor):
                 broken = True
                 strikes = flight.strikes + (1 if alone else 0)
                 if strikes < ATTEMPTS:
-                    self._suspects.append((flight.task, strikes))
+                    self.suspects.append((flight.task, strikes))
                 else:
                     yield self._give_up(flight.task)
             elif _killed(error):  # Dask has counted by itself
                 yield self._give_up(flight.task)
+            elif isinstance(error, FfsmError):
+                raise error
             else:
-                raise CampaignError(f"a worker cannot work: {type(error).__name__}: {one_line(error)}") from error
-        if broken or (worn and self._workers.renewable):
+                raise WorkersError(f"a worker cannot work: {type(error).__name__}: {one_line(error)}") from error
+        if broken or (worn and self.workers.renewable):
             self._renew()
 
     def _give_up(self, task: Task) -> tuple[Task, WorkerLost]:
-        self._lost += 1
-        if not self._succeeded and self._lost >= ATTEMPTS:
-            raise CampaignError("every worker dies with its first run; see what a single run says: 'campaign rerun'")
+        self.lost += 1
+        if not self.succeeded and self.lost >= ATTEMPTS:
+            raise WorkersError("every worker dies with its first task; run one alone to see why")
         return task, WorkerLost()
 
     def _renew(self) -> None:
         # The old processes finish what they have and end.
-        self._executor.shutdown(wait=False)
-        self._executor = self._workers.open()
+        self.executor.shutdown(wait=False)
+        self.executor = self.workers.open()
 
 
 def _broken(future: Future[Any]) -> bool:

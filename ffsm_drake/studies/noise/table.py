@@ -1,0 +1,119 @@
+# ruff: noqa: RUF001 (the texts use mathematical signs)
+"""The noise study as tables."""
+
+import math
+from typing import Any
+
+from ffsm_drake.show.figures.run import LABELS
+from ffsm_drake.spacecraft.coordinates import GROUPS
+from ffsm_drake.studies.noise.cases import EXCHANGED, exchange_point
+from ffsm_drake.studies.noise.study import NoiseRow, NoiseStudy, settled_after
+
+_ESTIMATES = {"one_sample": "one sample", "kalman": "Kalman"}
+_TITLES = {
+    "one_sample": "One-sample estimate, published gains",
+    "kalman": "Kalman estimate, bandwidth gains",
+}
+
+
+def study_rows(study: NoiseStudy) -> list[dict[str, Any]]:
+    """Every run as the columns of a file, SI units; the sensor set has no sigma, a run that diverged no figures."""
+    return [
+        {
+            "controller": row.controller,
+            "estimator": row.estimator,
+            "gains": row.gains,
+            "sensors": "flight_sensors" if row.sigma is None else "white",
+            "sigma": row.sigma,
+            "seed": row.seed,
+            "diverged": int(row.diverged),
+            "outcome": row.outcome,
+            "itae": row.itae,
+            "isv": row.isv,
+            "isv_predicted": row.isv_predicted,
+            **{f"rms_error_{group}": row.rms_error[group] for group in GROUPS},
+            **{f"peak_force_{group}": row.peak_force[group] for group in GROUPS},
+        }
+        for row in study.rows
+    ]
+
+
+def study_markdown(study: NoiseStudy) -> str:
+    """The study as tables: the slope, whether estimate or gains matter, and every point."""
+    lines = [
+        "# What the published gains cost with real sensors",
+        "",
+        f"Runs of {study.duration:g} s; perfect tracking without noise costs ISV {study.ideal_isv:.2f}. Positions are "
+        "measured exactly but by `flight_sensors`, actuators are unlimited. Units: rad or m, N m or N. Rms errors "
+        f"count after {settled_after(study.duration):g} s.",
+        "",
+        "## The slope",
+        "",
+        "The published estimate puts Ĥ Δv/L into the force, so that the effort of the noise grows as σ²/L². Predicted "
+        "rms acceleration for a base attitude axis; extra effort (ISV - ideal)/σ² at the largest σ without divergence:",
+        "",
+        *_slopes(study),
+        "",
+        f"## Estimate or gains? At σ = {exchange_point(study.sigmas):.0e}",
+        "",
+        "ISV, and the rms error of the base attitude:",
+        "",
+        *_exchange(study),
+    ]
+    header = ["controller", "σ [rad/s, m/s]", "ITAE", "ISV", "ISV, predicted"]
+    header += ["rms attitude", "rms position", "rms joints", "peak torque", "peak force", "peak joint torque"]
+    for estimator, title in _TITLES.items():
+        points = [point for _, kind, points in study.curves() if kind == estimator for point in points]
+        lines += ["", f"## {title}", "", *_table(header, [_point_cells(point) for point in points])]
+    lines += [
+        "",
+        "Predicted: by the linear loop without simulating it, G left out, K_s at its bound or, without one, at its "
+        "start (AISMC). Peaks are over the whole run.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _slopes(study: NoiseStudy) -> list[str]:
+    rows = []
+    for controller, estimator, points in study.curves():
+        if estimator != "one_sample":
+            continue
+        gain = study.noise_gain[controller]
+        cells = ["–"] * 3
+        for point in points:
+            if point.sigma is not None and not point.diverged:  # the last one counts
+                slopes = [(isv - study.ideal_isv) / point.sigma**2 for isv in (point.isv_predicted, point.isv)]
+                cells = [*(f"{slope:.2e}" for slope in slopes), point.sensors]
+        rows.append([LABELS[controller], f"{gain:.0f}", f"{gain * study.sample_time:.1f}", *cells])
+    header = ["controller", "rms acceleration/σ [1/s]", "the same in 1/L", "extra effort/σ², predicted", "measured"]
+    return _table([*header, "at σ"], rows)
+
+
+def _exchange(study: NoiseStudy) -> list[str]:
+    ways = [("one_sample", "published"), *EXCHANGED.items(), ("kalman", "bandwidth")]
+    rows = []
+    for controller in study.noise_gain:
+        points = [study.point(controller, kind, exchange_point(study.sigmas), gains=gains) for kind, gains in ways]
+        figures = [f"{_significant(point.isv)}; {point.rms_error['base_rotation']:.1e}" for point in points]
+        cells = [f"**{p.outcome}**" if p.diverged else text for p, text in zip(points, figures, strict=True)]
+        rows.append([LABELS[controller], *cells])
+    return _table(["controller", *(f"{_ESTIMATES[estimator]}, {gains} gains" for estimator, gains in ways)], rows)
+
+
+def _point_cells(point: NoiseRow) -> list[str]:
+    predicted = _significant(point.isv_predicted) if math.isfinite(point.isv_predicted) else "unstable"
+    head = [LABELS[point.controller], point.sensors]
+    if point.diverged:
+        return [*head, f"**{point.outcome}**", "–", predicted, *["–"] * 6]
+    errors = [f"{point.rms_error[group]:.1e}" for group in GROUPS]
+    forces = [_significant(point.peak_force[group]) for group in GROUPS]
+    return [*head, f"{point.itae:.2e}", _significant(point.isv), predicted, *errors, *forces]
+
+
+def _table(header: list[str], rows: list[list[str]]) -> list[str]:
+    return [f"| {' | '.join(cells)} |" for cells in (header, ["---", *["---:"] * (len(header) - 1)], *rows)]
+
+
+def _significant(value: float) -> str:
+    """Such as 3.8, 418.3 and 2.65e+05."""
+    return f"{value:.1f}" if abs(value) < 1e4 else f"{value:.2e}"
