@@ -1,4 +1,4 @@
-"""A sensible first motion for an arm that nobody has described beyond its URDF: postures, duration, disturbance."""
+"""A first motion for an arm of which only the URDF is known: postures, duration, disturbance."""
 
 import dataclasses
 import math

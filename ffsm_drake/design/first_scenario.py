@@ -17,8 +17,8 @@ from ffsm_drake.common.errors import FfsmError, ModelError, RecordError, Scenari
 from ffsm_drake.common.files import check_writable, write_text
 from ffsm_drake.design.first_gains import OMEGA, rounded, starting_gains
 from ffsm_drake.design.first_motion import Motion, plan_motion, scaled_disturbance
-from ffsm_drake.design.stability import Margins, assess
-from ffsm_drake.scenario import scenario_from_dict, shipped_scenarios
+from ffsm_drake.design.stability import assess
+from ffsm_drake.scenario import Scenario, scenario_from_dict, shipped_scenarios
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import check_pictures
@@ -34,13 +34,11 @@ _HOLD = 5.0  # s, the target posture is held
 _SHRINK, _TRIES = 0.7, 6  # of the natural frequencies, until the margins are comfortable
 _MARGIN = 1.5  # that the bound of K_s and the sample time keep to their limits
 
-_HEADER = (
-    "A start, written by 'ffsm new': everything here is meant to be edited. Keys that are not here keep their "
-    "defaults; 'ffsm schema' lists all, with meaning and unit. Units: m, kg, s, rad, N. A value by coordinate takes "
-    "the keys all, base_rotation, base_position, joints, or one coordinate's name (base_rotation_x, base_position_z, a "
-    "joint's); the most specific one wins."
-)
 _COMMENTS = {
+    "description": "A start, written by 'ffsm new': everything here is meant to be edited. Keys that are not here keep "
+    "their defaults; 'ffsm schema' lists all, with meaning and unit. Units: m, kg, s, rad, N. A value by coordinate "
+    "takes the keys all, base_rotation, base_position, joints, or one coordinate's name (base_rotation_x, "
+    "base_position_z, a joint's); the most specific one wins.",
     "duration": "Of the run, and of one period of the controller.",
     "simulator_config": "Fixed steps of third order: accurate, and repeatable bit for bit.",
     "model": "Paths start at this file's folder. The target's frame grasp is welded to the frame end_effector.",
@@ -58,29 +56,14 @@ _COMMENTS = {
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ControllerMargins:
-    """What the sampled-loop analysis says of one controller, the worst over coordinates and postures."""
-
-    verdict: str
-    stable: bool
-    spectral_radius: float
-    k_s_bound: float  # 1/s, NaN for a law without K_s
-    k_s_limit: float  # 1/s
-    sample_time_limit: float  # s
-    eta: tuple[float, float]  # met along the motion
-    eta_tolerated: tuple[float, float]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class NewScenario:
     """A scenario that was made from a URDF."""
 
     servicer: Servicer
     scenario_file: Path
-    files: tuple[Path, ...]
     motion: Motion
     payload_mass: float  # kg, true
-    margins: Mapping[str, ControllerMargins]  # of the paper's controllers
+    margins: Mapping[str, Mapping[str, Any]]  # of the paper's controllers, the worst over coordinates and postures
     remarks: tuple[str, ...]
 
     def data(self) -> dict[str, Any]:
@@ -93,7 +76,7 @@ class NewScenario:
         joint_keys = ("name", "kind", "unit", "lower", "upper", "effort", "velocity")
         return {
             "scenario": str(self.scenario_file),
-            "files": [str(path) for path in self.files],
+            "files": [str(path) for path in sorted(self.scenario_file.parent.rglob("*")) if path.is_file()],
             "base": {"link": found.base, "mass": found.base_mass},
             "total_mass": found.total_mass,
             "payload_mass": self.payload_mass,
@@ -102,7 +85,7 @@ class NewScenario:
             "tips": [dataclasses.asdict(tip) for tip in (found.tip, *found.other_tips)],
             "duration": self.motion.duration,
             "peak_force": dict(self.motion.peak_force),
-            "margins": {name: numbers(dataclasses.asdict(margins)) for name, margins in self.margins.items()},
+            "margins": {name: numbers(margins) for name, margins in self.margins.items()},
             "remarks": list(self.remarks),
         }
 
@@ -115,9 +98,8 @@ class NewScenario:
             f"tip         {found.tip.frame}, {len(found.tip.joints)} joints, reach {found.tip.reach:.3g} m",
         ]
         for tip in found.other_tips:
-            lines.append(
-                f"            or {tip.frame}, {len(tip.joints)} joints, reach {tip.reach:.3g} m: --tip {tip.frame}"
-            )
+            tip_length = f"{len(tip.joints)} joints, reach {tip.reach:.3g} m"
+            lines.append(f"            or {tip.frame}, {tip_length}: --tip {tip.frame}")
         lines += ["", f"{'joint':<28}{'kind':<12}{'limits':>24}{'peak force':>14}"]
         for joint in found.joints:
             unit, peak = "N" if joint.unit == "m" else "N m", self.motion.peak_force[joint.name]
@@ -128,14 +110,13 @@ class NewScenario:
             f"{'controller':<12}{'K_s bound':>10}{'limit, 1/s':>12}{'largest L, ms':>15}{'eta met':>14}"
             f"{'tolerated':>14}  verdict",
         ]
-        for name, each in self.margins.items():
-            has_k_s = np.isfinite(each.k_s_limit)
-            gains = f"{each.k_s_bound:>10.3g}{each.k_s_limit:>12.4g}" if has_k_s else f"{'-':>10}{'-':>12}"
-            met, tolerated = (f"{low:.2f}..{high:.2f}" for low, high in (each.eta, each.eta_tolerated))
-            longest = f"{1e3 * each.sample_time_limit:>15.1f}"
-            lines.append(f"{name:<12}{gains}{longest}{met:>14}{tolerated:>14}  {each.verdict}")
+        for name, worst in self.margins.items():
+            gains = f"{worst['k_s_bound']:>10.3g}{worst['k_s_limit']:>12.4g}".replace("nan", "  -")
+            met, tolerated = (f"{low:.2f}..{high:.2f}" for low, high in (worst["eta"], worst["eta_tolerated"]))
+            longest = f"{1e3 * worst['sample_time_limit']:>15.1f}"
+            lines.append(f"{name:<12}{gains}{longest}{met:>14}{tolerated:>14}  {worst['verdict']}")
         lines += ["", *(f"- {remark}" for remark in self.remarks)] if self.remarks else []
-        entries = sorted({path.relative_to(self.scenario_file.parent).parts[0] for path in self.files})
+        entries = sorted(path.name for path in self.scenario_file.parent.iterdir())
         scenario = shlex.quote(str(_relative(self.scenario_file)))
         lines += ["", f"Written to {_relative(self.scenario_file.parent)}: {', '.join(entries)}", "Next:"]
         return "\n".join([*lines, *(f"  ffsm {command} {scenario}" for command in ("run", "compare", "stability"))])
@@ -178,8 +159,7 @@ def new_scenario(
             shutil.copytree(folder, directory, dirs_exist_ok=True)
     except OSError as error:
         raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
-    files = tuple(sorted(path for path in directory.rglob("*") if path.is_file()))
-    return dataclasses.replace(made, scenario_file=directory / made.scenario_file.name, files=files)
+    return dataclasses.replace(made, scenario_file=directory / made.scenario_file.name)
 
 
 def _check_arguments(directory: Path, packages: Mapping[str, Path], payload_mass: float | None) -> None:
@@ -198,7 +178,7 @@ def _check_arguments(directory: Path, packages: Mapping[str, Path], payload_mass
 
 
 def _make(servicer: Servicer, folder: Path, *, mass: float, packages: Mapping[str, Path]) -> NewScenario:
-    """Everything, in a folder that is still temporary."""
+    """Make everything in a folder that is still temporary."""
     urdf, scenario_file = folder / f"{servicer.source.name.removesuffix('.urdf')}.urdf", folder / f"{folder.name}.yaml"
     try:
         left_out = write_urdf(servicer, folder, file_name=urdf.name, packages=packages)
@@ -222,9 +202,7 @@ def _make(servicer: Servicer, folder: Path, *, mass: float, packages: Mapping[st
             )
             data = _scenario_data(servicer, motion, true.coordinates, draft, gains)
             margins = {
-                name: _worst(
-                    assess(scenario_from_dict(data | {"controller": name}, source=str(scenario_file)), postures=9)
-                )
+                name: _margins(scenario_from_dict(data | {"controller": name}, source=str(scenario_file)))
                 for name in PAPER_LAWS
             }
             if all(_is_comfortable(each) for each in margins.values()):
@@ -235,7 +213,7 @@ def _make(servicer: Servicer, folder: Path, *, mass: float, packages: Mapping[st
         raise ModelError(told) from error
     write_text(scenario_file, _commented_yaml(data, servicer.joints))
     remarks = [*servicer.remarks, *left_out]
-    if not all(each.stable for each in margins.values()):
+    if not all(each["stable"] for each in margins.values()):
         remarks.append("no gains tried are stable for all controllers; see 'ffsm stability'")
     weak = [joint.name for joint in servicer.joints if motion.peak_force[joint.name] > joint.effort]
     if weak:
@@ -243,7 +221,6 @@ def _make(servicer: Servicer, folder: Path, *, mass: float, packages: Mapping[st
     return NewScenario(
         servicer=servicer,
         scenario_file=scenario_file,
-        files=(),
         motion=motion,
         payload_mass=mass,
         margins=margins,
@@ -259,17 +236,13 @@ def _cube(mass: float) -> dict[str, Any]:
 def _scenario_data(
     servicer: Servicer, motion: Motion, coordinates: Coordinates, draft: Mapping[str, Any], gains: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The scenario as plain data, in the order in which it is read."""
+    """The scenario as plain data, in the file's order."""
     return {
         "description": f"Post-capture stabilization with {servicer.source.stem}",
         "random_seed": 0,
         "duration": motion.duration + _HOLD,
         "sample_time": _SAMPLE_TIME,
-        "simulator_config": {
-            "integration_scheme": "runge_kutta3",
-            "max_step_size": _SAMPLE_TIME,
-            "use_error_control": False,
-        },
+        "simulator_config": {"integration_scheme": "runge_kutta3", "max_step_size": _SAMPLE_TIME},
         **draft,
         "initial_posture": dataclasses.asdict(motion.initial),
         "target_posture": dataclasses.asdict(motion.target),
@@ -284,46 +257,39 @@ def _scenario_data(
 def _commented_yaml(data: Mapping[str, Any], joints: tuple[Joint, ...]) -> str:
     """YAML with a comment above the keys that have one, nested values on one line where they are short."""
     comments = {**_COMMENTS, "initial_posture": "Joint limits: " + "; ".join(f"{j.name} {_limits(j)}" for j in joints)}
-    parts = [_as_comment(_HEADER)]
+    parts = []
     for key, value in data.items():
-        has_depth = isinstance(value, Mapping) and any(isinstance(each, (Mapping, list)) for each in value.values())
-        text = yaml.safe_dump(
-            {key: value},
-            sort_keys=False,
-            allow_unicode=True,
-            width=100,
-            default_flow_style=None if has_depth else False,
-        )
-        gap = "\n" if key in comments or isinstance(value, Mapping) else ""
-        parts.append(gap + (_as_comment(comments[key]) if key in comments else "") + text)
-    return "".join(parts)
-
-
-def _as_comment(text: str) -> str:
-    return "".join(f"# {line}\n" for line in textwrap.wrap(text, 116))
+        is_nested = isinstance(value, Mapping) and any(isinstance(each, (Mapping, list)) for each in value.values())
+        style = None if is_nested else False
+        text = yaml.safe_dump({key: value}, sort_keys=False, allow_unicode=True, width=100, default_flow_style=style)
+        comment = "".join(f"# {line}\n" for line in textwrap.wrap(comments.get(key, ""), 116))
+        parts.append(("\n" if comment or isinstance(value, Mapping) else "") + comment + text)
+    return "".join(parts).lstrip()
 
 
 def _limits(joint: Joint) -> str:
     return f"{joint.lower:.4g} to {joint.upper:.4g} {joint.unit}" if joint.is_limited else "no limits"
 
 
-def _worst(margins: Margins) -> ControllerMargins:
-    has_k_s = margins.scenario.controller != "tdc"
-    return ControllerMargins(
-        verdict=margins.verdict,
-        stable=margins.is_stable,
-        spectral_radius=float(margins.spectral_radius.max()),
-        k_s_bound=float(margins.law.k_s_max.max()) if has_k_s else float("nan"),
-        k_s_limit=float(margins.k_s_limit.min()) if has_k_s else float("nan"),
-        sample_time_limit=float(margins.sample_time_limit.min()),
-        eta=(float(margins.eta.min()), float(margins.eta.max())),
-        eta_tolerated=(float(margins.eta_tolerated[:, 0].max()), float(margins.eta_tolerated[:, 1].min())),
-    )
+def _margins(scenario: Scenario) -> dict[str, Any]:
+    """What the sampled-loop analysis says, in SI units; NaN for K_s of a law without."""
+    margins = assess(scenario, postures=9)
+    eta, tolerated = margins.eta, margins.eta_tolerated
+    return {
+        "verdict": margins.verdict,
+        "stable": margins.is_stable,
+        "spectral_radius": float(margins.spectral_radius.max()),
+        "k_s_bound": float("nan") if np.isnan(margins.k_s_limit).all() else float(margins.law.k_s_max.max()),
+        "k_s_limit": float(margins.k_s_limit.min()),
+        "sample_time_limit": float(margins.sample_time_limit.min()),
+        "eta": (float(eta.min()), float(eta.max())),  # met along the motion
+        "eta_tolerated": (float(tolerated[:, 0].max()), float(tolerated[:, 1].min())),
+    }
 
 
-def _is_comfortable(margins: ControllerMargins) -> bool:
-    enough_k_s = np.isnan(margins.k_s_bound) or margins.k_s_limit >= _MARGIN * margins.k_s_bound
-    return margins.verdict == "stable" and bool(enough_k_s) and margins.sample_time_limit >= _MARGIN * _SAMPLE_TIME
+def _is_comfortable(margins: Mapping[str, Any]) -> bool:
+    enough_k_s = not margins["k_s_limit"] < _MARGIN * margins["k_s_bound"]
+    return margins["verdict"] == "stable" and enough_k_s and margins["sample_time_limit"] >= _MARGIN * _SAMPLE_TIME
 
 
 def _relative(path: Path) -> Path:

@@ -201,9 +201,12 @@ REFUSED = {
     "no moving joint": (replaced(FIRST, 'type="fixed"'), "has no joint that moves"),
     "planar": (
         replaced(FIRST, 'type="planar"', 1),
-        "joint 'shoulder' is planar and has more than one degree of freedom",
+        "joint 'shoulder' must be revolute, continuous, prismatic or fixed, not 'planar'; replace several degrees",
     ),
-    "unknown kind": (replaced(FIRST, 'type="hinge"', 1), "unknown kind 'hinge'; valid are revolute"),
+    "unknown kind": (
+        replaced(FIRST, 'type="hinge"', 1),
+        "joint 'shoulder' must be revolute, continuous, prismatic or fixed, not 'hinge'",
+    ),
     "massless base": (replaced(link("bus", **BOX), link("bus")), "the base 'bus' has no mass; give it an <inertial>"),
     "massless moving link": (plus(link("lamp"), PAN), "link 'lamp' moves but has no mass, and carries none"),
     "inertia without mass": (replaced('mass value="300.0"', 'mass value="0"'), "link 'bus': has inertia but no mass"),

@@ -14,7 +14,6 @@ from ffsm_drake.common.errors import ModelError, one_line
 DRAKE = "{http://drake.mit.edu}"
 WORLD = "world"
 _MOVING = ("revolute", "continuous", "prismatic")
-_SEVERAL_DEGREES = ("floating", "planar", "ball", "universal", "rpy_floating", "quaternion_floating")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -131,12 +130,10 @@ def read_joint(element: Element) -> Joint:
 def check_kind(joint: Joint) -> None:
     """Raise ModelError unless the joint has one degree of freedom or none."""
     require(
-        joint.kind not in _SEVERAL_DEGREES,
-        f"joint '{joint.name}' is {joint.kind} and has more than one degree of freedom; replace it by revolute and "
-        "prismatic joints with links without <inertial> between them",
+        joint.moves or joint.kind == "fixed",
+        f"joint '{joint.name}' must be {', '.join(_MOVING)} or fixed, not '{joint.kind}'; replace several degrees of "
+        "freedom by single joints, with links without <inertial> between them",
     )
-    valid = (*_MOVING, "fixed")
-    require(joint.kind in valid, f"joint '{joint.name}': unknown kind '{joint.kind}'; valid are {', '.join(valid)}")
 
 
 def read_mass(link: Element) -> float:

@@ -45,11 +45,12 @@ def write_urdf(servicer: Servicer, directory: Path, *, file_name: str, packages:
     root.set("name", root.get("name") or "servicer")
     ElementTree.indent(root)
     ElementTree.register_namespace("drake", DRAKE.strip("{}"))
-    told = "".join(f"\n  - {remark}".replace("--", "- -") for remark in remarks)
+    told = "".join(f"\n  - {remark}" for remark in remarks)
+    comment = f"Made from {servicer.source.name} by 'ffsm new'.{told}".replace("--", "- -")
     parts = (
         '<?xml version="1.0" encoding="UTF-8"?>',
         *([servicer.header] if servicer.header else []),
-        f"<!-- Made from {servicer.source.name} by 'ffsm new'.{told} -->",
+        f"<!-- {comment} -->",
         ElementTree.tostring(root, encoding="unicode"),
     )
     write_text(directory / file_name, "\n".join(parts) + "\n")
