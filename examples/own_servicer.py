@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import ffsm_drake
-from ffsm_drake.design.first_scenario import onboard, onboarding_text
+from ffsm_drake.design.first_scenario import new_scenario
 from ffsm_drake.show.outputs import results_table
 
 LINK = """<link name="{name}"><inertial><origin xyz="{place}"/><mass value="{mass}"/>
@@ -55,8 +55,8 @@ def main():
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     (folder / "courier.urdf").write_text(URDF)
-    started = onboard(folder / "courier.urdf", folder / "courier")
-    print(onboarding_text(started))
+    started = new_scenario(folder / "courier.urdf", folder / "courier")
+    print(started.summary())
     record = ffsm_drake.simulate(ffsm_drake.load_scenario(started.scenario_file))
     print(results_table([record]))
     ffsm_drake.write_outputs([record], folder, figures=False)

@@ -1,4 +1,4 @@
-"""URDFs as they come from outside: plain text, written here link by link."""
+"""URDFs as users bring them: plain text, written here link by link."""
 
 BOX = {"mass": 300.0, "inertia": (120.0, 120.0, 90.0)}
 
@@ -131,6 +131,19 @@ def seven_joints():
         parent = f"l{k}"
     parts += ['<frame name="grasp_point" link="l7" xyz="0 0 0.12" rpy="0 0 0"/>']
     return robot(*parts)
+
+
+def simple_arm(*more, **limits):
+    """Two joints on a box, and whatever else is given."""
+    limit = " ".join(f'{key}="{value}"' for key, value in limits.items())
+    return robot(
+        link("bus", **BOX),
+        rod("upper", 1.0, 10.0),
+        rod("fore", 1.0, 10.0),
+        joint("shoulder", "bus", "upper", axis="0 1 0", xyz="0 0 0.6", limit=limit),
+        joint("elbow", "upper", "fore", axis="0 1 0", xyz="0 0 1", limit=limit),
+        *more,
+    )
 
 
 OUTSIDE = {f.__name__: f for f in (six_joints, prismatic, gripper, two_arms, seven_joints)}

@@ -35,8 +35,8 @@ def new(
 ) -> None:
     """Start a scenario for your own servicer from its URDF.
 
-    DIR is a new folder. It gets DIR/<name of DIR>.yaml, commented and ready to run with all four controllers, a copy of
-    the URDF that Drake takes, and the meshes that can be drawn: complete in itself, to be edited, moved or sent.
+    DIR is a new folder. It gets DIR/<name of DIR>.yaml, commented and ready to run with every shipped controller, a
+    copy of the URDF that Drake loads, and the meshes that can be drawn. It can be edited, moved or sent.
 
     \b
     Examples:
@@ -44,11 +44,11 @@ def new(
       ffsm new mine --urdf my_robot.urdf --tip left_tool --payload-mass 30
       ffsm new mine --urdf my_robot.urdf --package my_robot_description=~/ws/src/my_robot_description
     """
-    from ffsm_drake.design.first_scenario import onboard, onboarding_text
+    from ffsm_drake.design.first_scenario import new_scenario
 
     folders = {name: folder.expanduser() for name, folder in packages.items()}
-    made = onboard(urdf, directory, tip=tip, packages=folders, payload_mass=payload_mass)
+    made = new_scenario(urdf, directory, tip=tip, packages=folders, payload_mass=payload_mass)
     if as_json:
         print_json(made.data())
     else:
-        click.echo(onboarding_text(made))
+        click.echo(made.summary())

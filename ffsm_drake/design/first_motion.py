@@ -1,13 +1,15 @@
-"""A sensible first motion for an arm that nobody has described beyond its URDF: postures, duration, disturbance."""
+"""A first motion for an arm of which only the URDF is known: postures, duration, disturbance."""
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
-from ffsm_drake.scenario import Harmonic, Posture
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.design.first_gains import effective_inertia, rounded
+from ffsm_drake.scenario import Posture
+from ffsm_drake.spacecraft.coordinates import BASE_POSITION, NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body, find_body, find_frame
 from ffsm_drake.spacecraft.urdf import Joint, Servicer
@@ -32,7 +34,8 @@ class Motion:
     initial: Posture
     target: Posture
     duration: float  # s
-    peak_force: np.ndarray  # (nv,) of perfect tracking, N m or N
+    peak_force: Mapping[str, float]  # by coordinate, of perfect tracking, N m or N
+    mass_matrices: np.ndarray  # (m, nv, nv) along the motion
 
 
 def plan_motion(true: PlantModel, servicer: Servicer, *, body: str) -> Motion:
@@ -47,17 +50,17 @@ def plan_motion(true: PlantModel, servicer: Servicer, *, body: str) -> Motion:
       servicer: what the URDF holds.
       body: scoped name of the payload body.
     """
-    judge = _Judge(true, servicer, body)
+    search = _Search(true, servicer, body)
     rng = np.random.default_rng(0)
-    low, high = judge.inner_limits.T
-    target = judge.best([judge.rest, *(low + (high - low) * x for x in rng.random((_SAMPLES, low.size)))])
-    step = np.where(judge.units == "m", 0.35 * (high - low), np.minimum(0.6, 0.5 * (high - low)))
+    low, high = search.inner_limits.T
+    target = search.best([search.rest, *(low + (high - low) * x for x in rng.random((_SAMPLES, low.size)))])
+    step = np.where(search.units == "m", 0.35 * (high - low), np.minimum(0.6, 0.5 * (high - low)))
     draws = rng.uniform(0.35, 1.0, (_SAMPLES // 2, low.size)) * rng.choice([-1.0, 1.0], (_SAMPLES // 2, low.size))
     near = [start for start in target + draws * step if np.all(start >= low) and np.all(start <= high)]
-    initial = judge.best([*near, 0.5 * (target + judge.rest)])
+    initial = search.best([*near, 0.5 * (target + search.rest)])
     scale = min(max(servicer.tip.reach, 0.2), 10.0)
     postures = [
-        Posture(base_position=position, base_rpy=rpy, joints=judge.by_name(joints))
+        Posture(base_position=position, base_rpy=rpy, joints=search.by_name(joints))
         for position, rpy, joints in (
             ([float(f"{0.05 * scale * x:.1g}") for x in (1, 2, -1)], [0.1, 0.08, -0.1], initial),
             ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], target),
@@ -66,7 +69,7 @@ def plan_motion(true: PlantModel, servicer: Servicer, *, body: str) -> Motion:
     return _timed(true, servicer, postures[0], postures[1])
 
 
-class _Judge:
+class _Search:
     """Rates postures of the joints that move the tip; the others rest."""
 
     def __init__(self, true: PlantModel, servicer: Servicer, body: str) -> None:
@@ -160,38 +163,42 @@ def _timed(true: PlantModel, servicer: Servicer, initial: Posture, target: Postu
     unit_time = QuinticReference(
         coordinates=coordinates, start=initial, target=target, duration=1.0, sample_time=1.0 / 40.0
     )
-    forces, rates = [], []
+    matrices, forces, rates = [], [], []
     for time in np.linspace(0.0, 1.0, 41):
         q, v, a = unit_time.evaluate(time)
-        forces.append(true.calc_mass_matrix(q) @ a + true.calc_bias(q, v))
+        matrices.append(true.calc_mass_matrix(q))
+        forces.append(matrices[-1] @ a + true.calc_bias(q, v))
         rates.append(v)
-    force, rate = np.abs(forces).max(axis=0), np.abs(rates).max(axis=0)
+    peak_force, peak_rate = (
+        dict(zip(coordinates.names, np.abs(values).max(axis=0).tolist(), strict=True)) for values in (forces, rates)
+    )
     # Rates fall with the duration, forces with its square.
     needed = [_SHORTEST]
-    by_name = {joint.name: joint for joint in servicer.joints}
-    for k, name in enumerate(coordinates.joints, start=NUM_BASE_VELOCITIES):
-        joint = by_name[name]
-        needed.append(rate[k] / min(_PEAK_RATE[joint.unit], _SHARE_OF_VELOCITY * joint.velocity))
-        needed.append(math.sqrt(force[k] / (_SHARE_OF_EFFORT * joint.effort)))
+    for joint in servicer.joints:
+        needed.append(peak_rate[joint.name] / min(_PEAK_RATE[joint.unit], _SHARE_OF_VELOCITY * joint.velocity))
+        needed.append(math.sqrt(peak_force[joint.name] / (_SHARE_OF_EFFORT * joint.effort)))
     mass = true.plant.CalcTotalMass(true.context)
-    needed.append(math.sqrt(force[coordinates.groups["base_position"]].max() / (_PEAK_BASE_ACCELERATION * mass)))
+    needed += [math.sqrt(peak_force[name] / (_PEAK_BASE_ACCELERATION * mass)) for name in BASE_POSITION]
     duration = min(5.0 * math.ceil(max(needed) / 5.0 - 1e-9), _LONGEST)
-    return Motion(initial=initial, target=target, duration=duration, peak_force=force / duration**2)
+    return Motion(
+        initial=initial,
+        target=target,
+        duration=duration,
+        peak_force={name: force / duration**2 for name, force in peak_force.items()},
+        mass_matrices=np.array(matrices),
+    )
 
 
-def scaled_disturbance(true: PlantModel, q: np.ndarray) -> dict[str, Harmonic]:
-    """A harmonic per coordinate (names as in the plant), sized by how easily each coordinate is moved at q (nq)."""
-    coordinates = true.coordinates
-    mass_matrix = true.calc_mass_matrix(q)
-    compliance = np.diagonal(np.linalg.inv(mass_matrix))
+def scaled_disturbance(motion: Motion, coordinates: Coordinates) -> dict[str, dict[str, float]]:
+    """A harmonic per coordinate, sized by how easily the coordinate is moved in the target posture."""
+    inertia = effective_inertia(motion.mass_matrices[-1])
     harmonics = {}
     for k, (name, unit, group) in enumerate(
         zip(coordinates.names, coordinates.units, coordinates.group_of, strict=True)
     ):
-        amplitude = _DISTURBANCE[unit if group == "joints" else group] / compliance[k]
-        harmonics[name] = Harmonic(
-            amplitude=float(f"{amplitude:.2g}"),
-            frequency=_FREQUENCIES[k % len(_FREQUENCIES)],
-            phase=1.571 if k % 3 == 1 else 0.0,
-        )
+        harmonics[name] = {
+            "amplitude": rounded(_DISTURBANCE[unit if group == "joints" else group] * inertia[k]),
+            "frequency": _FREQUENCIES[k % len(_FREQUENCIES)],
+            "phase": 1.571 if k % 3 == 1 else 0.0,
+        }
     return harmonics

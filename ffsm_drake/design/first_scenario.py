@@ -1,120 +1,138 @@
-"""The starting scenario: gains inside the sampled-loop margin, the commented YAML, and what is told about it."""
+"""The starting scenario for a URDF: a folder with a commented YAML file, the URDF as Drake loads it, and its meshes."""
 
 import dataclasses
-import json
 import re
 import shlex
+import shutil
 import tempfile
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from ffsm_drake.common.errors import FfsmError, ModelError, RecordError, ScenarioError, one_line
-from ffsm_drake.common.files import write_text
+from ffsm_drake.common.files import check_writable, write_text
+from ffsm_drake.design.first_gains import OMEGA, rounded, starting_gains
 from ffsm_drake.design.first_motion import Motion, plan_motion, scaled_disturbance
-from ffsm_drake.design.stability import Margins, assess
-from ffsm_drake.scenario import (
-    Harmonic,
-    MassProperties,
-    Model,
-    Payload,
-    Scenario,
-    load_scenario,
-    override_scenario,
-    shipped_scenarios,
-)
-from ffsm_drake.spacecraft.coordinates import GROUPS
+from ffsm_drake.design.stability import assess
+from ffsm_drake.scenario import Scenario, scenario_from_dict, shipped_scenarios
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_true_plant
-from ffsm_drake.spacecraft.plant import check_pictures, configuration
-from ffsm_drake.spacecraft.urdf import Joint, Servicer, read_urdf, write_flyable
+from ffsm_drake.spacecraft.plant import check_pictures
+from ffsm_drake.spacecraft.urdf import Joint, Servicer, read_urdf, write_urdf
 from ffsm_drake.systems.controllers import PAPER_LAWS
 
 _BODY = "debris::debris"
 _PAYLOAD_SHARE = 0.25  # of the base's mass
-_BELIEVED = 0.8  # of the payload's mass and inertia
+_NOMINAL_SHARE = 0.8  # of the payload's true mass and inertia
 _SIDE = 1.0  # m, of the shipped target
-# Natural frequencies to start from, rad/s: K_P = w^2, K_D = 2 w; ASMC: K_D = w, K_s = 2 w.
-_OMEGA = {"base_position": 10.0, "base_rotation": 15.0, "joints": 20.0}
-_SHRINK, _TRIES = 0.7, 6
-_MARGIN = 1.5  # that the bound of K_s and the sample time keep to their limits
+_SAMPLE_TIME = 0.01  # s
 _HOLD = 5.0  # s, the target posture is held
+_SHRINK, _TRIES = 0.7, 6  # of the natural frequencies, until the margins are comfortable
+_MARGIN = 1.5  # that the bound of K_s and the sample time keep to their limits
+
+_COMMENTS = {
+    "description": "A start, written by 'ffsm new': everything here is meant to be edited. Keys that are not here keep "
+    "their defaults; 'ffsm schema' lists all, with meaning and unit. Units: m, kg, s, rad, N. A value by coordinate "
+    "takes the keys all, base_rotation, base_position, joints, or one coordinate's name (base_rotation_x, "
+    "base_position_z, a joint's); the most specific one wins.",
+    "duration": "Of the run, and of one period of the controller.",
+    "simulator_config": "Fixed steps of third order: accurate, and repeatable bit for bit.",
+    "model": "Paths start at this file's folder. The target's frame grasp is welded to the frame end_effector.",
+    "payload": "The target: its true mass properties, and the nominal ones that the controller uses; rather too light "
+    "than too heavy. Inertia about the centre of mass: [Ixx, Iyy, Izz] or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz].",
+    "reference": "Duration of the planned motion; the target posture is held afterwards.",
+    "controller": "One of tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus.",
+    "controllers": "With w the natural frequency in rad/s: K_P = w^2 and K_D = 2 w; ASMC: K_D = w and K_s = 2 w; PD+: "
+    "K_P and K_D times the inertia of each coordinate. With the sample time L and a known inertia, the sampled loop is "
+    "stable for (K_D + K_s) L < 2.",
+    "disturbance": "Force on each coordinate: amplitude * sin(frequency * t + phase) + bias.",
+    "sensing": "Standard deviation per sample: near perfect, as in the paper. For real sensors see the scenario "
+    "flight_sensors and 'ffsm design'.",
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ControllerMargins:
-    """What the sampled-loop analysis says of one controller, the worst over coordinates and postures."""
-
-    verdict: str
-    stable: bool
-    spectral_radius: float
-    k_s_bound: float  # 1/s, NaN for a law without K_s
-    k_s_limit: float  # 1/s
-    sample_time_limit: float  # s
-    eta: tuple[float, float]  # met along the motion
-    eta_tolerated: tuple[float, float]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Onboarding:
-    """A servicer that has become a scenario."""
+class NewScenario:
+    """A scenario that was made from a URDF."""
 
     servicer: Servicer
     scenario_file: Path
-    files: tuple[Path, ...]
     motion: Motion
-    coordinates: tuple[str, ...]
-    units: tuple[str, ...]
     payload_mass: float  # kg, true
-    margins: Mapping[str, ControllerMargins]
+    margins: Mapping[str, Mapping[str, Any]]  # of the paper's controllers, the worst over coordinates and postures
     remarks: tuple[str, ...]
 
     def data(self) -> dict[str, Any]:
         """Everything found and chosen, as plain data in SI units; numbers without limit are null."""
 
-        def number(value: float) -> float | None:
-            return value if np.isfinite(value) else None
+        def numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+            return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}
 
         found = self.servicer
-        tips = (found.tip, *found.other_tips)
+        joint_keys = ("name", "kind", "unit", "lower", "upper", "effort", "velocity")
         return {
             "scenario": str(self.scenario_file),
-            "files": [str(path) for path in self.files],
+            "files": [str(path) for path in sorted(self.scenario_file.parent.rglob("*")) if path.is_file()],
             "base": {"link": found.base, "mass": found.base_mass},
             "total_mass": found.total_mass,
             "payload_mass": self.payload_mass,
-            "joints": [
-                {"name": j.name, "kind": j.kind, "unit": j.unit}
-                | {key: number(getattr(j, key)) for key in ("lower", "upper", "effort", "velocity")}
-                for j in found.joints
-            ],
-            "tip": tips[0].frame,
-            "tips": [{"frame": tip.frame, "joints": list(tip.joints), "reach": tip.reach} for tip in tips],
+            "joints": [numbers({key: getattr(joint, key) for key in joint_keys}) for joint in found.joints],
+            "tip": found.tip.frame,
+            "tips": [dataclasses.asdict(tip) for tip in (found.tip, *found.other_tips)],
             "duration": self.motion.duration,
-            "peak_force": dict(zip(self.coordinates, self.motion.peak_force.tolist(), strict=True)),
-            "margins": {
-                name: {
-                    key: number(value) if isinstance(value, float) else value
-                    for key, value in dataclasses.asdict(margins).items()
-                }
-                for name, margins in self.margins.items()
-            },
+            "peak_force": dict(self.motion.peak_force),
+            "margins": {name: numbers(margins) for name, margins in self.margins.items()},
             "remarks": list(self.remarks),
         }
 
+    def summary(self) -> str:
+        """What was found, for people: base, joints, tip, masses, margins, and the commands that come next."""
+        found = self.servicer
+        lines = [
+            f"base        {found.base}, {found.base_mass:.4g} kg of {found.total_mass:.4g} kg; holds a target of "
+            f"{self.payload_mass:.4g} kg",
+            f"tip         {found.tip.frame}, {len(found.tip.joints)} joints, reach {found.tip.reach:.3g} m",
+        ]
+        for tip in found.other_tips:
+            tip_length = f"{len(tip.joints)} joints, reach {tip.reach:.3g} m"
+            lines.append(f"            or {tip.frame}, {tip_length}: --tip {tip.frame}")
+        lines += ["", f"{'joint':<28}{'kind':<12}{'limits':>24}{'peak force':>14}"]
+        for joint in found.joints:
+            unit, peak = "N" if joint.unit == "m" else "N m", self.motion.peak_force[joint.name]
+            lines.append(f"{joint.name:<28}{joint.kind:<12}{_limits(joint):>24}{peak:>10.3g} {unit}")
+        lines += [
+            "",
+            f"planned motion of {self.motion.duration:g} s; sampled-loop margins, worst coordinate and posture:",
+            f"{'controller':<12}{'K_s bound':>10}{'limit, 1/s':>12}{'largest L, ms':>15}{'eta met':>14}"
+            f"{'tolerated':>14}  verdict",
+        ]
+        for name, worst in self.margins.items():
+            gains = f"{worst['k_s_bound']:>10.3g}{worst['k_s_limit']:>12.4g}".replace("nan", "  -")
+            met, tolerated = (f"{low:.2f}..{high:.2f}" for low, high in (worst["eta"], worst["eta_tolerated"]))
+            longest = f"{1e3 * worst['sample_time_limit']:>15.1f}"
+            lines.append(f"{name:<12}{gains}{longest}{met:>14}{tolerated:>14}  {worst['verdict']}")
+        lines += ["", *(f"- {remark}" for remark in self.remarks)] if self.remarks else []
+        entries = sorted(path.name for path in self.scenario_file.parent.iterdir())
+        scenario = shlex.quote(str(_relative(self.scenario_file)))
+        lines += ["", f"Written to {_relative(self.scenario_file.parent)}: {', '.join(entries)}", "Next:"]
+        return "\n".join([*lines, *(f"  ffsm {command} {scenario}" for command in ("run", "compare", "stability"))])
 
-def onboard(
+
+def new_scenario(
     urdf: str | Path,
     directory: str | Path,
     *,
     tip: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
     payload_mass: float | None = None,
-) -> Onboarding:
-    """Write a folder with a scenario for the servicer of a URDF, the URDF as Drake takes it, and its meshes.
+) -> NewScenario:
+    """Write a folder with a scenario for the servicer of a URDF, the URDF as Drake loads it, and its meshes.
 
-    The folder is complete in itself: it can be moved or sent. Nothing is left behind when something is refused.
+    The folder is complete in itself: it can be moved or sent. Nothing is written when something is refused.
 
     Args:
       urdf: the URDF of base and arm; the base is its root link.
@@ -132,30 +150,16 @@ def onboard(
     folders = {name: Path(folder) for name, folder in (packages or {}).items()}
     _check_arguments(directory, folders, payload_mass)
     servicer = read_urdf(urdf, tip=tip)
-    mass = float(f"{_PAYLOAD_SHARE * servicer.base_mass:.3g}") if payload_mass is None else payload_mass
-    file_name = urdf.name if urdf.suffix == ".urdf" else f"{urdf.name}.urdf"
+    mass = rounded(_PAYLOAD_SHARE * servicer.base_mass) if payload_mass is None else payload_mass
     try:
-        missing = [folder for folder in (directory, *directory.parents) if not folder.exists()]
-        directory.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{directory.name}.", dir=directory.parent) as temporary:
-            built = _build(
-                servicer, Path(temporary), name=directory.name, file_name=file_name, mass=mass, folders=folders
-            )
-            directory.mkdir(exist_ok=True)
-            for path in sorted(Path(temporary).iterdir()):
-                path.replace(directory / path.name)
-            missing = []
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary) / directory.name
+            folder.mkdir()
+            made = _make(servicer, folder, mass=mass, packages=folders)
+            shutil.copytree(folder, directory, dirs_exist_ok=True)
     except OSError as error:
         raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
-    finally:
-        for folder in missing:
-            if folder.is_dir() and not any(folder.iterdir()):
-                folder.rmdir()
-    return dataclasses.replace(
-        built,
-        scenario_file=directory / built.scenario_file,
-        files=tuple(sorted(path for path in directory.rglob("*") if path.is_file())),
-    )
+    return dataclasses.replace(made, scenario_file=directory / made.scenario_file.name)
 
 
 def _check_arguments(directory: Path, packages: Mapping[str, Path], payload_mass: float | None) -> None:
@@ -165,6 +169,7 @@ def _check_arguments(directory: Path, packages: Mapping[str, Path], payload_mass
         raise ScenarioError("DIR", f"{directory} is not empty; name a new folder")
     if directory.name in shipped_scenarios():
         raise ScenarioError("DIR", f"'{directory.name}' is the name of a scenario that ships; choose another")
+    check_writable(directory)
     for name, folder in packages.items():
         if not folder.is_dir():
             raise ScenarioError(f"--package {name}", f"no such folder: {folder}")
@@ -172,274 +177,121 @@ def _check_arguments(directory: Path, packages: Mapping[str, Path], payload_mass
         raise ScenarioError("--payload-mass", f"must be > 0 kg, not {payload_mass:g}")
 
 
-def _build(
-    servicer: Servicer, folder: Path, *, name: str, file_name: str, mass: float, folders: Mapping[str, Path]
-) -> Onboarding:
-    """Everything, in a folder that is still temporary; ``scenario_file`` is relative to it."""
-    left_out = write_flyable(servicer, folder, file_name=file_name, packages=folders)
-    scenario_file = f"{name}.yaml"
+def _make(servicer: Servicer, folder: Path, *, mass: float, packages: Mapping[str, Path]) -> NewScenario:
+    """Make everything in a folder that is still temporary."""
+    urdf, scenario_file = folder / f"{servicer.source.name.removesuffix('.urdf')}.urdf", folder / f"{folder.name}.yaml"
     try:
-        truth = _cube(mass)
-        draft = Scenario(
-            model=Model(
-                directives=None, servicer=str(folder / file_name), end_effector=f"servicer::{servicer.tip.frame}"
-            ),
-            payload=Payload(body=_BODY, truth=truth, nominal=_cube(float(f"{_BELIEVED * mass:.3g}"))),
-        )
-        true = make_true_plant(draft)
+        left_out = write_urdf(servicer, folder, file_name=urdf.name, packages=packages)
+        draft = {
+            "model": {
+                "servicer": urdf.name,
+                "debris": "package://ffsm_drake/urdf/debris.urdf",
+                "end_effector": f"servicer::{servicer.tip.frame}",
+                "grasp": "debris::grasp",
+            },
+            "payload": {"body": _BODY, "truth": _cube(mass), "nominal": _cube(rounded(_NOMINAL_SHARE * mass))},
+        }
+        scenario = scenario_from_dict(draft, source=str(scenario_file))
+        check_pictures(scenario.model)
+        true = make_true_plant(scenario)
         motion = plan_motion(true, servicer, body=_BODY)
-        harmonics = scaled_disturbance(true, configuration(true.plant, motion.target, key="target_posture"))
-        omega = dict(_OMEGA)
         for attempt in range(_TRIES):
-            write_text(
-                folder / scenario_file,
-                _scenario_text(
-                    servicer, motion, harmonics, omega, name=name, file_name=file_name, payload=draft.payload
-                ),
+            omega = {group: rounded(_SHRINK**attempt * w) for group, w in OMEGA.items()}
+            gains = starting_gains(
+                omega, coordinates=true.coordinates, mass_matrices=motion.mass_matrices, sample_time=_SAMPLE_TIME
             )
-            scenario = load_scenario(folder / scenario_file)
-            if attempt == 0:
-                check_pictures(scenario.model)  # what this objects to is no matter of gains
+            data = _scenario_data(servicer, motion, true.coordinates, draft, gains)
             margins = {
-                each: _worst(assess(override_scenario(scenario, [f"controller={each}"]), postures=9))
-                for each in PAPER_LAWS
+                name: _margins(scenario_from_dict(data | {"controller": name}, source=str(scenario_file)))
+                for name in PAPER_LAWS
             }
-            if all(_is_comfortable(each, scenario.sample_time) for each in margins.values()):
+            if all(_is_comfortable(each) for each in margins.values()):
                 break
-            omega = {group: float(f"{_SHRINK * value:.2g}") for group, value in omega.items()}
     except FfsmError as error:
         # Drake counts the copy's lines, which nobody has seen.
-        told = re.sub(rf"{re.escape(file_name)}:\d+: error: ", f"{file_name}: ", str(error).replace(f"{folder}/", ""))
+        told = re.sub(rf"{re.escape(urdf.name)}:\d+: error: ", f"{urdf.name}: ", str(error).replace(f"{folder}/", ""))
         raise ModelError(told) from error
+    write_text(scenario_file, _commented_yaml(data, servicer.joints))
     remarks = [*servicer.remarks, *left_out]
-    if not all(each.stable for each in margins.values()):
+    if not all(each["stable"] for each in margins.values()):
         remarks.append("no gains tried are stable for all controllers; see 'ffsm stability'")
-    outside = _beyond_effort(servicer.joints, true.coordinates.joints, motion)
-    if outside:
-        remarks.append(
-            f"the motion needs more than the effort limit of {', '.join(outside)}: move less, or more slowly"
-        )
-    return Onboarding(
+    weak = [joint.name for joint in servicer.joints if motion.peak_force[joint.name] > joint.effort]
+    if weak:
+        remarks.append(f"the motion needs more than the effort limit of {', '.join(weak)}: move less, or more slowly")
+    return NewScenario(
         servicer=servicer,
-        scenario_file=Path(scenario_file),
-        files=(),
+        scenario_file=scenario_file,
         motion=motion,
-        coordinates=true.coordinates.names,
-        units=true.coordinates.units,
         payload_mass=mass,
         margins=margins,
         remarks=tuple(remarks),
     )
 
 
-def _cube(mass: float) -> MassProperties:
-    """A solid cube of the shipped target's size."""
-    return MassProperties(mass=mass, inertia=[float(f"{mass * _SIDE**2 / 6.0:.3g}")] * 3)
+def _cube(mass: float) -> dict[str, Any]:
+    """Mass properties of a solid cube of the shipped target's size."""
+    return {"mass": mass, "center_of_mass": [0.0] * 3, "inertia": [rounded(mass * _SIDE**2 / 6.0)] * 3}
 
 
-def _beyond_effort(joints: tuple[Joint, ...], order: tuple[str, ...], motion: Motion) -> list[str]:
-    efforts = {joint.name: joint.effort for joint in joints}
-    return [
-        name for name, peak in zip(order, motion.peak_force[-len(order) :], strict=True) if peak > efforts[name]
-    ]  # fmt: skip
+def _scenario_data(
+    servicer: Servicer, motion: Motion, coordinates: Coordinates, draft: Mapping[str, Any], gains: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The scenario as plain data, in the file's order."""
+    return {
+        "description": f"Post-capture stabilization with {servicer.source.stem}",
+        "random_seed": 0,
+        "duration": motion.duration + _HOLD,
+        "sample_time": _SAMPLE_TIME,
+        "simulator_config": {"integration_scheme": "runge_kutta3", "max_step_size": _SAMPLE_TIME},
+        **draft,
+        "initial_posture": dataclasses.asdict(motion.initial),
+        "target_posture": dataclasses.asdict(motion.target),
+        "reference": {"duration": motion.duration},
+        "controller": "tde_aismc",
+        "controllers": gains,
+        "disturbance": {"amplitude_scale": 1.0, "harmonics": scaled_disturbance(motion, coordinates)},
+        "sensing": {"velocity_noise": 1e-6, "position_noise": 0.0},
+    }
 
 
-def _worst(margins: Margins) -> ControllerMargins:
-    has_k_s = margins.scenario.controller != "tdc"
-    return ControllerMargins(
-        verdict=margins.verdict,
-        stable=margins.is_stable,
-        spectral_radius=float(margins.spectral_radius.max()),
-        k_s_bound=float(margins.law.k_s_max.max()) if has_k_s else float("nan"),
-        k_s_limit=float(margins.k_s_limit.min()) if has_k_s else float("nan"),
-        sample_time_limit=float(margins.sample_time_limit.min()),
-        eta=(float(margins.eta.min()), float(margins.eta.max())),
-        eta_tolerated=(float(margins.eta_tolerated[:, 0].max()), float(margins.eta_tolerated[:, 1].min())),
-    )
+def _commented_yaml(data: Mapping[str, Any], joints: tuple[Joint, ...]) -> str:
+    """YAML with a comment above the keys that have one, nested values on one line where they are short."""
+    comments = {**_COMMENTS, "initial_posture": "Joint limits: " + "; ".join(f"{j.name} {_limits(j)}" for j in joints)}
+    parts = []
+    for key, value in data.items():
+        is_nested = isinstance(value, Mapping) and any(isinstance(each, (Mapping, list)) for each in value.values())
+        style = None if is_nested else False
+        text = yaml.safe_dump({key: value}, sort_keys=False, allow_unicode=True, width=100, default_flow_style=style)
+        comment = "".join(f"# {line}\n" for line in textwrap.wrap(comments.get(key, ""), 116))
+        parts.append(("\n" if comment or isinstance(value, Mapping) else "") + comment + text)
+    return "".join(parts).lstrip()
 
 
-def _is_comfortable(margins: ControllerMargins, sample_time: float) -> bool:
-    enough_k_s = np.isnan(margins.k_s_bound) or margins.k_s_limit >= _MARGIN * margins.k_s_bound
-    return margins.verdict == "stable" and bool(enough_k_s) and margins.sample_time_limit >= _MARGIN * sample_time
+def _limits(joint: Joint) -> str:
+    return f"{joint.lower:.4g} to {joint.upper:.4g} {joint.unit}" if joint.is_limited else "no limits"
 
 
-def _key(name: str) -> str:
-    """A name as a YAML key."""
-    plain = re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) and name.lower() not in (
-        "y", "n", "yes", "no", "on", "off", "true", "false", "null",
-    )  # fmt: skip
-    return name if plain else json.dumps(name)
+def _margins(scenario: Scenario) -> dict[str, Any]:
+    """What the sampled-loop analysis says, in SI units; NaN for K_s of a law without."""
+    margins = assess(scenario, postures=9)
+    eta, tolerated = margins.eta, margins.eta_tolerated
+    return {
+        "verdict": margins.verdict,
+        "stable": margins.is_stable,
+        "spectral_radius": float(margins.spectral_radius.max()),
+        "k_s_bound": float("nan") if np.isnan(margins.k_s_limit).all() else float(margins.law.k_s_max.max()),
+        "k_s_limit": float(margins.k_s_limit.min()),
+        "sample_time_limit": float(margins.sample_time_limit.min()),
+        "eta": (float(eta.min()), float(eta.max())),  # met along the motion
+        "eta_tolerated": (float(tolerated[:, 0].max()), float(tolerated[:, 1].min())),
+    }
 
 
-def _flow(values: Mapping[str, float]) -> str:
-    return "{" + ", ".join(f"{name}: {value:g}" for name, value in values.items()) + "}"
+def _is_comfortable(margins: Mapping[str, Any]) -> bool:
+    enough_k_s = not margins["k_s_limit"] < _MARGIN * margins["k_s_bound"]
+    return margins["verdict"] == "stable" and enough_k_s and margins["sample_time_limit"] >= _MARGIN * _SAMPLE_TIME
 
 
-def _list(values: list[float]) -> str:
-    return "[" + ", ".join(f"{value:g}" for value in values) + "]"
-
-
-def _joint_note(joint: Joint) -> str:
-    limits = f"{joint.lower:.4g} to {joint.upper:.4g} {joint.unit}" if joint.is_limited else "no limits"
-    return f"{joint.kind}, {limits}"
-
-
-def _scenario_text(
-    servicer: Servicer,
-    motion: Motion,
-    harmonics: Mapping[str, Harmonic],
-    omega: Mapping[str, float],
-    *,
-    name: str,
-    file_name: str,
-    payload: Payload,
-) -> str:
-    joints = {joint.name: joint for joint in servicer.joints}
-
-    def posture(joint_values: Mapping[str, float]) -> str:
-        lines = [
-            f"    {_key(each) + ':':<{width}} {value:<8.4g} # {_joint_note(joints[each])}"
-            for each, value in joint_values.items()
-        ]
-        return "\n".join(lines)
-
-    width = max(len(_key(each)) for each in joints) + 1
-    w = {group: omega[group] for group in GROUPS}
-    square, double = {g: x * x for g, x in w.items()}, {g: 2.0 * x for g, x in w.items()}
-    disturbance = "\n".join(
-        f"    {_key(each)}: {{amplitude: {h.amplitude:g}, frequency: {h.frequency:g}"
-        + (f", phase: {h.phase:g}" if h.phase else "")
-        + "}"
-        for each, h in harmonics.items()
-    )
-    return f"""\
-# Made by 'ffsm new' as a start: everything here is meant to be edited. What is not here keeps its default; all keys,
-# with meaning and unit: 'ffsm schema'. Units: m, kg, s, rad, N. A value by coordinate takes the keys all,
-# base_rotation, base_position, joints, or one coordinate's name (base_rotation_x, base_position_z, a joint's): the most
-# specific one wins.
-# Next: ffsm run {name}.yaml; ffsm stability {name}.yaml; ffsm compare {name}.yaml
-description: {json.dumps(f"Post-capture stabilization with {servicer.source.stem}")}
-random_seed: 0  # of the sensors' noise
-duration: {motion.duration + _HOLD:g}  # s, of the run
-sample_time: 0.01  # s; the controller's period
-
-simulator_config:  # fixed steps of third order: exact enough, and the same bits every time
-  integration_scheme: runge_kutta3
-  max_step_size: 0.01  # s
-  use_error_control: false
-
-model:  # paths start at this file's folder
-  servicer: {json.dumps(file_name)}  # base link '{servicer.base}'
-  debris: package://ffsm_drake/urdf/debris.urdf  # the target that ships, a 1 m cube
-  end_effector: {json.dumps(f"servicer::{servicer.tip.frame}")}  # holds the target ...
-  grasp: debris::grasp  # ... by this frame
-
-payload:  # the target; its inertia is about its centre of mass: [Ixx, Iyy, Izz] or those and [Ixy, Ixz, Iyz], kg m^2
-  body: {payload.body}
-  truth:  # as it is: a solid cube of {_SIDE:g} m
-    mass: {payload.truth.mass:g}
-    center_of_mass: {_list(payload.truth.center_of_mass)}
-    inertia: {_list(payload.truth.inertia)}
-  nominal:  # as the controller believes it to be; rather too light than too heavy
-    mass: {payload.nominal.mass:g}
-    center_of_mass: {_list(payload.nominal.center_of_mass)}
-    inertia: {_list(payload.nominal.inertia)}
-
-initial_posture:
-  base_position: {_list(motion.initial.base_position)}
-  base_rpy: {_list(motion.initial.base_rpy)}  # roll, pitch, yaw
-  joints:
-{posture(motion.initial.joints)}
-
-target_posture:
-  base_position: {_list(motion.target.base_position)}
-  base_rpy: {_list(motion.target.base_rpy)}
-  joints:
-{posture(motion.target.joints)}
-
-reference:
-  duration: {motion.duration:g}  # s, of the planned motion; the target posture is held afterwards
-
-# With w the natural frequency in rad/s, here w = {_flow(w)}:
-# K_P = w^2, K_D = 2 w (TDC, AISMC, TDE-AISMC); K_D = w, K_s = 2 w (ASMC). Sampled every L seconds, a loop whose
-# inertia is known bears (K_D + K_s) L < 2.
-controller: tde_aismc  # or tdc, asmc, aismc
-controllers:
-  tdc:
-    k_d: {_flow(double)}  # 1/s
-    k_p: {_flow(square)}  # 1/s^2
-  asmc:
-    k_d: {_flow(w)}
-    k_s: {_flow(double)}
-  aismc:
-    k_d: {_flow(double)}
-    k_p: {_flow(square)}
-    k_s_initial: {_flow(w)}  # 1/s
-    k_s_max: {_flow(double)}  # 1/s; where adaptation must stop
-  tde_aismc:
-    k_d: {_flow(double)}
-    k_p: {_flow(square)}
-    k_s_initial: {_flow(w)}
-    k_s_max: {_flow(double)}
-    g_max: {_flow(dict.fromkeys(w, 2e-3))}  # rad/s^2 or m/s^2; bound of the switching gain
-
-# Force on each coordinate, amplitude * sin(frequency * t + phase) + bias, scaled to this spacecraft: N m or N,
-# rad/s, rad.
-disturbance:
-  amplitude_scale: 1.0
-  harmonics:
-{disturbance}
-
-# Standard deviation per sample. Near perfect, as in the paper: for real sensors see the scenario flight_sensors, its
-# Kalman estimate, and 'ffsm design {name}.yaml'.
-sensing:
-  velocity_noise: 1.0e-6  # rad/s or m/s
-  position_noise: 0.0  # rad or m
-"""
-
-
-def onboarding_text(made: Onboarding) -> str:
-    """What was found, for people: base, joints, tip, masses, margins, and the commands that come next."""
-    found = made.servicer
-    lines = [
-        f"base        {found.base}, {found.base_mass:.4g} kg of {found.total_mass:.4g} kg; holds a target of "
-        f"{made.payload_mass:.4g} kg",
-        f"tip         {found.tip.frame}, {len(found.tip.joints)} joints, reach {found.tip.reach:.3g} m",
-    ]
-    for other in found.other_tips:
-        lines.append(
-            f"            or {other.frame}, {len(other.joints)} joints, reach {other.reach:.3g} m: --tip {other.frame}"
-        )
-    lines += ["", f"{'joint':<28}{'kind':<12}{'limits':>24}{'peak force':>14}"]
-    peaks = dict(zip(made.coordinates, made.motion.peak_force, strict=True))
-    for joint in found.joints:
-        limits = _joint_note(joint).partition(", ")[2]
-        unit = "N" if joint.unit == "m" else "N m"
-        lines.append(f"{joint.name:<28}{joint.kind:<12}{limits:>24}{peaks[joint.name]:>10.3g} {unit}")
-    lines += ["", f"planned motion of {made.motion.duration:g} s; sampled-loop margins, worst coordinate and posture:"]
-    lines.append(
-        f"{'controller':<12}{'K_s bound':>10}{'limit, 1/s':>12}{'largest L, ms':>15}{'eta met':>14}"
-        f"{'tolerated':>14}  verdict"
-    )
-    for name, each in made.margins.items():
-        has_k_s = np.isfinite(each.k_s_limit)
-        gains = f"{each.k_s_bound:>10.3g}{each.k_s_limit:>12.4g}" if has_k_s else f"{'-':>10}{'-':>12}"
-        met, tolerated = (f"{low:.2f}..{high:.2f}" for low, high in (each.eta, each.eta_tolerated))
-        lines.append(f"{name:<12}{gains}{1e3 * each.sample_time_limit:>15.1f}{met:>14}{tolerated:>14}  {each.verdict}")
-    lines += ["", *(f"- {remark}" for remark in made.remarks)] if made.remarks else []
-    shown = shlex.quote(str(_shown(made.scenario_file)))
-    entries = sorted({path.relative_to(made.scenario_file.parent).parts[0] for path in made.files})
-    lines += [
-        "",
-        f"Written to {_shown(made.scenario_file.parent)}: {', '.join(entries)}",
-        "Next:",
-        f"  ffsm run {shown}",
-        f"  ffsm compare {shown}",
-        f"  ffsm stability {shown}",
-    ]
-    return "\n".join(lines)
-
-
-def _shown(path: Path) -> Path:
+def _relative(path: Path) -> Path:
     """Relative to the working directory where that is shorter to type."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

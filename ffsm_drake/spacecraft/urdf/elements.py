@@ -1,0 +1,156 @@
+"""The elements of a URDF, read and checked one by one: names, numbers, joints, masses."""
+
+import dataclasses
+import math
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from ffsm_drake.common.errors import ModelError, one_line
+
+DRAKE = "{http://drake.mit.edu}"
+WORLD = "world"
+_MOVING = ("revolute", "continuous", "prismatic")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Joint:
+    """A joint of the URDF."""
+
+    name: str
+    kind: str  # revolute, continuous, prismatic, fixed
+    parent: str
+    child: str
+    lower: float  # rad or m; minus infinity where nothing limits it
+    upper: float
+    effort: float  # N m or N; infinite where the URDF gives none
+    velocity: float  # rad/s or m/s; infinite where the URDF gives none
+    offset: float  # distance from the parent's origin, m
+
+    @property
+    def moves(self) -> bool:
+        return self.kind in _MOVING
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether its limits mean anything; generators write huge ones where they are not known."""
+        return self.upper - self.lower < 20.0
+
+    @property
+    def unit(self) -> str:
+        return "m" if self.kind == "prismatic" else "rad"
+
+
+def require(condition: object, problem: str) -> None:
+    """Raise ModelError with the problem unless the condition holds."""
+    if not condition:
+        raise ModelError(problem)
+
+
+def parse(path: Path) -> tuple[Element, str]:
+    """The root element, and the comments before it, where licences stand. Raises ModelError: not a URDF."""
+    require(path.is_file(), "no such file; give the URDF of base and arm")
+    try:
+        content = path.read_bytes()
+        root = ElementTree.fromstring(content)
+    except OSError as error:
+        raise ModelError(f"cannot be read: {one_line(error)}") from error
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise ModelError(f"is not valid XML: {one_line(error)}") from error
+    is_xacro = any("xacro" in element.tag for element in root.iter())
+    require(not is_xacro, f"is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
+    require(root.tag == "robot", f"is not a URDF: its root element is <{root.tag}>, not <robot>")
+    before = content.decode("utf-8", errors="replace").partition("<robot")[0]
+    return root, "\n".join(re.findall(r"<!--.*?-->", before, flags=re.DOTALL))
+
+
+def name_of(element: Element) -> str:
+    name = element.get("name", "")
+    require(name, f"a <{element.tag.removeprefix(DRAKE)}> has no name")
+    return name
+
+
+def end_of(joint: Element, role: str) -> str:
+    """The link that a joint names as its ``parent`` or ``child``."""
+    end = joint.find(role)
+    link = "" if end is None else end.get("link", "")
+    require(link, f"joint '{name_of(joint)}': has no <{role} link=...>")
+    return link
+
+
+def number(element: Element, attribute: str, place: str, default: str = "") -> float:
+    text = element.get(attribute, default)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    require(not math.isnan(value), f"{place}: <{element.tag} {attribute}> must be a number, not '{text}'")
+    return value
+
+
+def vector(element: Element | None, attribute: str, place: str, default: str = "0 0 0") -> np.ndarray:
+    """Three numbers; the default where there is no element or no attribute."""
+    text = default if element is None else element.get(attribute, default)
+    try:
+        values = np.array([float(part) for part in text.split()])
+    except ValueError:
+        values = np.array([])
+    good = values.shape == (3,) and np.isfinite(values).all()
+    require(good, f"{place}: {attribute} must be three numbers, not '{text}'")
+    return values
+
+
+def read_joint(element: Element) -> Joint:
+    name, kind, limit = name_of(element), element.get("type", ""), element.find("limit")
+    place = f"joint '{name}'"
+    lower, upper, effort, velocity = -math.inf, math.inf, math.inf, math.inf
+    if limit is not None:
+        if kind in ("revolute", "prismatic") and (limit.get("lower") or limit.get("upper")):
+            lower, upper = (number(limit, side, place, "0") for side in ("lower", "upper"))
+            require(lower <= upper, f"{place}: its lower limit {lower:g} lies above its upper limit {upper:g}")
+        # Zero is what generators write where the limit is not known.
+        effort, velocity = (number(limit, what, place, "0") or math.inf for what in ("effort", "velocity"))
+        require(min(effort, velocity) > 0.0, f"{place}: its effort and velocity limits must not be negative")
+    return Joint(
+        name=name,
+        kind=kind,
+        parent=end_of(element, "parent"),
+        child=end_of(element, "child"),
+        lower=lower,
+        upper=upper,
+        effort=effort,
+        velocity=velocity,
+        offset=float(np.linalg.norm(vector(element.find("origin"), "xyz", place))),
+    )
+
+
+def check_kind(joint: Joint) -> None:
+    """Raise ModelError unless the joint has one degree of freedom or none."""
+    require(
+        joint.moves or joint.kind == "fixed",
+        f"joint '{joint.name}' must be {', '.join(_MOVING)} or fixed, not '{joint.kind}'; replace several degrees of "
+        "freedom by single joints, with links without <inertial> between them",
+    )
+
+
+def read_mass(link: Element) -> float:
+    """Mass of a link, kg; zero without <inertial>. Raises ModelError for a mass or inertia that no body can have."""
+    place = f"link '{name_of(link)}'"
+    mass_element, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
+    mass = 0.0 if mass_element is None else number(mass_element, "value", place)
+    require(0.0 <= mass < math.inf, f"{place}: mass {mass:g} kg must be positive")
+    rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+    matrix = np.array([[0.0 if inertia is None else number(inertia, key, place, "0") for key in row] for row in rows])
+    require(np.isfinite(matrix).all(), f"{place}: its inertia must be finite")
+    require(mass or not matrix.any(), f"{place}: has inertia but no mass; give it both, or remove its <inertial>")
+    principal = np.linalg.eigvalsh(matrix)
+    slack = 1e-9 * max(abs(principal).max(), 1e-12)
+    require(
+        principal[0] >= -slack and principal[0] + principal[1] >= principal[2] - slack,
+        f"{place}: no body has the principal moments {', '.join(f'{p:.4g}' for p in principal)} kg m^2; they must "
+        "be positive, and the largest at most the sum of the others: correct its <inertia>",
+    )
+    return mass

@@ -1,0 +1,230 @@
+"""From a user's URDF to a scenario that every shipped controller settles."""
+
+import functools
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+from outside_urdfs import OUTSIDE, TURN, joint, link, simple_arm, two_arms
+
+from ffsm_drake import load_scenario, make_true_plant
+from ffsm_drake.cli import main
+from ffsm_drake.design.first_motion import plan_motion
+from ffsm_drake.design.first_scenario import new_scenario
+from ffsm_drake.design.stability import assess
+from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.plant import base_body
+from ffsm_drake.spacecraft.urdf import read_urdf
+from ffsm_drake.systems.controllers import controller_names
+
+# Final error, rad or m, held after a motion of half the planned duration. Computed torque and PD+ estimate neither the
+# disturbance nor the payload's deviation, and keep the error that these cause.
+LARGEST_ERROR = {"computed_torque": 2e-4, "pd_plus": 4e-3}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """made(name) -> NewScenario of one of OUTSIDE, written once."""
+    folder = tmp_path_factory.mktemp("outside")
+
+    @functools.cache
+    def make(name):
+        urdf = folder / f"{name}.urdf"
+        urdf.write_text(OUTSIDE[name]())
+        return new_scenario(urdf, folder / name)
+
+    return make
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_every_controller_settles(made, name):
+    new = made(name)
+    check_model(new)
+    assert {each["verdict"] for each in new.margins.values()} == {"stable"}
+    for controller in controller_names():
+        quick = [f"controller={controller}", "reference.duration=10", "duration=11"]
+        log = Rollout(load_scenario(new.scenario_file, quick)).run()
+        assert log.outcome.completed, log.outcome.message
+        assert np.abs(log.error[-1]).max() < LARGEST_ERROR.get(controller, 1e-5)
+        assert np.abs(log.error).max() < 5e-3
+        start, end = log.series["state"][0, 7:], log.series["state"][-1, 7:]
+        assert np.abs(start - end)[: len(log.coordinates.joints)].max() > 0.1
+
+
+def check_model(new):
+    """What was found is what is simulated."""
+    scenario = load_scenario(new.scenario_file)
+    true = make_true_plant(scenario)
+    plant, found = true.plant, new.servicer
+    assert base_body(plant).name() == found.base
+    assert set(true.coordinates.joints) == {each.name for each in found.joints}
+    assert plant.CalcTotalMass(true.context) == pytest.approx(found.total_mass + new.payload_mass)
+    assert new.payload_mass == pytest.approx(0.25 * found.base_mass, rel=0.01)
+    for posture in (scenario.initial_posture, scenario.target_posture):
+        for joint_name, value in posture.joints.items():
+            moved = plant.GetJointByName(joint_name)
+            assert moved.position_lower_limits()[0] <= value <= moved.position_upper_limits()[0]
+
+
+def test_margins_are_those_of_the_stability_command(made):
+    new = made("gripper")
+    margins = assess(load_scenario(new.scenario_file, ["controller=aismc"]))
+    shown = new.margins["aismc"]
+    assert margins.verdict == shown["verdict"] == "stable"
+    assert shown["k_s_limit"] == pytest.approx(margins.k_s_limit.min(), rel=0.02)
+    assert margins.k_s_limit.min() > 1.5 * margins.law.k_s_max.max()
+
+
+def test_folder_can_be_moved(made, tmp_path):
+    """No file names the place where it was made, and the moved scenario gives the same run."""
+    new = made("six_joints")
+    elsewhere = tmp_path / "elsewhere"
+    shutil.copytree(new.scenario_file.parent, elsewhere)
+    for file in elsewhere.rglob("*.*"):
+        assert not re.search(r'(^|[\s"\'=\[{])/\w|file://', file.read_text(), re.MULTILINE)
+        assert str(new.scenario_file.parents[1]) not in file.read_text()
+    before = Rollout(load_scenario(new.scenario_file, ["duration=1"])).run()
+    new.scenario_file.parent.rename(tmp_path / "not there any more")
+    moved = load_scenario(elsewhere / new.scenario_file.name, ["duration=1"])
+    shutil.move(tmp_path / "not there any more", new.scenario_file.parent)
+    assert Path(moved.model.servicer).is_relative_to(elsewhere)
+    assert np.array_equal(Rollout(moved).run().series["state"], before.series["state"])
+
+
+def test_pd_plus_gains_follow_the_inertia(made):
+    """A wrist gets less than the base, a heavy hull more than a light platform; every coordinate has its own."""
+    gains = {name: pd_plus(made(name)) for name in ("gripper", "prismatic")}
+    for name, (k_p, k_d) in gains.items():
+        true = make_true_plant(load_scenario(made(name).scenario_file))
+        assert tuple(k_p) == tuple(k_d) == true.coordinates.names
+        # K_D L of the coupled loop, which must stay below 2, at the worst of the postures.
+        rate = max(
+            np.linalg.eigvals(np.linalg.solve(h, np.diag(list(k_d.values())))).real.max()
+            for h in made(name).motion.mass_matrices
+        )
+        assert 0.2 < 0.01 * rate < 0.81
+    assert gains["gripper"][1]["base_position_x"] < 0.2 * gains["prismatic"][1]["base_position_x"]
+    assert gains["gripper"][1]["grip_a"] < 0.1 * gains["gripper"][1]["base_position_x"]
+
+
+def pd_plus(new):
+    gains = yaml.safe_load(new.scenario_file.read_text())["controllers"]["pd_plus"]
+    return gains["k_p"], gains["k_d"]
+
+
+def test_weak_or_slow_joints_get_more_time(made, tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    true = make_true_plant(load_scenario(made("two_arms").scenario_file))
+    joints = made("two_arms").servicer
+    usual = plan_motion(true, joints, body="debris::debris")
+    assert usual.duration == 20.0
+    urdf.write_text(two_arms().replace('effort="80"', 'effort="2"').replace('velocity="1.5"', 'velocity="0.1"'))
+    weak = plan_motion(true, read_urdf(urdf), body="debris::debris")
+    assert weak.initial == usual.initial
+    assert weak.duration > 20.0
+    assert max(weak.peak_force[each.name] for each in joints.joints) <= 0.3 * 2.0
+    change = max(abs(weak.initial.joints[each.name] - weak.target.joints[each.name]) for each in joints.joints)
+    assert 1.875 * change / weak.duration <= 0.2 * 0.1  # the quintic's peak rate
+
+
+REFUSED = {
+    "no inertia about an axis": (
+        simple_arm(link("lamp", mass=1, inertia=(0, 0, 0)), joint("pan", "bus", "lamp", limit=TURN)),
+        "joint 'pan' moves nothing that has inertia beside the rest",
+    ),
+    "geometry": (
+        simple_arm(
+            link("tag", extra="<visual><geometry><box/></geometry></visual>"), joint("t", "bus", "tag", kind="fixed")
+        ),
+        "robot.urdf: Missing box attribute: size",
+    ),
+    "planar": (simple_arm().replace('"revolute"', '"planar"'), "prismatic or fixed, not 'planar'"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused_in_one_line(tmp_path, case):
+    text, told = REFUSED[case]
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(text)
+    result = CliRunner().invoke(main, ["new", str(tmp_path / "deep" / "mine"), "--urdf", str(urdf)])
+    assert result.exit_code == 2, result.output
+    assert told in result.output
+    assert re.fullmatch(r"error: [^\n]+\n", result.output)
+    assert [path.name for path in tmp_path.iterdir()] == ["robot.urdf"]
+
+
+def test_refused_arguments(tmp_path):
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(simple_arm())
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "work.txt").write_text("mine")
+
+    def told(*arguments, directory=tmp_path / "new"):
+        result = CliRunner().invoke(main, ["new", str(directory), *map(str, arguments)])
+        assert result.exit_code == 2
+        return result.output.splitlines()[-1]
+
+    assert "none.urdf: no such file" in told("--urdf", tmp_path / "none.urdf")
+    assert "no such file" in told("--urdf", tmp_path)
+    assert "is not empty; name a new folder" in told("--urdf", urdf, directory=full)
+    assert "is a file; name a new folder" in told("--urdf", urdf, directory=urdf)
+    assert "name of a scenario that ships" in told("--urdf", urdf, directory=tmp_path / "paper")
+    assert "must be > 0 kg, not -1" in told("--urdf", urdf, "--payload-mass", -1)
+    assert "no such folder: /nowhere" in told("--urdf", urdf, "--package", "a=/nowhere")
+    assert "must have the form NAME=FOLDER" in told("--urdf", urdf, "--package", "a")
+    assert "no link or frame 'x'" in told("--urdf", urdf, "--tip", "x")
+    assert (full / "work.txt").read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["full", "robot.urdf"]
+
+
+def test_the_tutorial(tmp_path):
+    """The URDF that docs/own_arm.md prints, through the command that it prints."""
+    page = (Path(__file__).parents[2] / "docs" / "own_arm.md").read_text()
+    urdf = tmp_path / "courier.urdf"
+    urdf.write_text(page.partition("```xml\n")[2].partition("```")[0].replace('effort="20"', 'effort="0"'))
+    (tmp_path / "mine").mkdir()
+    arguments = ["new", str(tmp_path / "mine"), "--urdf", str(urdf), "--payload-mass", "40", "--json"]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    data = json.loads(result.stdout)
+    assert data["payload_mass"] == 40.0
+    assert [each["name"] for each in data["joints"]] == ["yaw", "shoulder", "elbow", "wrist"]
+    wrist = {"name": "wrist", "kind": "revolute", "unit": "rad", "lower": -2.0, "upper": 2.0}
+    assert data["joints"][3] == wrist | {"effort": None, "velocity": 1.0}
+    assert (data["base"], data["tip"]) == ({"link": "bus", "mass": 150.0}, "tool")
+    assert all(each["stable"] for each in data["margins"].values())
+    scenario = load_scenario(data["scenario"])
+    assert (scenario.payload.truth.mass, scenario.payload.nominal.mass) == (40.0, 32.0)
+    # Only keys that the scenario knows, and not all of them.
+    assert set(yaml.safe_load((tmp_path / "mine" / "mine.yaml").read_text())) < set(vars(Scenario()))
+    # What the page says of a payload that is nominally too heavy.
+    for share, outcome in ((1.45, "completed"), (2.0, "diverged")):
+        nominal = [
+            f"payload.nominal.mass={share * 40}",
+            f"payload.nominal.inertia=[{', '.join(3 * [str(share * 40 / 6)])}]",
+        ]
+        log = Rollout(load_scenario(data["scenario"], ["duration=3", *nominal])).run()
+        assert log.outcome.status == outcome
+    again = CliRunner().invoke(main, arguments)
+    assert again.exit_code == 2
+    assert "is not empty" in again.output
+
+
+def test_printed(made):
+    text = made("two_arms").summary()
+    for part in (
+        "torso, 450 kg of 485 kg",
+        "left_tool, 3 joints, reach 2 m",
+        "--tip right_tool",
+        "ffsm run ",
+        "tde_aismc",
+    ):
+        assert part in text
