@@ -7,7 +7,8 @@ ffsm campaign report out/small_campaign/small.db
 import shutil
 from pathlib import Path
 
-from ffsm_drake.campaign import load_spec, local_workers, open_store, start_campaign
+import ffsm_drake
+from ffsm_drake.campaign import open_store
 
 SPEC = """
 description: Captured mass and its nominal value
@@ -31,9 +32,8 @@ def main():
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     (folder / "small.yaml").write_text(SPEC)
-    with local_workers(2) as workers:
-        start_campaign(load_spec(folder / "small.yaml"), folder / "small.db", workers=workers)
-    with open_store(folder / "small.db") as store:
+    database = ffsm_drake.run_campaign(folder / "small.yaml", folder / "small.db", workers=2)
+    with open_store(database) as store:
         for controller, outcome, number in store.query(
             "SELECT controller, outcome, count(*) FROM results GROUP BY controller, outcome"
         ):

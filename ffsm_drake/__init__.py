@@ -1,56 +1,53 @@
-"""Simulate and judge controllers of a free-flying space manipulator that has just captured a piece of debris."""
+"""Simulate and evaluate controllers of a free-flying space manipulator that has just captured a piece of debris.
+
+The verbs: ``simulate``, ``compare``, ``analyze``, ``stability``, ``design``, ``run_campaign``.
+"""
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ffsm_drake.analysis import analyze
+    from ffsm_drake.campaign.run import run_campaign
     from ffsm_drake.common.errors import BlockError, FfsmError, ModelError, RecordError, ScenarioError
+    from ffsm_drake.design.gains import design
+    from ffsm_drake.design.stability import stability
     from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, make_closed_loop
     from ffsm_drake.runs.record import Outcome, RunRecord
     from ffsm_drake.runs.rollout import Rollout, RunLog
-    from ffsm_drake.runs.simulate import simulate
+    from ffsm_drake.runs.simulate import compare, simulate
     from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
     from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, Sample, gain
+    from ffsm_drake.systems.setup import BlockSetup
 
 # Imported on first use: Drake takes a while, and the command line's help should not wait for it.
 _HOMES = {
-    "ClosedLoop": "loop.closed_loop",
-    "add_closed_loop": "loop.closed_loop",
-    "make_closed_loop": "loop.closed_loop",
-    "BlockSetup": "systems.setup",
-    "ControlLaw": "systems.controllers",
-    "InjectedDynamics": "systems.controllers",
-    "gain": "systems.controllers",
-    "Sample": "systems.controllers",
-    "BlockError": "common.errors",
-    "FfsmError": "common.errors",
-    "ModelError": "common.errors",
-    "RecordError": "common.errors",
-    "ScenarioError": "common.errors",
-    "write_outputs": "show.outputs",
-    "PlantModel": "spacecraft.nominal",
-    "make_nominal_plant": "spacecraft.nominal",
-    "make_true_plant": "spacecraft.nominal",
-    "Outcome": "runs.record",
-    "RunRecord": "runs.record",
-    "Scenario": "scenario",
-    "load_scenario": "scenario",
-    "override_scenario": "scenario",
-    "Rollout": "runs.rollout",
-    "RunLog": "runs.rollout",
-    "simulate": "runs.simulate",
+    "analysis": ("analyze",),
+    "campaign.run": ("run_campaign",),
+    "common.errors": ("BlockError", "FfsmError", "ModelError", "RecordError", "ScenarioError"),
+    "design.gains": ("design",),
+    "design.stability": ("stability",),
+    "loop.closed_loop": ("ClosedLoop", "add_closed_loop", "make_closed_loop"),
+    "runs.record": ("Outcome", "RunRecord"),
+    "runs.rollout": ("Rollout", "RunLog"),
+    "runs.simulate": ("compare", "simulate"),
+    "scenario": ("Scenario", "load_scenario", "override_scenario"),
+    "show.outputs": ("write_outputs",),
+    "spacecraft.nominal": ("PlantModel", "make_nominal_plant", "make_true_plant"),
+    "systems.controllers": ("ControlLaw", "InjectedDynamics", "Sample", "gain"),
+    "systems.setup": ("BlockSetup",),
 }
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "ClosedLoop",
     "BlockError",
     "BlockSetup",
+    "ClosedLoop",
     "ControlLaw",
-    "InjectedDynamics",
-    "gain",
     "FfsmError",
+    "InjectedDynamics",
     "ModelError",
     "Outcome",
     "PlantModel",
@@ -62,20 +59,26 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "add_closed_loop",
+    "analyze",
+    "compare",
+    "design",
+    "gain",
     "load_scenario",
     "make_closed_loop",
     "make_nominal_plant",
     "make_true_plant",
     "override_scenario",
+    "run_campaign",
     "simulate",
+    "stability",
     "write_outputs",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _HOME_OF:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import itertools
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,10 +11,10 @@ from pathlib import Path
 from ffsm_drake.campaign.cases import Case, make_cases, scenario_of
 from ffsm_drake.campaign.errors import InterruptedCampaign
 from ffsm_drake.campaign.evaluate import CIRCUMSTANCES, Row, described, error_row, evaluate, judge, same_verdict
-from ffsm_drake.campaign.spec import Spec
+from ffsm_drake.campaign.spec import Spec, load_spec
 from ffsm_drake.campaign.store import Store, create_store, open_store
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.common.workers import Stop, WorkerLost, Workers, run_tasks
+from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import make_record
@@ -65,6 +66,32 @@ def check_cases(spec: Spec) -> None:
         else:
             assert problem is not None
             raise problem
+
+
+def run_campaign(
+    spec: Spec | str | Path,
+    database: str | Path,
+    *,
+    workers: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Path:
+    """Run a campaign on this machine into a new database.
+
+    Args:
+      spec: what to run: a shipped name, a file, or what ``load_spec`` gives.
+      database: the file to make.
+      workers: processes; default: one per processor.
+      progress: called after every batch of results.
+
+    Returns: the database, for ``open_store`` and ``ffsm campaign report``.
+
+    Raises:
+      CampaignError, ScenarioError, ModelError, BlockError: a value cannot be used, or the database cannot be made.
+    """
+    loaded = spec if isinstance(spec, Spec) else load_spec(spec)
+    with local_workers(workers or os.cpu_count() or 1) as crew:
+        start_campaign(loaded, Path(database), workers=crew, progress=progress)
+    return Path(database)
 
 
 def start_campaign(

@@ -1,5 +1,6 @@
 """The specification of a campaign: which scenario, which controllers, what is dispersed, what counts as settled."""
 
+import copy
 import dataclasses
 import hashlib
 import json
@@ -16,7 +17,8 @@ from ffsm_drake.campaign.sampling import SAMPLINGS
 from ffsm_drake.campaign.settled import Settled, parse_settled
 from ffsm_drake.campaign.values import get_value
 from ffsm_drake.common.errors import FfsmError, ScenarioError, one_line
-from ffsm_drake.scenario import load_scenario, scenario_to_dict, shipped_scenarios
+from ffsm_drake.scenario import anchor_paths, load_scenario, relate_paths, scenario_to_dict, shipped_scenarios
+from ffsm_drake.systems.registry import find_factory, module_folder
 
 _KEYS = (
     "description", "scenario", "overrides", "controllers", "cases", "seed", "sampling", "parameters", "factors",
@@ -64,9 +66,12 @@ class Spec:
     def runs(self) -> int:
         return self.cases * len(self.controllers)
 
-    def to_json(self) -> str:
-        """The specification as text, for the database and the workers."""
-        return json.dumps(self.data, sort_keys=False)
+    def to_json(self, folder: Path | None = None) -> str:
+        """The specification as text; for a file in ``folder``, with paths relative to that."""
+        data = copy.deepcopy(dict(self.data))
+        if folder is not None:
+            relate_paths(data["base"], folder)
+        return json.dumps(data, sort_keys=False)
 
     @property
     def fingerprint(self) -> str:
@@ -108,19 +113,36 @@ def load_spec(name_or_path: str | Path) -> Spec:
         raise CampaignError(f"{path}: must be a mapping with keys {', '.join(_KEYS)}")
     try:
         check_keys(data, _KEYS, place="specification")
-        return spec_from_data({**data, "base": _base(data, folder=path.parent)})
+        spec = spec_from_data({**data, "base": _base(data, folder=path.parent)})
+        return _with_python_path(spec)
     except ScenarioError as error:
         raise CampaignError(f"{path}: {error}") from error
     except CampaignError as error:
         raise CampaignError(f"{path}: {one_line(error).removeprefix('specification.')}") from error
 
 
-def spec_from_json(text: str) -> Spec:
-    """What ``Spec.to_json`` wrote. Raises CampaignError when it is not that."""
+def _with_python_path(spec: Spec) -> Spec:
+    """The specification with the folders of all user-supplied modules: a campaign is resumed from any folder."""
+    base = spec.base
+    blocks = [(name, base["blocks"][name]) for name in ("reference", "sensing", "actuation")]
+    blocks += [("forces", block) for block in base["blocks"]["forces"].values()]
+    named = [("controller", name) for name in spec.controllers]
+    named += [(kind, block["system"]) for kind, block in blocks if block is not None]
+    for kind, system in named:
+        find_factory(kind, system, python_path=base["python_path"])
+    folders = [str(folder) for _, system in named if (folder := module_folder(system)) is not None]
+    path = list(dict.fromkeys([*base["python_path"], *folders]))
+    return spec_from_data({**spec.data, "base": {**base, "python_path": path}})
+
+
+def spec_from_json(text: str, folder: Path | None = None) -> Spec:
+    """What ``Spec.to_json`` wrote for the same folder. Raises CampaignError when it is not that."""
     try:
         data = json.loads(text)
     except ValueError as error:
         raise CampaignError(f"not a campaign's specification: {one_line(error)}") from error
+    if folder is not None:
+        anchor_paths(data["base"], folder)
     return spec_from_data(data)
 
 

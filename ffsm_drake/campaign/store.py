@@ -22,7 +22,7 @@ from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import RecordError, one_line
 from ffsm_drake.common.files import written_whole
 
-FORMAT = 1
+FORMAT = 2
 _APPLICATION_ID = 0x66667363  # marks the file as a campaign's
 _RESULT = ("outcome", "outcome_time", "message", *METRICS, *PREDICTIONS, "wall_time", "worker", "rss_mib")
 _TEXT = ("outcome", "message", "worker")
@@ -150,7 +150,7 @@ def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Stor
         try:
             # Filled under another name, so that a database at ``path`` always holds all cases.
             with written_whole(path) as temporary, contextlib.closing(_connect(temporary)) as connection:
-                _fill(connection, spec, cases)
+                _fill(connection, spec, cases, folder=path.parent)
         except RecordError as error:
             raise CampaignError(one_line(error)) from error
     with open_store(path, writing=True) as store:
@@ -184,14 +184,14 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
             connection.execute("PRAGMA synchronous = NORMAL")
             connection.execute("BEGIN IMMEDIATE")  # fails where another program holds it
             connection.rollback()
-        yield Store(connection, path, spec_from_json(notes["specification"]))
+        yield Store(connection, path, spec_from_json(notes["specification"], path.parent))
 
 
 def _connect(path: Path) -> sqlite3.Connection:
     return sqlite3.connect(path, timeout=PATIENCE)
 
 
-def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case]) -> None:
+def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, folder: Path) -> None:
     values = [_quoted(name) for name in spec.names]
     results = [f"{name} {'TEXT' if name in _TEXT else 'REAL'}" for name in _RESULT]
     shown = [*(f"cases.{name}" for name in values), *(f"results.{name}" for name in _RESULT)]
@@ -213,7 +213,7 @@ def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case]) -> 
         )
         notes = {
             "format": str(FORMAT),
-            "specification": spec.to_json(),
+            "specification": spec.to_json(folder),
             "fingerprint": spec.fingerprint,
             "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         }

@@ -102,8 +102,11 @@ def schema() -> None:
       # first line of a scenario, for editors:  # yaml-language-server: $schema=scenario.schema.json
     """
     from ffsm_drake.scenario.json_schema import scenario_schema
+    from ffsm_drake.systems.controllers import gains_schema
 
-    print_json(scenario_schema())
+    data = scenario_schema()
+    data["properties"]["controllers"]["properties"] = gains_schema()
+    print_json(data)
 
 
 @click.command()

@@ -2,10 +2,12 @@
 
 from ffsm_drake.scenario.loading import (
     MANIFEST_FILE,
+    anchor_paths,
     is_overridden,
     load_scenario,
     override_scenario,
     portable_scenario,
+    relate_paths,
     scenario_from_dict,
     scenario_from_yaml,
     scenario_to_dict,
@@ -35,6 +37,8 @@ from ffsm_drake.scenario.schema import (
 
 __all__ = [
     "MANIFEST_FILE",
+    "anchor_paths",
+    "relate_paths",
     "ESTIMATOR_KINDS",
     "Actuation",
     "Block",

@@ -68,8 +68,7 @@ def scenario_from_dict(data: Mapping[str, typing.Any], overrides: Iterable[str] 
     except ScenarioError as error:
         raise error.located(source) from None
     if source:
-        folder = Path(source).parent
-        _map_paths(resolved, lambda path: str((folder / path).resolve()))
+        anchor_paths(resolved, Path(source).parent)
     overridden = []
     for override in overrides:
         try:
@@ -108,8 +107,18 @@ def scenario_to_yaml(scenario: Scenario) -> str:
 def portable_scenario(scenario: Scenario, folder: Path) -> dict[str, typing.Any]:
     """The whole scenario as plain data for a file in ``folder``, with paths relative to that."""
     data = scenario_to_dict(scenario)
-    _map_paths(data, lambda path: os.path.relpath(path, folder.resolve()))
+    relate_paths(data, folder)
     return data
+
+
+def relate_paths(data: dict[str, typing.Any], folder: Path) -> None:
+    """Make the paths of a scenario in plain data relative to a folder; package:// addresses stay."""
+    _map_paths(data, lambda path: os.path.relpath(path, folder.resolve()))
+
+
+def anchor_paths(data: dict[str, typing.Any], folder: Path) -> None:
+    """Make the paths of a scenario in plain data absolute, relative ones from a folder."""
+    _map_paths(data, lambda path: str((folder / path).resolve()))
 
 
 def override_scenario(scenario: Scenario, overrides: Iterable[str]) -> Scenario:

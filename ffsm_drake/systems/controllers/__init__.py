@@ -27,6 +27,7 @@ __all__ = [
     "controller_setup",
     "gain",
     "gain_vectors",
+    "gains_schema",
     "make_controller",
     "make_law",
 ]
@@ -86,6 +87,25 @@ def complete_gains(scenario: Scenario) -> Scenario:
     given = scenario.controllers.get(key, {})
     gains = {name: complete_gain(item, *([given[name]] if name in given else [])) for name, item in declared.items()}
     return dataclasses.replace(scenario, controllers={**scenario.controllers, key: gains})
+
+
+def gains_schema() -> dict[str, Any]:
+    """JSON Schema of the gains of every controller that can be named without a module, by controller."""
+    number = {"type": "number"}
+    by_name = {"type": "object", "additionalProperties": number}
+    schema = {}
+    for name in controller_names():
+        gains = gains_of(find_factory("controller", name))
+        properties = {
+            gain_name: {
+                "anyOf": [number, by_name, *([{"type": "null"}] if item.bound else [])],
+                "description": "; ".join(filter(None, (item.unit, item.meaning))),
+                "default": item.default,
+            }
+            for gain_name, item in gains.items()
+        }
+        schema[name] = {"type": "object", "properties": properties, "additionalProperties": not gains}
+    return schema
 
 
 def _make(setup: BlockSetup, factory: Factory | None) -> Any:
