@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import ffsm_drake
-from ffsm_drake.design.first_scenario import new_scenario
+from ffsm_drake.control_design.first_scenario import new_scenario
 from ffsm_drake.show.outputs import results_table
 
 LINK = """<link name="{name}"><inertial><origin xyz="{place}"/><mass value="{mass}"/>

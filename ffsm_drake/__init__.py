@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from ffsm_drake.analysis import analyze
     from ffsm_drake.campaign.run import run_campaign
     from ffsm_drake.common.errors import BlockError, FfsmError, ModelError, RecordError, ScenarioError
-    from ffsm_drake.design.gains import design
-    from ffsm_drake.design.stability import stability
+    from ffsm_drake.control_design.gains import design
+    from ffsm_drake.control_design.stability import stability
     from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, make_closed_loop
     from ffsm_drake.runs.record import Outcome, RunRecord
     from ffsm_drake.runs.rollout import Rollout, RunLog
@@ -27,8 +27,8 @@ _HOMES = {
     "analysis": ("analyze",),
     "campaign.run": ("run_campaign",),
     "common.errors": ("BlockError", "FfsmError", "ModelError", "RecordError", "ScenarioError"),
-    "design.gains": ("design",),
-    "design.stability": ("stability",),
+    "control_design.gains": ("design",),
+    "control_design.stability": ("stability",),
     "loop.closed_loop": ("ClosedLoop", "add_closed_loop", "make_closed_loop"),
     "runs.record": ("Outcome", "RunRecord"),
     "runs.rollout": ("Rollout", "RunLog"),

@@ -12,7 +12,7 @@ ROOMS = (
     "spacecraft",
     "systems",
     "loop",
-    "design",
+    "control_design",
     "runs",
     "analysis",
     "campaign",
@@ -21,7 +21,11 @@ ROOMS = (
     "cli",
 )
 APART = {"analysis", "campaign"}  # neighbours: neither imports the other
-FACES = ("__init__", "testing")  # what stands at the top for users: the package's verbs, the conformance kit
+FACES = (
+    "__init__",
+    "__main__",
+    "testing",
+)  # what stands at the top for users: the package's verbs, the conformance kit
 
 
 def room_of(path: Path) -> str:

@@ -10,7 +10,7 @@ from pydrake.multibody.tree import BodyIndex
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario
-from ffsm_drake.design.stability import assess
+from ffsm_drake.control_design.stability import stability
 from ffsm_drake.scenario import CONTROLLER_NAMES, MassProperties
 from ffsm_drake.show.meshcat.stage import camera_pose
 from ffsm_drake.spacecraft.mass_properties import set_payload
@@ -150,7 +150,7 @@ def test_dynamics_agree_with_mujoco(payload):
 
 @pytest.mark.parametrize("controller", CONTROLLER_NAMES)
 def test_sampled_loop_is_stable(controller):
-    assert assess(load_scenario("seven_joint", [f"controller={controller}"])).verdict == "stable"
+    assert stability(load_scenario("seven_joint", [f"controller={controller}"])).verdict == "stable"
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from ffsm_drake.design.stability.margins import forecast_reaching_gain, sampling_of
-from ffsm_drake.design.stability.sampled_loop import LoopGains, coupled_loop, law_gains
+from ffsm_drake.control_design.stability.margins import forecast_reaching_gain, sampling_of
+from ffsm_drake.control_design.stability.sampled_loop import LoopGains, coupled_loop, law_gains
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import PAPER_LAWS

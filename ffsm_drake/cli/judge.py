@@ -39,12 +39,12 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
       ffsm stability --set payload.nominal.mass=125 --out out/stability
     """
     from ffsm_drake.common.files import check_writable, written_whole
-    from ffsm_drake.design.stability import assess
+    from ffsm_drake.control_design.stability import stability as find_margins
     from ffsm_drake.show.stability import margins_data, margins_table, plot_margins
 
     if out is not None:
         check_writable(out)
-    margins = assess(scenario)
+    margins = find_margins(scenario)
     if as_json:
         print_json(margins_data(margins))
     else:
@@ -124,8 +124,8 @@ def design(
       ffsm run out/mine/design.yaml
     """
     from ffsm_drake.common.files import check_writable, write_text, written_whole
-    from ffsm_drake.design.gains import design as design_gains
-    from ffsm_drake.design.gains import design_data, design_table, plot_design
+    from ffsm_drake.control_design.gains import design as design_gains
+    from ffsm_drake.control_design.gains import design_data, design_table, plot_design
     from ffsm_drake.scenario import scenario_to_yaml
 
     check_writable(out)

@@ -44,7 +44,7 @@ def new(
       ffsm new mine --urdf my_robot.urdf --tip left_tool --payload-mass 30
       ffsm new mine --urdf my_robot.urdf --package my_robot_description=~/ws/src/my_robot_description
     """
-    from ffsm_drake.design.first_scenario import new_scenario
+    from ffsm_drake.control_design.first_scenario import new_scenario
 
     folders = {name: folder.expanduser() for name, folder in packages.items()}
     made = new_scenario(urdf, directory, tip=tip, packages=folders, payload_mass=payload_mass)

@@ -44,7 +44,7 @@ def simulate(
     """
     start = time.perf_counter()
     if check_stability:
-        from ffsm_drake.design.stability import StabilityWarning, stability_warning  # SciPy is slow to import
+        from ffsm_drake.control_design.stability import StabilityWarning, stability_warning  # SciPy is slow to import
 
         if remark := stability_warning(scenario):
             warnings.warn(remark, StabilityWarning, stacklevel=2)

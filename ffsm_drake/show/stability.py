@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ffsm_drake.design.stability.margins import Margins
-from ffsm_drake.design.stability.sampled_loop import LoopGains, axis_poles
+from ffsm_drake.control_design.stability.margins import Margins
+from ffsm_drake.control_design.stability.sampled_loop import LoopGains, axis_poles
 from ffsm_drake.spacecraft.coordinates import GROUPS
 
 _GROUP_COLORS = dict(zip(GROUPS, ("#D55E00", "#0072B2", "#009E73"), strict=True))

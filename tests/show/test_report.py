@@ -89,7 +89,7 @@ def plain(monkeypatch):
     def absent(_):
         raise FfsmError("left out")
 
-    for name in ("analyze", "assess"):
+    for name in ("analyze", "stability"):
         monkeypatch.setattr(f"ffsm_drake.show.report.page.{name}", absent)
 
 
@@ -211,7 +211,7 @@ def test_failing_sections_leave_the_rest(short, monkeypatch):
     def fail(_):
         raise FfsmError("controller: has no margins; choose another")
 
-    for name in ("analyze", "assess"):
+    for name in ("analyze", "stability"):
         monkeypatch.setattr(f"ffsm_drake.show.report.page.{name}", fail)
     page = page_of(short)
     assert page.text.count("controller: has no margins; choose another.") == 2

@@ -20,7 +20,7 @@ from markupsafe import Markup, escape
 from ffsm_drake.analysis import Finding, analyze
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import write_text
-from ffsm_drake.design.stability import Margins, assess
+from ffsm_drake.control_design.stability import Margins, stability
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import load_scenario, scenario_to_dict, shipped_scenarios
 from ffsm_drake.show.report import plots
@@ -137,7 +137,7 @@ def render_report(records: Sequence[RunRecord], *, title: str | None = None, rec
     curves = plots.Curves(points=plots.points_per_curve(results))
     drawn = plots.time_plots(results, curves)
     findings = [_findings(result) for result in results]
-    margins = [_attempt(functools.partial(assess, result.record.scenario)) for result in results]
+    margins = [_attempt(functools.partial(stability, result.record.scenario)) for result in results]
     stability = plots.stability_plots(results, [margin for margin, _ in margins], curves)
     if stability is not None:
         drawn["stability"] = stability

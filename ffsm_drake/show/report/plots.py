@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.design.stability import Margins
-from ffsm_drake.design.stability.sampled_loop import largest_sample_time, largest_stable_k_s
+from ffsm_drake.control_design.stability import Margins
+from ffsm_drake.control_design.stability.sampled_loop import largest_sample_time, largest_stable_k_s
 from ffsm_drake.show.report.results import EFFORT_UNITS, GROUP_TITLES, Result, values_of
 
 # Numbers that all curves of a page may hold together, and bounds on those of one curve: enough for zooming in.

@@ -15,7 +15,7 @@ from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.studies.noise.cases import CONTROLLERS, GAINS_OF, SIGMAS, NoiseCase, study_cases
 
 if TYPE_CHECKING:
-    from ffsm_drake.design.stability.prediction import Plan
+    from ffsm_drake.control_design.stability.prediction import Plan
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -152,7 +152,7 @@ def _plan(case: NoiseCase) -> "Plan":
 
 @functools.cache  # expensive, and the same for the whole sweep but for the noise
 def _mission(duration: float, flight_sensors: bool) -> "Plan":
-    from ffsm_drake.design.stability.prediction import make_plan  # SciPy is slow to import
+    from ffsm_drake.control_design.stability.prediction import make_plan  # SciPy is slow to import
 
     sigma = None if flight_sensors else 1.0
     return make_plan(
@@ -164,9 +164,9 @@ def _mission(duration: float, flight_sensors: bool) -> "Plan":
 
 def _predicted_isv(case: NoiseCase, scenario: Scenario) -> float:
     """ISV of the linear loop, with K_s at its bound where there is one and at its start otherwise; G left out."""
-    from ffsm_drake.design.stability.margins import sampling_of
-    from ffsm_drake.design.stability.prediction import predict
-    from ffsm_drake.design.stability.sampled_loop import law_gains
+    from ffsm_drake.control_design.stability.margins import sampling_of
+    from ffsm_drake.control_design.stability.prediction import predict
+    from ffsm_drake.control_design.stability.sampled_loop import law_gains
 
     plan = _plan(case)
     law = law_gains(scenario, plan.coordinates)
@@ -177,7 +177,7 @@ def _predicted_isv(case: NoiseCase, scenario: Scenario) -> float:
 
 def _noise_gain(controller: str) -> float:
     """Rms of Hhat^-1 tau on a base attitude axis per unit of velocity noise, published gains, 1/s, for H = Hhat."""
-    from ffsm_drake.design.stability.sampled_loop import LoopGains, Sampling, coupled_loop, law_gains
+    from ffsm_drake.control_design.stability.sampled_loop import LoopGains, Sampling, coupled_loop, law_gains
     from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
     scenario = NoiseCase(controller=controller, estimator="one_sample", gains="published", sigma=1.0).scenario()

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 
 from ffsm_drake.analysis import Analysis, analyze
-from ffsm_drake.design.stability import assess
+from ffsm_drake.control_design.stability import stability
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.studies.paper.runs import CONTROLLERS, PROPOSED, SETTINGS, Case, Results
 from ffsm_drake.studies.paper.verdict import Claim, Judged, claims_about, in_both
@@ -22,7 +22,7 @@ def _analysis(record: RunRecord) -> Analysis:
 @claim("The Lyapunov criterion proves the controller's global stability.", "Abstract, Section 3.2")
 def sampled_loop_decides(results: Results) -> Judged:
     margins = {
-        (setting, name): assess(Case(setting=setting, controller=name).scenario(results.overrides))
+        (setting, name): stability(Case(setting=setting, controller=name).scenario(results.overrides))
         for setting in ("euler", "exact")
         for name in CONTROLLERS
     }

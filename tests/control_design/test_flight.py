@@ -8,11 +8,11 @@ from click.testing import CliRunner
 
 from ffsm_drake import load_scenario, override_scenario, simulate
 from ffsm_drake.cli import main
-from ffsm_drake.design.gains import design
-from ffsm_drake.design.stability import assess
-from ffsm_drake.design.stability.margins import sampling_of
-from ffsm_drake.design.stability.prediction import make_plan, predict
-from ffsm_drake.design.stability.sampled_loop import law_gains
+from ffsm_drake.control_design.gains import design
+from ffsm_drake.control_design.stability import stability
+from ffsm_drake.control_design.stability.margins import sampling_of
+from ffsm_drake.control_design.stability.prediction import make_plan, predict
+from ffsm_drake.control_design.stability.sampled_loop import law_gains
 
 
 def rms_after(record, seconds=5.0):
@@ -151,8 +151,8 @@ def test_design_says_when_a_budget_cannot_be_met(tmp_path):
 
 def test_margins_know_the_estimator():
     """The Kalman estimate tolerates over-estimated inertia that the one-sample estimate does not."""
-    kalman = assess(load_scenario("flight_sensors", ["controller=tdc"]))
-    one_sample = assess(load_scenario("postcapture", ["controller=aismc"]))
+    kalman = stability(load_scenario("flight_sensors", ["controller=tdc"]))
+    one_sample = stability(load_scenario("postcapture", ["controller=aismc"]))
     assert kalman.is_stable
     assert kalman.eta_tolerated[:, 1].min() > 1.6 > one_sample.eta_tolerated[:, 1].max()
     assert kalman.sample_time_limit.min() > 0.015

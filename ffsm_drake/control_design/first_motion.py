@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
-from ffsm_drake.design.first_gains import effective_inertia, rounded
+from ffsm_drake.control_design.first_gains import effective_inertia, rounded
 from ffsm_drake.scenario import Posture
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel

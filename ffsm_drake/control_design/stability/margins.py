@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.special import erf
 
-from ffsm_drake.design.stability.sampled_loop import (
+from ffsm_drake.control_design.stability.sampled_loop import (
     LawGains,
     LoopGains,
     Sampling,
@@ -97,7 +97,7 @@ class Margins:
         return self.starts_stable and not bool(self.forecast_leaves.any())
 
 
-def assess(scenario: Scenario, *, postures: int = 21) -> Margins:
+def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
     """Margins of a scenario along its planned motion. Takes about a second.
 
     Raises:

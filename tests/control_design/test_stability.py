@@ -7,8 +7,8 @@ from scipy.optimize import brentq
 
 from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
 from ffsm_drake.cli import main
-from ffsm_drake.design.stability import StabilityWarning, assess, stability_warning
-from ffsm_drake.design.stability.sampled_loop import (
+from ffsm_drake.control_design.stability import StabilityWarning, stability, stability_warning
+from ffsm_drake.control_design.stability.sampled_loop import (
     LawGains,
     LoopGains,
     Sampling,
@@ -179,7 +179,7 @@ PUBLISHED_UNBOUNDED = ("controllers.tde_aismc.k_s_initial=80", "controllers.tde_
     ],
 )
 def test_verdicts(name, overrides, stable, words):
-    margins = assess(load_scenario(name, overrides))
+    margins = stability(load_scenario(name, overrides))
     assert margins.is_stable == stable
     assert words in margins.verdict
 
@@ -189,11 +189,11 @@ def test_expected_adaptation_against_simulation(run):
     for controller in ("tde_aismc", "aismc"):
         scenario = load_scenario("postcapture", [f"controller={controller}"])
         simulated = run("postcapture", f"controller={controller}").dataset["reaching_gain"].values[-1]
-        expected = assess(scenario).forecast_k_s[-1]
+        expected = stability(scenario).forecast_k_s[-1]
         base = slice(0, 6)  # the joints' errors follow from the motion, which the forecast treats more coarsely
         assert expected[base] == pytest.approx(simulated[base], rel=0.03)
         assert expected == pytest.approx(simulated, rel=0.2)
-    margins = assess(load_scenario("postcapture", PUBLISHED_UNBOUNDED))
+    margins = stability(load_scenario("postcapture", PUBLISHED_UNBOUNDED))
     first = margins.forecast_times[np.argmax((margins.forecast_k_s > 100.0).any(axis=1))]
     assert first == pytest.approx(run("postcapture", *PUBLISHED_UNBOUNDED).outcome.time, abs=2.0)
 

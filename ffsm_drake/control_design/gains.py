@@ -15,9 +15,9 @@ import numpy as np
 from scipy.optimize import fmin
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.design.stability.margins import sampling_of
-from ffsm_drake.design.stability.prediction import Plan, Prediction, make_plan, predict
-from ffsm_drake.design.stability.sampled_loop import LawGains, Sampling, coupled_loop, law_gains
+from ffsm_drake.control_design.stability.margins import sampling_of
+from ffsm_drake.control_design.stability.prediction import Plan, Prediction, make_plan, predict
+from ffsm_drake.control_design.stability.sampled_loop import LawGains, Sampling, coupled_loop, law_gains
 from ffsm_drake.scenario import Estimator, Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.controllers import complete_gains

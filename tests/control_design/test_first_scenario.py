@@ -14,9 +14,9 @@ from outside_urdfs import OUTSIDE, TURN, joint, link, simple_arm, two_arms
 
 from ffsm_drake import load_scenario, make_true_plant
 from ffsm_drake.cli import main
-from ffsm_drake.design.first_motion import plan_motion
-from ffsm_drake.design.first_scenario import new_scenario
-from ffsm_drake.design.stability import assess
+from ffsm_drake.control_design.first_motion import plan_motion
+from ffsm_drake.control_design.first_scenario import new_scenario
+from ffsm_drake.control_design.stability import stability
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.plant import base_body
@@ -74,7 +74,7 @@ def check_model(new):
 
 def test_margins_are_those_of_the_stability_command(made):
     new = made("gripper")
-    margins = assess(load_scenario(new.scenario_file, ["controller=aismc"]))
+    margins = stability(load_scenario(new.scenario_file, ["controller=aismc"]))
     shown = new.margins["aismc"]
     assert margins.verdict == shown["verdict"] == "stable"
     assert shown["k_s_limit"] == pytest.approx(margins.k_s_limit.min(), rel=0.02)

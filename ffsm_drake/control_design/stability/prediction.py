@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ffsm_drake.design.stability.sampled_loop import CoupledLoop, LoopGains, Sampling, coupled_loop
+from ffsm_drake.control_design.stability.sampled_loop import CoupledLoop, LoopGains, Sampling, coupled_loop
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant

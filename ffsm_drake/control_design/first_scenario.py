@@ -15,9 +15,9 @@ import yaml
 
 from ffsm_drake.common.errors import FfsmError, ModelError, RecordError, ScenarioError, one_line
 from ffsm_drake.common.files import check_writable, write_text
-from ffsm_drake.design.first_gains import OMEGA, rounded, starting_gains
-from ffsm_drake.design.first_motion import Motion, plan_motion, scaled_disturbance
-from ffsm_drake.design.stability import assess
+from ffsm_drake.control_design.first_gains import OMEGA, rounded, starting_gains
+from ffsm_drake.control_design.first_motion import Motion, plan_motion, scaled_disturbance
+from ffsm_drake.control_design.stability import stability
 from ffsm_drake.scenario import Scenario, scenario_from_dict, shipped_scenarios
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_true_plant
@@ -273,7 +273,7 @@ def _limits(joint: Joint) -> str:
 
 def _margins(scenario: Scenario) -> dict[str, Any]:
     """What the sampled-loop analysis says, in SI units; NaN for K_s of a law without."""
-    margins = assess(scenario, postures=9)
+    margins = stability(scenario, postures=9)
     eta, tolerated = margins.eta, margins.eta_tolerated
     return {
         "verdict": margins.verdict,

@@ -1,0 +1,1 @@
+"""What is known and chosen before a run: stability of the sampled loop, gains, a first motion and scenario."""

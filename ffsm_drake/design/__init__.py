@@ -1,1 +1,0 @@
-"""What is known before a run: stability of the sampled loop, gains, a first motion and scenario."""
