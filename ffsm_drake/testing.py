@@ -160,7 +160,8 @@ class _Candidate:
 
     def build(self, scenario: Scenario) -> System:
         nominal = make_nominal_plant(scenario)
-        own = dataclasses.replace(scenario, controller=self.name, controllers={self.name: dict(self.gains)})
+        key = getattr(self.factory, "__name__", type(self.factory).__name__)
+        own = dataclasses.replace(scenario, controllers={key: dict(self.gains)})
         controller = make_controller(own, nominal, self.factory)
         check_ports(controller, "controller", nominal.coordinates, place=f"controller '{self.name}'")
         return controller

@@ -51,9 +51,9 @@ class _StrictLoader(yaml.SafeLoader):
             raise StrictYamlError(f"{_place(node.start_mark)}: {text}") from error
 
 
-# YAML 1.1, which PyYAML reads, takes 1e-5 for text; YAML 1.2 and JSON take it for a number.
+# YAML 1.1, which PyYAML reads, takes 1e-5 and 1.5e3 for text; YAML 1.2 and JSON take them for numbers.
 _StrictLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+"), list("-+0123456789")
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
 )
 
 

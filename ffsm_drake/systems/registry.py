@@ -1,5 +1,6 @@
 """Finding what fills a block: by a shipped name, an installed entry point, or ``module:attribute``."""
 
+import functools
 import importlib
 import re
 import sys
@@ -37,6 +38,7 @@ ENTRY_POINT_GROUPS = {
 }
 
 
+@functools.cache  # a process looks through the installed packages once
 def block_names(block: str) -> tuple[str, ...]:
     """The names of what can fill a block without giving a module: shipped, then installed."""
     shipped = SHIPPED.get(block, {})

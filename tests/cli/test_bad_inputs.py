@@ -50,38 +50,42 @@ URDFS = {"servicer.urdf": SERVICER, "debris.urdf": DEBRIS}
 MINE = "model: {servicer: servicer.urdf, debris: debris.urdf}\n"
 
 CONTROLLERS = """
+import dataclasses
 import sys
 import numpy as np
 from pydrake.systems.framework import LeafSystem
-from ffsm_drake import SampledController
+from ffsm_drake import ControlLaw, PlantModel, gain
 
-class Good(SampledController):
-    GAINS = {"k": 1.0}
-    def law(self, sample, state):
+@dataclasses.dataclass(frozen=True)
+class Good(ControlLaw):
+    k: np.ndarray = gain(1.0)
+    def step(self, sample, state):
         return 0.0 * sample.v, {}
 
 class NanForce(Good):
-    def law(self, sample, state):
+    def step(self, sample, state):
         return np.full(sample.v.size, np.nan), {}
 
-class NanState(Good):
-    def law(self, sample, state):
-        self.nominal.calc_mass_matrix(sample.q * np.nan)
+@dataclasses.dataclass(frozen=True)
+class NanState(ControlLaw):
+    model: PlantModel
+    def step(self, sample, state):
+        self.model.calc_mass_matrix(sample.q * np.nan)
 
 class WrongSize(Good):
-    def law(self, sample, state):
+    def step(self, sample, state):
         return np.zeros(3), {}
 
 class ReturnsNone(Good):
-    def law(self, sample, state):
+    def step(self, sample, state):
         pass
 
 class OnlyForce(Good):
-    def law(self, sample, state):
+    def step(self, sample, state):
         return 0.0 * sample.v
 
 class TextForce(Good):
-    def law(self, sample, state):
+    def step(self, sample, state):
         return ["much"] * sample.v.size, {}
 
 class Forgets(Good):
@@ -89,7 +93,7 @@ class Forgets(Good):
         return {"integral": np.zeros(3)}
 
 class Invents(Good):
-    def law(self, sample, state):
+    def step(self, sample, state):
         return 0.0 * sample.v, {"integral": sample.v}
 
 class ListMemory(Good):
@@ -97,26 +101,28 @@ class ListMemory(Good):
         return [np.zeros(3)]
 
 class Raises(Good):
-    def law(self, sample, state):
+    def step(self, sample, state):
         return {}["gain"]
 
 class Leaves(Good):
-    def law(self, sample, state):
+    def step(self, sample, state):
         sys.exit(0)
 
-class NoLaw(SampledController):
+class NoLaw(ControlLaw):
     pass
 
-class RaisesAtOnce(SampledController):
-    def __init__(self, setup):
+@dataclasses.dataclass(frozen=True)
+class RaisesAtOnce(Good):
+    def __post_init__(self):
         raise OSError("no table of gains")
 
-class NoSuperInit(SampledController):
+class NoSuperInit(LeafSystem):
     def __init__(self, setup):
         self.table = {}
 
-class TextGain(SampledController):
-    GAINS = {"k": "high"}
+@dataclasses.dataclass(frozen=True)
+class TextGain(Good):
+    k: np.ndarray = gain("high")
 
 class ShortGain(Good):
     def initial_state(self):
@@ -334,7 +340,7 @@ TABLE = [
     scenario("indefinite-inertia", "payload: {truth: {inertia: [1, 1, 1, 2, 0, 0]}}\n", "must be positive definite"),
     scenario("two-moments", "payload: {truth: {inertia: [1, 1]}}\n", "inertia: must hold three moments"),
     scenario("two-coordinates", "payload: {truth: {center_of_mass: [1, 1]}}\n", "must hold three numbers [x, y, z]"),
-    scenario("negative-gain", "controllers: {asmc: {k_s: -1}}\n", "controllers.asmc.k_s.all: must be >= 0, not -1.0"),
+    scenario("negative-gain", "controllers: {asmc: {k_s: -1}}\n", "controllers.asmc.k_s.all: must be >= 0, not -1"),
     scenario(
         "file-fault-stays-the-file's",
         "controllers: {asmc: {k_s: -1}}\n",
@@ -350,9 +356,7 @@ TABLE = [
     override("no-value", "duration=", "duration: must be a number, not null (no value)"),
     override("nan-override", "duration=nan", "duration: must be finite, not 'nan'"),
     override("inf-override", "disturbance.amplitude_scale=.inf", "disturbance.amplitude_scale: must be finite"),
-    override(
-        "override-unknown-key", "controllers.tdc.kd=3", "kd: unknown key; valid here: k_d, k_p; did you mean 'k_d'?"
-    ),
+    override("override-unknown-key", "controllers.tdc.kd=3", "kd: unknown gain; tdc has k_d, k_p; did you mean 'k_d'?"),
     override("override-in-list", "payload.truth.inertia.0=3", "payload.truth.inertia holds a list; give it whole"),
     override("override-too-deep", "duration.x=3", "duration holds a single value"),
     override("override-not-yaml", "duration=[1", "duration: value is not valid YAML"),
@@ -394,8 +398,11 @@ TABLE = [
         "initial_posture.joints.joint_6=1",
         "initial_posture.joints.joint_6: unknown coordinate",
     ),
-    override(
-        "missing-gain", "controllers.tde_aismc.k_d={joints: 1}", "k_d: gives no value for base_rotation_x", "or 'all'"
+    bad(
+        "missing-gain",
+        "validate flight_sensors --set 'estimator.walk={joints: 1}'",
+        "override: estimator.walk: gives no value for base_rotation_x",
+        "or 'all'",
     ),
     bad(
         "singular-payload",
@@ -556,8 +563,8 @@ TABLE = [
         "controller: 'tde_aimsc' is unknown",
         "did you mean 'tde_aismc'?",
     ),
-    bad("controller-path", "run -c ../evil.py", "controller: '../evil.py' is unknown", "module:Class"),
-    bad("compare-path", "compare -c tdc -c ../../x", "controller: '../../x' is unknown", "module:Class"),
+    bad("controller-path", "run -c ../evil.py", "controller: '../evil.py' must be a name or module:attribute"),
+    bad("compare-path", "compare -c tdc -c ../../x", "controller: '../../x' must be a name or module:attribute"),
     bad("compare-twice", "compare -c tdc -c tdc", "--controller: tdc is given more than once"),
     bad("no-such-module", "run -c nowhere_at_all:Law", "No module named 'nowhere_at_all'", "PYTHONPATH"),
     controller("no-such-class", "Goood", "has no 'Goood'", "did you mean 'Good'?"),
@@ -565,7 +572,7 @@ TABLE = [
     controller("module-raises", "Law", "ZeroDivisionError", text="1 / 0\n"),
     controller("module-exits", "Law", "SystemExit", text="raise SystemExit(0)\n"),
     controller("not-callable", "table", "must be a class or function, not dict"),
-    controller("factory-of-nothing", "returns_none", "must be a LeafSystem, not NoneType"),
+    controller("factory-of-nothing", "returns_none", "must be a control law or a Drake system, not NoneType"),
     controller("raises-in-init", "RaisesAtOnce", "cannot be built: OSError: no table of gains"),
     controller("no-super-init", "NoSuperInit", "cannot be built: TypeError", "__init__"),
     controller("text-as-gain", "TextGain", "cannot be built: ValueError", "high"),
@@ -577,20 +584,20 @@ TABLE = [
     controller("short-optional-output", "ShortGain", "output port 'switching_gain' must have size 11, not 3"),
     controller("wrong-force-size", "WrongSize", "'generalized_force' of shape (3,); it must be (11,)", command="run"),
     controller(
-        "returns-none", "ReturnsNone", "law must return (generalized_force, memory)", "not NoneType", command="run"
+        "returns-none", "ReturnsNone", "step must return (generalized_force, state)", "not NoneType", command="run"
     ),
-    controller("returns-force-only", "OnlyForce", "law must return (generalized_force, memory)", command="run"),
+    controller("returns-force-only", "OnlyForce", "step must return (generalized_force, state)", command="run"),
     controller("text-as-force", "TextForce", "not an array of numbers", command="run"),
-    controller("forgets-memory", "Forgets", "law returned no 'integral'; it must return all its memory", command="run"),
+    controller("forgets-memory", "Forgets", "step returned no 'integral'; it must return all", command="run"),
     controller("invents-memory", "Invents", "'integral', which initial_state does not name", command="run"),
     controller("raises-in-law", "Raises", "failed at t = 0.00 s: KeyError: 'gain'", "line ", command="run"),
-    controller("exits-in-law", "Leaves", "law called sys.exit at t = 0.00 s", command="run"),
-    controller("no-law", "NoLaw", "error: NoLaw must define law(sample, state)", command="run"),
+    controller("exits-in-law", "Leaves", "step called sys.exit at t = 0.00 s", command="run"),
+    controller("no-law", "NoLaw", "NoLaw must define step(sample, state)", command="run"),
     controller("nan-configuration", "NanState", "the configuration q is not finite", command="run"),
     Row(
         "unknown-own-gain",
-        "validate postcapture --set controller=mine_bad:Good --set controllers.own.Good.kk=1",
-        ("controllers.own.Good.kk: unknown gain; Good has k; did you mean 'k'?",),
+        "validate postcapture --set controller=mine_bad:Good --set controllers.Good.kk=1",
+        ("controllers.Good.kk: unknown gain; Good has k; did you mean 'k'?",),
         MODULES,
     ),
     Row(
@@ -689,7 +696,7 @@ TABLE = [
     record("manifest-is-a-list", manifest_text("[1]"), "is not a run's manifest: must be an object, not list"),
     record("manifest-too-deep", manifest_text("[" * 100_000), "is not a run's manifest", "RecursionError"),
     record("manifest-empty", manifest_text("{}"), "is not a run's manifest: lacks 'format'"),
-    record("other-format", edit_manifest(lambda data: data.update(format=9)), "format 9 is not the supported 1"),
+    record("other-format", edit_manifest(lambda data: data.update(format=9)), "format 9 is not the supported 2"),
     record("manifest-without-scenario", edit_manifest(lambda data: data.pop("scenario")), "lacks 'scenario'"),
     record(
         "manifest-bad-scenario",

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
 
-from ffsm_drake import ScenarioError, load_scenario, override_scenario, simulate
-from ffsm_drake.loop import closed_loop
+from ffsm_drake import BlockError, ScenarioError, load_scenario, override_scenario, simulate
 from ffsm_drake.runs.rollout import Rollout
 
 SCENARIO = load_scenario("flight_sensors", ["duration=1", "sensing.delay=2", "actuation.delay=1"])
@@ -109,7 +108,7 @@ def test_steps_between_the_samples_are_watched_too():
 class Damper(LeafSystem):
     """The least that a controller must have: no optional outputs, no applied_force."""
 
-    def __init__(self, damping):
+    def __init__(self, setup, damping=10.0):
         super().__init__()
         self.damping = damping
         self.state = self.DeclareVectorInputPort("estimated_state", 23)
@@ -125,9 +124,14 @@ class Damper(LeafSystem):
         values.set_value(0, -self.damping * velocity)
 
 
-def test_a_controller_of_ones_own_needs_the_contract_only(monkeypatch):
-    monkeypatch.setattr(closed_loop, "make_controller", lambda scenario, nominal: Damper(10.0))
-    record = simulate(load_scenario("postcapture", ["duration=2", "sensing.velocity_noise=0"]), check_stability=False)
+class Pusher(Damper):
+    def __init__(self, setup):
+        super().__init__(setup, -200.0)
+
+
+def test_a_user_supplied_controller_needs_the_ports_only():
+    scenario = load_scenario("postcapture", ["duration=2", "sensing.velocity_noise=0"])
+    record = simulate(scenario, blocks={"controller": Damper}, check_stability=False)
     assert record.outcome.completed
     assert not {"sliding_variable", "reaching_gain", "switching_gain"} & set(record.dataset)
     force, velocity = record.dataset["generalized_force"].values, record.dataset["measured_velocity"].values
@@ -135,9 +139,8 @@ def test_a_controller_of_ones_own_needs_the_contract_only(monkeypatch):
     assert force.any()
 
 
-def test_what_a_controller_refuses_after_the_run_diverged_does_not_matter(monkeypatch):
-    monkeypatch.setattr(closed_loop, "make_controller", lambda scenario, nominal: Damper(-200.0))
+def test_a_run_that_diverges_stops_before_the_controller_refuses():
     scenario = load_scenario("postcapture", ["duration=3"])
-    assert Rollout(scenario).run().outcome.status == "diverged"
-    with pytest.raises(ValueError, match="too fast for me"):
-        Rollout(override_scenario(scenario, ["divergence_speed=1e9"])).run()
+    assert Rollout(scenario, blocks={"controller": Pusher}).run().outcome.status == "diverged"
+    with pytest.raises(BlockError, match=r"controller 'Pusher' failed at .*: ValueError: too fast for me"):
+        Rollout(override_scenario(scenario, ["divergence_speed=1e6"]), blocks={"controller": Pusher}).run()

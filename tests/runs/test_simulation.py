@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from ffsm_drake import (
+    BlockError,
+    ControlLaw,
     RecordError,
     RunRecord,
     load_scenario,
@@ -41,26 +43,23 @@ def test_dataset_is_labelled_and_complete(run):
 @pytest.mark.parametrize("controller", ["tdc", "asmc", "aismc", "tde_aismc"])
 def test_every_sample_satisfies_the_control_law(run, controller):
     """Recomputing the law from the recorded measurements gives the recorded force: the record is aligned."""
-    from ffsm_drake.systems.controllers import LAWS
+    from ffsm_drake.systems.controllers import make_law
 
     record = run("postcapture", f"controller={controller}")
     data, scenario = record.dataset, record.scenario
     nominal = make_nominal_plant(scenario)
-    law = LAWS[controller].from_gains(getattr(scenario.controllers, controller), nominal.coordinates, 0.01)
-    names = list(law.initial_state())
-    state = tuple(law.initial_state().values())
+    law = make_law(scenario, nominal).dynamics
+    state = law.initial_state()
     q, v = data["measured_position"].values, data["measured_velocity"].values
     tau = data["generalized_force"].values
     for k in range(data.sizes["time"]):
         for name in ("reaching_gain", "switching_gain"):
-            if name in names:
-                assert data[name].values[k] == pytest.approx(state[names.index(name)], rel=1e-9), (name, k)
+            if name in state:
+                assert data[name].values[k] == pytest.approx(state[name], rel=1e-9), (name, k)
         e = position_error(data["desired_position"].values[k], q[k])
         u, state = law.step(e, data["desired_velocity"].values[k] - v[k], data["desired_acceleration"].values[k], state)
-        if "sliding_variable" in names:
-            assert data["sliding_variable"].values[k] == pytest.approx(
-                state[names.index("sliding_variable")], abs=1e-12
-            )
+        if "sliding_variable" in state:
+            assert data["sliding_variable"].values[k] == pytest.approx(state["sliding_variable"], abs=1e-12)
         previous = tau[k - 1] - nominal.calc_mass_matrix(q[k]) @ ((v[k] - v[k - 1]) / 0.01) if k else np.zeros(11)
         assert tau[k] == pytest.approx(previous + nominal.calc_mass_matrix(q[k]) @ u, abs=1e-9), k
 
@@ -154,7 +153,7 @@ def test_the_netcdf_file_is_plain_enough_for_matlab(run, tmp_path):
         (lambda d: (d / "manifest.json").unlink(), "manifest.json: cannot be read"),
         (lambda d: (d / "manifest.json").write_text("{"), "manifest.json: is not a run's manifest"),
         (lambda d: (d / "manifest.json").write_text("{}"), "manifest.json: is not a run's manifest"),
-        (lambda d: (d / "manifest.json").write_text('{"format": 99}'), "format 99 is not the supported 1"),
+        (lambda d: (d / "manifest.json").write_text('{"format": 99}'), "format 99 is not the supported 2"),
     ],
 )
 def test_damaged_records_get_one_clear_line(run, tmp_path, damage, expected):
@@ -207,15 +206,19 @@ def test_watching_does_not_change_the_bits():
     assert times == pytest.approx([0.0, 1.0, 2.0, 3.0], abs=0.02)
 
 
-def test_a_state_that_is_not_finite_stops_the_run(monkeypatch):
+class NanOnJoint2(ControlLaw):
+    def step(self, sample, state):
+        return np.where(np.arange(11) == 7, np.nan, sample.e), state
+
+
+class Faulty(ControlLaw):
+    def step(self, sample, state):
+        raise RuntimeError("a fault of its own")
+
+
+def test_a_state_that_is_not_finite_stops_the_run():
     """A force that is not a number ends the run with a message that names the coordinate."""
-    from ffsm_drake.systems.controllers import time_delay as tde
-
-    def broken(*, delayed_force, **_):
-        return np.where(np.arange(11) == 7, np.nan, delayed_force)
-
-    monkeypatch.setattr(tde, "time_delay_force", broken)
-    record = simulate(load_scenario("postcapture", ["duration=1"]))
+    record = simulate(load_scenario("postcapture", ["duration=1"]), blocks={"controller": NanOnJoint2})
     assert record.outcome.status == "diverged"
     assert record.outcome.coordinate == "joint_2"
     assert "diverged at t = 0.00 s: the force on joint_2 is nan" in record.outcome.message
@@ -223,15 +226,9 @@ def test_a_state_that_is_not_finite_stops_the_run(monkeypatch):
     assert record.metrics["itae"] == 0.0
 
 
-def test_other_faults_are_not_taken_for_divergence(monkeypatch):
-    from ffsm_drake.systems.controllers import time_delay as tde
-
-    def broken(**_):
-        raise RuntimeError("a fault of ours")
-
-    monkeypatch.setattr(tde, "time_delay_force", broken)
-    with pytest.raises(RuntimeError, match="a fault of ours"):
-        simulate(load_scenario("postcapture", ["duration=1"]))
+def test_other_faults_are_not_taken_for_divergence():
+    with pytest.raises(BlockError, match=r"controller 'Faulty' failed at t = 0.00 s: RuntimeError: a fault of its own"):
+        simulate(load_scenario("postcapture", ["duration=1"]), blocks={"controller": Faulty})
 
 
 def test_momentum_and_energy_balance(run):

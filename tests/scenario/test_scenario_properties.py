@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.scenario import (
-    CONTROLLER_NAMES,
     ESTIMATOR_KINDS,
+    Block,
     Scenario,
     override_scenario,
     scenario_from_dict,
@@ -57,7 +57,9 @@ SPECIAL = {
     "start_time": st.just(0.0),
     "max_step_size": st.floats(1e-3, 1.0),
     "integration_scheme": st.sampled_from(("runge_kutta3", "implicit_euler")),
-    "controller": st.sampled_from((*CONTROLLER_NAMES, "mine:Law", "a.b:c.d")),
+    "controller": st.sampled_from(("tdc", "pd_plus", "mine:Law", "a.b:c.d")),
+    "system": st.sampled_from(("mine", "mine:Block", "a.b:c.d")),
+    "forces": st.dictionaries(st.sampled_from(("drag", "wind_2")), st.just("mine:Block"), max_size=2),
     "kind": st.sampled_from(ESTIMATOR_KINDS),
     "inertia": moments(),
     "delay": st.integers(0, 1000),
@@ -75,6 +77,12 @@ def values(kind, key=""):
     """Valid plain data of a type of the schema; every key of a group may be left out."""
     if key in SPECIAL:
         return SPECIAL[key]
+    if kind is Block:
+        return st.fixed_dictionaries(
+            {"system": values(str, "system")}, optional={"settings": values(dict[str, typing.Any])}
+        )
+    if kind is typing.Any:
+        return st.none() | st.booleans() | SIGNED | TEXT | st.lists(SIGNED, max_size=3)
     fields = schema_fields(kind)
     if fields is not None:
         return st.fixed_dictionaries({}, optional={name: values(inner, name) for name, inner in fields.items()})
@@ -82,11 +90,11 @@ def values(kind, key=""):
     if origin in (typing.Union, types.UnionType):
         return st.none() | values(args[0])
     if origin is dict:
-        names = NAME if key == "own" or origin is typing.get_origin(args[1]) else COORDINATES
+        names = COORDINATES if args[1] is float else NAME
         by_name = st.dictionaries(names, values(args[1]), max_size=3)
         return POSITIVE | by_name if args[1] is float else by_name
     if origin is list:
-        return st.lists(SIGNED, min_size=3, max_size=3)
+        return st.lists(NAME if args[0] is str else SIGNED, min_size=3, max_size=3)
     return {float: POSITIVE, bool: st.booleans(), str: TEXT}[kind]
 
 
@@ -103,7 +111,9 @@ JSON = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6) | COORDINATES, inner, max_size=4),
     max_leaves=6,
 )
-VALID = scenario_to_dict(load_scenario("postcapture", ["controllers.own={Law: {k: 1, d: {joints: 2}}}"]))
+VALID = scenario_to_dict(
+    load_scenario("postcapture", ["controllers={Law: {k: 1, d: {joints: 2}, m: null}}", "blocks.forces={drag: 'a:b'}"])
+)
 
 
 def places(data, path=()):

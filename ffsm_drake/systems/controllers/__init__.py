@@ -5,6 +5,7 @@ from typing import Any
 
 from pydrake.systems.framework import System
 
+from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -52,13 +53,17 @@ def make_controller(scenario: Scenario, nominal: PlantModel, factory: Factory | 
     Args:
       scenario: names the controller and its gains.
       nominal: the plant with the nominal payload; the controller's own.
-      factory: builds it in place of the one that the scenario names: BlockSetup -> control law or Drake system.
+      factory: builds it in place of the one that the scenario names: BlockSetup -> control law or Drake system. Its
+        name is the controller's.
 
     Raises:
       ScenarioError: an unknown controller or gain, gains of unknown or missing coordinates.
       BlockError: a user-supplied controller cannot be loaded or built.
     """
+    if factory is not None:
+        scenario = dataclasses.replace(scenario, controller=getattr(factory, "__name__", type(factory).__name__))
     setup = controller_setup(scenario, nominal)
+    _check_other_gains(scenario, setup.coordinates)
     made = _make(setup, factory)
     if hasattr(made, "initial_state") and hasattr(made, "step"):
         return SampledController(made, name=setup.name, coordinates=setup.coordinates, sample_time=setup.sample_time)
@@ -106,6 +111,16 @@ def gains_schema() -> dict[str, Any]:
         }
         schema[name] = {"type": "object", "properties": properties, "additionalProperties": not gains}
     return schema
+
+
+def _check_other_gains(scenario: Scenario, coordinates: Coordinates) -> None:
+    """Raise ScenarioError for a wrong gain of a controller that is not the scenario's own, or a misspelt controller."""
+    names, own = controller_names(), controller_key(scenario.controller)
+    for key, given in scenario.controllers.items():
+        if key in names and key != own:
+            gain_values(find_factory("controller", key), given, coordinates, name=key)
+        elif key != own and (remedy := did_you_mean(key, [*names, own])):  # any other may be a user's
+            raise ScenarioError(f"controllers.{key}", f"unknown controller{remedy}")
 
 
 def _make(setup: BlockSetup, factory: Factory | None) -> Any:
