@@ -69,7 +69,7 @@ def local_workers(count: int) -> Iterator[Workers]:
 
 @contextlib.contextmanager
 def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers]:
-    """The workers of a Dask cluster that runs already.
+    """The workers of a running Dask cluster.
 
     Args:
       address: the scheduler's, such as tcp://127.0.0.1:8786.
@@ -92,7 +92,7 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
         except TimeoutError:
             raise WorkersError(f"{address}: no worker joined the cluster within {patience:g} s") from None
         yield Workers(
-            # Not pure: a task is what it is, not a value to be looked up by its arguments.
+            # Not pure: Dask must not reuse the result of a task with equal arguments.
             open=lambda: client.get_executor(pure=False),
             in_flight=lambda: 2 * max(len(client.nthreads()), 1),
             renewable=False,
@@ -112,7 +112,7 @@ class _InThisProcess(Executor):
 
 
 def _follow_parent() -> None:
-    """End this process as soon as the one that started it has ended, be it by force."""
+    """End this process as soon as the process that started it has ended, for whatever reason."""
     parent = parent_process()
     if parent is None:
         return
@@ -125,7 +125,7 @@ def _follow_parent() -> None:
 
 
 class Stop(threading.Event):
-    """Whether somebody asked to stop; ``set`` from a signal handler or another thread."""
+    """A request to stop, true once set; ``set`` may be called from a signal handler or another thread."""
 
     def __bool__(self) -> bool:
         return self.is_set()
@@ -133,7 +133,7 @@ class Stop(threading.Event):
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """Ctrl-C and SIGTERM ask to stop; a second one interrupts at once. Outside the main thread signals stay as is."""
+    """Ctrl-C and SIGTERM request a stop; a second one interrupts at once. Outside the main thread, nothing changes."""
     stop = Stop()
 
     def handle(number: int, frame: Any) -> None:
@@ -254,7 +254,7 @@ class _Runner(Generic[Task, Result]):
             self.executor.shutdown(wait=True)
 
     def _fill(self) -> None:
-        """Submit as much as may be in flight; a suspect flies alone."""
+        """Submit as many tasks as may be in flight; a suspect runs alone."""
         if self.suspects:
             if not self.flying:
                 self._submit(*self.suspects.popleft())
@@ -269,7 +269,7 @@ class _Runner(Generic[Task, Result]):
 
     def _submit(self, task: Task, strikes: int) -> None:
         try:
-            # A process that is started here is born deaf to Ctrl-C: only the driver decides when to stop.
+            # A process started here ignores Ctrl-C: only the main process decides when to stop.
             with _interrupts_blocked():
                 future = self.executor.submit(self.function, *self.arguments(task))
         except BrokenExecutor:  # a worker died while idle
@@ -280,7 +280,7 @@ class _Runner(Generic[Task, Result]):
         self.flying[future] = _Flight(task, self.executor, strikes)
 
     def _recall(self) -> None:
-        """Take back what has not been started."""
+        """Cancel the tasks that have not started."""
         for future in [future for future in self.flying if future.cancel()]:
             del self.flying[future]
 
@@ -307,7 +307,7 @@ class _Runner(Generic[Task, Result]):
                     self.suspects.append((flight.task, strikes))
                 else:
                     yield self._give_up(flight.task)
-            elif _killed(error):  # Dask has counted by itself
+            elif _killed(error):  # Dask counts the attempts itself
                 yield self._give_up(flight.task)
             elif isinstance(error, FfsmError):
                 raise error
@@ -323,7 +323,7 @@ class _Runner(Generic[Task, Result]):
         return task, WorkerLost()
 
     def _renew(self) -> None:
-        # The old processes finish what they have and end.
+        # The old processes finish their tasks and end.
         self.executor.shutdown(wait=False)
         self.executor = self.workers.open()
 

@@ -18,7 +18,7 @@ from ffsm_drake.campaign.settled import parse_settled
 from ffsm_drake.campaign.spec import load_spec, shipped_campaigns, spec_from_json
 from ffsm_drake.campaign.values import set_value
 from ffsm_drake.cli.campaign import campaign
-from ffsm_drake.scenario import CONTROLLER_NAMES
+from ffsm_drake.systems.controllers import PAPER_LAWS
 
 
 def changed(section, **entries):
@@ -187,7 +187,7 @@ def test_cases_follow_from_the_specification_alone(tmp_path):
 
 def test_the_shipped_campaign():
     spec = load_spec("payload_uncertainty")
-    assert spec.controllers == CONTROLLER_NAMES
+    assert spec.controllers == PAPER_LAWS
     cases = list(make_cases(spec))
     masses = [case.values["payload.truth.mass"] for case in cases]
     ratios = [case.values["payload.nominal.mass"] / case.values["payload.truth.mass"] for case in cases]
