@@ -295,7 +295,8 @@ def test_an_interrupted_reproduction_writes_nothing(tmp_path, monkeypatch):
         return dataclasses.replace(record, outcome=Outcome(status="interrupted", time=0.1, message="interrupted"))
 
     monkeypatch.setattr(runs, "simulate", interrupted)
-    assert reproduce("table2", tmp_path, overrides=["duration=0.1"], progress=lambda *args: told.append(args)) is None
+    with pytest.raises(KeyboardInterrupt):
+        reproduce("table2", tmp_path, overrides=["duration=0.1"], progress=lambda *args: told.append(args))
     assert not told
     assert not list(tmp_path.iterdir())
 
