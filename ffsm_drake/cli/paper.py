@@ -15,7 +15,7 @@ from ffsm_drake.cli.common import batch_progress, reports_errors
 )
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Seeds of the noise per cell.")
 def reproduce(what: str, out: Path, seeds: int) -> None:
-    """Compute the paper's table and figures anew, and judge its claims.
+    """Compute the paper's table and figures anew, and evaluate its claims.
 
     \b
     Examples:

@@ -70,4 +70,4 @@ def reproduce(
         *[figure for write in drawing.values() for figure in write(results, directory)],
         *([figures.write_noise(noise, directory)] if noise else []),
     ]
-    return page.write_page(results, rows, drawn, claims.judge(results), directory)
+    return page.write_page(results, rows, drawn, claims.evaluate(results), directory)
