@@ -16,7 +16,7 @@ from ffsm_drake import FfsmError, ScenarioError, load_scenario, simulate
 from ffsm_drake.runs.record import Outcome
 from ffsm_drake.show import block_diagram
 from ffsm_drake.studies.paper import PARTS, accuracy, figures, page, reproduce, robustness, runs, schemes, table
-from ffsm_drake.studies.paper.claims import CLAIMS, by_topic, counts, judge
+from ffsm_drake.studies.paper.claims import CLAIMS, by_topic, counts, evaluate
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
@@ -37,7 +37,7 @@ def unstable():
 
 @pytest.fixture(scope="module")
 def verdicts(results):
-    return judge(results)
+    return evaluate(results)
 
 
 @pytest.fixture(scope="module")
@@ -182,12 +182,12 @@ def test_verdicts_follow_the_runs(results):
         }
         return dataclasses.replace(results, runs=changed)
 
-    judged = accuracy.proposed_is_most_accurate
+    evaluated = accuracy.proposed_is_most_accurate
     best = scaled(scaled(results, "euler", 1e-6), "bounded", 1e-6)
-    assert judged(best).verdict == "holds"
-    assert judged(scaled(best, "bounded", 1e12)).condition.startswith("under explicit Euler")
-    assert judged(scaled(best, "euler", 1e12)).condition.startswith("on the exactly integrated plant")
-    worst = judged(scaled(scaled(results, "euler", 1e6), "bounded", 1e6))
+    assert evaluated(best).verdict == "holds"
+    assert evaluated(scaled(best, "bounded", 1e12)).condition.startswith("under explicit Euler")
+    assert evaluated(scaled(best, "euler", 1e12)).condition.startswith("on the exactly integrated plant")
+    worst = evaluated(scaled(scaled(results, "euler", 1e6), "bounded", 1e6))
     assert worst.verdict == "does not hold"
     assert "Smallest ITAE in 0 of 3" in worst.measured
 
@@ -295,7 +295,8 @@ def test_an_interrupted_reproduction_writes_nothing(tmp_path, monkeypatch):
         return dataclasses.replace(record, outcome=Outcome(status="interrupted", time=0.1, message="interrupted"))
 
     monkeypatch.setattr(runs, "simulate", interrupted)
-    assert reproduce("table2", tmp_path, overrides=["duration=0.1"], progress=lambda *args: told.append(args)) is None
+    with pytest.raises(KeyboardInterrupt):
+        reproduce("table2", tmp_path, overrides=["duration=0.1"], progress=lambda *args: told.append(args))
     assert not told
     assert not list(tmp_path.iterdir())
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from ffsm_drake.common.errors import FfsmError
 
 PARTS = ("table2", "fig3", "fig4", "fig5", "all")
+NOISE_SWEEP = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)  # rad/s and m/s; 'ffsm noise' looks closer
 
 __all__ = ["PARTS", "reproduce"]
 
@@ -18,7 +19,7 @@ def reproduce(
     overrides: Sequence[str] = (),
     workers: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
-) -> Path | None:
+) -> Path:
     """Compute a part of the paper, or all of it, and write it into a directory, each file whole.
 
     ``table2`` writes table2.html, .md and .csv; ``fig3`` to ``fig5`` write figures/ as PNG and SVG; ``all`` writes
@@ -28,15 +29,14 @@ def reproduce(
       what: one of ``PARTS``.
       seeds: how many seeds of the measurement noise, from 0 on; more give a better mean and spread in Table 2.
       overrides: ``key=value`` for every run, as for ``load_scenario``; the page says that they were given.
-      workers: processes that simulate; beyond one they are spawned, so a script must call this under
-        ``if __name__ == "__main__":``. The results do not depend on their number.
-      progress: called with (runs done, runs in all, what is next).
+      workers, progress: as for ``ffsm_drake.common.workers.map_tasks``; the results do not depend on the workers.
 
-    Returns: the main file written, or None when interrupted from the keyboard during the runs: then nothing is written.
+    Returns: the main file written.
 
     Raises:
       FfsmError: an unknown part, an unusable number of seeds or workers, an override that cannot be used.
       RecordError: a file cannot be written.
+      KeyboardInterrupt: Ctrl-C or SIGTERM during the runs; nothing was written.
     """
     if what not in PARTS:
         raise FfsmError(f"what: '{what}' is unknown; choose one of {', '.join(PARTS)}")
@@ -46,23 +46,21 @@ def reproduce(
         raise FfsmError(f"workers: must be at least 1, not {workers}")
     directory = Path(directory)
     # Drawing and templates are slow to import, and whoever only asks for PARTS needs neither.
+    from ffsm_drake.studies.noise import study_noise
     from ffsm_drake.studies.paper import claims, figures, page, runs, table
 
-    cases = {
-        "table2": lambda: runs.table_cases(seeds),
-        "all": lambda: runs.all_cases(seeds),
-    }.get(what, runs.figure_cases)()
-    try:
-        results = runs.run_cases(cases, num_seeds=seeds, overrides=overrides, workers=workers, progress=progress)
-    except KeyboardInterrupt:
-        return None
+    cases = {"table2": runs.table_cases(seeds), "all": runs.all_cases(seeds)}.get(what, runs.figure_cases())
+    results = runs.run_cases(cases, num_seeds=seeds, overrides=overrides, workers=workers, progress=progress)
+    with_noise = what == "all" and not overrides
+    noise = study_noise(sigmas=NOISE_SWEEP, workers=workers, progress=progress) if with_noise else None
     if progress is not None:
         progress(len(cases), len(cases), "tables, figures, page")
     if what == "table2":
         return page.write_table(table.make_table(results), results, directory)
     drawing = {"fig3": figures.write_figure_3, "fig4": figures.write_figure_4, "fig5": figures.write_figure_5}
     if what in drawing:
-        return drawing[what](results, directory)[0].png
+        figure, *_ = drawing[what](results, directory)
+        return directory / figures.FOLDER / f"{figure.key}.png"
     rows = table.make_table(results)
     page.write_table(rows, results, directory)
     drawn = [
@@ -70,6 +68,6 @@ def reproduce(
         figures.write_divergence(results, directory),
         figures.write_figure_2(directory),
         *[figure for write in drawing.values() for figure in write(results, directory)],
-        *([] if overrides else [figures.write_noise(directory, workers=workers, progress=progress)]),
+        *([figures.write_noise(noise, directory)] if noise else []),
     ]
-    return page.write_page(results, rows, drawn, claims.judge(results), directory)
+    return page.write_page(results, rows, drawn, claims.evaluate(results), directory)

@@ -11,7 +11,7 @@ from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, INTEGRAL_SURFACE, PROPOSED, SETTINGS, Results
 from ffsm_drake.studies.paper.verdict import (
-    Judged,
+    Evaluated,
     both,
     claims_about,
     divergence_times,
@@ -31,7 +31,7 @@ claim = claims_about("Accuracy")
     "The proposed controller tracks more accurately (ITAE) than the other three under every disturbance.",
     "Section 4, Table 2; conclusions",
 )
-def proposed_is_most_accurate(results: Results) -> Judged:
+def proposed_is_most_accurate(results: Results) -> Evaluated:
     orders = {setting: rankings(results, "itae", setting) for setting in SETTINGS}
     total = len(orders["euler"])
     wins = {setting: sum(order[0] == PROPOSED for order in found) for setting, found in orders.items()}
@@ -47,7 +47,7 @@ def proposed_is_most_accurate(results: Results) -> Judged:
 
 
 @claim(f"Order by accuracy: {' before '.join(NAMES[name] for name in CONTROLLERS)}.", "Table 2")
-def order_of_accuracy(results: Results) -> Judged:
+def order_of_accuracy(results: Results) -> Evaluated:
     orders = both(lambda setting: rankings(results, "itae", setting))
     same = both(lambda setting: rankings(results, "itae", setting).count(list(CONTROLLERS)))
     total = len(orders.bounded)
@@ -56,12 +56,12 @@ def order_of_accuracy(results: Results) -> Judged:
         f"The same order in {same.euler} of {total} comparisons with explicit Euler and in {same.bounded} of {total} "
         f"with exact integration and K_s bounded, where the order {' before '.join(NAMES[name] for name in usual)} is "
         f"found in {orders.bounded.count(usual)} of {total}.",
-        same.judged(lambda count: count == total),
+        same.ruling(lambda count: count == total),
     )
 
 
 @claim("The ITAE values of Table 2.", "Table 2")
-def values_of_itae(results: Results) -> Judged:
+def values_of_itae(results: Results) -> Evaluated:
     def of_controllers(setting: str) -> dict[str, list[float]]:
         rows = table_rows(results, setting)
         return {name: [row.itae.ratio for row in rows if row.controller == name] for name in CONTROLLERS}
@@ -79,7 +79,7 @@ def values_of_itae(results: Results) -> Judged:
 @claim(
     "Integral sliding surfaces improve the accuracy by nearly an order of magnitude over ordinary ones.", "Section 4"
 )
-def integral_surface_gains_an_order(results: Results) -> Judged:
+def integral_surface_gains_an_order(results: Results) -> Evaluated:
     factor = ratios_in_both(results, "itae", "asmc", "aismc")
     quiet = ratios_in_both(results, "itae", ("asmc", "no noise"), ("aismc", "no noise"))
     tdc = ratios_in_both(results, "itae", "tdc", "aismc")
@@ -90,12 +90,12 @@ def integral_surface_gains_an_order(results: Results) -> Judged:
         f"ITAE of ASMC over AISMC, which share K_D and the initial K_s: {factor.told(times_span)} (without noise "
         f"{quiet.pair(times_span)}). TDC over AISMC: {tdc.pair(span)}, but TDC has no K_s at all, see the fair "
         f"comparison. In the paper's own table: {asmc_printed} and {tdc_printed}.",
-        factor.judged(lambda values: min(values) >= paper.NEARLY_TENFOLD),
+        factor.ruling(lambda values: min(values) >= paper.NEARLY_TENFOLD),
     )
 
 
 @claim("The integral surface is what eliminates steady-state errors; ordinary surfaces keep them.", "Sections 1 and 4")
-def integral_surface_removes_steady_errors(results: Results) -> Judged:
+def integral_surface_removes_steady_errors(results: Results) -> Evaluated:
     at_rest = results.run("bounded", PROPOSED, variant="at rest")
     motion = at_rest.case.scenario(results.overrides).reference.duration
     left = both(
@@ -106,14 +106,14 @@ def integral_surface_removes_steady_errors(results: Results) -> Judged:
         f"{fixed(at_rest.outcome.time, 2)} s, the motion having ended at {fixed(motion, 2)} s, under a constant "
         f"disturbance without noise: {left.told(lambda errors: named(errors, lambda error: scientific(error, 2)))}. "
         "Time-delay estimation already acts as an integrator, whatever the surface.",
-        left.judged(
+        left.ruling(
             lambda errors: max(errors[name] for name in INTEGRAL_SURFACE) < errors["asmc"] / paper.NEARLY_TENFOLD
         ),
     )
 
 
 @claim("The robust term G sgn s improves the accuracy: proposed against AISMC, ASMC against TDC.", "Section 4")
-def robust_term_improves_accuracy(results: Results) -> Judged:
+def robust_term_improves_accuracy(results: Results) -> Evaluated:
     noisy = ratios_in_both(results, "itae", PROPOSED, (PROPOSED, "G = 0"))
     quiet = ratios_in_both(results, "itae", (PROPOSED, "no noise"), (PROPOSED, "G = 0, no noise"))
     asmc = ratios_in_both(results, "itae", "asmc", ("asmc", "G = 0"))
@@ -134,7 +134,7 @@ def robust_term_improves_accuracy(results: Results) -> Judged:
     "The new adaptive law for K_s improves tracking accuracy and stability.",
     "Section 1, contribution 3; equation (9) against (21)",
 )
-def new_law_improves_accuracy_and_stability(results: Results) -> Judged:
+def new_law_improves_accuracy_and_stability(results: Results) -> Evaluated:
     euler, exact = (ratios(results, "itae", setting, (PROPOSED, "G = 0"), "aismc") for setting in ("euler", "exact"))
     ended = divergence_times(results, "exact", PROPOSED, variant="G = 0")
     rivals = divergence_times(results, "exact", "aismc", disturbance="tau_d1")
@@ -151,7 +151,7 @@ def new_law_improves_accuracy_and_stability(results: Results) -> Judged:
     "Three times the disturbance's frequency or amplitude leaves the accuracy as it was.",
     "Section 4, Table 2 (ITAE changes by less than 0.1 %)",
 )
-def accuracy_does_not_depend_on_the_disturbance(results: Results) -> Judged:
+def accuracy_does_not_depend_on_the_disturbance(results: Results) -> Evaluated:
     def itae(setting: str, name: str, disturbance: str) -> list[float]:
         return [run.itae for run in results.runs_of(setting, name, disturbance=disturbance).values()]
 
@@ -168,13 +168,13 @@ def accuracy_does_not_depend_on_the_disturbance(results: Results) -> Judged:
     return (
         f"Largest change of the mean ITAE among the three disturbances: "
         f"{changes.told(lambda by_name: named(by_name, percent))}. Changing the noise seed alone changes it by up to "
-        f"{noise.pair(percent)}. Judged for the proposed controller, within 5 %.",
-        changes.judged(lambda by_name: by_name[PROPOSED] <= paper.SLIGHTLY),
+        f"{noise.pair(percent)}. Evaluated for the proposed controller, within 5 %.",
+        changes.ruling(lambda by_name: by_name[PROPOSED] <= paper.SLIGHTLY),
     )
 
 
 @claim("The controller brings spacecraft and target to the planned posture with high precision.", "Section 4, Figure 3")
-def target_is_reached_with_high_precision(results: Results) -> Judged:
+def target_is_reached_with_high_precision(results: Results) -> Evaluated:
     def largest(setting: str, metric: str) -> tuple[float, float]:
         """Over all runs, in rad and m; infinite when one of them diverged."""
         runs = results.runs_of(setting, PROPOSED).values()
@@ -191,20 +191,20 @@ def target_is_reached_with_high_precision(results: Results) -> Judged:
     return (
         f"Largest error over all disturbances and seeds: {errors.told(written)}. Position and attitude "
         "are measured without error here, which no spacecraft has.",
-        errors.judged(lambda found: max(found[1]) < paper.PRECISELY),
+        errors.ruling(lambda found: max(found[1]) < paper.PRECISELY),
     )
 
 
 @claim("Time-delay estimation tells the lumped uncertainty N accurately.", "Sections 3.1 and 4, equation (5)")
-def estimation_is_accurate(results: Results) -> Judged:
+def estimation_is_accurate(results: Results) -> Evaluated:
     noisy = both(lambda setting: _estimation_error(results.record(setting, PROPOSED)))
     quiet = both(lambda setting: _estimation_error(results.record(setting, PROPOSED, variant="no noise")))
 
     def accurate(shares: dict[str, float]) -> bool:
         return max(shares.values()) <= paper.ACCURATELY
 
-    ruling = noisy.judged(accurate)
-    if ruling[0] == "does not hold" and quiet.judged(accurate)[0] == "holds":
+    ruling = noisy.ruling(accurate)
+    if ruling[0] == "does not hold" and quiet.ruling(accurate)[0] == "holds":
         ruling = ("holds only", "without measurement noise")
     return (
         "Rms of the estimation error over the rms of N, proposed controller: "

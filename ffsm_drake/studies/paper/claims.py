@@ -15,7 +15,7 @@ CLAIMS: tuple[Claim, ...] = tuple(
 )
 
 
-def judge(results: Results) -> list[Verdict]:
+def evaluate(results: Results) -> list[Verdict]:
     """The verdict on every claim, in order."""
     return [claim(results) for claim in CLAIMS]
 

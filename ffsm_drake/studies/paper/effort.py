@@ -6,7 +6,7 @@ from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.runs import CONTROLLERS, PROPOSED, Results, gain_of
 from ffsm_drake.studies.paper.verdict import (
     Both,
-    Judged,
+    Evaluated,
     both,
     claims_about,
     comparisons,
@@ -21,13 +21,13 @@ claim = claims_about("Effort and chattering")
 
 
 @claim("The ISV values of Table 2.", "Table 2")
-def values_of_isv(results: Results) -> Judged:
+def values_of_isv(results: Results) -> Evaluated:
     ratio = both(lambda setting: [row.isv.ratio for row in table_rows(results, setting)])
     return (
         f"Ours over the paper's, all twelve cells: {ratio.told(times_span)}. Within 3 % counts as "
         "reproduced. Geometry, sign of the disturbance and noise level, which the paper leaves open, were chosen to "
         "meet these values.",
-        ratio.judged(lambda values: all(abs(value - 1.0) <= paper.REPRODUCED for value in values)),
+        ratio.ruling(lambda values: all(abs(value - 1.0) <= paper.REPRODUCED for value in values)),
     )
 
 
@@ -36,7 +36,7 @@ def values_of_isv(results: Results) -> Judged:
     "ASMC than TDC.",
     "Section 4, Table 2",
 )
-def order_of_effort(results: Results) -> Judged:
+def order_of_effort(results: Results) -> Evaluated:
     cases = comparisons(results)
 
     def count(setting: str) -> tuple[int, int, int]:
@@ -56,11 +56,11 @@ def order_of_effort(results: Results) -> Judged:
             f"whole order in {found[2]}"
         )
     )
-    return f"Comparisons by ISV: {parts}.", counts.judged(lambda found: found[0] == found[1] == len(cases))
+    return f"Comparisons by ISV: {parts}.", counts.ruling(lambda found: found[0] == found[1] == len(cases))
 
 
 @claim("The proposed controller pays for its accuracy with slightly more effort than AISMC.", "Section 4, Table 2")
-def effort_is_slightly_larger(results: Results) -> Judged:
+def effort_is_slightly_larger(results: Results) -> Evaluated:
     ratio = ratios_in_both(results, "isv", PROPOSED, "aismc")
     noisy = both(lambda setting: ratios(results, "isv", setting, PROPOSED, (PROPOSED, "G = 0"))[:1])
     quiet = ratios_in_both(results, "isv", (PROPOSED, "no noise"), (PROPOSED, "G = 0, no noise"))
@@ -69,12 +69,12 @@ def effort_is_slightly_larger(results: Results) -> Judged:
         f"ISV over AISMC's: {ratio.told(times_span)} (the paper's: {times_span(printed)}). The switching term alone "
         f"multiplies the proposed controller's ISV by {noisy.pair(times_span)}, without noise by "
         f"{quiet.pair(times_span)}. Slightly: up to 5 %.",
-        ratio.judged(lambda values: min(values) > 1.0 and max(values) <= 1.0 + paper.SLIGHTLY),
+        ratio.ruling(lambda values: min(values) > 1.0 and max(values) <= 1.0 + paper.SLIGHTLY),
     )
 
 
 @claim("Chattering occurs only locally and is barely noticeable.", "Section 4, Figure 5")
-def chattering_is_local(results: Results) -> Judged:
+def chattering_is_local(results: Results) -> Evaluated:
     def share_doubled(setting: str) -> float:
         ripples = [results.run(setting, PROPOSED, variant=name).ripple for name in ("no noise", "G = 0, no noise")]
         length = min(map(len, ripples))
@@ -95,7 +95,7 @@ def chattering_is_local(results: Results) -> Judged:
         f"{growth('', 'G = 0').told(fixed)}; without noise, where nothing hides it, "
         f"{growth('no noise', 'G = 0, no noise').pair(fixed)}. There it is more than doubled in "
         f"{share.pair(percent)} of all seconds and coordinates; locally: in less than half.",
-        share.judged(lambda value: value < paper.LOCALLY),
+        share.ruling(lambda value: value < paper.LOCALLY),
     )
 
 
@@ -103,7 +103,7 @@ def chattering_is_local(results: Results) -> Judged:
     "ε trades robustness for smoothness: too small makes significant chattering, too large costs accuracy.",
     "Sections 3.1 and 4, equation (10)",
 )
-def epsilon_trades_accuracy_for_smoothness(results: Results) -> Judged:
+def epsilon_trades_accuracy_for_smoothness(results: Results) -> Evaluated:
     def effects(setting: str) -> tuple[float, float]:
         base, small, large = (
             results.run(setting, PROPOSED, variant=variant) for variant in ("", "epsilon / 10", "epsilon x 10")
@@ -120,5 +120,5 @@ def epsilon_trades_accuracy_for_smoothness(results: Results) -> Judged:
     return (
         f"What ε does: {parts}. (‖s‖∞ exceeds the published ε = {scientific(epsilon, 1)} in {percent(above)} of "
         "the samples, Euler.) An effect below 2 % counts as none.",
-        effect.judged(lambda e: min(e) > paper.NOTICEABLE),
+        effect.ruling(lambda e: min(e) > paper.NOTICEABLE),
     )

@@ -16,13 +16,12 @@ from ffsm_drake.scenario import load_scenario
 from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
 from ffsm_drake.show.figures import run as plotting
 from ffsm_drake.studies.noise.picture import plot_study
-from ffsm_drake.studies.noise.study import NoiseRow, study_noise
+from ffsm_drake.studies.noise.study import NoiseRow, NoiseStudy
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS, Results, gain_of
 from ffsm_drake.studies.paper.table import METRICS, Row
 from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, ending, fixed
 
 FOLDER = "figures"
-NOISE_SWEEP = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)  # rad/s and m/s; 'ffsm noise' looks closer
 # The two settings in which every controller reaches the end.
 DRAWN = {"euler": "explicit Euler", "bounded": "exact integration"}
 
@@ -239,9 +238,8 @@ def _largest_departure(record: RunRecord) -> str:
     return f"{1e6 * rotation:.2g} µrad and {1e6 * peak['base_position']:.2g} µm"
 
 
-def write_noise(directory: Path, *, workers: int, progress: Callable[[int, int, str], None] | None) -> FigureFile:
-    """Error and effort against sensor noise; simulates what it draws."""
-    study = study_noise(sigmas=NOISE_SWEEP, workers=workers, progress=progress)
+def write_noise(study: NoiseStudy, directory: Path) -> FigureFile:
+    """Error and effort against sensor noise."""
     flying = {(row.controller, row.estimator): row for row in study.rows if row.sigma is None}
 
     def told(row: NoiseRow) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.studies.paper.runs import CONTROLLERS, NOMINALS, PROPOSED, Case, Results, gain_of
 from ffsm_drake.studies.paper.verdict import (
-    Judged,
+    Evaluated,
     both,
     claims_about,
     comparisons,
@@ -26,7 +26,7 @@ _VARIANTS = ("", *NOMINALS)  # the first is the paper's own nominal payload
 
 
 @claim("The proposed scheme is stable with the published gains.", "Sections 3.2 and 4")
-def published_gains_are_stable(results: Results) -> Judged:
+def published_gains_are_stable(results: Results) -> Evaluated:
     euler, exact = (divergence_times(results, setting, PROPOSED) for setting in ("euler", "exact"))
     total = len(comparisons(results))
     when = f", at {span(exact, 2)} s" if exact else ""
@@ -43,7 +43,7 @@ def published_gains_are_stable(results: Results) -> Judged:
 
 
 @claim("An estimate that satisfies (8) bounds the TDE errors and so guarantees stability.", "Section 3.1, equation (8)")
-def condition_8_protects(results: Results) -> Judged:
+def condition_8_protects(results: Results) -> Evaluated:
     ratios = {variant: _mass_ratio(results, variant) for variant in _VARIANTS}
     runs = {
         variant: {name: results.run("bounded", name, variant=variant) for name in CONTROLLERS} for variant in _VARIANTS
@@ -72,7 +72,7 @@ def condition_8_protects(results: Results) -> Judged:
 
 
 @claim("The controller is robust to the unknown payload.", "Abstract, sections 1 and 5")
-def payload_uncertainty_is_tolerated(results: Results) -> Judged:
+def payload_uncertainty_is_tolerated(results: Results) -> Evaluated:
     tested = _kilograms(_VARIANTS)
     completed = both(lambda setting: _kilograms(_completed(results, setting, PROPOSED)))
     ruling = holds_if(completed.bounded == tested)
@@ -87,7 +87,7 @@ def payload_uncertainty_is_tolerated(results: Results) -> Judged:
 
 
 @claim("It is more robust than earlier controllers with time-delay estimation.", "Section 5")
-def more_robust_than_its_rivals(results: Results) -> Judged:
+def more_robust_than_its_rivals(results: Results) -> Evaluated:
     survived = {name: _completed(results, "bounded", name) for name in CONTROLLERS}
     rivals = max(len(survived[name]) for name in CONTROLLERS if name != PROPOSED)
     return (

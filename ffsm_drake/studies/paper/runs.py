@@ -251,7 +251,7 @@ def claim_cases(num_seeds: int) -> list[Case]:
 
 
 def all_cases(num_seeds: int) -> list[Case]:
-    """Everything that the page shows or judges."""
+    """Everything that the page shows or evaluates."""
     return _distinct([*table_cases(num_seeds), *claim_cases(num_seeds)])
 
 

@@ -9,7 +9,7 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.studies.paper.runs import PROPOSED, Results
 from ffsm_drake.studies.paper.verdict import (
-    Judged,
+    Evaluated,
     both,
     claims_about,
     divergence_times,
@@ -24,7 +24,7 @@ claim = claims_about("Comparison of the schemes")
 
 
 @claim("The same parameters for all four controllers make a fair comparison.", "Section 4")
-def comparison_is_fair(results: Results) -> Judged:
+def comparison_is_fair(results: Results) -> Evaluated:
     scenario = results.record("euler", "asmc").scenario
     tdc, asmc, aismc = (_law(scenario, name) for name in ("tdc", "asmc", "aismc"))
     asmc_stiffness, stiffness = asmc.k_s * asmc.k_d, aismc.k_p + aismc.k_s_initial * aismc.k_d
@@ -39,7 +39,7 @@ def comparison_is_fair(results: Results) -> Judged:
 
 
 @claim("With G = 0 the proposed controller (6) becomes AISMC (20).", "Section 3.3")
-def without_g_it_is_aismc(results: Results) -> Judged:
+def without_g_it_is_aismc(results: Results) -> Evaluated:
     gap = _law_gap(results, PROPOSED, "aismc", keep_k_p=True, keep_g=False)
     euler, exact = (
         times_span(ratios(results, "itae", setting, (PROPOSED, "G = 0"), "aismc")) for setting in ("euler", "exact")
@@ -57,7 +57,7 @@ def without_g_it_is_aismc(results: Results) -> Judged:
 @claim(
     "With K_P = 0 the integral surface becomes an ordinary one, and (6) and (20) become (18) and (17).", "Section 3.3"
 )
-def without_k_p_surfaces_become_ordinary(results: Results) -> Judged:
+def without_k_p_surfaces_become_ordinary(results: Results) -> Evaluated:
     robust = _law_gap(results, PROPOSED, "asmc", keep_k_p=False, keep_g=True)
     plain = _law_gap(results, "aismc", "tdc", keep_k_p=False, keep_g=True)
     ruling = holds_if(robust == plain == 0.0)

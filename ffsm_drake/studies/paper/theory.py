@@ -1,4 +1,4 @@
-"""Claims of the proof, and of stability as the sampled loop has it; judged by ``analysis`` and ``stability``."""
+"""Claims of the proof, and of stability as the sampled loop has it; evaluated by ``analysis`` and ``stability``."""
 
 import functools
 
@@ -8,8 +8,8 @@ from ffsm_drake.analysis import Analysis, analyze
 from ffsm_drake.control_design.stability import stability
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.studies.paper.runs import CONTROLLERS, PROPOSED, SETTINGS, Case, Results
-from ffsm_drake.studies.paper.verdict import Claim, Judged, claims_about, in_both
-from ffsm_drake.studies.paper.wording import NAMES, fate, fixed, listed, scientific
+from ffsm_drake.studies.paper.verdict import Claim, Evaluated, claims_about, in_both
+from ffsm_drake.studies.paper.wording import NAMES, fixed, listed, scientific
 
 claim = claims_about("Theory")
 
@@ -20,7 +20,7 @@ def _analysis(record: RunRecord) -> Analysis:
 
 
 @claim("The Lyapunov criterion proves the controller's global stability.", "Abstract, Section 3.2")
-def sampled_loop_decides(results: Results) -> Judged:
+def sampled_loop_decides(results: Results) -> Evaluated:
     margins = {
         (setting, name): stability(Case(setting=setting, controller=name).scenario(results.overrides))
         for setting in ("euler", "exact")
@@ -34,19 +34,20 @@ def sampled_loop_decides(results: Results) -> Judged:
     euler, exact = (margins[setting, PROPOSED] for setting in ("euler", "exact"))
     limit = float(np.nanmin(exact.k_s_limit))
     leaves = exact.forecast_times[np.argmax((exact.forecast_k_s > limit).any(axis=1))]
-    run = results.run("exact", PROPOSED)
+    outcome = results.run("exact", PROPOSED).outcome
+    fate = "completes" if outcome.completed else f"diverges at {outcome.time:.2f} s"
     agreement = f"differ for {listed(wrong)}" if wrong else f"agree in all {len(margins)} cases"
     return (
         "The proof is in continuous time. The sampled loop, linear near every posture of the plan, is stable for K_s "
         f"below {fixed(limit)} 1/s on the exactly integrated plant and {fixed(float(np.nanmin(euler.k_s_limit)))} 1/s "
         f"on the Euler plant. On the former law (9) is expected to pass the limit at {leaves:.1f} s; the run "
-        f"{fate(run)}. Predicted and simulated outcome {agreement}.",
+        f"{fate}. Predicted and simulated outcome {agreement}.",
         in_both(euler.is_stable, exact.is_stable),
     )
 
 
 @claim("The TDE errors stay within a constant N*.", "Section 3.1, after (8)")
-def tde_errors_are_bounded(results: Results) -> Judged:
+def tde_errors_are_bounded(results: Results) -> Evaluated:
     measured, bounded = [], {}
     for setting in SETTINGS:
         record = results.record(setting, PROPOSED)
@@ -63,12 +64,12 @@ def tde_errors_are_bounded(results: Results) -> Judged:
 def _finding(key: str, text: str, place: str) -> Claim:
     """A claim that is one finding of the analysis, in the paper's own run and in the exact one that ends."""
 
-    def judge(results: Results) -> Judged:
+    def evaluate(results: Results) -> Evaluated:
         found = {setting: _analysis(results.record(setting, PROPOSED)).finding(key) for setting in ("euler", "bounded")}
         measured = " ".join(f"{SETTINGS[setting].title}: {finding.statement}" for setting, finding in found.items())
         return measured, in_both(*(finding.verdict == "holds" for finding in found.values()))
 
-    return Claim("Theory", text, place, judge)
+    return Claim("Theory", text, place, evaluate)
 
 
 lemma_1_premise = _finding(

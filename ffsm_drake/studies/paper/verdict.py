@@ -36,8 +36,8 @@ class Verdict:
 
 
 Ruling = tuple[Kind, str]  # kind and condition of a verdict
-Judged = tuple[str, Ruling]  # what was measured, and what follows from it
-Judge = Callable[[Results], Judged]
+Evaluated = tuple[str, Ruling]  # what was measured, and what follows from it
+Evaluation = Callable[[Results], Evaluated]
 Side = str | tuple[str, str]  # a controller, or a controller and a variant of its runs
 
 
@@ -48,18 +48,18 @@ class Claim:
     topic: Topic
     claim: str
     place: str
-    judge: Judge
+    evaluate: Evaluation
 
     def __call__(self, results: Results) -> Verdict:
-        measured, (kind, condition) = self.judge(results)
+        measured, (kind, condition) = self.evaluate(results)
         return Verdict(
             topic=self.topic, claim=self.claim, place=self.place, measured=measured, kind=kind, condition=condition
         )
 
 
-def claims_about(topic: Topic) -> Callable[[str, str], Callable[[Judge], Claim]]:
-    """A decorator ``claim(text, place)`` that makes a claim of the function that judges it."""
-    return lambda text, place: lambda judge: Claim(topic, text, place, judge)
+def claims_about(topic: Topic) -> Callable[[str, str], Callable[[Evaluation], Claim]]:
+    """A decorator ``claim(text, place)`` that makes a claim of the function that evaluates it."""
+    return lambda text, place: lambda evaluate: Claim(topic, text, place, evaluate)
 
 
 def holds_if(good: bool) -> Ruling:
@@ -67,7 +67,7 @@ def holds_if(good: bool) -> Ruling:
 
 
 def in_both(euler: bool, exact: bool) -> Ruling:
-    """The verdict on a claim that is judged in both settings."""
+    """The verdict on a claim that is evaluated in both settings."""
     if euler != exact:
         settings = "under explicit Euler integration at the control period", "on the exactly integrated plant"
         return "holds only", settings[0] if euler else settings[1]
@@ -88,7 +88,7 @@ class Both(Generic[T]):
         """In the same order, where it has been said which is which."""
         return f"{write(self.euler)} and {write(self.bounded)}"
 
-    def judged(self, good: Callable[[T], bool]) -> Ruling:
+    def ruling(self, good: Callable[[T], bool]) -> Ruling:
         return in_both(good(self.euler), good(self.bounded))
 
 
