@@ -19,7 +19,7 @@ _AXIS = {
 }  # fmt: skip
 _SPACE_AXIS = {
     "color": NEUTRAL, "gridcolor": "rgba(128, 136, 146, 0.35)", "zerolinecolor": "rgba(128, 136, 146, 0.5)",
-    "showbackground": False, "showspikes": False, "nticks": 6,
+    "showbackground": False, "showspikes": False, "nticks": 5,
 }  # fmt: skip
 # What all figures of a page share; legible on light and dark ground.
 TEMPLATE: dict[str, Any] = {
@@ -130,6 +130,6 @@ def time_panel(
     return Panel(title=title, group=group, figure=shown)
 
 
-def log_axis(form: str = "~e") -> dict[str, Any]:
+def log_axis(form: str = "~e", *, ticks: int = 4) -> dict[str, Any]:
     """A logarithmic axis; the format writes every label in full, so that none of them is there twice."""
-    return {"type": "log", "tickformat": form}
+    return {"type": "log", "tickformat": form, "nticks": ticks}

@@ -71,8 +71,8 @@ def _cumulative(findings: Findings, metric: str) -> Panel:
         kept = thinned(x, _POINTS)
         traces.append(curve((x[kept], y[kept]), style, name=label_of(name), width=2, shape="hv"))
     shown = figure(
-        traces, x=metric.upper(), y="settled with at most this [% of cases]", showlegend=True,
-        xaxis=log_axis("~g"), yaxis=_SHARE,
+        traces, x=metric.upper(), y="settled [% of cases]", showlegend=True,
+        xaxis=log_axis("~e" if metric == "itae" else "~g", ticks=3), yaxis=_SHARE,
     )  # fmt: skip
     return Panel(title=f"Cases settled with at most a given {metric.upper()}", figure=shown, kind="chart")
 
@@ -93,9 +93,9 @@ def _differences(findings: Findings) -> list[Panel]:
         "name": "",
     }
     one = {"type": "line", "x0": 1, "x1": 1, "y0": 0, "y1": 1, "yref": "paper", "line": {"width": 1, "color": NEUTRAL}}
-    title = "Ratio of ITAE on the same case: median, quartiles, and the middle 90 % of the cases"
-    x = "ratio of ITAE; below 1 the first is more accurate"
-    return [_bars(title, [boxes], x=x, rows=len(pairs), xaxis=log_axis("~g"), shapes=[one])]
+    title = "Ratio of ITAE on the same case (below 1: the first is more accurate): quartiles and the middle 90 %"
+    x = "ratio of ITAE"
+    return [_bars(title, [boxes], x=x, rows=len(pairs), xaxis=log_axis("~g", ticks=3), shapes=[one])]
 
 
 def _sensitivity(findings: Findings) -> Panel:
@@ -160,7 +160,7 @@ def _map(findings: Findings, runs: Runs) -> Panel:
             "marker": {"color": color, "symbol": symbol, "size": 7 if x.size < 1000 else 4},
         })  # fmt: skip
     axes = {
-        name: (log_axis("~g") if log else {}) | {"zeroline": False}
+        name: (log_axis("~g", ticks=3) if log else {}) | {"zeroline": False}
         for name, log in (("xaxis", grid.x_log), ("yaxis", grid.y_log))
     }
     shown = figure(traces, x=grid.x_name, y=grid.y_name, showlegend=True, **axes)

@@ -16,7 +16,7 @@ _CAPTION = """<style>
   background: rgba(5, 8, 20, .72); color: #e8ecf6; font: 13px/1.5 sans-serif; }}
 #play {{ position: fixed; right: 12px; bottom: 12px; padding: 9px 22px; border-radius: 99px;
   border: 1px solid #5a6a8c; background: rgba(20, 28, 48, .85); color: #fff; font: 15px sans-serif; cursor: pointer; }}
-@media (max-width: 700px) {{ #caption {{ font-size: 11px; }} }}
+@media (max-width: 700px) {{ #caption {{ font-size: 11px; }} #play {{ inset: 12px auto auto 12px; }} }}
 </style>
 <div id="caption">{lines}</div>
 <button id="play" type="button">\u25b6 Play</button>

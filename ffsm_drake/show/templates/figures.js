@@ -22,7 +22,7 @@
     if (timed && range) layout.xaxis.range = [...range];
     if (matchMedia("(pointer: coarse)").matches && !layout.scene) layout.dragmode = false;
     const buttons = layout.scene ? ["toImage", "resetCameraDefault3d"] : ["toImage", "resetScale2d"];
-    Plotly.newPlot(place, data, { ...layout, template }, { displaylogo: false, responsive: true, modeBarButtons: [buttons] });
+    Plotly.newPlot(place, data, { ...layout, template }, { displaylogo: false, modeBarButtons: [buttons] });
     if (timed) place.on("plotly_relayout", (change) => zoomed(place, change));
   }
 
@@ -42,7 +42,10 @@
     inSight[isIntersecting ? "add" : "delete"](target);
     if (isIntersecting) update(target);
   }), { rootMargin: "600px" });
-  places.forEach((place) => sight.observe(place));
+  const size = new ResizeObserver((entries) => entries.forEach(({ target }) => {
+    if (target.data && target.offsetParent) Plotly.Plots.resize(target);
+  }));
+  places.forEach((place) => { sight.observe(place); size.observe(place); });
 
   document.querySelectorAll("[data-run]").forEach((chip) => chip.addEventListener("click", () => {
     const shown = hidden.delete(chip.dataset.run);
