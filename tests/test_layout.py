@@ -23,11 +23,8 @@ ROOMS = (
 APART = {"analysis", "campaign"}  # neighbours: neither imports the other
 DRAWING = {"matplotlib", "plotly", "jinja2", "markupsafe"}  # what only pictures and pages need
 DRAWS = {"show", "studies"}
-FACES = (
-    "__init__",
-    "__main__",
-    "testing",
-)  # what stands at the top for users: the package's verbs, the conformance kit
+# What stands at the top for users: the verbs, the command, the conformance kit.
+FACES = ("__init__", "__main__", "testing")
 
 
 def room_of(path: Path) -> str:

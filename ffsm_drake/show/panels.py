@@ -97,7 +97,7 @@ def figure(traces: Sequence[Trace], *, x: str, y: str, **layout: Any) -> go.Figu
     axes = {
         name: {"title": {"text": escape(title)}, **layout.pop(name, {})} for name, title in (("xaxis", x), ("yaxis", y))
     }
-    return go.Figure(list(traces), {"template": None, "showlegend": False, "hovermode": "closest", **axes, **layout})
+    return go.Figure(list(traces), {"template": "none", "showlegend": False, "hovermode": "closest", **axes, **layout})
 
 
 def time_panel(
