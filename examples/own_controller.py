@@ -9,7 +9,7 @@ import numpy as np
 
 import ffsm_drake
 from ffsm_drake import gain
-from ffsm_drake.show.outputs import results_table
+from ffsm_drake.show.tables import results_table
 from ffsm_drake.testing import check_controller
 
 

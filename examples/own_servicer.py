@@ -9,7 +9,7 @@ from pathlib import Path
 
 import ffsm_drake
 from ffsm_drake.control_design.first_scenario import new_scenario
-from ffsm_drake.show.outputs import results_table
+from ffsm_drake.show.tables import results_table
 
 LINK = """<link name="{name}"><inertial><origin xyz="{place}"/><mass value="{mass}"/>
   <inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial></link>"""

@@ -14,7 +14,7 @@ from pathlib import Path
 import ffsm_drake
 from ffsm_drake.common.errors import warnings_as_lines
 from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
-from ffsm_drake.show.outputs import results_table
+from ffsm_drake.show.tables import results_table
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

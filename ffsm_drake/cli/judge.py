@@ -40,7 +40,8 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     """
     from ffsm_drake.common.files import check_writable, written_whole
     from ffsm_drake.control_design.stability import stability as find_margins
-    from ffsm_drake.show.stability import margins_data, margins_table, plot_margins
+    from ffsm_drake.show.figures.stability import plot_margins
+    from ffsm_drake.show.tables import margins_data, margins_table
 
     if out is not None:
         check_writable(out)
@@ -125,8 +126,9 @@ def design(
     """
     from ffsm_drake.common.files import check_writable, write_text, written_whole
     from ffsm_drake.control_design.gains import design as design_gains
-    from ffsm_drake.control_design.gains import design_data, design_table, plot_design
     from ffsm_drake.scenario import scenario_to_yaml
+    from ffsm_drake.show.figures.design import plot_design
+    from ffsm_drake.show.tables import design_data, design_table
 
     check_writable(out)
     found = design_gains(scenario, budget=budget, payload_range=payload_range, progress=count_progress("prices"))

@@ -154,7 +154,8 @@ def _simulate(scenario: "Scenario") -> "RunRecord":
 
 def _finish(records: Sequence["RunRecord"], directory: Path, *, as_json: bool, report: bool) -> int:
     """Report, table and exit code of finished runs."""
-    from ffsm_drake.show.outputs import results_data, results_table, write_outputs
+    from ffsm_drake.show.outputs import write_outputs
+    from ffsm_drake.show.tables import results_data, results_table
 
     if not as_json:
         click.echo(results_table(records))

@@ -9,7 +9,7 @@ along the plan.
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.optimize import fmin
@@ -20,11 +20,7 @@ from ffsm_drake.control_design.stability.prediction import Plan, Prediction, mak
 from ffsm_drake.control_design.stability.sampled_loop import LawGains, Sampling, coupled_loop, law_gains
 from ffsm_drake.scenario import Estimator, Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import GROUPS
-from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.controllers.estimators import kalman_gain
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Prices of effort that the front is drawn for, per unit of ISV.
 PRICES = (0.2, 0.08, 0.04, 0.022, 0.012, 0.006)
@@ -276,81 +272,3 @@ def _with_true_mass(scenario: Scenario, mass: float) -> Scenario:
 def _present(plan: Plan, group: str) -> bool:
     part = plan.coordinates.groups[group]
     return part.start < len(plan.coordinates.names)
-
-
-def design_table(found: Design) -> str:
-    """Plain text: the chosen gains, what they promise beside the scenario's own, and over the payload range."""
-    chosen, reference = found.chosen, found.reference
-    lines = [f"{chosen.scenario.description}: {chosen.scenario.controller} with the Kalman estimate", ""]
-    lines.append(f"{'group':<16}{'w':>10}{'walk q_N':>12}{'K_s':>9}{'rms error':>14}{'as it was':>14}")
-    lines.append(f"{'':<16}{'rad/s':>10}{'/s^2/rt(s)':>12}{'1/s':>9}{'rad or m':>14}{'rad or m':>14}")
-    before, after = reference.by_group(), chosen.prediction.by_group()
-    for name, group in chosen.groups.items():
-        lines.append(
-            f"{name:<16}{group.omega:>10.3g}{group.walk:>12.3g}{group.k_s:>9.3g}{after[name]:>14.3g}{before[name]:>14.3g}"
-        )
-    lines += [
-        "",
-        f"effort ISV {chosen.prediction.isv:.1f} (budget {found.budget:.1f}, perfect tracking {found.ideal_isv:.1f}; "
-        f"as it was {reference.isv:.4g})",
-        f"{'true payload':<16}{'ISV':>10}{'spectral radius':>18}",
-    ]
-    for mass, prediction in found.robustness.items():
-        fate = "" if prediction.spectral_radius < 1.0 else "  unstable"
-        lines.append(f"{mass:>9.0f} kg    {prediction.isv:>10.1f}{prediction.spectral_radius:>18.5f}{fate}")
-    return "\n".join(lines)
-
-
-def design_data(found: Design) -> dict[str, Any]:
-    """The table's figures as plain data."""
-
-    def figures(prediction: Prediction) -> dict[str, Any]:
-        return {
-            "spectral_radius": prediction.spectral_radius,
-            "isv": prediction.isv,
-            "rms_error": prediction.by_group(),
-            "peak_effort": dict(zip(prediction.coordinates.names, prediction.peak_effort.tolist(), strict=True)),
-        }
-
-    name = found.chosen.scenario.controller
-    return {
-        "controller": name,
-        "gains": complete_gains(found.chosen.scenario).controllers[name],
-        "budget": found.budget,
-        "ideal_isv": found.ideal_isv,
-        "chosen": figures(found.chosen.prediction),
-        "before": figures(found.reference),
-        "by_payload_mass": {f"{mass:g}": figures(prediction) for mass, prediction in found.robustness.items()},
-    }
-
-
-def plot_design(found: Design) -> "Figure":
-    """The front of accuracy against effort, with the scenario's own gains and the published ones on it."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
-    figure.suptitle(
-        f"Predicted accuracy against effort: {found.chosen.scenario.controller}, {found.chosen.scenario.description}",
-        fontsize=11,
-    )
-    panels = figure.subplots(1, len(found.chosen.groups), squeeze=False)[0]
-    for axes, name in zip(panels, found.chosen.groups, strict=True):
-        extra = [point.prediction.isv - found.ideal_isv for point in found.front]
-        errors = [point.prediction.by_group()[name] for point in found.front]
-        axes.loglog(extra, errors, "o-", color="#0072B2", label="front")
-        for label, prediction, marker, color in (
-            ("chosen", found.chosen.prediction, "*", "#D55E00"),
-            ("scenario as it was", found.reference, "s", "#009E73"),
-            ("published gains and estimate", found.published, "X", "#7A7A7A"),
-        ):
-            if np.isfinite(prediction.isv):
-                axes.loglog(
-                    max(prediction.isv - found.ideal_isv, 1e-3), prediction.by_group()[name], marker, color=color,
-                    markersize=13 if marker == "*" else 8, linestyle="none", label=label,
-                )  # fmt: skip
-        axes.axvline(max(found.budget - found.ideal_isv, 1e-3), color="black", linestyle="--", linewidth=0.8)
-        axes.set(title=name.replace("_", " "), xlabel="ISV above perfect tracking")
-        axes.grid(True, which="both", color="#E4E4E4", linewidth=0.5)
-    panels[0].set_ylabel("rms error after 5 s [rad or m]")
-    panels[-1].legend(fontsize=8)
-    return figure

@@ -18,10 +18,12 @@ import pytest
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
 from ffsm_drake.runs.record import Outcome
 from ffsm_drake.scenario import scenario_from_dict, scenario_from_yaml, scenario_to_dict
+from ffsm_drake.show.curves import thinned
 from ffsm_drake.show.report import write_report
 from ffsm_drake.show.report.page import render_report
-from ffsm_drake.show.report.plots import thinned
-from ffsm_drake.show.report.results import labels_of, number, ranking, results_of
+from ffsm_drake.show.report.results import ranking, results_of
+from ffsm_drake.show.style import label_of, labels_of, styles_of
+from ffsm_drake.show.tables import number
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 HOSTILE = "</script><script>document.title='taken'</script><img src=x onerror=alert(1)> & \"quotes\" </title>"
@@ -33,14 +35,18 @@ class Page(HTMLParser):
     def __init__(self, text):
         super().__init__(convert_charrefs=True)
         self.tags, self.scripts, self.words, self._inside = [], [], [], []
+        self.captions = {}
         self.feed(text)
         self.close()
 
     def handle_starttag(self, tag, attributes):
-        self.tags.append((tag, dict(attributes)))
+        attributes = dict(attributes)
+        self.tags.append((tag, attributes))
+        if "data-figure" in attributes:
+            self.captions[attributes["data-figure"]] = self.words[-1]
         if tag in ("script", "style"):
             self._inside.append(tag)
-            self.scripts.append((dict(attributes).get("id"), ""))
+            self.scripts.append((attributes.get("id"), ""))
 
     def handle_endtag(self, tag):
         if self._inside and tag == self._inside[-1]:
@@ -57,8 +63,14 @@ class Page(HTMLParser):
     def text(self):
         return " ".join(" ".join(self.words).split())
 
-    def script(self, name):
-        return json.loads(next(text for key, text in self.scripts if key == name))
+    @property
+    def figures(self):
+        """Plotly figures by section, view and place, such as "error-0-7"."""
+        return json.loads(next(text for key, text in self.scripts if key == "figures"))["figures"]
+
+    def titles(self, view):
+        """The captions of a view's panels, such as "force-0"."""
+        return [self.captions[key] for key in self.captions if re.fullmatch(rf"{view}-\d+", key)]
 
 
 def page_of(*records, **options):
@@ -169,10 +181,9 @@ def test_diverged_runs_rank_last_and_never_best(short, diverged):
     assert text.count("diverged at 0.02 s</span>") == 2
     # Both panels and sums say that they belong to a run that ended early.
     assert "In italics" in text
-    data = page_of(early, short).script("plot-data")
-    panel = data["plots"]["error"]["views"][0]["panels"][0]
+    shown = page_of(early, short).figures["error-1-0"]["layout"]["yaxis"]["range"]
     largest = np.abs(short.dataset["error"].values[:, 0]).max()
-    assert panel["range"][1] <= 1.2 * largest
+    assert shown[1] <= 1.2 * largest
 
 
 @pytest.mark.parametrize("samples", [0, 1, 2])
@@ -182,7 +193,7 @@ def test_interrupted_after_few_samples(short, samples):
     assert {0: "no sample was recorded", 1: "1 sample was", 2: "2 samples were"}[samples] in page.text
     if samples == 0:
         assert "The record has no sample to analyse." in page.text
-        assert "error" not in page.script("plot-data")["plots"]
+        assert "error-0-0" not in page.figures
     assert "Stability" in page.text
     assert "Base attitude" in page.text
 
@@ -193,18 +204,23 @@ def test_missing_variables_cost_only_their_section(short):
     rows = table_rows(render_report([bare]))
     assert rows["Accuracy, ITAE"] == ["–"]
     assert value(rows["Effort, ISV"][0]) == pytest.approx(short.metrics["isv"], rel=5e-5)
-    plots = page.script("plot-data")["plots"]
-    assert "error" not in plots
-    assert [view["label"] for view in plots["force"]["views"]] == ["Control"]
+    assert "error-0-0" not in page.figures
+    assert "force-0-0" in page.figures
+    assert "force-1-0" not in page.figures  # no disturbance
     assert "The records hold no errors." in page.text
     assert re.search(r"The analysis is not available for this run: there is no '\w+'\.", page.text)
 
 
-def test_a_foreign_controller_gets_its_report(short):
-    page = page_of(with_scenario(short, controller="my_lqr"))
-    assert "my_lqr" in page.text
+def test_a_user_supplied_controller_gets_its_report(short):
+    page = page_of(with_scenario(short, controller="lab:MyLqr"), short)
+    assert "MyLqr" in page.text
     assert "the stability map is not available" in page.text
-    assert "error" in page.script("plot-data")["plots"]
+    assert "error-0-0" in page.figures
+    names = [label_of(name) for name in ("tdc", "lab:MyLqr", "mine")]
+    assert names == ["TDC", "MyLqr", "mine"]
+    styles = styles_of(["tdc", "lab:MyLqr", "mine", "tdc"])
+    assert len({style.color for style in styles}) == 4
+    assert all(style.matplotlib["linestyle"] and style.css for style in styles)
 
 
 def test_failing_sections_leave_the_rest(short, monkeypatch):
@@ -243,13 +259,21 @@ def test_plotly_is_inlined_once(short):
 
 def test_text_from_scenarios_is_escaped(short):
     names = short.dataset["coordinate"].values.tolist()
-    named = short.dataset.assign_coords(coordinate=[*names[:7], HOSTILE, *names[8:]])
-    hostile = dataclasses.replace(with_scenario(short, description=HOSTILE), dataset=named)
-    plain, page = page_of(short), page_of(hostile)
+    plain, page = (
+        page_of(
+            dataclasses.replace(
+                with_scenario(short, description=text),
+                dataset=short.dataset.assign_coords(coordinate=[*names[:7], text, *names[8:]]),
+            )
+        )
+        for text in ("harmless", HOSTILE)
+    )
     assert [tag for tag, _ in page.tags] == [tag for tag, _ in plain.tags]  # not one element more
-    assert page.script("plot-data")["plots"]["error"]["views"][0]["panels"][7]["title"] == HOSTILE.replace("_", " ")
+    assert page.titles("error-0")[7] == HOSTILE.replace("_", " ")
     assert " ".join(HOSTILE.split()) in page.text
-    assert page_of(short, recording=HOSTILE).script("recording-text") == HOSTILE
+    (frame,) = [attributes for tag, attributes in page_of(short, recording=HOSTILE).tags if tag == "iframe"]
+    assert frame["srcdoc"] == HOSTILE
+    assert frame["sandbox"] == "allow-scripts"
 
 
 def test_same_records_same_bytes(short, tmp_path):
@@ -261,7 +285,7 @@ def test_same_records_same_bytes(short, tmp_path):
 def test_same_controller_twice_is_told_apart(short):
     other = with_scenario(short, random_seed=7)
     assert [label.rpartition(", ")[2] for label in labels_of([short, other])] == ["random_seed = 0", "random_seed = 7"]
-    assert len({result.color for result in results_of([short, other, short])}) == 3
+    assert len({result.style.color for result in results_of([short, other, short])}) == 3
     assert len(set(labels_of([short, short, other]))) == 3
     gains = scenario_from_dict(scenario_to_dict(short.scenario), ["controllers.tde_aismc.k_s_max.all=65"])
     assert labels_of([short, dataclasses.replace(short, scenario=gains)])[1] == "TDE-AISMC (proposed), k_s_max = 65"
@@ -296,9 +320,9 @@ def write_arm(directory, joints):
 def test_any_arm(joints, tmp_path):
     record = simulate(load_scenario(write_arm(tmp_path, joints)))
     page = page_of(record)
-    panels = page.script("plot-data")["plots"]["force"]["views"][0]["panels"]
-    assert [panel["title"] for panel in panels[6:]] == [f"Gelenk <{k}> é" for k in range(joints)]
-    assert [panel["axis"] for panel in panels[6:]] == [("N m", "N")[k % 2] for k in range(joints)]
+    assert page.titles("force-0")[6:] == [f"Gelenk <{k}> é" for k in range(joints)]
+    units = [page.figures[f"force-0-{k}"]["layout"]["yaxis"]["title"]["text"] for k in range(6, 6 + joints)]
+    assert units == [("N m", "N")[k % 2] for k in range(joints)]
     assert ("Joints, prismatic" in page.text) == (joints > 1)
     assert "not available" not in page.text
 
@@ -318,12 +342,16 @@ def test_thinning_keeps_ends_and_extremes():
     assert thinned(values[:10], 1000).tolist() == list(range(10))
 
 
+def decoded(array):
+    """The numbers of an array as Plotly embeds them."""
+    return np.frombuffer(base64.b64decode(array["bdata"]), dtype=f"<{array['dtype']}")
+
+
 @pytest.mark.usefixtures("plain")
 def test_curves_are_the_record(short):
-    data = page_of(short).script("plot-data")
-    panel = data["plots"]["error"]["views"][0]["panels"][7]
-    assert panel["title"] == "joint 2"
-    x, y = (np.frombuffer(base64.b64decode(data["arrays"][panel["traces"][0][axis]]), dtype="<f4") for axis in "xy")
+    page = page_of(short)
+    assert page.captions["error-0-7"] == "joint 2"
+    x, y = (decoded(page.figures["error-0-7"]["data"][0][axis]) for axis in "xy")
     np.testing.assert_allclose(x, short.dataset["time"].values, rtol=1e-6)
     np.testing.assert_allclose(y, short.dataset["error"].sel(coordinate="joint_2").values, rtol=1e-6)
 
@@ -335,9 +363,7 @@ def test_long_runs_are_thinned_and_the_page_says_so(short):
     dataset = dataset.assign_coords(time=("time", 0.01 * np.arange(100 * times), dataset["time"].attrs))
     page = page_of(dataclasses.replace(short, dataset=dataset))
     assert "(the longest has 6000)" in page.text
-    panel = page.script("plot-data")["plots"]["error"]["views"][0]["panels"][0]
-    array = page.script("plot-data")["arrays"][panel["traces"][0]["y"]]
-    assert len(base64.b64decode(array)) / 4 <= 4000
+    assert decoded(page.figures["error-0-0"]["data"][0]["y"]).size <= 4000
 
 
 @pytest.mark.usefixtures("plain")
@@ -345,8 +371,8 @@ def test_command_and_scenario_make_the_same_run(short):
     text = render_report([short])
     command = html.unescape(re.search(r'<pre class="command">(.*?)</pre>', text, re.DOTALL).group(1))
     words = shlex.split(command)
-    assert words[:4] == ["python", "examples/postcapture.py", "--scenario", "postcapture"]
-    overrides = [word for flag, word in zip(words[4::2], words[5::2], strict=True) if flag == "--set"]
+    assert words[:3] == ["ffsm", "run", "postcapture"]
+    overrides = [word for flag, word in zip(words[3::2], words[4::2], strict=True) if flag == "--set"]
     assert scenario_to_dict(load_scenario("postcapture", overrides)) == scenario_to_dict(short.scenario)
     saved = re.search(r'href="data:application/yaml;base64,([^"]*)"', text).group(1)
     again = scenario_from_yaml(base64.b64decode(saved).decode())
@@ -355,28 +381,24 @@ def test_command_and_scenario_make_the_same_run(short):
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: the page cannot be looked at")
 def test_draws_in_a_browser_without_complaint(short, tmp_path):
-    path = write_report(
-        [
-            dataclasses.replace(short, scenario=dataclasses.replace(short.scenario, description=HOSTILE)),
-            shortened(short, 1),
-        ],
-        tmp_path / "report.html",
-    )
+    records = [with_scenario(short, description=HOSTILE), shortened(short, 1)]
+    path = write_report(records, tmp_path / "report.html")
     done = subprocess.run(
         [
             CHROMIUM, "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
             "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-background-networking",
             "--disable-component-update", "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}",
-            "--enable-logging=stderr", "--window-size=1400,1000", "--virtual-time-budget=30000", "--dump-dom",
+            "--enable-logging=stderr", "--window-size=1400,9000", "--virtual-time-budget=30000", "--dump-dom",
             path.as_uri(),
         ],
         capture_output=True, text=True, timeout=180, check=False,
     )  # fmt: skip
     complaints = [line for line in done.stderr.splitlines() if "CONSOLE" in line and "willReadFrequently" not in line]
     assert not complaints, complaints[0][:500]
-    assert re.search(r'<html[^>]* data-plots="drawn"', done.stdout)
-    panels = done.stdout.count('<figure class="panel')
-    assert panels > 40
-    assert len(re.findall(r"<svg[^>]*main-svg", done.stdout)) >= panels - 1  # one is drawn by WebGL
-    assert done.stdout.count("scatterlayer") >= panels - 1
+    # Of each section the first view is in sight: of its panels all are drawn, one of them by WebGL.
+    open_panels = sum(key.split("-")[1] == "0" for key in page_of(*records).figures)
+    assert open_panels > 30
+    drawn = done.stdout.count("js-plotly-plot")
+    assert drawn >= open_panels
+    assert done.stdout.count("scatterlayer") >= drawn - 1
     assert "taken" not in re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL).group(1).partition("&lt;")[0]

@@ -10,16 +10,22 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from ffsm_drake.analysis.findings import Analysis
+from ffsm_drake.show.figures.axes import legend_below, tidy
+from ffsm_drake.show.style import (
+    BAD,
+    BLUE,
+    GOOD,
+    GREEN,
+    GROUP_STYLES,
+    GROUP_TITLES,
+    MUTE,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+)
 
-# Okabe and Ito's palette: told apart by the colour-blind; the line styles also in grey print.
-_VERMILION, _BLUE, _GREEN, _PURPLE, _SKY, _ORANGE = "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
-_GROUPS: dict[str, tuple[str, str, Any]] = {
-    "base_rotation": ("base attitude", _BLUE, "-"),
-    "base_position": ("base position", _VERMILION, (0, (4, 1))),
-    "joints": ("joints", _GREEN, "-"),
-}
-_GREY = "#666666"
-_VERDICT_COLORS = {"does not hold": "#B34700", "holds": "#00775A", "not applicable": _GREY}
+_VERDICT_COLORS = {"does not hold": BAD, "holds": GOOD, "not applicable": MUTE}
 _DASHED: Any = (0, (5, 3))
 # Noisy magnitudes are drawn as the largest of each stretch of time: what a bound is about, and legible.
 _STRETCHES = 200
@@ -57,13 +63,13 @@ def plot_analysis(analysis: Analysis) -> Figure:
                     judged.setdefault(item.verdict, []).append(label)
             verdicts = "; ".join(f"{verdict}: {', '.join(labels)}" for verdict, labels in judged.items())
             # The least favourable verdict colours them all.
-            color = next((shade for verdict, shade in _VERDICT_COLORS.items() if verdict in judged), _GREY)
+            color = next((shade for verdict, shade in _VERDICT_COLORS.items() if verdict in judged), MUTE)
             axes.set_title(verdicts, fontsize=9, loc="right", color=color)
         else:
             axes = part.subplots()
             axes.set_axis_off()
             reason = next(iter(findings.values())).statement
-            axes.text(0.5, 0.5, textwrap.fill(reason, 60), ha="center", va="center", fontsize=10, color=_GREY)
+            axes.text(0.5, 0.5, textwrap.fill(reason, 60), ha="center", va="center", fontsize=10, color=MUTE)
         axes.set_title(title, fontsize=10, loc="left", fontweight="bold")
     return figure
 
@@ -73,9 +79,9 @@ def _plot_tde_error(part: SubFigure, analysis: Analysis) -> Axes:
     series, group = analysis.series, analysis.series["group"].values
     _plot_groups(axes, analysis, "tde_error", "period")
     bound, late = (series[name].values for name in ("tde_error_bound", "tde_error_bound_late"))
-    for name, (_, color, _) in _groups(analysis).items():
+    for name in _groups(analysis):
         if np.isfinite(late[group == name]).all():
-            axes.axhline(late[group == name].max(), color=color, linewidth=1.1, linestyle=_DASHED)
+            axes.axhline(late[group == name].max(), color=GROUP_STYLES[name].color, linewidth=1.1, linestyle=_DASHED)
     axes.axhline(bound.max(), color="black", linewidth=1.1, linestyle=_DASHED)
     _note(axes, bound.max(), f"N* = {bound.max():.3g}")
     axes.set_yscale("log")
@@ -84,8 +90,8 @@ def _plot_tde_error(part: SubFigure, analysis: Analysis) -> Axes:
         _note(
             axes, late.max(), f"{late.max():.3g} without the first {start_up:g} s", below=late.max() > 0.3 * bound.max()
         )
-        axes.plot([], [], color=_GREY, linewidth=1.1, linestyle=_DASHED, label="N*, without start-up by group")
-    _legend(part, axes)
+        axes.plot([], [], color=MUTE, linewidth=1.1, linestyle=_DASHED, label="N*, without start-up by group")
+    legend_below(part, axes)
     return axes
 
 
@@ -94,20 +100,18 @@ def _plot_condition_8(part: SubFigure, analysis: Analysis) -> Axes:
     time, eta = analysis.series["posture_time"].values, analysis.series["eta"].values
     marker = "." if len(time) < 5 else ""
     for k, curve in enumerate(eta.T):
-        axes.plot(
-            time, curve, color=_SKY, linewidth=1.0, marker=marker, label="" if k else "eigenvalues η of $H^{-1}Ĥ$"
-        )
+        axes.plot(time, curve, color=SKY, linewidth=1.0, marker=marker, label="" if k else "eigenvalues η of $H^{-1}Ĥ$")
     axes.plot(
-        time, analysis.series["condition_8"], color=_VERMILION, linewidth=1.8, marker=marker,
+        time, analysis.series["condition_8"], color=VERMILION, linewidth=1.8, marker=marker,
         label="‖E - $H^{-1}Ĥ$‖$_2$ of (8), in m and rad",
     )  # fmt: skip
     axes.plot(
-        time, analysis.series["condition_8_in_h"], color=_GREEN, linewidth=1.8, linestyle=(0, (4, 1)), marker=marker,
+        time, analysis.series["condition_8_in_h"], color=GREEN, linewidth=1.8, linestyle=(0, (4, 1)), marker=marker,
         label="the same in the metric of $H$: max |1 - η|",
     )  # fmt: skip
     axes.axhline(1.0, color="black", linewidth=1.0, linestyle=_DASHED, label="limit of (8); η for the true payload")
     axes.set_ylim(0.0, 1.05 * max(1.05, float(eta.max()), float(analysis.series["condition_8"].max())))
-    _legend(part, axes, columns=2)
+    legend_below(part, axes, columns=2)
     return axes
 
 
@@ -117,11 +121,11 @@ def _plot_sliding_variable(part: SubFigure, analysis: Analysis) -> Axes:
     axes.set_yscale("log")
     series, group = analysis.series, analysis.series["group"].values
     if "direct_bound" in series:
-        for name, (_, color, _) in _groups(analysis).items():
+        for name in _groups(analysis):
             value = series["direct_bound"].values[group == name].max()
             if np.isfinite(value) and value > 0.0:
-                axes.axhline(value, color=color, linewidth=1.1, linestyle=_DASHED)
-        axes.plot([], [], color=_GREY, linewidth=1.1, linestyle=_DASHED, label="bound from (7), by group")
+                axes.axhline(value, color=GROUP_STYLES[name].color, linewidth=1.1, linestyle=_DASHED)
+        axes.plot([], [], color=MUTE, linewidth=1.1, linestyle=_DASHED, label="bound from (7), by group")
     lines = {
         "(16): ‖s‖$_2$ ≤ {:.3g}": analysis.finding("ultimate_bound").numbers.get("ultimate_bound"),
         "ε = {:.3g}": analysis.finding("lyapunov_derivative").numbers.get("epsilon"),
@@ -130,7 +134,7 @@ def _plot_sliding_variable(part: SubFigure, analysis: Analysis) -> Axes:
         if isinstance(line, float) and np.isfinite(line):
             axes.axhline(line, color="black", linewidth=1.1, linestyle=_DASHED if "16" in text else (0, (1, 2)))
             _note(axes, line, text.format(line))
-    _legend(part, axes, columns=4)
+    legend_below(part, axes, columns=4)
     return axes
 
 
@@ -143,8 +147,8 @@ def _plot_lyapunov(part: SubFigure, analysis: Analysis) -> Axes:
     time, rate = series["period"].values, series["lyapunov_rate"].values
     outside = series["outside"].values[:-1] > 0
     for color, marker, label, picked in (
-        (_VERMILION, "o", "dV/dt > 0", rate > 0.0),
-        (_BLUE, "s", "dV/dt ≤ 0", rate <= 0.0),
+        (VERMILION, "o", "dV/dt > 0", rate > 0.0),
+        (BLUE, "s", "dV/dt ≤ 0", rate <= 0.0),
     ):
         for name, where, size, alpha in (("outside", outside, 16.0, 1.0), ("inside", ~outside, 5.0, 0.4)):
             chosen = picked & where
@@ -159,13 +163,13 @@ def _plot_lyapunov(part: SubFigure, analysis: Analysis) -> Axes:
     # Shade the samples outside, each as wide as its period but never too narrow to be seen.
     width = max(float(series.attrs["sample_time"]), 0.003 * float(time[-1] - time[0]))
     for axes in (upper, lower):
-        _tidy(axes)
+        _look(axes)
         axes.broken_barh(
             [(start, width) for start in time[outside].tolist()], (0.0, 1.0), transform=axes.get_xaxis_transform(),
             color="#F7DFB0", linewidth=0, zorder=0,
         )  # fmt: skip
     lower.plot([], [], color="#F7DFB0", linewidth=6, label="outside is some |s$_i$| > max(K$_{si}$/β$_i$, ε)")
-    _legend(part, lower, columns=2)
+    legend_below(part, lower, columns=2)
     return upper
 
 
@@ -175,8 +179,8 @@ def _plot_gains(part: SubFigure, analysis: Analysis) -> Axes:
     series, time = analysis.series, analysis.series["time"].values
     if "scaled_sliding_variable" in series:
         when, most = _stretches(time, series["scaled_sliding_variable"].values)
-        axes.plot(when, most, color=_PURPLE, linewidth=0.9, label="premise: max β$_i$ ‖s‖$_∞$")
-    for name, label, color in (("reaching_gain", "K$_{si}$", _VERMILION), ("switching_gain", "G$_i$", _BLUE)):
+        axes.plot(when, most, color=PURPLE, linewidth=0.9, label="premise: max β$_i$ ‖s‖$_∞$")
+    for name, label, color in (("reaching_gain", "K$_{si}$", VERMILION), ("switching_gain", "G$_i$", BLUE)):
         values = np.where(series[name].values > 0.0, series[name].values, np.nan)
         if np.isnan(values).all():
             continue
@@ -186,10 +190,10 @@ def _plot_gains(part: SubFigure, analysis: Analysis) -> Axes:
     axes.axhline(bound, color="black", linewidth=1.1, linestyle=_DASHED)
     _note(axes, bound, f"N* = {bound:.3g}")
     if np.isfinite(late):
-        axes.axhline(late, color=_GREY, linewidth=1.1, linestyle=(0, (1, 2)))
+        axes.axhline(late, color=MUTE, linewidth=1.1, linestyle=(0, (1, 2)))
         text = f"{late:.3g} without the first {series.attrs['start_up_time']:g} s"
         _note(axes, late, text, below=late > 0.05 * bound)
-    _legend(part, axes)
+    legend_below(part, axes)
     return axes
 
 
@@ -199,21 +203,21 @@ def _plot_spectrum(part: SubFigure, analysis: Analysis) -> Axes:
     numbers = analysis.finding("chattering").numbers
     # The zero frequency was taken out with the trend.
     frequency, density = series["frequency"].values[1:], series["effort_spectrum"].values[1:]
-    for name, (label, color, style) in _groups(analysis).items():
+    for name in _groups(analysis):
         axes.plot(
-            frequency, density[:, group == name].sum(axis=1), color=color, linestyle=style, linewidth=1.4,
-            label=f"{label}: {100.0 * float(numbers[f'share.{name}']):.3g} % of its variance is shaded, "
+            frequency, density[:, group == name].sum(axis=1), linewidth=1.4, **GROUP_STYLES[name].matplotlib,
+            label=f"{GROUP_TITLES[name]}: {100.0 * float(numbers[f'share.{name}']):.3g} % of its variance is shaded, "
             f"{numbers[f'reversals_per_second.{name}']:.0f} reversals/s",
         )  # fmt: skip
     split = float(series.attrs["split_frequency"])
     axes.axvline(split, color="black", linewidth=1.1, linestyle=_DASHED)
-    axes.axvspan(split, frequency[-1], color=_ORANGE, alpha=0.12, linewidth=0, zorder=0)
+    axes.axvspan(split, frequency[-1], color=ORANGE, alpha=0.12, linewidth=0, zorder=0)
     axes.set(xscale="log", yscale="log")
     axes.annotate(
         f"from {split:g} Hz on", (split, 0.02), xycoords=axes.get_xaxis_transform(), xytext=(4, 0),
         textcoords="offset points", fontsize=8,
     )  # fmt: skip
-    _legend(part, axes, columns=1)
+    legend_below(part, axes, columns=1)
     return axes
 
 
@@ -221,20 +225,14 @@ def _axes(part: SubFigure, ylabel: str, xlabel: str = "time [s]") -> Axes:
     axes = part.subplots()
     axes.set_ylabel(ylabel, fontsize=9)
     axes.set_xlabel(xlabel, fontsize=9)
-    _tidy(axes)
+    _look(axes)
     return axes
 
 
-def _tidy(axes: Axes) -> None:
-    axes.grid(True, color="#DDDDDD", linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
+def _look(axes: Axes) -> None:
+    tidy(axes)
     axes.tick_params(labelsize=8)
     axes.margins(x=0.01, y=0.1)
-
-
-def _legend(part: SubFigure, axes: Axes, columns: int = 3) -> None:
-    """The legend below the panel, where it hides no curve."""
-    part.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=columns, frameon=False)
 
 
 def _stretches(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -244,18 +242,18 @@ def _stretches(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
     return time[starts], np.where(most > 0.0, most, np.nan)
 
 
-def _groups(analysis: Analysis) -> dict[str, tuple[str, str, Any]]:
-    """Label, colour and line style of the groups that have coordinates."""
-    return {name: style for name, style in _GROUPS.items() if name in analysis.series["group"].values}
+def _groups(analysis: Analysis) -> list[str]:
+    """The groups that have coordinates."""
+    return [name for name in GROUP_TITLES if name in analysis.series["group"].values]
 
 
 def _plot_groups(axes: Axes, analysis: Analysis, name: str, time: str) -> None:
     """The largest magnitude of every group's coordinates over time."""
     series, group = analysis.series, analysis.series["group"].values
-    for key, (label, color, style) in _groups(analysis).items():
+    for key in _groups(analysis):
         when, most = _stretches(series[time].values, np.abs(series[name].values[:, group == key]).max(axis=1))
-        marker = "." if len(when) < 20 else ""
-        axes.plot(when, most, color=color, linestyle=style, linewidth=1.1, label=label, marker=marker)
+        style = GROUP_STYLES[key].matplotlib | {"marker": "." if len(when) < 20 else ""}
+        axes.plot(when, most, linewidth=1.1, label=GROUP_TITLES[key], **style)
 
 
 def _note(axes: Axes, y: float, text: str, *, below: bool = False) -> None:

@@ -1,40 +1,19 @@
 """Matplotlib figures of one run, or of several runs overlaid. Each function returns a Figure; nothing is shown."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 
 from ffsm_drake.common.files import written_whole
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.show.curves import completed_range, moving_rms
+from ffsm_drake.show.figures.axes import set_log_scale, tidy
+from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES, SERIES, VERMILION, labels_of, styles_of
 
-# Okabe and Ito's palette: told apart by the colour-blind, and with the dash patterns also in grey print.
-STYLES: dict[str, dict[str, Any]] = {
-    "tde_aismc": {"color": "#D55E00", "linestyle": "-"},
-    "aismc": {"color": "#0072B2", "linestyle": "--"},
-    "asmc": {"color": "#009E73", "linestyle": "-."},
-    "tdc": {"color": "#7A7A7A", "linestyle": ":"},
-    "computed_torque": {"color": "#E69F00", "linestyle": (0, (5, 1))},
-    "pd_plus": {"color": "#56B4E9", "linestyle": (0, (3, 1, 1, 1, 1, 1))},
-}
-# For controllers from elsewhere, in the order in which they come.
-_MORE_STYLES = ({"color": "#CC79A7", "linestyle": "-"}, {"color": "#000000", "linestyle": "--"},
-                {"color": "#B8A800", "linestyle": "-."})  # fmt: skip
-LABELS = {
-    "tde_aismc": "TDE-AISMC (proposed)",
-    "aismc": "AISMC",
-    "asmc": "ASMC",
-    "tdc": "TDC",
-    "computed_torque": "Computed torque",
-    "pd_plus": "PD+",
-}
-_COORDINATE_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-_GROUP_TITLES = {"base_rotation": "Base attitude", "base_position": "Base position", "joints": "Joints"}
-_WINDOW = 1.0  # s, of the moving rms
 _STARTING_STEPS = 5
 
 
@@ -66,7 +45,7 @@ def plot_trajectories(record: RunRecord) -> Figure:
     figure = _figure(record, "Planned and tracked trajectories", (11.0, 8.0))
     space = figure.add_subplot(2, 2, 1, projection="3d")
     path, desired = data["end_effector_position"].values, data["desired_end_effector_position"].values
-    space.plot(*path.T, color=_COORDINATE_COLORS[1], linewidth=2, label="end effector")
+    space.plot(*path.T, color=VERMILION, linewidth=2, label="end effector")
     space.plot(*desired.T, color="black", linestyle="--", linewidth=1, label="reference")
     space.scatter(*path[0], color="black", marker="o", s=25, label="start")
     space.scatter(*path[-1], color="black", marker="*", s=60, label="end")
@@ -94,7 +73,7 @@ def plot_trajectories(record: RunRecord) -> Figure:
     for number, (title, label, factor, actual, reference, names) in enumerate(panels, start=2):
         axes = figure.add_subplot(2, 2, number)
         for k, name in enumerate(names):
-            color = _COORDINATE_COLORS[k % len(_COORDINATE_COLORS)]
+            color = SERIES[k % len(SERIES)]
             axes.plot(data["time"], factor * actual.values[:, k], color=color, linewidth=2, label=name)
             axes.plot(data["time"], factor * reference.values[:, k], color="black", linestyle="--", linewidth=1)
         axes.set(xlabel="time [s]", ylabel=label, title=title)
@@ -109,8 +88,10 @@ def plot_errors(records: Sequence[RunRecord]) -> Figure:
     Two panels each: the error itself, and below it the rms of the error over one second on a logarithmic axis, where
     controllers whose errors differ by orders of magnitude, or hide in each other's noise, can be told apart.
     """
-    labels = {"rad": "error [rad]", "m": "error [m]"}
-    return _plot_coordinates(records, "error", "Tracking errors", labels, lower=_error_magnitude, lower_label="rms")
+    errors = [record.dataset["error"].values for record in records]
+    return _plot_coordinates(
+        records, errors, errors, "Tracking errors", {unit: f"error [{unit}]" for unit in EFFORT_UNITS}
+    )
 
 
 def plot_efforts(records: Sequence[RunRecord]) -> Figure:
@@ -119,15 +100,11 @@ def plot_efforts(records: Sequence[RunRecord]) -> Figure:
     Two panels each: the force itself, the roughest run behind the others, and below it the rms over one second of
     its change from one control sample to the next, on a logarithmic axis: noise and chattering without the motion.
     """
+    efforts = [record.dataset["generalized_force"].values for record in records]
+    # Without the first steps, in which the loop finds the force from nothing.
+    steps = [np.diff(effort, axis=0)[_STARTING_STEPS:] for effort in efforts]
     labels = {"rad": "torque [N m]", "m": "force [N]"}
-    return _plot_coordinates(
-        records,
-        "generalized_force",
-        "Control forces and torques",
-        labels,
-        lower=_step_magnitude,
-        lower_label="rms step",
-    )
+    return _plot_coordinates(records, efforts, steps, "Control forces and torques", labels, lower_label="rms step")
 
 
 def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
@@ -146,11 +123,11 @@ def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
                 axes.set_axis_off()
                 continue
             series = record.dataset[kind]
-            groups = list(_GROUP_TITLES)
+            groups = list(GROUP_TITLES)
             handles = [
                 axes.plot(
                     record.dataset["time"], series.values[:, k],
-                    color=_COORDINATE_COLORS[k % len(_COORDINATE_COLORS)],
+                    color=SERIES[k % len(SERIES)],
                     linestyle=("-", "--", ":")[groups.index(str(series["group"].values[k]))],
                     linewidth=1.4, label=name,
                 )[0]
@@ -158,7 +135,7 @@ def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
             ]  # fmt: skip
             axes.set(ylabel=label)
             if axes is panels[0, column]:
-                axes.set_title(_label(record))
+                axes.set_title(labels_of(adaptive)[column])
             tidy(axes)
         panels[-1, column].set_xlabel("time [s]")
     figure.legend(handles=handles, loc="outside right upper", fontsize=8)
@@ -167,19 +144,23 @@ def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
 
 def _plot_coordinates(
     records: Sequence[RunRecord],
-    variable: str,
+    upper: Sequence[np.ndarray],
+    lower: Sequence[np.ndarray],
     title: str,
-    labels: dict[str, str],
+    units: dict[str, str],
     *,
-    lower: Callable[[np.ndarray, int], np.ndarray],
-    lower_label: str,
+    lower_label: str = "rms",
 ) -> Figure:
-    coordinates = records[0].dataset["coordinate"].values
-    units = records[0].dataset["unit"].values
+    """Of each coordinate every run's upper values (n, nv), and below them the rms of the lower ones (its last rows)."""
+    coordinates, kinds = (records[0].dataset[name].values.astype(str) for name in ("coordinate", "unit"))
     magnitudes = [
-        lower(record.dataset[variable].values, round(_WINDOW / record.scenario.sample_time)) for record in records
+        moving_rms(values, record.scenario.sample_time) for record, values in zip(records, lower, strict=True)
     ]
-    styles = _styles(records)
+    styles = styles_of([record.scenario.controller for record in records])
+    labels = [
+        label if record.outcome.completed else f"{label}, {record.outcome.status} at {record.outcome.time:.1f} s"
+        for record, label in zip(records, labels_of(records), strict=True)
+    ]
     # The largest first, so that none covers a smaller one.
     order = np.argsort([-float(np.median(magnitude)) for magnitude in magnitudes], kind="stable")
     columns = 3
@@ -194,24 +175,24 @@ def _plot_coordinates(
         upper_axes = figure.add_subplot(cell[0])
         lower_axes = figure.add_subplot(cell[1], sharex=upper_axes)
         for i in order:
-            record, magnitude, style = records[i], magnitudes[i], styles[i]
-            time, values = record.dataset["time"].values, record.dataset[variable].values[:, k]
+            time, magnitude = records[i].dataset["time"].values, magnitudes[i]
             # Dashes would drown in the noise. As pixels, because a vector graphic of it would be megabytes.
             upper_axes.plot(
-                time, values, drawstyle="steps-post", color=style["color"], linewidth=0.7, rasterized=True
-            )  # fmt: skip
-            lower_axes.plot(
-                time[len(time) - len(magnitude) :], magnitude[:, k], linewidth=1.3, label=_label(record), **style
-            )  # fmt: skip
-        _show_the_completed(upper_axes, records, variable, k)
-        upper_axes.set_title(f"({chr(ord('a') + k)}) {str(name).replace('_', ' ')}", fontsize=10, loc="left")
-        upper_axes.set_ylabel(labels[str(units[k])], fontsize=8)
+                time, upper[i][:, k], drawstyle="steps-post", color=styles[i].color, linewidth=0.7, rasterized=True
+            )
+            later = time[len(time) - len(lower[i]) :][: len(magnitude)]
+            lower_axes.plot(later, magnitude[:, k], linewidth=1.3, label=labels[i], **styles[i].matplotlib)
+        completed = [record.outcome.completed for record in records]
+        if (shown := completed_range([(done, v[:, k]) for done, v in zip(completed, upper, strict=True)])) is not None:
+            upper_axes.set_ylim(*shown)
+        upper_axes.set_title(f"({chr(ord('a') + k)}) {name.replace('_', ' ')}", fontsize=10, loc="left")
+        upper_axes.set_ylabel(units[kinds[k]], fontsize=8)
         upper_axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3), useMathText=True)
         upper_axes.yaxis.get_offset_text().set_fontsize(8)
         upper_axes.tick_params(labelsize=8, labelbottom=False)
         lower_axes.set_ylabel(lower_label, fontsize=8)
         lower_axes.tick_params(labelsize=8)
-        _set_log_scale(lower_axes)
+        set_log_scale(lower_axes)
         if k + columns >= len(coordinates):
             lower_axes.set_xlabel("time [s]", fontsize=8)
         for axes in (upper_axes, lower_axes):
@@ -223,50 +204,6 @@ def _plot_coordinates(
     handles = [drawn[i] for i in range(len(records))]
     empty.legend(handles=handles, loc="center", fontsize=10, handlelength=3.2, frameon=False)
     return figure
-
-
-def _error_magnitude(error: np.ndarray, window: int) -> np.ndarray:
-    return _moving_rms(error, window)
-
-
-def _step_magnitude(effort: np.ndarray, window: int) -> np.ndarray:
-    # Without the first steps, in which the loop finds the force from nothing.
-    return _moving_rms(np.diff(effort, axis=0)[_STARTING_STEPS:], window)
-
-
-def _moving_rms(values: np.ndarray, window: int) -> np.ndarray:
-    """Root of the mean square over ``window`` samples around each row; zero, which has no logarithm, becomes NaN."""
-    from scipy.ndimage import uniform_filter1d
-
-    mean_square = np.maximum(uniform_filter1d(np.square(values), max(window, 1), axis=0, mode="nearest"), 0.0)
-    return np.where(mean_square > 0.0, np.sqrt(mean_square), np.nan)
-
-
-def _set_log_scale(axes: Axes) -> None:
-    """A logarithmic y axis with at least two labelled ticks, however few decades it spans."""
-    axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    if high > 30.0 * low:
-        axes.yaxis.set_major_locator(LogLocator(numticks=4))
-    else:
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 10.0 * low else (1.0, 3.0)))
-        axes.yaxis.set_major_formatter(FuncFormatter(_tick_label))
-    axes.yaxis.set_minor_locator(NullLocator())
-
-
-def _tick_label(value: float, _: int | None = None) -> str:
-    if 1e-2 <= value < 1e3:
-        return f"{value:g}"
-    mantissa, exponent = f"{value:.0e}".split("e")
-    return rf"${mantissa}{{\times}}10^{{{int(exponent)}}}$".replace(r"1{\times}", "")
-
-
-def _show_the_completed(axes: Axes, records: Sequence[RunRecord], variable: str, k: int) -> None:
-    """Scale a panel to the completed runs where others diverged and would flatten them."""
-    completed = [record.dataset[variable].values[:, k] for record in records if record.outcome.completed]
-    if completed and len(completed) < len(records):
-        low, high = min(map(np.min, completed)), max(map(np.max, completed))
-        axes.set_ylim(low - 0.1 * (high - low), high + 0.1 * (high - low))
 
 
 def _figure(
@@ -283,23 +220,5 @@ def _figure(
     return figure
 
 
-def tidy(axes: Axes) -> None:
-    """The look that all panels share."""
-    axes.grid(True, color="#DDDDDD", linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.margins(x=0.01)
-
-
 def _base_position_names() -> list[str]:
     return [f"base_position_{axis}" for axis in "xyz"]
-
-
-def _styles(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
-    names = [record.scenario.controller for record in records]
-    others = list(dict.fromkeys(name for name in names if name not in STYLES))
-    return [STYLES.get(name) or _MORE_STYLES[others.index(name) % len(_MORE_STYLES)] for name in names]
-
-
-def _label(record: RunRecord) -> str:
-    label = LABELS.get(record.scenario.controller, record.scenario.controller)
-    return label if record.outcome.completed else f"{label}, {record.outcome.status} at {record.outcome.time:.1f} s"

@@ -10,8 +10,28 @@ from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.replay_view import FRAMES_PER_SECOND, ReplayView, check_speed
 from ffsm_drake.show.meshcat.stage import quiet_drake, start_meshcat
 
-_CAPTION = """<div style="position:fixed;left:12px;bottom:12px;padding:8px 12px;border-radius:6px;pointer-events:none;
-background:rgba(5,8,20,.72);color:#e8ecf6;font:13px/1.5 sans-serif">{lines}</div>
+# ``viewer`` is a global name of Drake's page. Alone the page plays at once; within another it shows its first frame.
+_CAPTION = """<style>
+#caption {{ position: fixed; left: 12px; bottom: 12px; padding: 8px 12px; border-radius: 6px; pointer-events: none;
+  background: rgba(5, 8, 20, .72); color: #e8ecf6; font: 13px/1.5 sans-serif; }}
+#play {{ position: fixed; right: 12px; bottom: 12px; padding: 9px 22px; border-radius: 99px;
+  border: 1px solid #5a6a8c; background: rgba(20, 28, 48, .85); color: #fff; font: 15px sans-serif; cursor: pointer; }}
+@media (max-width: 700px) {{ #caption {{ font-size: 11px; }} #play {{ inset: 12px auto auto 12px; }} }}
+</style>
+<div id="caption">{lines}</div>
+<button id="play" type="button">\u25b6 Play</button>
+<script>
+  (() => {{
+    const button = document.getElementById("play");
+    let begun = window !== window.parent;
+    button.onclick = () => viewer.animator.play();
+    (function watch() {{
+      if (!begun && viewer.animator.actions.length) {{ begun = true; viewer.animator.play(); }}
+      button.style.display = viewer.animator.playing ? "none" : "";
+      requestAnimationFrame(watch);
+    }})();
+  }})();
+</script>
 """
 _SWATCH = '<span style="display:inline-block;width:12px;height:12px;background:{color};margin-right:6px"></span>'
 
@@ -43,6 +63,7 @@ def recording_html(
         # Drake rounds times down to frames: the middle of a frame is safe from rounding errors.
         view.show(frame / frames_per_second * speed, time_in_recording=(frame + 0.5) / frames_per_second)
     view.spacecraft.visualizer.StopRecording()
+    view.spacecraft.visualizer.get_mutable_recording().set_autoplay(False)
     view.spacecraft.visualizer.PublishRecording()
     return _with_caption(meshcat.StaticHtml(), record, view, speed=speed)
 

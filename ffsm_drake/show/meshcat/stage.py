@@ -1,6 +1,8 @@
 """Meshcat: the server, the stage, and the spacecraft on it."""
 
+import itertools
 import logging
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -14,18 +16,19 @@ from pydrake.geometry import (
     Rgba,
     Role,
     RoleAssign,
+    SceneGraph,
+    SceneGraphInspector,
 )
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.scenario import Model, Scenario
-from ffsm_drake.spacecraft.plant import add_combined_plant, base_body, configuration, make_plant
+from ffsm_drake.spacecraft.plant import add_combined_plant, configuration
 
 _VIEW = np.array([0.5843, -0.7176, 0.3793])  # unit vector from what the camera looks at to the camera
-_CAMERA_TARGET = np.array([0.2106, 0.0, 0.2106])  # per metre of the spacecraft's extent
-_CAMERA_CLEARANCE = 2.74  # m beyond the extent: the camera stands in front of whatever the arm swings towards it
+_TANGENT = 0.85 * math.tan(math.radians(37.5))  # Meshcat shows 37.5 degrees up and down; some of it stays free
 _GHOST_COLOR = Rgba(0.45, 0.85, 1.0, 0.10)
 
 
@@ -59,15 +62,18 @@ def set_stage(meshcat: Meshcat, scenario: Scenario, *, ghost: bool = True) -> No
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
     meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 1.2)
-    meshcat.SetCameraPose(*camera_pose(make_plant(scenario.model), scenario))
-    if ghost:
-        _show_target_posture(meshcat, scenario)
-
-
-def _show_target_posture(meshcat: Meshcat, scenario: Scenario) -> None:
     builder = DiagramBuilder()
     plant = add_combined_plant(builder, scenario.model)
     scene_graph = builder.GetSubsystemByName("scene_graph")
+    camera, center = camera_pose(plant, scenario, scene_graph.model_inspector())
+    meshcat.SetCameraPose(camera, center)
+    if ghost:
+        _show_target_posture(meshcat, scenario, builder, plant, scene_graph)
+
+
+def _show_target_posture(
+    meshcat: Meshcat, scenario: Scenario, builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph
+) -> None:
     inspector = scene_graph.model_inspector()
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
         properties = IllustrationProperties(inspector.GetIllustrationProperties(geometry))
@@ -84,22 +90,37 @@ def _show_target_posture(meshcat: Meshcat, scenario: Scenario) -> None:
     diagram.ForcedPublish(context)
 
 
-def camera_pose(plant: MultibodyPlant, scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+def camera_pose(
+    plant: MultibodyPlant, scenario: Scenario, inspector: SceneGraphInspector
+) -> tuple[np.ndarray, np.ndarray]:
     """Where the camera stands and the point that it looks at (3 each), world frame, m.
 
-    Both follow the spacecraft's extent: how far its farthest body is from the base in either posture.
+    It looks at the middle of what is seen of the spacecraft in either posture, from as far as it takes to see all.
     """
     context = plant.CreateDefaultContext()
-    base = base_body(plant).body_frame()
-    bodies = [plant.get_body(BodyIndex(k)).body_frame() for k in range(1, plant.num_bodies())]  # 0 is the world
-    extent = 0.0
+    points = []
     for name in ("initial_posture", "target_posture"):
         plant.SetPositions(context, configuration(plant, getattr(scenario, name), key=name))
-        for body in bodies:
-            p_BaseBody = plant.CalcRelativeTransform(context, base, body).translation()
-            extent = max(extent, float(np.linalg.norm(p_BaseBody)))
-    center = extent * _CAMERA_TARGET
-    return center + (extent + _CAMERA_CLEARANCE) * _VIEW, center
+        points += [_outline(plant, context, inspector, BodyIndex(k)) for k in range(1, plant.num_bodies())]  # no world
+    p_WP = np.concatenate(points)
+    center = 0.5 * (p_WP.min(axis=0) + p_WP.max(axis=0))
+    right = np.cross([0.0, 0.0, 1.0], _VIEW) / np.linalg.norm(_VIEW[:2])
+    seen = (p_WP - center) @ np.array([right, np.cross(_VIEW, right), _VIEW]).T
+    distance = float((seen[:, 2] + np.abs(seen[:, :2]).max(axis=1) / _TANGENT).max())
+    return center + distance * _VIEW, center
+
+
+def _outline(plant: MultibodyPlant, context: Context, inspector: SceneGraphInspector, index: BodyIndex) -> np.ndarray:
+    """A body's origin and the corners of the boxes around what is seen of it (n, 3), world frame, m."""
+    X_WB = plant.get_body(index).EvalPoseInWorld(context)
+    points = [X_WB.translation()[None]]
+    frame = plant.GetBodyFrameIdIfExists(index)
+    for geometry in inspector.GetGeometries(frame, Role.kIllustration) if frame is not None else ():
+        box = inspector.GetObbInGeometryFrame(geometry)
+        if box is not None:
+            corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * box.half_width()
+            points.append((X_WB @ inspector.GetPoseInFrame(geometry) @ box.pose() @ corners.T).T)
+    return np.concatenate(points)
 
 
 class SpacecraftView:

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ffsm_drake.scenario import load_scenario
-from ffsm_drake.show.figures.run import LABELS, STYLES, tidy
+from ffsm_drake.show.figures.axes import tidy
+from ffsm_drake.show.style import label_of, styles_of
 from ffsm_drake.studies.noise.cases import CONTROLLERS
 from ffsm_drake.studies.noise.study import NoiseRow, NoiseStudy, settled_after
 
@@ -65,7 +66,7 @@ def plot_study(study: NoiseStudy) -> Figure:
         axes.set_xlabel("velocity noise σ per sample [rad/s, m/s]")
     neutral: dict[str, Any] = {"color": _DARK, "marker": "o", "markersize": 6.0, "linewidth": 1.6}
     handles = [
-        *[Line2D([], [], label=LABELS[name], **_look(name, "one_sample")) for name in study.noise_gain],
+        *[Line2D([], [], label=label_of(name), **_look(name, "one_sample")) for name in study.noise_gain],
         Line2D([], [], label="filled: one sample, published gains", **neutral),
         Line2D([], [], label="open: Kalman, bandwidth gains", **neutral | _OPEN),
         Line2D([], [], label="diverged", **neutral | {"marker": "X", "markersize": 8.0, "linestyle": "none"}),
@@ -79,7 +80,7 @@ def plot_study(study: NoiseStudy) -> Figure:
 
 def _look(controller: str, estimator: str) -> dict[str, Any]:
     marker, size, width = _LOOKS[controller]
-    look = {"color": STYLES[controller]["color"], "marker": marker, "markersize": size, "linewidth": width}
+    look = {"color": styles_of([controller])[0].color, "marker": marker, "markersize": size, "linewidth": width}
     return look | _OPEN if estimator == "kalman" else look
 
 

@@ -4,7 +4,7 @@
 import math
 from typing import Any
 
-from ffsm_drake.show.figures.run import LABELS
+from ffsm_drake.show.style import label_of
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.studies.noise.cases import EXCHANGED, exchange_point
 from ffsm_drake.studies.noise.study import NoiseRow, NoiseStudy, settled_after
@@ -84,7 +84,7 @@ def _slopes(study: NoiseStudy) -> list[str]:
             if point.sigma is not None and not point.diverged:  # the last one counts
                 slopes = [(isv - study.ideal_isv) / point.sigma**2 for isv in (point.isv_predicted, point.isv)]
                 cells = [*(f"{slope:.2e}" for slope in slopes), point.sensors]
-        rows.append([LABELS[controller], f"{gain:.0f}", f"{gain * study.sample_time:.1f}", *cells])
+        rows.append([label_of(controller), f"{gain:.0f}", f"{gain * study.sample_time:.1f}", *cells])
     header = ["controller", "rms acceleration/σ [1/s]", "the same in 1/L", "extra effort/σ², predicted", "measured"]
     return _table([*header, "at σ"], rows)
 
@@ -96,13 +96,13 @@ def _exchange(study: NoiseStudy) -> list[str]:
         points = [study.point(controller, kind, exchange_point(study.sigmas), gains=gains) for kind, gains in ways]
         figures = [f"{_significant(point.isv)}; {point.rms_error['base_rotation']:.1e}" for point in points]
         cells = [f"**{p.outcome}**" if p.diverged else text for p, text in zip(points, figures, strict=True)]
-        rows.append([LABELS[controller], *cells])
+        rows.append([label_of(controller), *cells])
     return _table(["controller", *(f"{_ESTIMATES[estimator]}, {gains} gains" for estimator, gains in ways)], rows)
 
 
 def _point_cells(point: NoiseRow) -> list[str]:
     predicted = _significant(point.isv_predicted) if math.isfinite(point.isv_predicted) else "unstable"
-    head = [LABELS[point.controller], point.sensors]
+    head = [label_of(point.controller), point.sensors]
     if point.diverged:
         return [*head, f"**{point.outcome}**", "–", predicted, *["–"] * 6]
     errors = [f"{point.rms_error[group]:.1e}" for group in GROUPS]

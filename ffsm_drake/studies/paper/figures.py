@@ -14,7 +14,9 @@ from ffsm_drake.common.files import written_whole
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
-from ffsm_drake.show.figures import run as plotting
+from ffsm_drake.show.figures.axes import tidy
+from ffsm_drake.show.figures.run import plot_efforts, plot_errors, plot_trajectories
+from ffsm_drake.show.style import BLUE, GREEN, GRID, VERMILION, Style
 from ffsm_drake.studies.noise.picture import plot_study
 from ffsm_drake.studies.noise.study import NoiseRow, NoiseStudy
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS, Results, gain_of
@@ -58,7 +60,7 @@ def write_figure_3(results: Results, directory: Path) -> list[FigureFile]:
     """Planned and tracked motion of the proposed controller."""
     return [
         _write(
-            plotting.plot_trajectories(results.record(setting, PROPOSED)),
+            plot_trajectories(results.record(setting, PROPOSED)),
             f"fig3_{setting}",
             f"Planned and tracked trajectories, {words}",
             f"Figure 3 with {words}. Motion under the proposed controller, τ_d1: (a) end effector in task space, "
@@ -77,7 +79,7 @@ def write_figure_4(results: Results, directory: Path) -> list[FigureFile]:
         directory,
         key="fig4",
         title="Tracking errors",
-        plot=plotting.plot_errors,
+        plot=plot_errors,
         caption="Upper panels: true error e = q_d − q of every control sample, the largest drawn first. Lower panels: "
         "rms of that error over one second, logarithmic, since the errors differ by orders of magnitude.",
     )
@@ -90,7 +92,7 @@ def write_figure_5(results: Results, directory: Path) -> list[FigureFile]:
         directory,
         key="fig5",
         title="Control forces and torques",
-        plot=plotting.plot_efforts,
+        plot=plot_efforts,
         caption="Upper panels: force or torque held over every control period, the roughest drawn first, so that the "
         "bands are nested. Lower panels: rms over one second of its change from one sample to the next, logarithmic: "
         "what the measurement noise and the switching term add to the motion's own force.",
@@ -150,8 +152,8 @@ def plot_overview(rows: list[Row]) -> Figure:
     figure = Figure(figsize=(11.0, 5.2), layout="constrained")
     panels = figure.subplots(1, len(METRICS), sharey=True)
     marks: dict[str, dict[str, Any]] = {
-        "euler": {"marker": "o", "color": "#0072B2", "label": "ours, explicit Euler"},
-        "bounded": {"marker": "s", "color": "#D55E00", "label": "ours, exact integration, $K_s$ bounded"},
+        "euler": {"marker": "o", "color": BLUE, "label": "ours, explicit Euler"},
+        "bounded": {"marker": "s", "color": VERMILION, "label": "ours, exact integration, $K_s$ bounded"},
     }
     printed_mark: dict[str, Any] = {
         "marker": "D", "markersize": 9, "markerfacecolor": "none", "color": "black", "markeredgewidth": 1.4,
@@ -168,13 +170,13 @@ def plot_overview(rows: list[Row]) -> Figure:
             printed = cells["euler", *case].paper
             means = {setting: cells[setting, *case].mean for setting in marks}
             values = [printed, *means.values()]
-            axes.plot([np.nanmin(values), np.nanmax(values)], [place] * 2, color="#CCCCCC", linewidth=2, zorder=1)
+            axes.plot([np.nanmin(values), np.nanmax(values)], [place] * 2, color=GRID, linewidth=2, zorder=1)
             for setting, mark in marks.items():
                 axes.plot(means[setting], place, linestyle="none", markersize=7, **mark)
             axes.plot(printed, place, linestyle="none", zorder=3, **printed_mark)
         axes.set_xlabel({"itae": "ITAE [rad s², m s²], logarithmic", "isv": "ISV [N² s, N² m² s]"}[metric])
         axes.set_title(title, fontweight="bold", pad=14)
-        axes.grid(True, axis="x", color="#DDDDDD", linewidth=0.6)
+        axes.grid(True, axis="x", color=GRID, linewidth=0.6)
         axes.spines[["top", "right", "left"]].set_visible(False)
         axes.tick_params(axis="y", length=0)
     panels[0].set_xscale("log")
@@ -194,25 +196,21 @@ def plot_divergence(results: Results) -> Figure:
     """K_s and the error of the proposed controller in the three settings."""
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     gain_axes, error_axes = figure.subplots(1, 2)
-    looks: dict[str, dict[str, Any]] = {
-        "exact": {"color": "#D55E00", "linestyle": "-"},
-        "euler": {"color": "#0072B2", "linestyle": "--"},
-        "bounded": {"color": "#009E73", "linestyle": "-."},
-    }
+    looks = {"exact": Style(VERMILION), "euler": Style(BLUE, "dash"), "bounded": Style(GREEN, "dashdot")}
     top = 0.0
     for setting, look in looks.items():
         run, record = results.run(setting, PROPOSED), results.record(setting, PROPOSED)
         label = _math(SETTINGS[setting].title) + ("" if run.outcome.completed else f": {ending(run)}")
         time = record.dataset["time"].values
         gain = record.dataset["reaching_gain"].values.max(axis=1)
-        gain_axes.plot(time, gain, linewidth=1.8, label=label, **look)
+        gain_axes.plot(time, gain, linewidth=1.8, label=label, **look.matplotlib)
         error = np.abs(record.dataset["error"].values).sum(axis=1)
-        error_axes.plot(time, np.where(error > 0.0, error, np.nan), linewidth=0.8, color=look["color"])
+        error_axes.plot(time, np.where(error > 0.0, error, np.nan), linewidth=0.8, color=look.color)
         if run.outcome.completed:
             top = max(top, float(gain.max()))
         else:
             for axes, series in ((gain_axes, gain), (error_axes, error)):
-                axes.plot(time[-1], series[-1], marker="x", markersize=9, markeredgewidth=2.2, color=look["color"])
+                axes.plot(time[-1], series[-1], marker="x", markersize=9, markeredgewidth=2.2, color=look.color)
     scenario = results.record("exact", PROPOSED).scenario
     limit = 2.0 / scenario.sample_time - gain_of(scenario, "k_d")
     gain_axes.axhline(limit, color="black", linewidth=1.0, linestyle=":")
@@ -225,7 +223,7 @@ def plot_divergence(results: Results) -> Figure:
     )
     error_axes.set(xlabel="time [s]", ylabel=r"$\|e\|_1$ [rad, m]", title="Tracking error", yscale="log")
     for axes in (gain_axes, error_axes):
-        plotting.tidy(axes)
+        tidy(axes)
     figure.legend(
         *gain_axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=9
     )

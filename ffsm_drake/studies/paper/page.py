@@ -3,17 +3,14 @@
 import base64
 import datetime
 import math
-import re
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
-
 from ffsm_drake.common.files import write_text
 from ffsm_drake.runs.record import software_versions
+from ffsm_drake.show.page import render
 from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.claims import by_topic, counts
 from ffsm_drake.studies.paper.figures import FigureFile
@@ -26,7 +23,6 @@ from ffsm_drake.systems.controllers import complete_gains
 
 TEMPLATE = "reproduction.html.j2"
 TITLE = "How far the paper holds"
-_SYMBOL = re.compile(r"\b(K|τ|q|s|G|β|beta|N\*)_(d\d|si|[sDPdi])\b")
 _TALLY: dict[Kind, str] = {
     "holds": "hold",
     "holds only": "hold only under a condition",
@@ -127,11 +123,6 @@ def _render(
     figures: Sequence[FigureFile] = (),
     verdicts: Sequence[Verdict] = (),
 ) -> str:
-    environment = Environment(
-        loader=PackageLoader("ffsm_drake.studies.paper", ""), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    environment.filters["symbols"] = symbols
     content: dict[str, Any] = {
         "title": title,
         "rows": {setting: [row for row in rows if row.setting == setting] for setting in SETTINGS},
@@ -147,12 +138,7 @@ def _render(
         "figures": {figure.key: {"file": figure, "source": _data_address(figure)} for figure in figures},
         "nominal_payloads": nominal_payload_table(results) if verdicts else None,
     }
-    return environment.get_template(TEMPLATE).render(content)
-
-
-def symbols(text: str) -> Markup:
-    """Text with its symbols' subscripts as HTML."""
-    return Markup(_SYMBOL.sub(r"\1<sub>\2</sub>", str(escape(text))))
+    return render(TEMPLATE, content, package="ffsm_drake.studies.paper")
 
 
 def _data_address(figure: FigureFile) -> str:

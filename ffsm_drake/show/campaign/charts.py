@@ -1,0 +1,167 @@
+"""The charts of a campaign's page."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.campaign.findings import Findings
+from ffsm_drake.campaign.statistics import Runs
+from ffsm_drake.show.curves import cumulative, thinned
+from ffsm_drake.show.panels import Panel, Trace, View, curve, figure, log_axis
+from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, label_of, styles_of
+
+FAILED = "#CC3311"
+SETTLED = "#4477AA"
+_POINTS = 1500  # of a cumulative curve
+_SHARE = {"range": [0, 101]}
+
+
+def chart_views(findings: Findings) -> dict[str, list[View]]:
+    """Section -> its charts; sections without any are left out."""
+    panels = {
+        "success": [_success(findings)],
+        "accuracy": [_cumulative(findings, metric) for metric in ("itae", "isv")],
+        "difference": _differences(findings),
+        "sensitivity": [_sensitivity(findings)] if findings.influential else [],
+        "map": [_map(findings, runs) for runs in findings.table.runs.values()] if findings.map is not None else [],
+    }
+    return {key: [View(label="", panels=shown)] for key, shown in panels.items() if shown}
+
+
+def _styles(findings: Findings) -> dict[str, Style]:
+    names = list(findings.table.runs)
+    return dict(zip(names, styles_of(names), strict=True))
+
+
+def _bars(title: str, traces: Sequence[Trace], *, x: str, rows: int, **layout: Any) -> Panel:
+    """Horizontal bars over the page's whole width, the first row at the top."""
+    layout["yaxis"] = {"autorange": "reversed", "showgrid": False} | layout.get("yaxis", {})
+    return Panel(title=title, figure=figure(traces, x=x, y="", **layout), kind="full", height=90 + 40 * rows)
+
+
+def _success(findings: Findings) -> Panel:
+    """Success rate of every controller with its interval."""
+    styles, rates = _styles(findings), findings.success
+    bars: Trace = {
+        "type": "bar",
+        "orientation": "h",
+        "x": [100.0 * rate.value for rate in rates.values()],
+        "y": [label_of(name) for name in rates],
+        "marker": {"color": [styles[name].color for name in rates], "opacity": 0.6},
+        "error_x": {
+            "type": "data",
+            "symmetric": False,
+            "array": [100.0 * (rate.high - rate.value) for rate in rates.values()],
+            "arrayminus": [100.0 * (rate.value - rate.low) for rate in rates.values()],
+            "color": NEUTRAL,
+        },
+        "hovertemplate": "%{y}: %{x:.2f} %<extra></extra>",
+    }
+    title = "Share of settled runs; the whiskers are the interval"
+    return _bars(title, [bars], x="settled runs [%]", rows=len(rates), xaxis=_SHARE)
+
+
+def _cumulative(findings: Findings, metric: str) -> Panel:
+    """Share of all cases that settled with at most a given value of the metric."""
+    traces = []
+    for name, style in _styles(findings).items():
+        runs = findings.table.runs[name]
+        x, y = cumulative(runs.metrics[metric][runs.settled], runs.case.size)
+        kept = thinned(x, _POINTS)
+        traces.append(curve((x[kept], y[kept]), style, name=label_of(name), width=2, shape="hv"))
+    shown = figure(
+        traces, x=metric.upper(), y="settled [% of cases]", showlegend=True,
+        xaxis=log_axis("~e" if metric == "itae" else "~g", ticks=3), yaxis=_SHARE,
+    )  # fmt: skip
+    return Panel(title=f"Cases settled with at most a given {metric.upper()}", figure=shown, kind="chart")
+
+
+def _differences(findings: Findings) -> list[Panel]:
+    """Of every pair the distribution of the ITAE ratio on the same cases: quartiles and the middle 90 %."""
+    pairs = [item for item in findings.differences if item.ratios.size]
+    if not pairs:
+        return []
+    quantiles = np.array([np.quantile(item.ratios, (0.05, 0.25, 0.5, 0.75, 0.95)) for item in pairs]).T
+    names = ("lowerfence", "q1", "median", "q3", "upperfence")
+    boxes: Trace = {
+        "type": "box",
+        "orientation": "h",
+        "y": [f"{item.first} /<br>{item.second}" for item in pairs],
+        **dict(zip(names, quantiles.tolist(), strict=True)),
+        "line": {"color": BLUE, "width": 1.4},
+        "name": "",
+    }
+    one = {"type": "line", "x0": 1, "x1": 1, "y0": 0, "y1": 1, "yref": "paper", "line": {"width": 1, "color": NEUTRAL}}
+    title = "Ratio of ITAE on the same case (below 1: the first is more accurate): quartiles and the middle 90 %"
+    x = "ratio of ITAE"
+    return [_bars(title, [boxes], x=x, rows=len(pairs), xaxis=log_axis("~g", ticks=3), shapes=[one])]
+
+
+def _sensitivity(findings: Findings) -> Panel:
+    """Share of the variance of failure that each value explains, and what chance would."""
+    names = findings.influential
+    traces: list[Trace] = []
+    for k, (controller, style) in enumerate(_styles(findings).items()):
+        items = {item.name: item for item in findings.sensitivities if item.controller == controller}
+        chance = [100.0 * items[name].chance for name in names]
+        traces.append({
+            "type": "bar",
+            "orientation": "h",
+            "name": label_of(controller),
+            "y": names,
+            "x": [100.0 * items[name].share for name in names],
+            "customdata": [[items[name].correlation, level] for name, level in zip(names, chance, strict=True)],
+            "marker": {"color": style.color, "opacity": [1.0 if items[name].matters else 0.35 for name in names]},
+            "offsetgroup": str(k),
+            "hovertemplate": "%{y}: %{x:.1f} % (chance %{customdata[1]:.1f} %), rank correlation %{customdata[0]:.2f}",
+        })  # fmt: skip
+    return _bars(
+        "Share of the variance of failure that a value explains by itself; pale: no more than chance", traces,
+        x="explained variance of failure [%]", rows=1 + len(names) * max(1, len(traces) // 2), showlegend=True,
+    )  # fmt: skip
+
+
+def _map(findings: Findings, runs: Runs) -> Panel:
+    """Outcomes of one controller over two values, and where it is predicted unstable."""
+    grid = findings.map
+    assert grid is not None
+    traces: list[Trace] = []
+    if runs.controller in grid.radius and np.isfinite(grid.radius[runs.controller]).any():
+        traces.append({
+            "type": "contour",
+            "x": grid.x,
+            "y": grid.y,
+            "z": grid.side(runs.controller),
+            # One level, at 1: what is below it is left clear, what is above is shaded.
+            "autocontour": False,
+            "contours": {"start": 1.0, "end": 1.0, "size": 0.1, "coloring": "fill"},
+            "zmin": 0.95,
+            "zmax": 1.05,
+            "colorscale": [[0.0, "rgba(255, 255, 255, 0)"], [1.0, UNSTABLE]],
+            "showscale": False,
+            "line": {"color": NEUTRAL, "width": 2, "smoothing": 0},
+            "hoverinfo": "skip",
+        })  # fmt: skip
+    x, y = (findings.table.at(axis, runs) for axis in (grid.x_name, grid.y_name))
+    for which, label, color, symbol in (
+        (runs.settled, "settled", SETTLED, "circle"),
+        (~runs.settled, "not settled", FAILED, "x"),
+    ):
+        cases = zip(runs.case[which], runs.outcome[which], strict=True)
+        traces.append({
+            "type": "scattergl" if x.size > 3000 else "scatter",
+            "mode": "markers",
+            "name": label,
+            "x": x[which],
+            "y": y[which],
+            "text": [f"case {case}: {outcome}" for case, outcome in cases],
+            "hovertemplate": "%{text}<br>%{x:.4g}, %{y:.4g}<extra></extra>",
+            "marker": {"color": color, "symbol": symbol, "size": 7 if x.size < 1000 else 4},
+        })  # fmt: skip
+    axes = {
+        name: (log_axis("~g", ticks=3) if log else {}) | {"zeroline": False}
+        for name, log in (("xaxis", grid.x_log), ("yaxis", grid.y_log))
+    }
+    shown = figure(traces, x=grid.x_name, y=grid.y_name, showlegend=True, **axes)
+    return Panel(title=label_of(runs.controller), figure=shown, kind="map")

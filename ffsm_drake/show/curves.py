@@ -1,0 +1,55 @@
+"""Curves made ready to be drawn: thinned, smoothed, and with the range that shows them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+RMS_WINDOW = 1.0  # s
+
+
+def thinned(values: np.ndarray, points: int) -> np.ndarray:
+    """Indices of at most ``points`` values (n,) that keep the first, the last and every interval's extremes."""
+    if values.size <= points:
+        return np.arange(values.size)
+    width = -(-values.size // ((points - 2) // 2))
+    intervals = -(-values.size // width)
+    padded = np.full(intervals * width, np.nan)
+    padded[: values.size] = values
+    rows = padded.reshape(intervals, width)
+    start = np.arange(intervals) * width
+    low = start + np.where(np.isfinite(rows), rows, np.inf).argmin(axis=1)
+    high = start + np.where(np.isfinite(rows), rows, -np.inf).argmax(axis=1)
+    return np.unique(np.concatenate([[0], low, high, [values.size - 1]]))
+
+
+def moving_rms(values: np.ndarray, sample_time: float) -> np.ndarray:
+    """Root of the mean square over one second around each row of values (n, ...); rows that are not finite spoil none.
+
+    Returns as many rows as there are before the first one that is not finite; a zero, which has no logarithm, is NaN.
+    """
+    from scipy.ndimage import uniform_filter1d
+
+    finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    values = values[: len(values) if finite.all() else int(np.argmin(finite))]
+    if not len(values):
+        return values
+    window = max(round(RMS_WINDOW / sample_time), 1)
+    with np.errstate(over="ignore"):
+        mean_square = uniform_filter1d(np.square(values), window, axis=0, mode="nearest")
+    return np.where(mean_square > 0.0, np.sqrt(np.maximum(mean_square, 0.0)), np.nan)
+
+
+def completed_range(curves: Sequence[tuple[bool, np.ndarray]]) -> list[float] | None:
+    """The range of the curves of completed runs, where there are others that diverged and would flatten them."""
+    completed = [values for done, values in curves if done]
+    if not completed or len(completed) == len(curves):
+        return None
+    low, high = min(map(np.nanmin, completed)), max(map(np.nanmax, completed))
+    margin = 0.08 * (high - low)
+    return [float(low - margin), float(high + margin)] if high > low else None
+
+
+def cumulative(values: np.ndarray, total: int) -> tuple[np.ndarray, np.ndarray]:
+    """Sorted values and the percentage of ``total`` that is at most each."""
+    ordered = np.sort(values[np.isfinite(values)])
+    return ordered, 100.0 * np.arange(1, ordered.size + 1) / max(total, 1)

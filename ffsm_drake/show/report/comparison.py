@@ -1,0 +1,125 @@
+# ruff: noqa: RUF001 (the texts use mathematical signs)
+"""The result table and the rankings of one run or several."""
+
+import dataclasses
+import math
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ffsm_drake.show.report.results import Result, ranking
+from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
+from ffsm_drake.show.tables import number
+
+_MAGNITUDES = {
+    "peak_error": "Peak error",
+    "final_error": "Final error",
+    "peak_effort": "Peak control force or torque",
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One figure of the result table."""
+
+    text: str
+    kind: str = ""  # "best", "partial" or nothing
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Row:
+    """One line of the result table, a cell for each run."""
+
+    label: str
+    cells: list[Cell]
+    unit: str = ""
+    head: str = ""  # a heading above the line
+
+
+def table(results: Sequence[Result]) -> list[Row]:
+    """The figures of merit, magnitudes and times, a column for each run."""
+    rows = [
+        Row(label="Accuracy, ITAE", cells=_compared(results, operator.attrgetter("itae"), digits=4)),
+        Row(label="Effort, ISV", cells=_compared(results, operator.attrgetter("isv"), digits=5)),
+    ]
+    kinds = list(dict.fromkeys((part.group, part.unit) for result in results for part in result.magnitudes))
+    groups = [group for group, _ in kinds]
+    for field, head in _MAGNITUDES.items():
+        for k, (group, unit) in enumerate(kinds):
+            kind = f", {'revolute' if unit == 'rad' else 'prismatic'}" if groups.count(group) > 1 else ""
+            rows.append(
+                Row(
+                    head="" if k else head,
+                    label=GROUP_TITLES.get(group, group) + kind,
+                    unit=EFFORT_UNITS.get(unit, unit) if field == "peak_effort" else unit,
+                    cells=[Cell(text=number(_magnitude(result, group, unit, field))) for result in results],
+                )
+            )
+    wall = [result.record.wall_time for result in results]
+    rows += [
+        Row(label="Simulated time", unit="s", head="Computation",
+            cells=[Cell(text=f"{result.record.outcome.time:g}") for result in results]),
+        Row(label="Wall time, simulation", unit="s",
+            cells=[Cell(text=number(one.get("advance_to"), 3)) for one in wall]),
+        Row(label="Wall time, all told", unit="s", cells=[Cell(text=number(one.get("total"), 3)) for one in wall]),
+    ]  # fmt: skip
+    return rows
+
+
+def _magnitude(result: Result, group: str, unit: str, field: str) -> float:
+    found = [getattr(part, field) for part in result.magnitudes if (part.group, part.unit) == (group, unit)]
+    return float(found[0]) if found else math.nan
+
+
+def _compared(results: Sequence[Result], figure: Callable[[Result], float], *, digits: int) -> list[Cell]:
+    """A sum over each run, the least of the completed ones marked where there are several."""
+    completed = [figure(result) for result in results if _placed(result, figure)]
+    best = min(completed) if len(completed) > 1 else None
+    return [
+        Cell(
+            text=number(figure(result), digits),
+            kind="partial" if not result.comparable else "best" if figure(result) == best else "",
+        )
+        for result in results
+    ]
+
+
+def _placed(result: Result, figure: Callable[[Result], float]) -> bool:
+    return result.comparable and math.isfinite(figure(result))
+
+
+def table_notes(results: Sequence[Result]) -> list[str]:
+    """What the table's sums mean, and which of them do not compare."""
+    notes = ["ITAE is the sum of t |e|₁ L, ISV the sum of |τ|₂² L over the control samples; less is better."]
+    if not all(result.comparable for result in results):
+        notes.append(
+            "In italics: sums over a run that ended early, up to its end only. They do not compare with those of "
+            "completed runs, however small."
+        )
+    if len({result.record.outcome.time for result in results if result.comparable}) > 1:
+        notes.append("The completed runs differ in length, so their sums do not compare directly.")
+    return notes
+
+
+def rankings(results: Sequence[Result]) -> list[dict[str, Any]]:
+    """The runs by accuracy and by effort: place, value, and how many times the best one's value that is."""
+    made = []
+    for title, name, digits in (("By accuracy (ITAE)", "itae", 4), ("By effort (ISV)", "isv", 5)):
+        figure = operator.attrgetter(name)
+        ranked = ranking(results, figure)
+        entries = []
+        for place, result in enumerate(ranked, start=1):
+            value, best = figure(result), figure(ranked[0])
+            if _placed(result, figure):
+                times = _times(value / best) if place > 1 and best > 0.0 else ""
+                entries.append({"place": place, "result": result, "text": number(value, digits), "times": times})
+            else:
+                outcome = result.record.outcome
+                text = "not recorded" if result.comparable else f"{outcome.status} at {outcome.time:.2f} s"
+                entries.append({"place": "–", "result": result, "text": text, "times": ""})
+        made.append({"title": title, "entries": entries})
+    return made
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.2f} ×" if ratio < 100.0 else f"{ratio:,.0f} ×"

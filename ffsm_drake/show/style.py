@@ -1,0 +1,137 @@
+"""How runs, groups and pages look: one palette, and a name, colour and line style for every controller."""
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.scenario import scenario_to_dict
+
+# Okabe and Ito's palette: told apart by the colour-blind, and with the line styles also in grey print.
+VERMILION, BLUE, GREEN, PURPLE = "#D55E00", "#0072B2", "#009E73", "#CC79A7"
+SKY, ORANGE, GREY, BLACK = "#56B4E9", "#E69F00", "#7A7A7A", "#000000"
+SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)  # coordinates of one panel
+GRID = "#DDDDDD"
+UNSTABLE = "#F4D9CC"  # regions in which a loop is unstable
+NEUTRAL = "#707780"  # text and reference lines that are legible on white and on a dark page
+
+# Colours of the pages, in the light and in the dark.
+PAGE = {
+    "ink": ("#1b1f24", "#e7e9ec"),
+    "soft": ("#5b636e", "#a3abb6"),
+    "line": ("#dfe2e7", "#30363e"),
+    "page": ("#f6f7f8", "#111417"),
+    "card": ("#ffffff", "#1a1e23"),
+    "accent": ("#0b5a8f", "#6db3e8"),
+    "good": ("#1a7a4c", "#5cc792"),
+    "warn": ("#96610a", "#e0ac50"),
+    "bad": ("#b3371c", "#f0836a"),
+    "mute": ("#5b636e", "#a3abb6"),
+}
+GOOD, WARN, BAD, MUTE = (PAGE[name][0] for name in ("good", "warn", "bad", "mute"))
+
+_MATPLOTLIB_DASHES: dict[str, Any] = {
+    "solid": "-",
+    "dash": "--",
+    "dashdot": "-.",
+    "dot": ":",
+    "longdash": (0, (5, 1)),
+    "longdashdot": (0, (3, 1, 1, 1, 1, 1)),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Style:
+    """A colour and a line style (Plotly's word for it)."""
+
+    color: str
+    dash: str = "solid"
+
+    @property
+    def matplotlib(self) -> dict[str, Any]:
+        """The keywords of Matplotlib's ``plot``."""
+        return {"color": self.color, "linestyle": _MATPLOTLIB_DASHES[self.dash]}
+
+    @property
+    def css(self) -> str:
+        """The border style that comes nearest."""
+        return {"solid": "solid", "dot": "dotted"}.get(self.dash, "dashed")
+
+
+GROUP_TITLES = {"base_rotation": "Base attitude", "base_position": "Base position", "joints": "Joints"}
+GROUP_STYLES = {
+    "base_rotation": Style(BLUE),
+    "base_position": Style(VERMILION, "longdash"),
+    "joints": Style(GREEN),
+}
+EFFORT_UNITS = {"rad": "N m", "m": "N"}  # unit of a coordinate -> unit of its force or torque
+
+_CONTROLLERS = {
+    "tde_aismc": ("TDE-AISMC (proposed)", Style(VERMILION)),
+    "aismc": ("AISMC", Style(BLUE, "dash")),
+    "asmc": ("ASMC", Style(GREEN, "dashdot")),
+    "tdc": ("TDC", Style(GREY, "dot")),
+    "computed_torque": ("Computed torque", Style(ORANGE, "longdash")),
+    "pd_plus": ("PD+", Style(SKY, "longdashdot")),
+}
+# For every other controller, and for a run whose controller's style is taken.
+_SPARE = (
+    Style(PURPLE), Style("#8C6BB1", "dash"), Style("#B8A800", "dashdot"), Style("#8C510A", "longdash"),
+    Style("#117733", "dot"), Style("#882255", "longdashdot"),
+)  # fmt: skip
+
+
+def label_of(controller: str) -> str:
+    """A controller's name for people; of ``module:Class`` the class."""
+    return _CONTROLLERS[controller][0] if controller in _CONTROLLERS else controller.rpartition(":")[2]
+
+
+def styles_of(controllers: Sequence[str]) -> list[Style]:
+    """A style for each controller of a picture, no two alike until the spare ones are used up."""
+    styles: list[Style] = []
+    spares = 0
+    for name in controllers:
+        style = _CONTROLLERS[name][1] if name in _CONTROLLERS else None
+        if style is None or style in styles:
+            style = _SPARE[spares % len(_SPARE)]
+            spares += 1
+        styles.append(style)
+    return styles
+
+
+def labels_of(records: Sequence[RunRecord]) -> list[str]:
+    """A name for each run: its controller's, and what sets it apart where controllers repeat."""
+    labels = [label_of(record.scenario.controller) for record in records]
+    if len(set(labels)) < len(labels):
+        flat = [flatten(scenario_to_dict(record.scenario)) for record in records]
+        keys = {key for one in flat for key in one} - {"controller", "description"}
+        varying = sorted(key for key in keys if len({repr(one.get(key)) for one in flat}) > 1)
+        if 1 <= len(varying) <= 2:
+            labels = [
+                ", ".join([label, *(f"{_short(key)} = {_shown(one.get(key))}" for key in varying)])
+                for label, one in zip(labels, flat, strict=True)
+            ]
+    if len(set(labels)) < len(labels):
+        labels = [f"{label}, run {number}" for number, label in enumerate(labels, start=1)]
+    return labels
+
+
+def flatten(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as one, with dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in data.items():
+        if isinstance(value, Mapping) and value:
+            flat |= flatten(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def _short(key: str) -> str:
+    """The part of a dotted key that says enough: k_s_max of controllers.tde_aismc.k_s_max.all."""
+    return re.sub(r"^controllers\.[^.]*\.", "", key).removesuffix(".all")
+
+
+def _shown(value: Any) -> str:
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

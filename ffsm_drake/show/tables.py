@@ -1,0 +1,186 @@
+# ruff: noqa: RUF001, RUF002 (the texts use mathematical signs)
+"""Numbers and tables as plain text, and the tables' figures as plain data."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.control_design.gains import Design
+from ffsm_drake.control_design.stability.margins import Margins
+from ffsm_drake.control_design.stability.prediction import Prediction
+from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.systems.controllers import complete_gains
+
+NONE = "–"
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Such as 12.35 or 1.235×10⁻⁶; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return NONE
+    if value == 0.0:
+        return "0"
+    mantissa, power = f"{value:.{digits - 1}e}".split("e")
+    if 1e-3 <= abs(value) < 1e5:
+        return f"{value:.{max(digits - 1 - int(power), 0)}f}"
+    return f"{mantissa}×10{str(int(power)).translate(_SUPERSCRIPTS)}"
+
+
+def percent(share: float) -> str:
+    """Such as 97.5 %; a dash where there is none."""
+    return f"{100.0 * share:.1f} %" if math.isfinite(share) else NONE
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table: the first column to the left, all others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            [row[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))]
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def results_table(records: Sequence[RunRecord]) -> str:
+    """The figures of merit as plain text, a line per run."""
+    rows = [
+        ["controller", "ITAE", "ISV", *["peak error"] * 2, *["final error"] * 2, "peak force", *["peak torque"] * 2],
+        ["", "", "", "rad", "m", "rad", "m", "base, N", "base, N m", "joints"],
+    ]
+    for record in records:
+        m = record.metrics
+        peak, final, effort = m["peak_error"], m["final_error"], m["peak_effort"]
+        figures = [
+            *(value for e in (peak, final) for value in (max(e["base_rotation"], e["joints"]), e["base_position"])),
+            *(effort[group] for group in ("base_position", "base_rotation", "joints")),
+        ]
+        rows.append([record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *(f"{x:.3g}" for x in figures)])
+    lines = aligned(rows)
+    for k, record in enumerate(records, start=2):
+        if not record.outcome.completed:
+            lines[k] += f"  ({record.outcome.status} at {record.outcome.time:.2f} s)"
+    return "\n".join(lines)
+
+
+def results_data(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
+    """The same as plain data."""
+    return [
+        {
+            "controller": record.scenario.controller,
+            "status": record.outcome.status,
+            "time": record.outcome.time,
+            "message": record.outcome.message,
+            "metrics": record.metrics,
+        }
+        for record in records
+    ]
+
+
+def has_k_s(margins: Margins) -> bool:
+    """Whether the law has a reaching gain K_s."""
+    return bool(np.isfinite(margins.k_s_limit).any())
+
+
+def margins_table(margins: Margins) -> str:
+    """Plain text: per coordinate the limits against what the scenario uses, then what holds for all of them."""
+    scenario, data = margins.scenario, margins_data(margins)
+    plant = "explicit Euler at the control period" if margins.sampling.euler else "exactly integrated"
+    rows = [
+        ["coordinate", "K_s start", "expected", "bound", "limit", "margin", "largest L", "tolerated eta"],
+        ["", "1/s", "1/s", "1/s", "1/s", "", "ms", ""],
+    ]
+    for name, item in data["coordinates"].items():
+        gains = ["-"] * 5
+        if has_k_s(margins):
+            expected, limit, bound = (item[f"k_s_{key}"] for key in ("expected", "limit", "bound"))
+            gains = [f"{item['k_s_start']:.4g}", f"{expected:.4g}", f"{bound:.4g}" if math.isfinite(bound) else "none",
+                     f"{limit:.4g}", f"{limit / max(expected, 1e-9):.2f}"]  # fmt: skip
+        low, high = item["eta_tolerated"]
+        rows.append([name, *gains, f"{1e3 * item['sample_time_limit']:.2f}", f"{low:.2f} .. {high:.2f}"])
+    low, high = data["eta"]
+    return "\n".join([
+        f"{scenario.description or 'scenario'}: {scenario.controller}, L = {scenario.sample_time:g} s, plant {plant}",
+        f"eigenvalues eta of H^-1 Hhat along the planned motion: {low:.3f} to {high:.3f}",
+        "",
+        *aligned(rows),
+        "",
+        f"coupled loop at the starting gains: spectral radius {data['spectral_radius']:.5f} at the worst posture",
+        margins.verdict,
+    ])  # fmt: skip
+
+
+def margins_data(margins: Margins) -> dict[str, Any]:
+    """The table's figures as plain data, by coordinate where they differ (1/s, s)."""
+    by_coordinate = {
+        name: {
+            "k_s_start": float(margins.law.k_s[i]),
+            "k_s_expected": float(margins.forecast_k_s[:, i].max()),
+            "k_s_bound": float(margins.law.k_s_max[i]),
+            "k_s_limit": float(margins.k_s_limit[i]),
+            "sample_time_limit": float(margins.sample_time_limit[i]),
+            "eta_tolerated": margins.eta_tolerated[i].tolist(),
+        }
+        for i, name in enumerate(margins.coordinates.names)
+    }
+    return {
+        "controller": margins.scenario.controller,
+        "verdict": margins.verdict,
+        "stable": margins.is_stable,
+        "spectral_radius": float(margins.spectral_radius.max()),
+        "eta": [float(margins.eta.min()), float(margins.eta.max())],
+        "coordinates": by_coordinate,
+    }
+
+
+def design_table(found: Design) -> str:
+    """Plain text: the chosen gains, what they promise beside the scenario's own, and over the payload range."""
+    chosen, reference = found.chosen, found.reference
+    before, after = reference.by_group(), chosen.prediction.by_group()
+    gains = [
+        ["group", "w", "walk q_N", "K_s", "rms error", "as it was"],
+        ["", "rad/s", "/s^2/rt(s)", "1/s", "rad or m", "rad or m"],
+        *(
+            [name, *(f"{x:.3g}" for x in (group.omega, group.walk, group.k_s, after[name], before[name]))]
+            for name, group in chosen.groups.items()
+        ),
+    ]
+    masses = [["true payload", "ISV", "spectral radius", ""]]
+    for mass, prediction in found.robustness.items():
+        fate = "" if prediction.spectral_radius < 1.0 else "unstable"
+        masses.append([f"{mass:.0f} kg", f"{prediction.isv:.1f}", f"{prediction.spectral_radius:.5f}", fate])
+    return "\n".join([
+        f"{chosen.scenario.description}: {chosen.scenario.controller} with the Kalman estimate",
+        "",
+        *aligned(gains),
+        "",
+        f"effort ISV {chosen.prediction.isv:.1f} (budget {found.budget:.1f}, perfect tracking {found.ideal_isv:.1f}; "
+        f"as it was {reference.isv:.4g})",
+        *aligned(masses),
+    ])  # fmt: skip
+
+
+def design_data(found: Design) -> dict[str, Any]:
+    """The table's figures as plain data."""
+
+    def figures(prediction: Prediction) -> dict[str, Any]:
+        return {
+            "spectral_radius": prediction.spectral_radius,
+            "isv": prediction.isv,
+            "rms_error": prediction.by_group(),
+            "peak_effort": dict(zip(prediction.coordinates.names, prediction.peak_effort.tolist(), strict=True)),
+        }
+
+    scenario = found.chosen.scenario
+    return {
+        "controller": scenario.controller,
+        "gains": complete_gains(scenario).controllers[scenario.controller],
+        "budget": found.budget,
+        "ideal_isv": found.ideal_isv,
+        "chosen": figures(found.chosen.prediction),
+        "before": figures(found.reference),
+        "by_payload_mass": {f"{mass:g}": figures(prediction) for mass, prediction in found.robustness.items()},
+    }
