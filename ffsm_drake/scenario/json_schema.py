@@ -61,6 +61,8 @@ def field_comments(schema: type) -> dict[str, str]:
 
 
 def _schema(kind: Any, default: Any) -> dict[str, Any]:
+    if kind is Any:
+        return {}
     fields = schema_fields(kind)
     if fields is not None:
         described = field_comments(kind)
@@ -74,6 +76,8 @@ def _schema(kind: Any, default: Any) -> dict[str, Any]:
                 properties[name]["default"] = value
         meaning = (inspect.getdoc(kind) or "").partition("\n")[0] if dataclasses.is_dataclass(kind) else ""
         result = {"type": "object", "properties": properties, "additionalProperties": False}
+        if hasattr(kind, "SHORTHAND"):
+            result = {"anyOf": [{"type": "string"}, result]}
         return {"description": meaning, **result} if meaning else result
     origin, args = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):

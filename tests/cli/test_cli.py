@@ -176,7 +176,11 @@ def test_doctor(tmp_path, monkeypatch):
     status = {check["name"]: check["status"] for check in json.loads(result.stdout)}
     assert status["a short run"] == "ok"
     assert not list(tmp_path.iterdir())
-    monkeypatch.setattr("ffsm_drake.cli.doctor._models", lambda: (_ for _ in ()).throw(OSError("no models")))
+
+    def no_models():
+        raise OSError("no models")
+
+    monkeypatch.setattr("ffsm_drake.spacecraft.plant.models_dir", no_models)
     sick = ffsm("doctor")
     assert sick.exit_code == 2
     assert "[missing] models: no models" in sick.stdout
