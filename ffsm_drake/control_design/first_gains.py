@@ -9,21 +9,17 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 
 # Natural frequencies to start from, rad/s.
 OMEGA = {"base_rotation": 15.0, "base_position": 10.0, "joints": 20.0}
-# Largest k_d L of PD+ in the coupled loop; at 2 the sampled loop is unstable.
-_PD_PLUS_DAMPING = 0.8
+_PD_PLUS_FACTOR = 2.0  # on the natural frequencies: PD+ estimates no disturbance, so it is stiffer
 
 
 def starting_gains(
-    omega: Mapping[str, float], *, coordinates: Coordinates, mass_matrices: np.ndarray, sample_time: float
+    omega: Mapping[str, float], *, coordinates: Coordinates, mass_matrices: np.ndarray
 ) -> dict[str, dict[str, Any]]:
     """Gains of every shipped controller: controller -> gain -> value by coordinate.
-
-    For accelerations K_P = w^2 and K_D = 2 w, for PD+ these times the inertia of each coordinate.
 
     Args:
       omega: natural frequency of each group, rad/s.
       mass_matrices: of the true spacecraft along the motion (m, nv, nv).
-      sample_time: L, s.
     """
 
     def per_group(factor: float, power: int = 1) -> dict[str, float]:
@@ -41,17 +37,22 @@ def starting_gains(
         "aismc": adaptive(),
         "tde_aismc": {**adaptive(), "g_max": 2e-3},
         "computed_torque": linear(),
-        "pd_plus": _pd_plus(coordinates.vector(omega, key="omega"), coordinates, mass_matrices, sample_time),
+        "pd_plus": _pd_plus(_PD_PLUS_FACTOR * coordinates.vector(omega, key="omega"), coordinates, mass_matrices),
     }
 
 
-def _pd_plus(
-    omega: np.ndarray, coordinates: Coordinates, mass_matrices: np.ndarray, sample_time: float
-) -> dict[str, dict[str, float]]:
-    """Forces per error. PD+ does not decouple the coordinates, so w falls until the coupled loop is well damped."""
-    inertia = np.min([effective_inertia(each) for each in mass_matrices], axis=0)
-    rates = [np.linalg.eigvals(np.linalg.solve(each, np.diag(2.0 * omega * inertia))).real for each in mass_matrices]
-    omega = omega * min(1.0, _PD_PLUS_DAMPING / (sample_time * np.max(rates)))
+def _pd_plus(omega: np.ndarray, coordinates: Coordinates, mass_matrices: np.ndarray) -> dict[str, dict[str, float]]:
+    """Forces per error: K_P = w^2 m and K_D = 2 w m with the smallest inertia m of each coordinate along the motion.
+
+    PD+ does not decouple the coordinates, so that m is less than the effective inertia: with A = H^-1, it is
+    1 / sum_j |A_ij| sqrt(A_ii / A_jj). Then no eigenvalue of H^-1 K_D exceeds the largest 2 w (sums over the rows of
+    the scaled matrix), and the sampled loop is stable for 2 w L < 2.
+    """
+    inertia = np.full(omega.size, np.inf)
+    for mass_matrix in mass_matrices:
+        inverse = np.linalg.inv(mass_matrix)
+        scale = np.sqrt(np.diagonal(inverse))
+        inertia = np.minimum(inertia, 1.0 / (scale * (np.abs(inverse) / scale).sum(axis=1)))
     return {
         name: dict(zip(coordinates.names, map(rounded, values), strict=True))
         for name, values in (("k_d", 2.0 * omega * inertia), ("k_p", omega**2 * inertia))

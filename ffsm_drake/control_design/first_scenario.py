@@ -47,8 +47,8 @@ _COMMENTS = {
     "reference": "Duration of the planned motion; the target posture is held afterwards.",
     "controller": "One of tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus.",
     "controllers": "With w the natural frequency in rad/s: K_P = w^2 and K_D = 2 w; ASMC: K_D = w and K_s = 2 w; PD+: "
-    "K_P and K_D times the inertia of each coordinate. With the sample time L and a known inertia, the sampled loop is "
-    "stable for (K_D + K_s) L < 2.",
+    "with 2 w in place of w, times an inertia of each coordinate. With the sample time L and a known inertia, the "
+    "sampled loop is stable for (K_D + K_s) L < 2.",
     "disturbance": "Force on each coordinate: amplitude * sin(frequency * t + phase) + bias.",
     "sensing": "Standard deviation per sample: near perfect, as in the paper. For real sensors see the scenario "
     "flight_sensors and 'ffsm design'.",
@@ -197,9 +197,7 @@ def _make(servicer: Servicer, folder: Path, *, mass: float, packages: Mapping[st
         motion = plan_motion(true, servicer, body=_BODY)
         for attempt in range(_TRIES):
             omega = {group: rounded(_SHRINK**attempt * w) for group, w in OMEGA.items()}
-            gains = starting_gains(
-                omega, coordinates=true.coordinates, mass_matrices=motion.mass_matrices, sample_time=_SAMPLE_TIME
-            )
+            gains = starting_gains(omega, coordinates=true.coordinates, mass_matrices=motion.mass_matrices)
             data = _scenario_data(servicer, motion, true.coordinates, draft, gains)
             margins = {
                 name: _margins(scenario_from_dict(data | {"controller": name}, source=str(scenario_file)))

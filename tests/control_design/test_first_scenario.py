@@ -25,7 +25,7 @@ from ffsm_drake.systems.controllers import controller_names
 
 # Final error, rad or m, held after a motion of half the planned duration. Computed torque and PD+ estimate neither the
 # disturbance nor the payload's deviation, and keep the error that these cause.
-LARGEST_ERROR = {"computed_torque": 2e-4, "pd_plus": 4e-3}
+LARGEST_ERROR = {"computed_torque": 2e-4, "pd_plus": 1e-3}
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_pd_plus_gains_follow_the_inertia(made):
             np.linalg.eigvals(np.linalg.solve(h, np.diag(list(k_d.values())))).real.max()
             for h in made(name).motion.mass_matrices
         )
-        assert 0.2 < 0.01 * rate < 0.81
+        assert 0.4 < 0.01 * rate < 0.81
     assert gains["gripper"][1]["base_position_x"] < 0.2 * gains["prismatic"][1]["base_position_x"]
     assert gains["gripper"][1]["grip_a"] < 0.1 * gains["gripper"][1]["base_position_x"]
 
