@@ -80,12 +80,14 @@ def write_report(
     path = Path(path)
     if not records:
         raise RecordError(f"{path}: a report needs at least one record, none was given")
-    write_text(path, render_report(records, title=title, recording=recording))
+    write_text(path, render_report(records, folder=path.parent, title=title, recording=recording))
     return path
 
 
-def render_report(records: Sequence[RunRecord], *, title: str | None = None, recording: str | None = None) -> str:
-    """The page of ``write_report`` as text; ``records`` holds at least one."""
+def render_report(
+    records: Sequence[RunRecord], *, folder: Path = Path(), title: str | None = None, recording: str | None = None
+) -> str:
+    """The page of ``write_report`` as text; ``records`` holds at least one, and paths start at ``folder``."""
     results = results_of(records)
     thin = Thinning(points_per_curve(results))
     margins = [_attempt(functools.partial(stability, result.record.scenario)) for result in results]
@@ -111,7 +113,7 @@ def render_report(records: Sequence[RunRecord], *, title: str | None = None, rec
         "thinning": _thinning(thin),
         "findings": [_findings(result) for result in results],
         "stability": [_stability(result, *margin) for result, margin in zip(results, margins, strict=True)],
-        "provenance": provenance(results),
+        "provenance": provenance(results, folder),
         "software": software(records),
         "version": records[0].software.get("ffsm-drake", ""),
         "words": _STATUS_WORDS,

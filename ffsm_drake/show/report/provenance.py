@@ -5,12 +5,13 @@ import json
 import math
 import shlex
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import yaml
 
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import load_scenario, scenario_to_dict, shipped_scenarios
+from ffsm_drake.scenario import load_scenario, portable_scenario, scenario_to_dict, shipped_scenarios
 from ffsm_drake.show.report.results import Result
 from ffsm_drake.show.style import flatten
 from ffsm_drake.show.tables import number
@@ -18,14 +19,14 @@ from ffsm_drake.show.tables import number
 _MOST_OVERRIDES = 8  # in a command that is still read
 
 
-def provenance(results: Sequence[Result]) -> list[dict[str, Any]]:
-    """Of each run: facts, command and scenario."""
+def provenance(results: Sequence[Result], folder: Path) -> list[dict[str, Any]]:
+    """Of each run: facts, command and scenario, whose paths start at ``folder``."""
     shipped = {name: flatten(scenario_to_dict(load_scenario(name))) for name in shipped_scenarios()}
     items = []
     for result in results:
         record = result.record
         scenario, config = record.scenario, record.scenario.simulator_config
-        data = scenario_to_dict(scenario)
+        data = portable_scenario(scenario, folder)
         text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
         file = f"{scenario.controller.replace(':', '-')}.yaml"
         wall = ", ".join(f"{name.replace('_', ' ')} {number(value, 3)} s" for name, value in record.wall_time.items())
