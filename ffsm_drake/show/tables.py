@@ -26,7 +26,12 @@ def number(value: float | None, digits: int = 4) -> str:
     mantissa, power = f"{value:.{digits - 1}e}".split("e")
     if 1e-3 <= abs(value) < 1e5:
         return f"{value:.{max(digits - 1 - int(power), 0)}f}"
-    return f"{mantissa}×10{str(int(power)).translate(_SUPERSCRIPTS)}"
+    return f"{mantissa}{power_of_ten(int(power))}"
+
+
+def power_of_ten(exponent: int) -> str:
+    """Such as ×10⁻⁴."""
+    return f"×10{str(exponent).translate(_SUPERSCRIPTS)}"
 
 
 def percent(share: float) -> str:

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.show.figures.axes import tidy
-from ffsm_drake.show.style import label_of, styles_of
+from ffsm_drake.show.style import SKY, label_of, styles_of
 from ffsm_drake.studies.noise.cases import CONTROLLERS
 from ffsm_drake.studies.noise.study import NoiseRow, NoiseStudy, settled_after
 
@@ -53,7 +53,7 @@ def plot_study(study: NoiseStudy) -> Figure:
         axes.set_ylabel(label)
         tidy(axes)
         axes.axvspan(*MEMS_GYRO, color="#F0E442", alpha=0.22, linewidth=0, zorder=0)
-        axes.axvline(FIBRE_GYRO, color="#56B4E9", linewidth=1.4, zorder=1)
+        axes.axvline(FIBRE_GYRO, color=SKY, linewidth=1.4, zorder=1)
     (effort, force), below = panels
     effort.annotate("fibre gyro \n0.005°/√h ", (FIBRE_GYRO, 0.0), **_AT_THE_FOOT, ha="right")
     effort.annotate("MEMS gyro", (math.sqrt(math.prod(MEMS_GYRO)), 0.0), **_AT_THE_FOOT, ha="center")

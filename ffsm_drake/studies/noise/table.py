@@ -5,6 +5,7 @@ import math
 from typing import Any
 
 from ffsm_drake.show.style import label_of
+from ffsm_drake.show.tables import NONE, number
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.studies.noise.cases import EXCHANGED, exchange_point
 from ffsm_drake.studies.noise.study import NoiseRow, NoiseStudy, settled_after
@@ -79,11 +80,11 @@ def _slopes(study: NoiseStudy) -> list[str]:
         if estimator != "one_sample":
             continue
         gain = study.noise_gain[controller]
-        cells = ["–"] * 3
+        cells = [NONE] * 3
         for point in points:
             if point.sigma is not None and not point.diverged:  # the last one counts
                 slopes = [(isv - study.ideal_isv) / point.sigma**2 for isv in (point.isv_predicted, point.isv)]
-                cells = [*(f"{slope:.2e}" for slope in slopes), point.sensors]
+                cells = [*(number(slope, 3) for slope in slopes), point.sensors]
         rows.append([label_of(controller), f"{gain:.0f}", f"{gain * study.sample_time:.1f}", *cells])
     header = ["controller", "rms acceleration/σ [1/s]", "the same in 1/L", "extra effort/σ², predicted", "measured"]
     return _table([*header, "at σ"], rows)
@@ -94,26 +95,21 @@ def _exchange(study: NoiseStudy) -> list[str]:
     rows = []
     for controller in study.noise_gain:
         points = [study.point(controller, kind, exchange_point(study.sigmas), gains=gains) for kind, gains in ways]
-        figures = [f"{_significant(point.isv)}; {point.rms_error['base_rotation']:.1e}" for point in points]
+        figures = [f"{number(point.isv)}; {number(point.rms_error['base_rotation'], 2)}" for point in points]
         cells = [f"**{p.outcome}**" if p.diverged else text for p, text in zip(points, figures, strict=True)]
         rows.append([label_of(controller), *cells])
     return _table(["controller", *(f"{_ESTIMATES[estimator]}, {gains} gains" for estimator, gains in ways)], rows)
 
 
 def _point_cells(point: NoiseRow) -> list[str]:
-    predicted = _significant(point.isv_predicted) if math.isfinite(point.isv_predicted) else "unstable"
+    predicted = number(point.isv_predicted) if math.isfinite(point.isv_predicted) else "unstable"
     head = [label_of(point.controller), point.sensors]
     if point.diverged:
-        return [*head, f"**{point.outcome}**", "–", predicted, *["–"] * 6]
-    errors = [f"{point.rms_error[group]:.1e}" for group in GROUPS]
-    forces = [_significant(point.peak_force[group]) for group in GROUPS]
-    return [*head, f"{point.itae:.2e}", _significant(point.isv), predicted, *errors, *forces]
+        return [*head, f"**{point.outcome}**", NONE, predicted, *[NONE] * 6]
+    errors = [number(point.rms_error[group], 2) for group in GROUPS]
+    forces = [number(point.peak_force[group]) for group in GROUPS]
+    return [*head, number(point.itae, 3), number(point.isv), predicted, *errors, *forces]
 
 
 def _table(header: list[str], rows: list[list[str]]) -> list[str]:
     return [f"| {' | '.join(cells)} |" for cells in (header, ["---", *["---:"] * (len(header) - 1)], *rows)]
-
-
-def _significant(value: float) -> str:
-    """Such as 3.8, 418.3 and 2.65e+05."""
-    return f"{value:.1f}" if abs(value) < 1e4 else f"{value:.2e}"

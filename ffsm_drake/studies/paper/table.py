@@ -7,9 +7,10 @@ import statistics
 from itertools import product
 
 from ffsm_drake.common.files import csv_text
+from ffsm_drake.show.tables import power_of_ten
 from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, SETTINGS, Results, Run
-from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, scientific, span, superscript, times
+from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, scientific, span, times
 
 METRICS = {"itae": "ITAE", "isv": "ISV"}
 _PRINTED = {"itae": paper.ITAE, "isv": paper.ISV}
@@ -116,7 +117,7 @@ def shown_ours(metric: str, cell: Cell) -> str:
     if metric == "isv":
         return f"{cell.mean:.2f} ± {cell.spread:.2f}"
     mantissa, exponent = f"{cell.mean:.3e}".split("e")
-    return f"({mantissa} ± {cell.spread / 10.0 ** int(exponent):.3f})×10{superscript(int(exponent))}"
+    return f"({mantissa} ± {cell.spread / 10.0 ** int(exponent):.3f}){power_of_ten(int(exponent))}"
 
 
 def shown_ratio(cell: Cell) -> str:

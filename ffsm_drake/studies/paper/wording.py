@@ -5,10 +5,10 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import TypeVar
 
+from ffsm_drake.show.tables import number, power_of_ten
 from ffsm_drake.studies.paper.runs import Run
 
 T = TypeVar("T")
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NAMES = {"tde_aismc": "proposed", "aismc": "AISMC", "asmc": "ASMC", "tdc": "TDC"}
 DISTURBANCE_NAMES = {"tau_d1": "τ_d1", "tau_d2": "τ_d2 (3 × frequency)", "tau_d3": "τ_d3 (3 × amplitude)"}
 
@@ -20,22 +20,12 @@ def scientific(value: float, digits: int = 3) -> str:
     if value == 0.0:
         return "0"
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-    return f"{mantissa}×10{superscript(int(exponent))}"
-
-
-def superscript(number: int) -> str:
-    """Such as ⁻⁴."""
-    return str(number).translate(_SUPERSCRIPTS)
+    return f"{mantissa}{power_of_ten(int(exponent))}"
 
 
 def fixed(value: float, digits: int = 3) -> str:
-    """Significant digits without an exponent; infinity as in ``scientific``."""
-    if not math.isfinite(value):
-        return "diverged"
-    if abs(value) < 1e-3:
-        return scientific(value, digits)
-    exponent = int(f"{value:.{digits - 1}e}".split("e")[1])  # of the rounded value: 0.9999 is 1.00
-    return f"{value:.{max(digits - 1 - exponent, 0)}f}"
+    """As ``number``; infinity as in ``scientific``."""
+    return number(value, digits) if math.isfinite(value) else "diverged"
 
 
 def percent(share: float) -> str:
