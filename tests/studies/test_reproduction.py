@@ -245,7 +245,7 @@ def test_page_and_markdown_gather_everything(written, verdicts):
         assert "duration=0.4" in text  # not the reproduction proper, and says so
         for part in ("10.3390/aerospace9020105", "drake", "numpy", "What was run", "matplotlib"):
             assert part in text
-    assert html.count('class="numbers"') == len(SETTINGS) + 1
+    assert html.count('<table class="numbers') == len(SETTINGS) + 1
     for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", markdown):
         assert (written / path).is_file()
 
