@@ -12,11 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario
 from ffsm_drake.control_design.stability import stability
-from ffsm_drake.scenario import CONTROLLER_NAMES, MassProperties
+from ffsm_drake.scenario import MassProperties
 from ffsm_drake.show.meshcat.stage import camera_pose
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, coordinates_of
+from ffsm_drake.systems.controllers import PAPER_LAWS
 
 JOINTS = (
     "shoulder_roll", "shoulder_yaw", "shoulder_pitch", "elbow_pitch", "wrist_pitch", "wrist_yaw", "wrist_roll",
@@ -149,13 +150,13 @@ def test_dynamics_agree_with_mujoco(payload):
         assert_allclose(acceleration, their_acceleration, rtol=0, atol=1e-8 * np.abs(their_acceleration).max())
 
 
-@pytest.mark.parametrize("controller", CONTROLLER_NAMES)
+@pytest.mark.parametrize("controller", PAPER_LAWS)
 def test_sampled_loop_is_stable(controller):
     assert stability(load_scenario("seven_joint", [f"controller={controller}"])).verdict == "stable"
 
 
 @pytest.mark.parametrize(
-    ("controller", "seed"), [*((name, 0) for name in CONTROLLER_NAMES), ("tde_aismc", 1), ("tde_aismc", 2)]
+    ("controller", "seed"), [*((name, 0) for name in PAPER_LAWS), ("tde_aismc", 1), ("tde_aismc", 2)]
 )
 def test_controllers_converge(run, controller, seed):
     record = run("seven_joint", f"controller={controller}", f"random_seed={seed}")

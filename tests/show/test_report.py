@@ -94,15 +94,20 @@ def short(run):
     return run("postcapture", "duration=1", "reference.duration=1")
 
 
+def absent(_):
+    raise FfsmError("left out")
+
+
 @pytest.fixture
-def plain(monkeypatch):
-    """Leave out analysis and stability, which cost a second and are not what the test is about."""
+def without_stability(monkeypatch):
+    """Leave out the stability map, which costs seconds and is not what the test is about."""
+    monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
 
-    def absent(_):
-        raise FfsmError("left out")
 
-    for name in ("analyze", "stability"):
-        monkeypatch.setattr(f"ffsm_drake.show.report.page.{name}", absent)
+@pytest.fixture
+def plain(monkeypatch, without_stability):
+    """Leave out the analysis too."""
+    monkeypatch.setattr("ffsm_drake.show.report.page.analyze", absent)
 
 
 @pytest.fixture(scope="module")
@@ -198,6 +203,7 @@ def test_interrupted_after_few_samples(short, samples):
     assert "Base attitude" in page.text
 
 
+@pytest.mark.usefixtures("without_stability")
 def test_missing_variables_cost_only_their_section(short):
     bare = dataclasses.replace(short, dataset=short.dataset.drop_vars(["disturbance_force", "error", "base_rpy"]))
     page = page_of(bare)
@@ -257,6 +263,7 @@ def test_plotly_is_inlined_once(short):
     assert len(re.findall(r"plotly\.js v\d", render_report([short, short]))) == 1
 
 
+@pytest.mark.usefixtures("without_stability")
 def test_text_from_scenarios_is_escaped(short):
     names = short.dataset["coordinate"].values.tolist()
     plain, page = (
@@ -276,6 +283,7 @@ def test_text_from_scenarios_is_escaped(short):
     assert frame["sandbox"] == "allow-scripts"
 
 
+@pytest.mark.usefixtures("without_stability")
 def test_same_records_same_bytes(short, tmp_path):
     one = write_report([short], tmp_path / "one.html").read_bytes()
     short.save(tmp_path / "run")

@@ -33,6 +33,7 @@ def plot_design(found: Design) -> Figure:
         axes.axvline(max(found.budget - found.ideal_isv, 1e-3), color="black", linestyle="--", linewidth=0.8)
         axes.set(title=GROUP_TITLES[name], xlabel="ISV above perfect tracking")
         tidy(axes)
+        axes.margins(0.08)
     panels[0].set_ylabel("rms error after 5 s [rad or m]")
     figure.legend(
         *panels[-1].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, fontsize=9
