@@ -29,7 +29,7 @@ def moving_rms(values: np.ndarray, sample_time: float) -> np.ndarray:
     """
     from scipy.ndimage import uniform_filter1d
 
-    finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     values = values[: len(values) if finite.all() else int(np.argmin(finite))]
     if not len(values):
         return values

@@ -133,7 +133,7 @@ def test_design_from_the_shell(tmp_path):
     assert result.exit_code == 0, result.output
     scenario = load_scenario(tmp_path / "design.yaml")
     data = json.loads(result.stdout)
-    assert data["gains"]["k_s"] == scenario.controllers.asmc.k_s
+    assert data["gains"]["k_s"] == scenario.controllers["asmc"]["k_s"]
     assert data["chosen"]["isv"] <= data["budget"]
     assert set(data["by_payload_mass"]) >= {"60", "150"}
     assert scenario.controller == "asmc"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from meshcat_page import click
 
-from ffsm_drake import RunRecord, load_scenario, make_true_plant, simulate
+from ffsm_drake import RunRecord, load_scenario, make_true_plant, override_scenario, simulate
 from ffsm_drake.show.meshcat import start_meshcat
 from ffsm_drake.show.meshcat.controls import Controls
 from ffsm_drake.show.meshcat.interactive import (
@@ -285,10 +285,10 @@ def test_clicks_while_nothing_runs_do_nothing(meshcat, scenario):
     assert record.dataset.identical(simulate(scenario).dataset)
 
 
-def test_a_controller_without_gains_is_one_line_on_the_panel(meshcat, scenario):
-    scenario.controllers.tdc.k_d = {"joint_1": 1.0}
+def test_a_controller_that_cannot_be_loaded_is_one_line_on_the_panel(meshcat, scenario):
+    scenario = override_scenario(scenario, ["controller=nowhere:Law"])
     seen = []
-    steps = [start("tdc"), let_pass(2), lambda hands: seen.append(hands.status), start(), until_idle]
+    steps = [start("nowhere:Law"), let_pass(2), lambda hands: seen.append(hands.status), start(), until_idle]
     records = operate(meshcat, scenario, *steps)
     assert [record.scenario.controller for record in records] == ["tde_aismc"]
-    assert "controllers.tdc.k_d" in seen[0]
+    assert "No module named 'nowhere'" in seen[0]
