@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Mapping
 from typing import Any
 
-from pydrake.systems.framework import Diagram, LeafSystem, System
+from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
 from ffsm_drake.scenario import Block, Scenario
@@ -63,6 +63,15 @@ BLOCKS: dict[str, Ports] = {
     ),
 }
 DISTURBANCE = "forces.disturbance"
+# What the scenario's own sections describe; an actuator that does nothing to the force is None.
+_SECTIONS: dict[str, Factory] = {
+    "reference": lambda setup: make_reference(setup.scenario, setup.coordinates),
+    "sensing": lambda setup: make_sensing(setup.scenario.sensing, setup.coordinates, sample_time=setup.sample_time),
+    "actuation": lambda setup: make_actuation(
+        setup.scenario.actuation, setup.coordinates, sample_time=setup.sample_time
+    ),
+    DISTURBANCE: lambda setup: make_disturbance(setup.scenario.disturbance, setup.coordinates),
+}
 
 
 def kind_of(name: str) -> str:
@@ -96,50 +105,35 @@ def make_blocks(
         valid = [*(block for block in BLOCKS if block != "forces"), "forces.<name>"]
         if name not in valid[:-1] and not (name.startswith("forces.") and name[7:].isidentifier()):
             raise ScenarioError(f"blocks.{name}", f"is no block; choose {', '.join(valid)}{did_you_mean(name, valid)}")
-    others = [name for name in (*choices, *given) if name.startswith("forces.") and name != DISTURBANCE]
+    forces = [name for name in (DISTURBANCE, *choices, *given) if name.startswith("forces.")]
     blocks: dict[str, System] = {}
-    for name in ("reference", "sensing", "controller", "actuation", DISTURBANCE, *dict.fromkeys(others)):
-        choice, factory = choices.get(name), given.get(name)
+    for name in ("reference", "sensing", "controller", "actuation", *dict.fromkeys(forces)):
+        factory, choice = given.get(name), choices.get(name, Block())
         if name == "controller":
-            choice = Block(system=scenario.controller)
-        called = getattr(factory, "__name__", "") or (choice.system if choice else "")
-        place = f"{'controller' if name == 'controller' else f'blocks.{name}'} '{called}'"
-        if name == "controller":
+            place = f"controller '{getattr(factory, '__name__', scenario.controller)}'"
             made = make_controller(scenario, nominal, factory)
-        elif choice is None and factory is None:
-            made = _own(name, scenario, nominal.coordinates)
-            if made is None:
-                continue
         else:
-            made = _user_supplied(name, choice or Block(), factory, scenario, nominal, place=place)
+            place = f"blocks.{name} '{getattr(factory, '__name__', choice.system)}'"
+            own = BlockSetup(name=name.rpartition(".")[2], scenario=scenario, nominal=nominal, settings=choice.settings)
+            made = call_factory(factory or block_factory(name, scenario), own, place=place)
+            if made is None and name not in choices and name not in given:
+                continue  # an ideal actuator
         check_ports(made, kind_of(name), nominal.coordinates, place=place)
         if name != "controller":  # which has its own
-            made.set_name(name.rpartition(".")[2])
+            made.set_name(own.name)
         blocks[name] = made
     return blocks
 
 
-def _user_supplied(
-    name: str, choice: Block, factory: Factory | None, scenario: Scenario, nominal: PlantModel, *, place: str
-) -> Any:
-    """What a factory makes of a block: the one given in Python, else the one that the scenario names."""
-    if factory is None:
-        path = scenario.python_path
-        factory = find_factory(kind_of(name), choice.system, key=f"blocks.{name}", python_path=path)
-    system_name = name.rpartition(".")[2]
-    setup = BlockSetup(name=system_name, scenario=scenario, nominal=nominal, settings=choice.settings)
-    return call_factory(factory, setup, place=place)
+def block_factory(name: str, scenario: Scenario) -> Factory:
+    """What builds a block that is not the controller: what ``blocks`` names, else the scenario's section of that name.
 
-
-def _own(name: str, scenario: Scenario, coordinates: Coordinates) -> Diagram | LeafSystem | None:
-    """What the scenario's own section of a block describes; None for an ideal actuator."""
-    if name == "reference":
-        return make_reference(scenario, coordinates)
-    if name == "sensing":
-        return make_sensing(scenario.sensing, coordinates, sample_time=scenario.sample_time)
-    if name == "actuation":
-        return make_actuation(scenario.actuation, coordinates, sample_time=scenario.sample_time)
-    return make_disturbance(scenario.disturbance, coordinates)
+    Raises ScenarioError and BlockError as ``make_blocks`` does.
+    """
+    choice = block_choices(scenario).get(name)
+    if choice is None:
+        return _SECTIONS[name]
+    return find_factory(kind_of(name), choice.system, key=f"blocks.{name}", python_path=scenario.python_path)
 
 
 def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
@@ -153,15 +147,6 @@ def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
         if file is not None:
             sources[name] |= {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
     return sources
-
-
-def make_disturbance_block(setup: BlockSetup) -> System:
-    """The scenario's disturbance, as a factory: for a force that wraps it."""
-    choice = block_choices(setup.scenario).get(DISTURBANCE)
-    if choice is None:
-        return make_disturbance(setup.scenario.disturbance, setup.coordinates)
-    place = f"blocks.{DISTURBANCE} '{choice.system}'"
-    return _user_supplied(DISTURBANCE, choice, None, setup.scenario, setup.nominal, place=place)
 
 
 def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str) -> None:

@@ -1,5 +1,6 @@
 """The disturbance under an operator's hands: scaled, and with pushes on the payload."""
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -7,8 +8,10 @@ from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.lifetime import weak_callback
-from ffsm_drake.loop.blocks import make_disturbance_block
+from ffsm_drake.loop.blocks import DISTURBANCE, block_choices, block_factory
+from ffsm_drake.scenario import Block
 from ffsm_drake.spacecraft.plant import find_body
+from ffsm_drake.systems.registry import call_factory
 from ffsm_drake.systems.setup import BlockSetup
 
 
@@ -23,7 +26,10 @@ def make_operated_disturbance(
       poll: called with (time, q) at every control sample; returns what acts from the next sample on (4).
     """
     builder = DiagramBuilder()
-    disturbance = builder.AddSystem(make_disturbance_block(setup))
+    choice = block_choices(setup.scenario).get(DISTURBANCE, Block())
+    original = dataclasses.replace(setup, settings=choice.settings)
+    factory = block_factory(DISTURBANCE, setup.scenario)
+    disturbance = builder.AddSystem(call_factory(factory, original, place=f"blocks.{DISTURBANCE}"))
     operator = builder.AddNamedSystem("operator", OperatorInputs(setup, initial=initial, poll=poll))
     builder.Connect(disturbance.GetOutputPort("generalized_force"), operator.GetInputPort("disturbance"))
     builder.ExportInput(operator.GetInputPort("state"), "state")
