@@ -18,6 +18,7 @@ extensions = [
     "sphinx_copybutton",
     "offline_math",
     "plain_docstrings",
+    "block_ports",
     "scenario_reference",
 ]
 exclude_patterns = ["_ext"]

@@ -1,4 +1,4 @@
-"""A user-supplied controller, checked, run and compared with the paper's; from the shell the same is
+"""A user-supplied controller, checked, run and compared with the paper's; the same from the shell:
 
 ffsm compare postcapture -c own_controller:MyPdPlus -c tde_aismc          (in the folder of this file)
 """

@@ -1,4 +1,4 @@
-"""From a URDF of one's own to a converged run; from the shell the same is
+"""From a user-supplied URDF to a converged run; the same from the shell:
 
 ffsm new out/own_servicer/courier --urdf courier.urdf
 ffsm run out/own_servicer/courier/courier.yaml

@@ -26,13 +26,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         with warnings_as_lines():
-            return fly(options.scenario, options.set, options.out or Path("out") / Path(options.scenario).stem)
+            return run(options.scenario, options.set, options.out or Path("out") / Path(options.scenario).stem)
     except ffsm_drake.FfsmError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
 
 
-def fly(name: str, overrides: Sequence[str], directory: Path) -> int:
+def run(name: str, overrides: Sequence[str], directory: Path) -> int:
     scenario = ffsm_drake.load_scenario(name, overrides)
     record = ffsm_drake.simulate(scenario, progress=show_progress)
     record.save(directory)

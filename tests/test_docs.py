@@ -33,7 +33,7 @@ from ffsm_drake.systems.reference import make_reference
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
 NOT_RUN = "<!-- not run -->"  # on the line before a block
 MODULE = re.compile(r"# (\w+)\.py\b")  # first line of a python block that is (or continues) a module of the user's
 
@@ -80,11 +80,11 @@ def ffsm_parameters(words: tuple[str, ...]) -> dict[str, object]:
 
 
 def check_overrides(scenario: str, overrides: list[str]) -> None:
-    """Shipped scenarios take them; of files that only a page mentions, the schema does."""
+    """Shipped scenarios take them; of files and runs that only a page mentions, the schema does."""
     if scenario in shipped_scenarios():
         load_scenario(scenario, overrides)
     else:
-        assert scenario.endswith(".yaml"), scenario
+        assert scenario.endswith(".yaml") or scenario.startswith("out/"), scenario
         scenario_from_dict({}, overrides)
 
 
@@ -112,7 +112,7 @@ def test_commands_exist_with_their_options(page, words, capsys, monkeypatch):
         assert path.is_file(), f"{page}: {words[1]} does not exist"
         example = module_at(path)
         if words[2:]:
-            monkeypatch.setattr(example, "fly", lambda name, overrides, directory: check_overrides(name, overrides))
+            monkeypatch.setattr(example, "run", lambda name, overrides, directory: check_overrides(name, overrides))
             example.main(words[2:])
     elif words[:2] == ("python", "-c"):
         exec(compile(words[2], page, "exec"), {})
@@ -224,8 +224,8 @@ def test_the_baselines_sampled_limit(controller, coordinate):
     limit = candidates[np.searchsorted([radius(k_d) for k_d in candidates], 2.0 / scenario.sample_time)]
     late = {}
     for factor in (0.97, 1.03):
-        gains = f"controllers.own.{controller}.k_d={{all: {base}, {coordinate}: {factor * limit}}}"
-        stiffness = f"controllers.own.{controller}.k_p=0"
+        gains = f"controllers.{controller}.k_d={{all: {base}, {coordinate}: {factor * limit}}}"
+        stiffness = f"controllers.{controller}.k_p=0"
         record = simulate(load_scenario("postcapture", [*held, gains, stiffness]))
         late[factor] = float(abs(record.dataset["error_rate"][-20:]).max())
     assert late[0.97] < 1e-4 < 1e-2 < late[1.03]
