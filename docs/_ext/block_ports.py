@@ -5,7 +5,7 @@ It replaces the line ``<!-- block ports -->`` of a page, as Markdown, when the s
 
 from typing import TYPE_CHECKING, Any
 
-from ffsm_drake.loop.blocks import BLOCKS, STATE
+from ffsm_drake.loop.blocks import BLOCKS
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -26,7 +26,7 @@ def markdown() -> str:
             ("out", ports.optional_outputs, ", optional"),
         ):
             for name, size in names.items():
-                shown = f"{size}: [q; v]" if size == STATE else size
+                shown = size.replace(" ", "&nbsp;")
                 lines.append(f"| {key} | {kind} `{name}`{optional} | {shown} |")
                 key = ""
     return "\n".join(lines)

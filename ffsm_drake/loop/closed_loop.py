@@ -1,11 +1,13 @@
 """The closed loop: the blocks and the plant, wired into one Diagram.
 
-           +-----------+                                          forces (summed)
-reference->|           |   commanded   +-----------+   applied          |
-           | controller|-------------->| actuation |-----------------> (+) --> plant --+--> state
- estimated>|           |     force     +-----------+    force                          |
-           +-----------+                                                               |
-     ^------------------------------- sensing <----------------------------------------+
+               +-----------+                                          forces (summed)
+    reference->|           |   commanded   +-----------+   applied          |
+               | controller|-------------->| actuation |-----------------> (+) --> plant --+--> state
+     estimated>|           |     force     +-----------+    force                          |
+               +-----------+                                                               |
+         ^------------------------------- sensing <----------------------------------------+
+
+``loop.blocks`` says what each block's ports are, and what fills it.
 """
 
 import dataclasses
