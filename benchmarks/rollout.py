@@ -9,7 +9,7 @@ scenario is ``postcapture`` with the proposed controller: 20 s, or what is asked
 (a) the bare plant: the same plant, integrator and step under a constant generalized force, AdvanceTo only;
 (b) our closed loop: AdvanceTo, with everything that a run records;
 (c) the same closed loop written for MuJoCo: fourth-order Runge-Kutta at 10 ms, the law in NumPy, the mass matrix of a
-    second model with the believed payload.
+    second model with the nominal payload.
 """
 
 import argparse

@@ -31,14 +31,14 @@ METRICS = (
     "settled_time",
 )
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
-# What may differ from one time to the next.
+# Columns that differ between repetitions.
 CIRCUMSTANCES = ("wall_time", "worker", "rss_mib", "software")
 
 Row = dict[str, Any]
 
 
 def evaluate(campaign: str, case: Case, controller: str) -> Row:
-    """Run one case with one controller; whatever goes wrong is part of the row.
+    """Run one case with one controller; errors become part of the row.
 
     Args:
       campaign: ``Spec.to_json()``; a process reads it once.
@@ -73,7 +73,7 @@ class Evaluator:
             try:
                 scenario = scenario_of(self._spec, case, controller)
                 log = self._run(scenario)
-                row |= judge(self._spec, log)
+                row |= evaluate_run(self._spec, log)
                 if (prediction := predict_stability(scenario)) is not None:
                     row |= dict(zip(PREDICTIONS, (prediction.starting, prediction.expected), strict=True))
             except Exception as error:
@@ -95,7 +95,7 @@ class Evaluator:
         return rollout.run(scenario)
 
 
-def judge(spec: Spec, log: RunLog) -> Row:
+def evaluate_run(spec: Spec, log: RunLog) -> Row:
     """Outcome and metrics of a run."""
     if log.outcome.status == "interrupted":
         raise RuntimeError("the run was interrupted")
@@ -136,17 +136,17 @@ def described(error: Exception) -> str:
 
 
 def error_row(message: str) -> Row:
-    """The result's part of a row whose run came to nothing."""
+    """The results in the row of a run that failed."""
     return {**dict.fromkeys((*METRICS, *PREDICTIONS)), "outcome": "error", "outcome_time": None, "message": message}
 
 
-def verdict_columns() -> tuple[str, ...]:
+def result_columns() -> tuple[str, ...]:
     """The columns that a repeated run must reproduce bit for bit."""
     return ("outcome", "outcome_time", "message", *METRICS)
 
 
 def resident_memory() -> float:
-    """Memory of this process that is in use, MiB; its largest ever where the system does not tell."""
+    """Memory of this process that is in use, MiB; its peak where the system does not report it."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
@@ -155,6 +155,6 @@ def resident_memory() -> float:
         return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
-def same_verdict(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
-    """The columns in which two rows' verdicts differ."""
-    return [name for name in verdict_columns() if first[name] != second[name]]
+def differing_columns(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
+    """The columns of results in which two rows differ."""
+    return [name for name in result_columns() if first[name] != second[name]]

@@ -10,7 +10,15 @@ from pathlib import Path
 
 from ffsm_drake.campaign.cases import Case, make_cases, scenario_of
 from ffsm_drake.campaign.errors import InterruptedCampaign
-from ffsm_drake.campaign.evaluate import CIRCUMSTANCES, Row, described, error_row, evaluate, judge, same_verdict
+from ffsm_drake.campaign.evaluate import (
+    CIRCUMSTANCES,
+    Row,
+    described,
+    differing_columns,
+    error_row,
+    evaluate,
+    evaluate_run,
+)
 from ffsm_drake.campaign.spec import Spec, load_spec
 from ffsm_drake.campaign.store import Store, create_store, open_store
 from ffsm_drake.common.errors import FfsmError
@@ -108,7 +116,7 @@ def start_campaign(
       spec: what to run.
       path: the database to make.
       workers: where to run it.
-      stop: set it from elsewhere to end early.
+      stop: set it in another thread to end early.
       progress: called after every batch of results.
 
     Raises:
@@ -186,10 +194,10 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
         log = Rollout(scenario_of(store.spec, case, controller)).run()
         if log.outcome.status == "interrupted":
             raise KeyboardInterrupt
-        repeated = judge(store.spec, log)
+        repeated = evaluate_run(store.spec, log)
     except Exception as error:
         repeated = error_row(described(error))
     record = None
     if log is not None:
         record = make_record(log, start=start)
-    return Repeated(record=record, stored=stored, repeated=repeated, differences=same_verdict(stored, repeated))
+    return Repeated(record=record, stored=stored, repeated=repeated, differences=differing_columns(stored, repeated))

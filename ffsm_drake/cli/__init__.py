@@ -8,7 +8,7 @@ import click
 
 from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.cli.common import OrderedGroup
-from ffsm_drake.cli.judge import analyze, design, stability
+from ffsm_drake.cli.evaluate import analyze, design, stability
 from ffsm_drake.cli.new import new
 from ffsm_drake.cli.paper import noise, reproduce
 from ffsm_drake.cli.run import compare, run
@@ -19,7 +19,7 @@ from ffsm_drake.cli.show import diagram, plot, replay
 @click.group(cls=OrderedGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="ffsm-drake")
 def main() -> None:
-    """Simulate and judge controllers of a free-flying space manipulator after debris capture.
+    """Simulate and evaluate controllers of a free-flying space manipulator after debris capture.
 
     \b
     Examples:
@@ -29,8 +29,8 @@ def main() -> None:
 
     Exit codes: 0 good, 2 bad input, 3 diverged or unstable, 130 interrupted.
     """
-    with suppress(FileNotFoundError):  # the folder has been deleted under us
-        if str(Path.cwd()) not in sys.path:  # for controllers given as module:Class; last, so that it shadows nothing
+    with suppress(FileNotFoundError):  # the current folder has been deleted
+        if str(Path.cwd()) not in sys.path:  # for module:Class; last, so that it shadows no installed module
             sys.path.append(str(Path.cwd()))
 
 

@@ -1,4 +1,4 @@
-"""The commands ``ffsm campaign …``. What they need is imported when they run: ``--help`` stays fast."""
+"""The commands ``ffsm campaign …``. Imports are made when a command runs, so that ``--help`` stays fast."""
 
 import os
 import sys
@@ -26,7 +26,8 @@ def campaign() -> None:
     """Thousands of runs of a scenario with dispersed values, in one database, with a report.
 
     A specification (SPEC.yaml, or a shipped name such as payload_uncertainty) says what is dispersed and how; see
-    docs/campaigns.md. Every controller meets the same cases, and the results do not depend on who computed them when.
+    docs/campaigns.md. Every controller runs the same cases. The results do not depend on
+    the workers.
 
     \b
     Examples:
@@ -60,11 +61,11 @@ _cases_option = click.option("--cases", type=click.IntRange(min=1), help="Number
 @reports_errors
 @click.argument("spec")
 @_cases_option
-@click.option("--workers", type=click.IntRange(min=1), help="Processes to reckon with (default: one per processor).")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes to assume (default: one per processor).")
 def plan(spec: str, cases: int | None, workers: int | None) -> None:
     """Check a specification, show its first cases, and say how long it would take.
 
-    Runs the first case with every controller to find that out; writes nothing.
+    Runs the first case with every controller to estimate the time; writes nothing.
 
     \b
     Example:
@@ -84,7 +85,7 @@ def plan(spec: str, cases: int | None, workers: int | None) -> None:
 def run(spec: str, database: Path | None, cases: int | None, workers: int | None, scheduler: str | None) -> None:
     """Run a campaign into a new database.
 
-    Ctrl-C stops after the runs under way (exit code 130); 'resume' does the rest, as it does after a crash.
+    Ctrl-C stops after the current runs (exit code 130); 'resume' continues, as it does after a crash.
 
     \b
     Examples:
@@ -108,7 +109,7 @@ def run(spec: str, database: Path | None, cases: int | None, workers: int | None
 @_database_option
 @_worker_options
 def resume(source: str, database: Path | None, workers: int | None, scheduler: str | None) -> None:
-    """Run what an interrupted campaign still lacks.
+    """Run the remaining cases of an interrupted campaign.
 
     \b
     Example:
@@ -129,7 +130,7 @@ def resume(source: str, database: Path | None, workers: int | None, scheduler: s
 @_source
 @_database_option
 def status(source: str, database: Path | None) -> None:
-    """How far a campaign is, what came out so far, and how its processes' memory fares. Also while it runs.
+    """Show progress, outcomes so far and memory of the worker processes. Works while the campaign runs.
 
     \b
     Example:
@@ -152,7 +153,7 @@ def rerun(
 ) -> None:
     """Repeat one case with its full record and recording, and compare with the stored row.
 
-    Exits with 3 when a figure is not bit for bit the stored one: other software, or another kind of processor.
+    Exits with 3 when a value differs from the stored one, for instance with other software or another processor.
 
     \b
     Example:
@@ -180,7 +181,7 @@ def rerun(
                 click.echo(f"{what}; NOT as stored: {', '.join(repeated.differences)}")
                 click.echo(f"  stored by {repeated.stored['software']}")
             else:
-                click.echo(f"{what}; every figure is bit for bit the stored one")
+                click.echo(f"{what}; all values equal the stored ones, bit for bit")
             if repeated.record is not None:
                 repeated.record.save(folder / controller_key(name))
                 if not no_recording:
@@ -196,9 +197,11 @@ def rerun(
 @_source
 @_database_option
 @click.option("--out", type=click.Path(path_type=Path), help="Folder (default: beside the database).")
-@click.option("--map", "axes", nargs=2, metavar="X Y", help="Values for the map (default: the two that matter most).")
+@click.option(
+    "--map", "axes", nargs=2, metavar="X Y", help="Axes of the map (default: the two values that matter most)."
+)
 def report(source: str, database: Path | None, out: Path | None, axes: tuple[str, str] | None) -> None:
-    """Judge a campaign: report.html (one file, opens offline), its figures as PNG, all runs as CSV and Parquet.
+    """Evaluate a campaign: report.html (one file, opens offline), its figures as PNG, all runs as CSV and Parquet.
 
     \b
     Examples:
@@ -233,7 +236,7 @@ def _locate(source: str, database: Path | None) -> Path:
     is_spec = source in shipped_campaigns() or Path(source).suffix in (".yaml", ".yml")
     if not is_spec:
         if database is not None:
-            raise CampaignError("--database: the database is named already; leave one of them out")
+            raise CampaignError("--database: given twice; leave one of them out")
         return Path(source)
     path, spec = database or _default_database(source), load_spec(source)
     with open_store(path) as store:

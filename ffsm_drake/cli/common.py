@@ -40,7 +40,7 @@ def reports_errors(command: Callable[..., Any]) -> Callable[..., Any]:
             except KeyboardInterrupt as interruption:
                 click.echo(str(interruption) or "interrupted", err=True)
                 sys.exit(EXIT_INTERRUPTED)
-            except BrokenPipeError:  # the reader of our output has gone, as ``| head`` does
+            except BrokenPipeError:  # the reader has closed the pipe, as ``| head`` does
                 sys.stderr.close()
                 sys.exit(EXIT_GOOD)
             except OSError as error:  # standard output on a full disk, ...
@@ -84,7 +84,7 @@ def controller_option(*, multiple: bool = False, **settings: Any) -> Callable[..
 
 
 def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """SCENARIO, --controller, --set and --seed, handed on as one loaded ``scenario``."""
+    """Add SCENARIO, --controller, --set and --seed, which the command receives as one loaded ``scenario``."""
 
     @scenario_argument
     @controller_option(help="One of 'ffsm doctor's list, or module:Class. Default: the one that the scenario names.")
@@ -108,7 +108,7 @@ def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @contextmanager
 def located_errors(scenario: str, overrides: Sequence[str] = ()) -> Iterator[None]:
-    """Say of errors in a scenario's key that show only later, when the model is there, where the key was given."""
+    """Add to errors that appear after loading where their scenario key was given: in the file or by an override."""
     from ffsm_drake.scenario import Scenario, is_overridden, schema_fields
 
     def place_of(key: str) -> str:
@@ -125,12 +125,12 @@ def located_errors(scenario: str, overrides: Sequence[str] = ()) -> Iterator[Non
 
 
 def scenario_stem() -> str:
-    """The running command's SCENARIO as a name for a folder."""
+    """A folder name for the current command's SCENARIO."""
     return (repeated_run() or Path(click.get_current_context().params["scenario"])).stem
 
 
 def repeated_run() -> Path | None:
-    """The folder of the run that the running command's SCENARIO names; None where it is no run's."""
+    """The folder of the run that the current command's SCENARIO names; None if it is not a run."""
     from ffsm_drake.scenario import MANIFEST_FILE
 
     path = Path(click.get_current_context().params["scenario"])
@@ -155,7 +155,7 @@ class FiniteFloat(click.FloatRange):
 
 
 class RunProgress:
-    """Progress of one run: a line that fills up on a terminal, a plain line every five simulated seconds elsewhere."""
+    """Progress of one run: one updated line on a terminal, otherwise a line every five simulated seconds."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -177,7 +177,7 @@ class RunProgress:
 
 
 def count_progress(what: str) -> Callable[[int, int], None]:
-    """Progress on one line of a terminal; nothing elsewhere, for work of a few seconds."""
+    """Progress of a few seconds' work: one updated line on a terminal, otherwise nothing."""
 
     def show(done: int, total: int) -> None:
         if sys.stderr.isatty():
@@ -187,7 +187,7 @@ def count_progress(what: str) -> Callable[[int, int], None]:
 
 
 def batch_progress(done: int, total: int, following: str) -> None:
-    """Progress of many runs: one line that fills up on a terminal, a plain line every twenty runs elsewhere."""
+    """Progress of many runs: one updated line on a terminal, otherwise a line every twenty runs."""
     line = f"{done:3d} of {total} runs: {following}"
     if sys.stderr.isatty():
         click.echo(f"\r{line:<100}" + ("\n" if done == total else ""), nl=False, err=True)

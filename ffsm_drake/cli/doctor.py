@@ -1,4 +1,4 @@
-"""Is this installation fit to run? Each part is tried, not only looked for."""
+"""Check the installation by trying each part."""
 
 import dataclasses
 import platform
@@ -13,7 +13,7 @@ from ffsm_drake.scenario import load_scenario, override_scenario
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Check:
-    """One part of the installation: ``status`` is "ok", "missing" (a run needs it) or "without" (it can do without)."""
+    """One part of the installation: ``status`` is "ok", "missing" (required) or "without" (optional and absent)."""
 
     name: str
     status: str
@@ -79,7 +79,7 @@ def _controllers() -> str:
     names = block_names("controller")
     for name in names:
         find_factory("controller", name)
-    return ", ".join(names) + ", or your own as module:attribute"
+    return ", ".join(names) + ", or module:attribute"
 
 
 def _meshcat() -> str:

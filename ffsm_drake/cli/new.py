@@ -26,7 +26,7 @@ def _packages(ctx: click.Context, param: click.Parameter, values: tuple[str, ...
 @click.option("--tip", metavar="FRAME", help="Link or frame that holds the target (default: end of the longest chain).")
 @click.option(
     "--package", "packages", multiple=True, callback=_packages, metavar="NAME=FOLDER",
-    help="Where package://NAME/ of a mesh is; repeatable. Folders above the URDF are looked through anyway.",
+    help="Where package://NAME/ of a mesh is; repeatable. Folders above the URDF are searched anyway.",
 )  # fmt: skip
 @click.option("--payload-mass", type=float, metavar="KG", help="Mass of the target (default: a quarter of the base's).")
 @json_option

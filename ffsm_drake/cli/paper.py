@@ -15,11 +15,11 @@ from ffsm_drake.cli.common import batch_progress, reports_errors
 )
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Seeds of the noise per cell.")
 def reproduce(what: str, out: Path, seeds: int) -> None:
-    """Compute the paper's table and figures anew, and evaluate its claims.
+    """Recompute the paper's table and figures, and evaluate its claims.
 
     \b
     Examples:
-      ffsm reproduce                 everything, gathered in out/reproduction/reproduction.html
+      ffsm reproduce                 everything, in out/reproduction/reproduction.html
       ffsm reproduce table2 --seeds 5
     """
     from ffsm_drake.studies.paper import reproduce as reproduce_paper

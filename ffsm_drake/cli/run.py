@@ -42,14 +42,14 @@ _report = click.option("--report/--no-report", default=True, show_default=True, 
 @_out
 @json_option
 @_report
-@click.option("--meshcat", is_flag=True, help="Fly it live in the browser, with controls; at real time.")
+@click.option("--meshcat", is_flag=True, help="Run live in the browser, with controls, at real time.")
 def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, meshcat: bool) -> None:
     """Run a scenario and write its record and report.
 
     SCENARIO is a shipped name (see 'ffsm scenarios'), a YAML file, or a run's folder: that run is repeated, into
     out/NAME_again, and the two records are compared. The folder then holds record.nc, metrics.json,
     manifest.json and report.html, one page with results, plots, recording, findings and margins. With --meshcat each
-    flight has a folder of its own.
+    run has its own folder.
 
     \b
     Examples:
@@ -79,10 +79,10 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
         sys.exit(code)
     from ffsm_drake.show.meshcat.interactive import run_interactive
 
-    click.echo("Open Controls, top right in the page, holds the panel.", err=True)
-    flights = itertools.count(1)
+    click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
+    count = itertools.count(1)
     records = run_interactive(
-        scenario, open_browser=True, keep=lambda record: record.save(directory / f"flight_{next(flights)}")
+        scenario, open_browser=True, keep=lambda record: record.save(directory / f"run_{next(count)}")
     )
     sys.exit(_finish(records, directory, as_json=as_json, report=report) if records else EXIT_GOOD)
 
@@ -105,7 +105,7 @@ def compare(
     as_json: bool,
     report: bool,
 ) -> None:
-    """Run several controllers on the same scenario, same noise; overlay and rank them.
+    """Run several controllers on the same scenario with the same noise; overlay and rank them.
 
     Writes one folder per controller, and report.html beside them.
 
@@ -113,7 +113,7 @@ def compare(
     Examples:
       ffsm compare
       ffsm compare flight_sensors -c tdc -c tde_aismc -c computed_torque -c pd_plus
-      ffsm compare mine.yaml -c tde_aismc -c my_module:MyController --out out/duel
+      ffsm compare mine.yaml -c tde_aismc -c my_module:MyController --out out/both
     """
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.scenario import controller_key, load_scenario, override_scenario
@@ -131,7 +131,7 @@ def compare(
     check_writable(directory)
     if report:
         check_pictures(base.model)
-    scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]  # judged before any of them runs
+    scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]  # checked before any of them runs
     records: list[RunRecord] = []
     for chosen, folder in zip(scenarios, folders, strict=True):
         with located_errors(scenario, overrides):

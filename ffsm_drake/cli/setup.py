@@ -22,7 +22,7 @@ from ffsm_drake.cli.common import (
 @click.argument("name", required=False, shell_complete=complete_scenario)
 @json_option
 def scenarios(name: str | None, as_json: bool) -> None:
-    """List the shipped scenarios, or print one as YAML to start one's own from.
+    """List the shipped scenarios, or print one as YAML to start from.
 
     \b
     Examples:
@@ -73,7 +73,7 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
             with located_errors(name, overrides):
                 loop = make_closed_loop(load_scenario(name, overrides))
                 check_pictures(loop.scenario.model)
-                make_true_plant(loop.scenario)  # judges the payload as it is; the loop held it as it is believed
+                make_true_plant(loop.scenario)  # checks the true payload; the loop was built with the nominal one
             results[name] = {
                 "valid": True,
                 "controller": loop.scenario.controller,
@@ -115,7 +115,7 @@ def schema() -> None:
 def doctor(as_json: bool) -> None:
     """Check this installation: versions, models, controllers, a short run, the browser view, Graphviz.
 
-    Exits with 2 when something that a run needs is missing.
+    Exits with 2 when something required is missing.
 
     \b
     Example:
@@ -136,7 +136,7 @@ def doctor(as_json: bool) -> None:
 @reports_errors
 @click.argument("shell", type=click.Choice(("bash", "zsh", "fish")), required=False)
 def completion(shell: str | None) -> None:
-    """Print the script that teaches a shell to complete ffsm's commands, options and scenarios.
+    """Print a shell's completion script for ffsm's commands, options and scenarios.
 
     \b
     Examples:

@@ -33,7 +33,7 @@ def plot(runs: tuple[Path, ...], out: Path | None) -> None:
     records = [RunRecord.load(run) for run in runs]
     for run, record in zip(runs, records, strict=True):
         if record.dataset.coordinate.values.tolist() != records[0].dataset.coordinate.values.tolist():
-            raise RecordError(f"{run}: has other joints than {runs[0]}; draw them apart")
+            raise RecordError(f"{run}: has other joints than {runs[0]}; draw them separately")
     written = save_figures(records, directory)
     click.echo(f"Written to {directory}: {', '.join(path.name for path in written)}")
 

@@ -29,7 +29,7 @@ _FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)  # rad/s, taken in turn
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Motion:
-    """The planned motion and what it asks of the actuators."""
+    """The planned motion and the forces that it needs."""
 
     initial: Posture
     target: Posture
@@ -70,7 +70,7 @@ def plan_motion(true: PlantModel, servicer: Servicer, *, body: str) -> Motion:
 
 
 class _Search:
-    """Rates postures of the joints that move the tip; the others rest."""
+    """Rates postures of the joints that move the tip; the others do not move."""
 
     def __init__(self, true: PlantModel, servicer: Servicer, body: str) -> None:
         self.true, self.reach = true, max(servicer.tip.reach, 0.05)

@@ -132,7 +132,7 @@ def new_scenario(
 ) -> NewScenario:
     """Write a folder with a scenario for the servicer of a URDF, the URDF as Drake loads it, and its meshes.
 
-    The folder is complete in itself: it can be moved or sent. Nothing is written when something is refused.
+    The folder is complete in itself: it can be moved or sent. Nothing is written if an argument is refused.
 
     Args:
       urdf: the URDF of base and arm; the base is its root link.
@@ -206,7 +206,7 @@ def _make(servicer: Servicer, folder: Path, *, mass: float, packages: Mapping[st
             if all(_is_comfortable(each) for each in margins.values()):
                 break
     except FfsmError as error:
-        # Drake counts the copy's lines, which nobody has seen.
+        # Drake's line numbers are those of the copy, not of the user's file.
         told = re.sub(rf"{re.escape(urdf.name)}:\d+: error: ", f"{urdf.name}: ", str(error).replace(f"{folder}/", ""))
         raise ModelError(told) from error
     write_text(scenario_file, _commented_yaml(data, servicer.joints))

@@ -1,9 +1,9 @@
 """Choosing gains: bandwidth and estimator of each coordinate group for a scenario's sensors, period and payload range.
 
 Every group has its natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s = w), the random walk q_N of its Kalman
-estimate, and for the laws with an integral surface its K_s. Groups meet only in the effort they share, so each is
-designed alone on its one-axis loop for a price of effort, log(rms error) + price * effort; lowering the price walks
-along the front of accuracy against effort. What is reported and checked is then the coupled loop of all coordinates
+estimate, and for the laws with an integral surface its K_s. The groups share only the effort, so each is
+designed alone on its one-axis loop for a price of effort: it minimizes log(rms error) + price * effort. Lowering the
+price traces the front of accuracy against effort. The result is evaluated with the coupled loop of all coordinates
 along the plan.
 """
 
@@ -24,7 +24,7 @@ from ffsm_drake.systems.controllers.estimators import kalman_gain
 
 # Prices of effort that the front is drawn for, per unit of ISV.
 PRICES = (0.2, 0.08, 0.04, 0.022, 0.012, 0.006)
-# The one-axis loop must contract at least this much, whatever the payload.
+# The one-axis loop must contract at least this much for every payload.
 LARGEST_RADIUS = 0.9995
 _STRIDE = 5
 
@@ -40,7 +40,7 @@ class GroupDesign:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DesignPoint:
-    """One point of the front: gains, and what the coupled loop makes of them."""
+    """One point of the front: gains, and the coupled loop's prediction with them."""
 
     groups: Mapping[str, GroupDesign]
     scenario: Scenario
@@ -73,7 +73,7 @@ def design(
     Args:
       budget: largest predicted ISV; default: 1.1 times that of perfect tracking.
       payload_range: lowest and highest true payload mass (kg, inertia in proportion) that the loop must be stable for;
-        default: 0.6 to 2.5 times the believed one.
+        default: 0.6 to 2.5 times the nominal one.
       progress: called with (prices tried, prices in all).
 
     Raises:
@@ -251,7 +251,7 @@ def _with_gains(scenario: Scenario, groups: Mapping[str, GroupDesign]) -> Scenar
     else:
         gains |= {"k_d": each(lambda group: 2.0 * group.omega), "k_p": each(lambda group: group.omega**2)}
     if scenario.controller in ("aismc", "tde_aismc"):
-        # Real noise drives |s| far past the laws' thresholds, so adaptation would run to its bound: the design is it.
+        # Real noise drives |s| far past the laws' thresholds, so K_s would adapt to its bound: the bound is the design.
         gains |= {"k_s_initial": each(lambda group: group.k_s), "k_s_max": each(lambda group: group.k_s)}
     return scenario_from_dict(data)
 

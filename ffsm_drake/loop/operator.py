@@ -1,4 +1,4 @@
-"""The disturbance under an operator's hands: scaled, and with pushes on the payload."""
+"""A disturbance that an operator scales, with pushes on the payload."""
 
 import dataclasses
 from collections.abc import Callable
@@ -41,7 +41,7 @@ def make_operated_disturbance(
 
 
 class OperatorInputs(LeafSystem):
-    """What an operator does to the disturbance.
+    """The disturbance as an operator changes it.
 
     Inputs:
       disturbance: (nv).

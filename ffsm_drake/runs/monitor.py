@@ -11,7 +11,7 @@ from ffsm_drake.loop.closed_loop import ClosedLoop
 
 @dataclasses.dataclass
 class Monitor:
-    """Judges whether a run diverges and reports its progress; as a simulator's monitor, it stops one that does."""
+    """Detects divergence and reports progress; as a simulator's monitor, it stops a run that diverges."""
 
     loop: ClosedLoop
     progress: Callable[[float, float], None] | None
@@ -29,7 +29,7 @@ class Monitor:
         return EventStatus.DidNothing()
 
     def forget(self) -> None:
-        """Take back the verdict; what was reported stays reported."""
+        """Forget a detected divergence; progress that was reported is not reported again."""
         self.message = self.coordinate = ""
 
     def report(self, context: Context) -> None:

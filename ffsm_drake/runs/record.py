@@ -1,4 +1,4 @@
-"""The record of a run: labelled time series, metrics, and the manifest that says how it came about."""
+"""The record of a run: labelled time series, metrics, and a manifest of how it was made."""
 
 import dataclasses
 import functools
@@ -22,7 +22,7 @@ DATASET_FILE = "record.nc"
 METRICS_FILE = "metrics.json"
 FORMAT = 2
 _BY_COORDINATE, _BY_POSITION, _BY_AXIS = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
-# What every record holds, by dimension; sliding variable and gains come on top where there are any.
+# What every record holds, by dimension; sliding variable and gains are added where there are any.
 VARIABLES = {
     "position": _BY_POSITION,
     "velocity": _BY_COORDINATE,
@@ -64,7 +64,7 @@ class Outcome:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class RunRecord:
-    """All that a run leaves behind.
+    """The results of a run.
 
     ``dataset`` is an xarray Dataset along ``time`` (control samples t_k, s), ``coordinate`` (generalized velocities by
     name, with ``group`` and ``unit``), ``position_name`` (generalized positions by name) and ``axis`` (x, y, z; world
@@ -105,7 +105,7 @@ class RunRecord:
         def write_dataset(path: Path) -> None:
             try:
                 self.dataset.to_netcdf(path, engine="netcdf4", format="NETCDF4", encoding=encoding)
-            except RuntimeError as error:  # what the netCDF library makes of a full disk
+            except RuntimeError as error:  # the netCDF library's error for a full disk
                 raise OSError(one_line(error)) from error
 
         metrics = to_json(self.metrics)
@@ -172,7 +172,7 @@ class RunRecord:
             dataset = xr.load_dataset(path, engine="netcdf4")
         except FileNotFoundError as error:
             raise RecordError(f"{path}: cannot be read: no such file; run it again") from error
-        except Exception as error:  # whatever xarray and HDF5 make of a damaged file
+        except Exception as error:  # xarray and HDF5 raise many types for a damaged file
             raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
         _check_dataset(dataset, path)
         for source in blocks.values():
@@ -215,7 +215,7 @@ def _check_dataset(dataset: "xr.Dataset", path: Path) -> None:
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of everything that shapes a result."""
+    """Versions of everything that affects a result."""
     versions = {"python": platform.python_version(), "platform": platform.platform()}
     return versions | {package: _version(package) for package in ("ffsm-drake", "drake", "numpy", "scipy", "xarray")}
 
@@ -229,7 +229,7 @@ def _version(package: str) -> str:
 
 
 def to_json(data: Any) -> str:
-    """JSON text; numbers that JSON does not know (NaN, infinities) become null."""
+    """JSON text; NaN and infinities become null."""
 
     def clean(value: Any) -> Any:
         if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Rollout: a closed loop that is built once and run many times; RunLog: a run as it came from the simulator."""
+"""Rollout: a closed loop that is built once and run many times; RunLog: the time series of a run."""
 
 import contextlib
 import dataclasses
@@ -28,13 +28,13 @@ from ffsm_drake.systems.registry import Factory, is_shipped
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
 _HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable")
-# Besides the payload's true mass properties, what a run takes from its scenario without a new build.
+# Besides the payload's true mass properties, what can change without a new build.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class RunLog:
-    """A run as it came from the simulator: the aligned time series, nothing derived from them but the error.
+    """The aligned time series of a run; of derived quantities, only the error.
 
     ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, and the controller's optional
     outputs, each (n, its width): a signal of sample k is the one that sample k used or produced.
@@ -71,7 +71,7 @@ class RunLog:
 
 
 class Rollout:
-    """A closed loop that is built once and run many times; every run has the bits of a fresh build.
+    """A closed loop that is built once and run many times; every run equals that of a new build, bit for bit.
 
     Raises ModelError, ScenarioError and BlockError as ``add_closed_loop`` does.
     """
@@ -94,13 +94,13 @@ class Rollout:
         config = scenario.simulator_config
         logs_every_step = not config.use_error_control and config.max_step_size >= scenario.sample_time
         self._user_supplied = user_supplied(scenario, blocks)
-        # A user's block may do otherwise next time, and somebody may watch.
-        self._judged_by_log = logs_every_step and meshcat is None and not self._user_supplied
+        # With user-supplied blocks or a viewer, a run is not repeated with the monitor.
+        self._checked_in_log = logs_every_step and meshcat is None and not self._user_supplied
         self._built_for = _built_from(scenario)
         self._build_time = time.perf_counter() - start
 
     def release(self) -> None:
-        """Free the closed loop, which Drake would otherwise keep; nothing of it may be used any more."""
+        """Free the closed loop, which Drake would otherwise keep. Do not use any part of it afterwards."""
         untie(self.loop.diagram)
 
     def accepts(self, scenario: Scenario) -> bool:
@@ -138,7 +138,7 @@ class Rollout:
         monitor = Monitor(loop, progress)
         # A monitor calls Python in every step. Where all steps are in the log, that shows afterwards whether a monitor
         # would have stopped the run; if so, it is run again with the monitor.
-        watched = not self._judged_by_log
+        watched = not self._checked_in_log
         interrupted, advance_time = self._advance(monitor, watched=watched)
         times, series = self._read_log(interrupted=interrupted)
         if not (watched or interrupted) and (monitor.message or not monitor.bounds(series["state"])):
@@ -167,7 +167,7 @@ class Rollout:
         )
 
     def _advance(self, monitor: Monitor, *, watched: bool) -> tuple[bool, float]:
-        """Run from the start to the end, or to where it cannot go on, which ``monitor`` then notes.
+        """Run from the start to the end, or to divergence, which ``monitor`` then reports.
 
         Returns: whether it was interrupted from the keyboard, and the wall time spent advancing, s.
         """
@@ -184,7 +184,7 @@ class Rollout:
         stop_periods = max(1, round(1.0 / sample_time))
         start = time.perf_counter()
         interrupted = False
-        # What a run does beyond the point where it is to be stopped concerns nobody.
+        # The run beyond the point of divergence is discarded.
         unremarked = contextlib.nullcontext() if watched else np.errstate(over="ignore", invalid="ignore")
         try:
             with unremarked:
@@ -200,7 +200,7 @@ class Rollout:
         except FfsmError:
             raise
         except Exception as error:
-            # Numbers that are no longer finite are refused; any other refusal is a fault to be seen.
+            # Drake refuses numbers that are not finite; any other exception is raised.
             if monitor.check(context) and monitor.check_force(context):
                 _raise_for(error, self._user_supplied, context.get_time())
         return interrupted, time.perf_counter() - start
@@ -228,7 +228,7 @@ class Rollout:
 
 
 def user_supplied(scenario: Scenario, blocks: Mapping[str, Factory] | None = None) -> list[str]:
-    """The parts of a closed loop that are not this package's own, in words."""
+    """The user-supplied parts of a closed loop, in words."""
     names = {name: choice.system for name, choice in block_choices(scenario).items()}
     if not is_shipped("controller", scenario.controller):
         names["controller"] = scenario.controller
@@ -255,7 +255,7 @@ def _add_logger(builder: DiagramBuilder, loop: ClosedLoop) -> tuple[VectorLogSin
 
 
 def _raise_for(error: Exception, suspects: Sequence[str], time: float) -> NoReturn:
-    """Say where a system from elsewhere failed; where none takes part, the fault is ours and passes as it is."""
+    """Name the user-supplied block that failed; without such blocks, the exception passes unchanged."""
     if not suspects:
         raise error
     place = traceback.extract_tb(error.__traceback__)[-1]
@@ -266,7 +266,7 @@ def _raise_for(error: Exception, suspects: Sequence[str], time: float) -> NoRetu
 
 
 def _built_from(scenario: Scenario) -> dict[str, Any]:
-    """What of a scenario goes into the build, as plain data; the rest a run's context holds."""
+    """The part of a scenario that goes into the build, as plain data; the rest is set in a run's context."""
     neutral = Scenario()
     return scenario_to_dict(
         dataclasses.replace(

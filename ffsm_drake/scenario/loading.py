@@ -122,7 +122,7 @@ def anchor_paths(data: dict[str, typing.Any], folder: Path) -> None:
 
 
 def override_scenario(scenario: Scenario, overrides: Iterable[str]) -> Scenario:
-    """A new scenario with ``key=value`` overrides applied; the given one is left as it is."""
+    """A new scenario with ``key=value`` overrides applied; the given one does not change."""
     return scenario_from_dict(scenario_to_dict(scenario), overrides)
 
 

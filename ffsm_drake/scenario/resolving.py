@@ -92,7 +92,7 @@ def resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: str
 
 
 def _plain(data: typing.Any, path: str) -> typing.Any:
-    """Settings of a user's own: mappings, lists and leaves that a file can hold."""
+    """Settings of a user-supplied block: mappings, lists and leaves that a file can hold."""
     if isinstance(data, Mapping):
         return {
             _convert_leaf(str, key, join(path, shown(key))): _plain(item, join(path, key)) for key, item in data.items()

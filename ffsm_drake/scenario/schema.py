@@ -22,7 +22,7 @@ def _published(**values: float) -> PerCoordinate:
 
 @dataclasses.dataclass
 class Model:
-    """What flies: the models, and the frames that the reports speak of.
+    """The models of servicer and target, and the frames that reports refer to.
 
     Files are package:// addresses or paths; relative paths start at the scenario file's folder.
     """
@@ -108,7 +108,7 @@ class Disturbance:
 
 @dataclasses.dataclass
 class Sensing:
-    """What the sensors add to the true state: bias, white noise, quantisation, delay, in that order."""
+    """Errors that the sensors add to the true state: bias, white noise, quantisation, delay, in that order."""
 
     # rad/s or m/s; standard deviation of the velocities' noise, independent for each coordinate and control sample
     velocity_noise: PerCoordinate = _published(all=1e-6)
@@ -125,7 +125,7 @@ class Sensing:
 
 @dataclasses.dataclass
 class Actuation:
-    """What the actuators make of the commanded force: saturation, quantisation, delay, in that order."""
+    """How the actuators change the commanded force: saturation, quantisation, delay, in that order."""
 
     limit: PerCoordinate | None = None  # N m or N; largest force either way; null: unlimited
     quantization: PerCoordinate = _published(all=0.0)  # N m or N; step of the force; 0: none
@@ -139,7 +139,7 @@ class Block:
     SHORTHAND: ClassVar[str] = "system"  # the field that a text alone gives
 
     system: str = ""  # module:attribute, or the name of an installed one: a factory (BlockSetup -> Drake system)
-    settings: dict[str, Any] = dataclasses.field(default_factory=dict)  # handed to the factory as they are
+    settings: dict[str, Any] = dataclasses.field(default_factory=dict)  # passed to the factory unchanged
 
 
 @dataclasses.dataclass
@@ -148,7 +148,7 @@ class Blocks:
 
     reference: Block | None = None  # the planned motion
     sensing: Block | None = None  # what the controller reads of the state
-    actuation: Block | None = None  # what becomes of the commanded force
+    actuation: Block | None = None  # from the commanded to the applied force
     # by name: external forces, summed; ``disturbance`` replaces the scenario's harmonics, any other name adds to them
     forces: dict[str, Block] = dataclasses.field(default_factory=dict)
 
@@ -161,7 +161,7 @@ def _default_simulator_config() -> SimulatorConfig:
 
 @dataclasses.dataclass
 class Scenario:
-    """One run of the closed loop, whole."""
+    """Everything that defines one run."""
 
     description: str = ""  # title of plots and records
     random_seed: int = 0  # seed of the measurement noise; the same seed gives the same bits

@@ -1,4 +1,4 @@
-"""YAML for settings, read strictly: what it would pass over in silence, or never be done with, is refused."""
+"""YAML for settings, read strictly: what PyYAML would silently ignore, or expand without limit, is refused."""
 
 import re
 from typing import Any

@@ -1,4 +1,4 @@
-"""Every value that can be judged without building the plant."""
+"""Checks of every value that need no plant."""
 
 import re
 
@@ -17,7 +17,7 @@ _BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an e
 
 
 def validate(scenario: Scenario) -> None:
-    """Check every value that can be judged without building the plant; raise ScenarioError naming the key."""
+    """Check every value that can be checked without building the plant; raise ScenarioError naming the key."""
     require(0 <= scenario.random_seed < 2**31, "random_seed", "must be from 0 to 2147483647")
     require(scenario.duration > 0, "duration", "must be > 0 s")
     require(scenario.sample_time > 0, "sample_time", "must be > 0 s")

@@ -48,7 +48,7 @@ class PlantModel:
 
 
 def make_nominal_plant(scenario: Scenario) -> PlantModel:
-    """The plant as the controller believes it (``payload.nominal``): its mass matrix is the paper's H with a hat."""
+    """The plant with the nominal payload (``payload.nominal``): its mass matrix is the paper's H with a hat."""
     return _make_plant_model(scenario, scenario.payload.nominal)
 
 

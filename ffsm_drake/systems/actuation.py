@@ -1,4 +1,4 @@
-"""Actuators: what becomes of the commanded force. Saturation, quantisation, delay, in that order."""
+"""Actuators: from the commanded to the applied force. Saturation, quantisation, delay, in that order."""
 
 import itertools
 

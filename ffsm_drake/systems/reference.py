@@ -69,7 +69,7 @@ class QuinticReference(LeafSystem):
     ) -> None:
         """Args: start and target posture (SI units), duration in s; the target is held afterwards.
 
-        At multiples of ``sample_time`` (s) the outputs are cheap.
+        At multiples of ``sample_time`` (s) the outputs are read from a precomputed block.
         """
         super().__init__()
         self._duration = duration
@@ -86,7 +86,7 @@ class QuinticReference(LeafSystem):
             for posture in (start, target)
         )
         self._start, self._change = first, last - first
-        # The motion at the control samples from self._first_sample on: no more than a memory of what was computed.
+        # A cache: the motion at the control samples from self._first_sample on.
         self._first_sample = 0
         self._states, self._accelerations = self.motion(self._sample_time * np.arange(_BLOCK))
         num_velocities = len(coordinates.names)

@@ -85,7 +85,7 @@ def find_factory(block: str, name: str, *, key: str = "", python_path: Sequence[
             f"{place} cannot be loaded: {one_line(error)}; run from the folder that holds it, or name that folder in "
             "python_path or PYTHONPATH"
         ) from error
-    except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
+    except (Exception, SystemExit) as error:  # a user's module may raise anything when it is imported
         raise BlockError(f"{place} cannot be loaded: {type(error).__name__}: {one_line(error)}") from error
     if not callable(factory):
         raise BlockError(f"{place} must be a class or function, not {type(factory).__name__}")

@@ -1,4 +1,4 @@
-"""Measurement: what the controller reads of the true state. Bias, white noise, quantisation, delay, in that order."""
+"""Sensors: from the true state to what the controller reads. Bias, white noise, quantisation, delay, in that order."""
 
 import itertools
 

@@ -35,5 +35,5 @@ class BlockSetup:
 
     @functools.cached_property
     def true(self) -> PlantModel:
-        """The plant with the true payload; a scratch pad of this setup's own."""
+        """The plant with the true payload; with a context of its own."""
         return make_true_plant(self.scenario)

@@ -107,7 +107,7 @@ def test_a_failing_case_is_a_row(tmp_path):
         assert store.result(1, "tdc")["message"] == "ScenarioError: payload.truth.mass: must be > 0 kg, not -1.0"
     result = invoke("rerun", path, "--case", "1")
     assert result.exit_code == 0, result.output
-    assert "every figure is bit for bit the stored one" in result.output
+    assert "all values equal the stored ones, bit for bit" in result.output
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
@@ -161,7 +161,7 @@ def wait_for(function, *, patience=60.0):
 def test_rerun_reproduces_a_row_with_its_record(database, tmp_path):
     result = invoke("rerun", database, "--case", "3", "--controller", "asmc", "--out", tmp_path, "--no-recording")
     assert result.exit_code == 0, result.output
-    assert "every figure is bit for bit the stored one" in result.output
+    assert "all values equal the stored ones, bit for bit" in result.output
     record = RunRecord.load(tmp_path / "asmc")
     with open_store(database) as store:
         row = store.result(3, "asmc")

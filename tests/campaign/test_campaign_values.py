@@ -4,7 +4,7 @@ import pytest
 from campaign_tools import write_spec
 
 from ffsm_drake.campaign.cases import Case, scenario_of
-from ffsm_drake.campaign.evaluate import METRICS, Evaluator, evaluate, same_verdict
+from ffsm_drake.campaign.evaluate import METRICS, Evaluator, differing_columns, evaluate
 from ffsm_drake.campaign.spec import load_spec
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.runs.rollout import Rollout
@@ -99,7 +99,7 @@ def test_a_reused_build_has_the_bits_of_a_fresh_one(tmp_path):
             assert reused[f"peak_error_{group}"] == fresh["peak_error"][group]
             assert reused[f"final_error_{group}"] == fresh["final_error"][group]
             assert reused[f"peak_effort_{group}"] == fresh["peak_effort"][group]
-        assert not same_verdict(reused, evaluate(spec.to_json(), case, "tdc"))
+        assert not differing_columns(reused, evaluate(spec.to_json(), case, "tdc"))
 
 
 def test_a_run_that_cannot_be_is_a_row(spec):

@@ -75,7 +75,7 @@ def test_campaign(ffsm, tmp_path):
     out = ffsm("campaign", "run", "spec.yaml", "--database", "spec.db", "--workers", "2")
     assert "4 of 4 runs" in out
     rows = ffsm("campaign", "rerun", "spec.db", "--case", "1", "--controller", "stiff", "--no-recording")
-    assert "every figure is bit for bit the stored one" in rows
+    assert "all values equal the stored ones, bit for bit" in rows
 
 
 def test_the_live_panel(installed, monkeypatch):

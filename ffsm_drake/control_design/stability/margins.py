@@ -1,4 +1,4 @@
-"""How far a scenario is from instability: sampled-loop margins along its planned motion, and where adaptation leads."""
+"""Sampled-loop margins of a scenario along its planned motion, and the expected course of its adaptation."""
 
 import dataclasses
 import functools
@@ -86,7 +86,7 @@ class Margins:
         if self.may_leave.any():
             i = int(np.argmax(self.may_leave))
             return (
-                f"stable as far as can be foreseen, but nothing stops K_s before its limit "
+                f"predicted stable, but nothing stops K_s before its limit "
                 f"({self.k_s_limit[i]:.1f} 1/s for {self.coordinates.names[i]}); set k_s_max"
             )
         return "stable"
@@ -104,7 +104,7 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
     """
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
-    make_controller(scenario, nominal)  # judges the gains' names once more
+    make_controller(scenario, nominal)  # checks the gains' names once more
     coordinates = nominal.coordinates
     law = law_gains(scenario, coordinates)
     reference = make_reference(scenario, coordinates)
@@ -152,8 +152,7 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
 def stability_warning(scenario: Scenario) -> str:
     """One line when a scenario starts outside its margin or its adaptation may leave it; empty otherwise.
 
-    A cheap look at three postures, for ``simulate`` to make before every run. Of controllers other than the paper's
-    four it knows nothing.
+    A fast check of three postures, made by ``simulate`` before every run. It covers the paper's four controllers only.
     """
     if scenario.controller not in PAPER_LAWS:
         return ""
@@ -246,7 +245,7 @@ def _mean_signed_magnitude(mean: float, sigma: float, threshold: float) -> float
 def _sliding_response(
     law: LawGains, grid: np.ndarray, noise: list[np.ndarray], sampling: Sampling
 ) -> dict[str, np.ndarray]:
-    """What s of one axis makes of its inputs, per K_s of the grid and coordinate.
+    """Response of one axis's s to its inputs, per K_s of the grid and coordinate.
 
     ``deviation`` under the noise; ``drift_gain``, |s| per unit of dN/dt; ``sign_amplitude``, per unit of G: the sign
     term's oscillation alternates every sample, so its amplitude is the loop's gain from u to s at z = -1.
@@ -281,7 +280,7 @@ def _sliding_response(
         alternating = float(read @ np.linalg.solve(-eye - loop.a, enter))
         return math.sqrt(max(variance, 0.0)), abs(drift), abs(alternating)
 
-    # Coordinates that look the same need looking at once.
+    # Coordinates with equal values are computed once.
     kinds = [law.k_d, law.k_p, *noise]
     if sampling.kalman_gain is not None:
         kinds += list(sampling.kalman_gain.reshape(law.k_d.size, -1).T)
@@ -291,7 +290,7 @@ def _sliding_response(
         for name, column in zip(names, values.T, strict=True):
             result[name][j] = column
     for values in result.values():
-        # Past the limit s grows without bound: far beyond any threshold is all that the law needs to know.
+        # Past the limit s grows without bound; a value far beyond every threshold stands for it.
         values[:] = np.where(np.isnan(values), 10.0 * np.nanmax(values, axis=0), values)
     return result
 

@@ -1,8 +1,8 @@
 """Accuracy and effort of a scenario, predicted without simulating it.
 
-The loop is linear near every posture of the planned motion. Its response has two parts: what the motion, the wrong
-payload and the disturbance ask of the estimator (deterministic: the loop's own recursion, driven by -N along the plan),
-and what the sensors' noise makes of it (stationary: a Lyapunov equation). Errors and efforts add as squares.
+The loop is linear near every posture of the planned motion. Its response has two parts: one to the motion,
+the error of the nominal payload and the disturbance (deterministic: the loop's recursion, driven by -N along the plan),
+and one to the sensors' noise (stationary: a Lyapunov equation). Errors and efforts add as squares.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ _PEAK = 3.5
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a scenario asks of any controller: computed once, used for many gains."""
+    """The demands of a scenario on any controller: computed once, used for many gains."""
 
     scenario: Scenario
     coordinates: Coordinates
@@ -31,7 +31,7 @@ class Plan:
     demand: np.ndarray  # (n, nv) -N under perfect tracking at mid-period, rad/s^2 or m/s^2
     force: np.ndarray  # (n, nv) generalized force of perfect tracking at mid-period, N m or N
     nominal_acceleration_force: np.ndarray  # (n, nv) Hhat a_d at mid-period, N m or N
-    posture_of_sample: np.ndarray  # (n,) index of the posture that stands for each sample
+    posture_of_sample: np.ndarray  # (n,) index of the posture used for each sample
     mass_matrices: list[tuple[np.ndarray, np.ndarray]]  # (H, Hhat) at the postures
     position_noise: np.ndarray  # (nv,) rad or m, quantisation included
     velocity_noise: np.ndarray  # (nv,)

@@ -1,7 +1,7 @@
 """Stability of the sampled loop: time-delay control with a zero-order hold on an exactly integrated plant.
 
-A held force makes the paper's continuous-time proof silent: what decides is whether the map from one control sample to
-the next contracts. Near a posture, with K_s constant and the sign term left out, that map is linear.
+The paper's proof in continuous time does not cover a force that is held over a period. The loop is stable if the map
+from one control sample to the next contracts. Near a posture, with K_s constant and without the sign term, it is linear.
 
 *One axis.* With eta an eigenvalue of H^-1 Hhat, error e, rate v = de/dt and I the sum of L e,
 
@@ -79,7 +79,7 @@ def law_gains(scenario: Scenario, coordinates: Coordinates) -> LawGains:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sampling:
-    """How the loop is sampled and how N is estimated: all of a linear loop but its gains and inertia."""
+    """How the loop is sampled and how N is estimated: everything in the linear loop except gains and inertia."""
 
     sample_time: float  # L, s
     euler: bool = False  # the plant steps as explicit Euler at the control period does, as in the paper
@@ -110,7 +110,7 @@ def _axis_matrix(gains: LoopGains, *, eta: float, sampling: Sampling) -> np.ndar
     matrix[1] = np.array([0.0, 1.0, 0.0, 0.0]) + step * row
     matrix[2] = [step, 0.0, 1.0, 0.0]
     matrix[3] = row
-    if gains.k_i == 0.0:  # the sum of errors feeds nothing back; its pole at 1 is no part of the loop
+    if gains.k_i == 0.0:  # the sum of errors is not fed back; its pole at 1 is not part of the loop
         return np.delete(np.delete(matrix, 2, axis=0), 2, axis=1)
     return matrix
 
@@ -195,7 +195,7 @@ class CoupledLoop:
 
     x begins with the true error e and its rate v (nv each), the sum of errors and t = Hhat^-1 tau - a_d; the rest is
     what the estimator remembers: the delayed measured rate, or [e, v, d] as estimated. The input d (nv) is what the
-    controller has to find out, -N under perfect tracking, constant over the sample.
+    controller has to estimate, -N under perfect tracking, constant over the sample.
     """
 
     a: np.ndarray
@@ -287,7 +287,7 @@ def coupled_loop(
         for j in range(3)
     )
     keep = np.ones(size, dtype=bool)
-    # Where nothing reads the sum of errors, its pole at 1 is no part of the loop.
+    # Where the sum of errors is not fed back, its pole at 1 is not part of the loop.
     keep[2 * n : 3 * n] = k_i[:, 0] > 0.0
     scale = np.repeat([step**2, step, 0.0, 1.0, *((step,) if blocks == 5 else (step**2, step, 1.0))], n)
     scale[2 * n : 3 * n] = 1.0 / np.where(k_i[:, 0] > 0.0, k_i[:, 0], 1.0)

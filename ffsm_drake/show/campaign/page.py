@@ -46,7 +46,7 @@ def write_report(
     axes: tuple[str, str] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Written:
-    """Judge a campaign, finished or not, and write what there is to see.
+    """Evaluate a campaign, finished or not, and write what there is to see.
 
     Args:
       store: the database.

@@ -57,13 +57,13 @@ def plot_analysis(analysis: Analysis) -> Figure:
         findings = {label: analysis.finding(key) for key, label in keys.items()}
         if needed in analysis.series:
             axes = draw(part, analysis)
-            judged: dict[str, list[str]] = {}
+            evaluated: dict[str, list[str]] = {}
             for label, item in findings.items():
                 if item.verdict != "measured":
-                    judged.setdefault(item.verdict, []).append(label)
-            verdicts = "; ".join(f"{verdict}: {', '.join(labels)}" for verdict, labels in judged.items())
+                    evaluated.setdefault(item.verdict, []).append(label)
+            verdicts = "; ".join(f"{verdict}: {', '.join(labels)}" for verdict, labels in evaluated.items())
             # The least favourable verdict colours them all.
-            color = next((shade for verdict, shade in _VERDICT_COLORS.items() if verdict in judged), MUTE)
+            color = next((shade for verdict, shade in _VERDICT_COLORS.items() if verdict in evaluated), MUTE)
             axes.set_title(verdicts, fontsize=9, loc="right", color=color)
         else:
             axes = part.subplots()

@@ -1,9 +1,9 @@
-"""An operator at the running simulation: a control panel in Meshcat, and records that tell what the operator did.
+"""A simulation with an operator: a control panel in Meshcat, and records that say what the operator did.
 
-Two kinds of control are on the page. Those that say "now" act on the run under way from the next control sample on: the
+Two kinds of control are on the page. Those that say "now" act on the current run from the next control sample on: the
 scale of the disturbance and pushes on the payload. Those that say "next run" shape the scenario of the runs that start
 after it: the controller, by the start button that was clicked, and the payload's true mass. (A body cannot change its
-mass in flight without its momentum jumping, so a new mass needs a new run; the record's scenario then holds it.)
+mass during a run without its momentum jumping, so a new mass needs a new run; the record's scenario then holds it.)
 """
 
 import copy
@@ -61,12 +61,12 @@ def run_interactive(
     keep: Callable[[RunRecord], object] | None = None,
     wait: Callable[[float], None] = time.sleep,
 ) -> list[RunRecord]:
-    """Run a scenario again and again under an operator's hands, until Quit is clicked or Ctrl-C is pressed.
+    """Run a scenario repeatedly with an operator's panel, until Quit is clicked or Ctrl-C is pressed.
 
     A run that is restarted, quit or interrupted from the keyboard leaves a record up to then, with the status
-    "interrupted". Every record is true: its scenario has the run's controller and payload, its ``disturbance_force`` is
+    "interrupted". The record's scenario has the run's controller and payload, its ``disturbance_force`` is
     what acted on the plant (scaled disturbance and pushes, as generalized forces), and if the operator did anything,
-    the dataset's attribute ``operator`` says what and the outcome's message that. A run that nobody touched gives the
+    the dataset's attribute ``operator`` says what and the outcome's message that. A run without intervention gives the
     record of ``simulate``. The metric ``momentum_residual`` takes the disturbance to be smooth, which a push is not.
 
     Args:
@@ -159,11 +159,11 @@ class _Operator:
         self.show_status("ready: click a start button")
 
     def close(self) -> None:
-        """Take the panel away; the scene stays."""
+        """Remove the panel; the scene stays."""
         self._controls.remove()
 
     def show_status(self, text: str) -> None:
-        """Meshcat has no labels: the panel's last button, which does nothing, says what goes on."""
+        """Meshcat has no labels: the panel's last button, which does nothing, shows the status."""
         label = f"[ {text} ]"
         if label == self._status:
             return
@@ -201,7 +201,7 @@ class _Operator:
         return dataclasses.replace(scenario, simulator_config=config)
 
     def make_disturbance(self, setup: BlockSetup) -> Diagram:
-        """The disturbance of the run that starts, under the operator's hands."""
+        """The disturbance of the next run, which the operator changes."""
         self._note_scale("from the start")
         return make_operated_disturbance(setup, initial=np.array([self._scale, 0.0, 0.0, 0.0]), poll=self._poll)
 
@@ -219,7 +219,7 @@ class _Operator:
         )
 
     def _poll(self, now: float, q: np.ndarray) -> np.ndarray:
-        """Obey the page, let wall time pass, and return what acts from the next sample on: [scale, F] (4).
+        """Read the page, wait for real time, and return what acts from the next sample on: [scale, F] (4).
 
         Raises:
           KeyboardInterrupt: the run shall end.
@@ -234,7 +234,7 @@ class _Operator:
             self._due = time.perf_counter()
         period = self._scenario.sample_time
         force = np.zeros(3)
-        if now + 1.5 * period < self._scenario.num_control_periods * period:  # else it would act after the run
+        if now + 1.5 * period < self._scenario.num_control_periods * period:  # otherwise it would act after the run
             self._note_scale(f"from t = {now + period:.2f} s")
             self._read_pushes(now + period)
             for push in self._pushes:

@@ -32,7 +32,7 @@ class Magnitude:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Result:
-    """One run, named, judged and in figures; NaN where the record does not hold what a figure needs."""
+    """One run: name, status, verdict and figures; NaN where the record lacks what a figure needs."""
 
     record: RunRecord
     label: str
@@ -75,7 +75,7 @@ def values_of(record: RunRecord, name: str) -> np.ndarray | None:
 
 
 def _result(record: RunRecord, label: str, style: Style) -> Result:
-    status, verdict = _judge(record)
+    status, verdict = _evaluate(record)
     period = record.scenario.sample_time
     error, effort = values_of(record, "error"), values_of(record, "generalized_force")
     return Result(
@@ -109,7 +109,7 @@ def _magnitudes(record: RunRecord, error: np.ndarray | None, effort: np.ndarray 
     ]
 
 
-def _judge(record: RunRecord) -> tuple[Status, str]:
+def _evaluate(record: RunRecord) -> tuple[Status, str]:
     outcome, scenario = record.outcome, record.scenario
     samples = record.dataset.sizes.get("time", 0)
     if outcome.status == "diverged":
@@ -119,7 +119,7 @@ def _judge(record: RunRecord) -> tuple[Status, str]:
         return "interrupted", _sentence(f"{outcome.message}; {counted} recorded", scenario.controller)
     error = values_of(record, "error")
     if error is None:
-        return "unsettled", f"Completed {outcome.time:g} s; the record holds no errors to judge by."
+        return "unsettled", f"Completed {outcome.time:g} s; the record holds no errors."
     if outcome.time < scenario.reference.duration - 1e-9:
         return "unsettled", (
             f"Completed {outcome.time:g} s, before the planned motion ends at {scenario.reference.duration:g} s."

@@ -1,4 +1,4 @@
-"""Estimators of the lumped uncertainty N in q'' = N + Hhat^-1 tau (equation (2)): the part that precedes every law.
+"""Estimators of the lumped uncertainty N in q'' = N + Hhat^-1 tau (equation (2)), for all time-delay laws.
 
 Both give, each sample, what the law works on (error and its rate) and a pair (base force, base acceleration) that turns
 the law's acceleration u into the force tau = base force + Hhat (u - base acceleration).
@@ -77,7 +77,7 @@ class OneSampleEstimator:
 class KalmanEstimator:
     """Stationary Kalman estimate of [e, e', d] per coordinate, d = -N.
 
-    It starts from zero error: the plan begins where the spacecraft is believed to be.
+    It starts from zero error: the planned motion begins at the nominal initial posture.
     """
 
     sample_time: float

@@ -5,7 +5,7 @@ q''(t-L) - Hhat^-1 tau(t-L) (equation (5)), and taking that for the present N gi
 
     tau_k = tau_{k-1} - Hhat q''_{k-1} + Hhat u_k,      q''_{k-1} = (qdot_k - qdot_{k-1}) / L,
 
-in which the *injected dynamics* u is all that tells one controller from another (equations (6), (17), (18), (20)).
+in which only the *injected dynamics* u differs between controllers (equations (6), (17), (18), (20)).
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""Commands that judge without or after a run: stability, analyze, design."""
+"""Commands before or after a run: stability, analyze, design."""
 
 import dataclasses
 import sys
@@ -69,7 +69,7 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
 )
 @json_option
 def analyze(run: Path, out: Path | None, as_json: bool) -> None:
-    """What the paper proves and claims, checked on a recorded run.
+    """Check what the paper proves and claims on a recorded run.
 
     RUN_DIR is a folder that holds record.nc and manifest.json. Prints each finding, and draws them.
 
