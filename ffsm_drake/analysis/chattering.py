@@ -66,10 +66,7 @@ def findings(run: Evidence) -> list[Finding]:
     frequency, density = effort_spectrum(tau, period)
     run.axes["frequency"] = frequency
     run.attributes["split_frequency"] = split
-    run.add(
-        "effort_spectrum", ("frequency", "coordinate"), density, units="(N m)^2/Hz, N^2/Hz",
-        meaning="power spectral density of tau (Welch)",
-    )  # fmt: skip
+    run.add(effort_spectrum=density)
     low, high = split_variance(tau, period, split=split)
     turns = reversals(tau) / (period * (len(tau) - 1))  # n samples have n - 1 changes in n - 1 periods
     variation = total_variation(tau)

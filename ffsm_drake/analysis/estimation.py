@@ -63,13 +63,7 @@ def findings(run: "Evidence") -> list[Finding]:
     if run.too_short:
         return not_applicable(run.too_short, "tde_error_bound")
     bounds = {"bound": run.bound, "bound_late": run.late_bound}
-    unit = "rad/s^2, m/s^2"
-    run.add("tde_error", ("period", "coordinate"), run.tde_error, units=unit, meaning="TDE error N - Nhat")
-    run.add("tde_error_bound", "coordinate", run.bound, units=unit, meaning="largest |TDE error| over the run")
-    run.add(
-        "tde_error_bound_late", "coordinate", run.late_bound, units=unit,
-        meaning="largest |TDE error| after the start-up",
-    )  # fmt: skip
+    run.add(tde_error=run.tde_error, tde_error_bound=run.bound, tde_error_bound_late=run.late_bound)
     worst = int(run.bound.argmax())
     numbers: dict[str, float | str] = {
         "start_up_time": start_up_time(run.period),

@@ -19,7 +19,7 @@ SETTLED_WITHIN = {"rad": 1e-3, "m": 1e-3}
 SETTLED_OVER = 1.0  # s
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Magnitude:
     """The largest values of the coordinates of one group and unit; NaN where the record has none."""
 
@@ -96,17 +96,12 @@ def _magnitudes(record: RunRecord, error: np.ndarray | None, effort: np.ndarray 
     def largest(values: np.ndarray | None, members: np.ndarray) -> float:
         return math.nan if values is None else float(np.abs(values[..., members]).max())
 
-    return [
-        Magnitude(
-            group=group,
-            unit=unit,
-            peak_error=largest(error, members),
-            final_error=largest(None if error is None else error[-1], members),
-            peak_effort=largest(effort, members),
-        )
-        for group, unit in dict.fromkeys(zip(groups.tolist(), units.tolist(), strict=True))
-        for members in [(groups == group) & (units == unit)]
-    ]
+    magnitudes = []
+    for group, unit in dict.fromkeys(zip(groups.tolist(), units.tolist(), strict=True)):
+        members = (groups == group) & (units == unit)
+        values = error, None if error is None else error[-1], effort
+        magnitudes.append(Magnitude(group, unit, *(largest(one, members) for one in values)))
+    return magnitudes
 
 
 def _judge(record: RunRecord) -> tuple[Status, str]:

@@ -150,8 +150,8 @@ def accuracy_does_not_depend_on_the_disturbance(results: Results) -> Evaluated:
     changes = both(lambda setting: {name: of_disturbances(setting, name) for name in CONTROLLERS})
     noise = both(lambda setting: max(change(itae(setting, name, "tau_d1")) for name in CONTROLLERS))
     return (
-        f"Largest change of the mean ITAE: {changes.told(lambda by_name: named(by_name, percent))}; the noise seed alone "
-        f"changes it by up to {noise.pair(percent)}. Evaluated for the proposed controller, within 5 %.",
+        f"Largest change of the mean ITAE: {changes.told(lambda by_name: named(by_name, percent))}; the noise "
+        f"seed alone changes it by up to {noise.pair(percent)}. Evaluated for the proposed controller, within 5 %.",
         changes.ruling(lambda by_name: by_name[PROPOSED] <= paper.SLIGHTLY),
     )
 

@@ -27,8 +27,8 @@ def published_gains_are_stable(results: Results) -> Evaluated:
     highest = float(record.dataset["reaching_gain"].values.max())
     return (
         f"With explicit Euler {len(euler)} of {total} runs diverge. With exact integration {len(exact)} of {total} "
-        f"do{when}: law (9) carries K_s from {fixed(starting, 2)} to {fixed(highest)} 1/s (τ_d1); a sampled loop with a "
-        f"perfect mass matrix tolerates K_s < 2/L - K_D = {fixed(_tolerated_k_s(results, 1.0))} 1/s.",
+        f"do{when}: law (9) carries K_s from {fixed(starting, 2)} to {fixed(highest)} 1/s (τ_d1); a sampled loop with "
+        f"a perfect mass matrix tolerates K_s < 2/L - K_D = {fixed(_tolerated_k_s(results, 1.0))} 1/s.",
         in_both(not euler, not exact),
     )
 
@@ -52,8 +52,8 @@ def condition_8_protects(results: Results) -> Evaluated:
     none = "none of those tested"
     return (
         "Exact integration, K_s bounded, payload of 100 kg; in brackets the largest ‖E − H⁻¹Ĥ‖₂ (m, rad). (8) "
-        f"satisfied, yet diverging: {'; '.join(fatal) or none}. Violated, yet the proposed controller completes: nominal "
-        f"{listed(harmless) or none}. The paper's own: {fixed(ratios[''].norm)}; its value depends on the unit of length.",
+        f"satisfied, yet diverging: {'; '.join(fatal) or none}. Violated, yet the proposed controller completes: "
+        f"nominal {listed(harmless) or none}. The paper's own: {fixed(ratios[''].norm)}; it depends on the unit.",
         holds_if(not fatal),
     )
 

@@ -48,7 +48,7 @@ SETTINGS = {
     ),
     "bounded": Setting(
         title="Exact integration, K_s bounded",
-        description="As before, but the proposed controller's K_s starts lower and is bounded. The others are unchanged.",
+        description="The same with the proposed controller's K_s bounded and starting lower; the others are as before.",
         scenario="postcapture",
     ),
 }

@@ -39,8 +39,8 @@ def without_g_it_is_aismc(results: Results) -> Evaluated:
     ended = results.divergence_times("exact", PROPOSED, variant="G = 0")
     fate = f"it does not stay with AISMC, diverging at {span(ended, 2)} s" if ended else f"{exact} times"
     return (
-        f"For the same K_s the two laws differ by {percent(gap)} of the command over random errors. But (6) comes with "
-        f"law (9): with G = 0 its ITAE is then {euler} times AISMC's with explicit Euler; with exact integration {fate}.",
+        f"For the same K_s the two laws differ by {percent(gap)} of the command over random errors. But (6) comes "
+        f"with law (9): with G = 0 its ITAE is {euler} times AISMC's with explicit Euler; exactly integrated {fate}.",
         ("holds only", "with law (21) in place of (9)") if gap == 0.0 else ("does not hold", ""),
     )
 

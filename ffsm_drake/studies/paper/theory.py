@@ -37,8 +37,9 @@ def sampled_loop_decides(results: Results) -> Evaluated:
     agreement = f"differ for {listed(wrong)}" if wrong else f"agree in all {len(margins)} cases"
     return (
         f"The sampled loop is stable for K_s below {fixed(limit)} 1/s on the exactly integrated plant and "
-        f"{fixed(float(np.nanmin(euler.k_s_limit)))} 1/s on the Euler plant. On the former law (9) should pass the limit "
-        f"at {leaves:.1f} s; the run {fate(results.run('exact', PROPOSED))}. Predicted and simulated outcome {agreement}.",
+        f"{fixed(float(np.nanmin(euler.k_s_limit)))} 1/s on the Euler plant. On the former law (9) should pass the "
+        f"limit at {leaves:.1f} s; the run {fate(results.run('exact', PROPOSED))}. Predicted and simulated outcome "
+        f"{agreement}.",
         in_both(euler.is_stable, exact.is_stable),
     )
 
