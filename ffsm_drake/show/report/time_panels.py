@@ -141,11 +141,10 @@ def _error_size_panels(results: Sequence[Result], thin: Thinning) -> list[Panel]
         low = low[np.isfinite(low)]
         bounds = None
         if low.size and len(results) == 1:
-            top = max(float(np.nanmax(np.abs(values[: low.size]))) for _, values in columns)
+            top = float(np.nanmax(np.abs(columns[0][1][: low.size])))
             bounds = [float(np.log10(low.min() / 10.0)), float(np.log10(top * 1.5))]
-        panels.append(time_panel(
-            name.replace("_", " "), unit, traces, group=GROUP_TITLES.get(group, group), log=True, range=bounds
-        ))  # fmt: skip
+        title, heading = name.replace("_", " "), GROUP_TITLES.get(group, group)
+        panels.append(time_panel(title, unit, traces, group=heading, log=True, range=bounds))
     return panels
 
 
