@@ -50,11 +50,8 @@ def total_variation(effort: np.ndarray) -> np.ndarray:
 
 def reversals(effort: np.ndarray) -> np.ndarray:
     """Number of reversals of the force (nv): sign changes of tau_{k+1} - tau_k, without the zero changes."""
-    counts = []
-    for change in np.diff(effort, axis=0).T:
-        direction = np.sign(change[change != 0.0])
-        counts.append(np.count_nonzero(np.diff(direction)))
-    return np.array(counts, dtype=float)
+    changes = np.diff(effort, axis=0).T
+    return np.array([np.count_nonzero(np.diff(np.sign(change[change != 0.0]))) for change in changes], dtype=float)
 
 
 def findings(run: Evidence) -> list[Finding]:

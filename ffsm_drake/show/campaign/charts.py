@@ -43,19 +43,16 @@ def _bars(title: str, traces: Sequence[Trace], *, x: str, rows: int, **layout: A
 def _success(findings: Findings) -> Panel:
     """Success rate of every controller with its interval."""
     styles, rates = _styles(findings), findings.success
+    above, below = (
+        [100.0 * abs(getattr(rate, end) - rate.value) for rate in rates.values()] for end in ("high", "low")
+    )
     bars: Trace = {
         "type": "bar",
         "orientation": "h",
         "x": [100.0 * rate.value for rate in rates.values()],
         "y": [label_of(name) for name in rates],
         "marker": {"color": [styles[name].color for name in rates], "opacity": 0.6},
-        "error_x": {
-            "type": "data",
-            "symmetric": False,
-            "array": [100.0 * (rate.high - rate.value) for rate in rates.values()],
-            "arrayminus": [100.0 * (rate.value - rate.low) for rate in rates.values()],
-            "color": NEUTRAL,
-        },
+        "error_x": {"type": "data", "symmetric": False, "array": above, "arrayminus": below, "color": NEUTRAL},
         "hovertemplate": "%{y}: %{x:.2f} %<extra></extra>",
     }
     title = "Share of settled runs; the whiskers are the interval"

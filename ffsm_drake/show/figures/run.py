@@ -62,9 +62,8 @@ def plot_trajectories(record: RunRecord) -> Figure:
     joints = data["group"].values == "joints"
     joint_names = data["coordinate"].values[joints]
     degrees = np.rad2deg(1.0)
-    travel = (
-        ("angle [deg]", degrees) if (data["unit"].values[joints] == "rad").all() else ("angle [rad], travel [m]", 1.0)
-    )
+    revolute = (data["unit"].values[joints] == "rad").all()
+    travel = ("angle [deg]", degrees) if revolute else ("angle [rad], travel [m]", 1.0)
     motions = [data[f"{kind}position"] for kind in ("", "desired_")]
     base = [motion.sel(position_name=list(BASE_POSITION)) for motion in motions]
     arm = [motion.sel(position_name=joint_names) for motion in motions]

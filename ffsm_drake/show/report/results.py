@@ -78,16 +78,13 @@ def _result(record: RunRecord, label: str, style: Style) -> Result:
     status, verdict = _judge(record)
     period = record.scenario.sample_time
     error, effort = values_of(record, "error"), values_of(record, "generalized_force")
+    accuracy = math.nan if error is None else itae(record.dataset["time"].values[:-1], error[:-1], period)
+    cost = math.nan if effort is None else isv(effort[:-1], period)
+    magnitudes = tuple(_magnitudes(record, error, effort))
     return Result(
-        record=record,
-        label=label,
-        style=style,
-        status=status,
-        verdict=verdict,
-        itae=math.nan if error is None else itae(record.dataset["time"].values[:-1], error[:-1], period),
-        isv=math.nan if effort is None else isv(effort[:-1], period),
-        magnitudes=tuple(_magnitudes(record, error, effort)),
-    )
+        record=record, label=label, style=style, status=status, verdict=verdict, itae=accuracy, isv=cost,
+        magnitudes=magnitudes,
+    )  # fmt: skip
 
 
 def _magnitudes(record: RunRecord, error: np.ndarray | None, effort: np.ndarray | None) -> list[Magnitude]:

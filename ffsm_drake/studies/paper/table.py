@@ -65,15 +65,15 @@ def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[st
     for name, mean in means.items():
         values = [getattr(run, metric) for run in runs[name]]
         finite = math.isfinite(mean)
+        spread = math.nan if not finite else statistics.stdev(values) if len(values) > 1 else 0.0
+        rank = 1 + sum(other < mean for other in means.values())
+        paper_rank = 1 + sum(other < printed[name] for other in printed.values())
+        correction = paper.CORRECTIONS.get((metric, disturbance, name), "")
+        shown = mean if finite else math.nan
         cells[name] = Cell(
-            mean=mean if finite else math.nan,
-            spread=math.nan if not finite else statistics.stdev(values) if len(values) > 1 else 0.0,
-            paper=printed[name],
-            ratio=mean / printed[name] if finite else math.nan,
-            rank=1 + sum(other < mean for other in means.values()),
-            paper_rank=1 + sum(other < printed[name] for other in printed.values()),
-            correction=paper.CORRECTIONS.get((metric, disturbance, name), ""),
-        )
+            mean=shown, spread=spread, paper=printed[name], ratio=shown / printed[name], rank=rank,
+            paper_rank=paper_rank, correction=correction,
+        )  # fmt: skip
     return cells
 
 
