@@ -43,9 +43,8 @@ def _bars(title: str, traces: Sequence[Trace], *, x: str, rows: int, **layout: A
 def _success(findings: Findings) -> Panel:
     """Success rate of every controller with its interval."""
     styles, rates = _styles(findings), findings.success
-    above, below = (
-        [100.0 * abs(getattr(rate, end) - rate.value) for rate in rates.values()] for end in ("high", "low")
-    )
+    above = [100.0 * (rate.high - rate.value) for rate in rates.values()]
+    below = [100.0 * (rate.value - rate.low) for rate in rates.values()]
     bars: Trace = {
         "type": "bar",
         "orientation": "h",
