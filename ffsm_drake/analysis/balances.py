@@ -81,9 +81,8 @@ def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
 def findings(run: Evidence) -> list[Finding]:
     """``momentum_balance`` and ``energy_balance``, of any controller."""
     if len(run.time) < 4:
-        return not_applicable(
-            f"the integrals need 4 samples, the record has {len(run.time)}", "momentum_balance", "energy_balance"
-        )
+        reason = f"the integrals need 4 samples, the record has {len(run.time)}"
+        return not_applicable(reason, "momentum_balance", "energy_balance")
     return [_momentum(run), _energy(run)]
 
 
@@ -92,10 +91,7 @@ def _momentum(run: Evidence) -> Finding:
     numbers = {"tolerance": TOLERANCE}
     for name, residual in momentum_residual(run.data).items():
         size = np.linalg.norm(residual, axis=1)
-        unit = "N s" if name == "linear" else "N m s"
-        run.add(
-            f"{name}_momentum_residual", "time", size, units=unit, meaning=f"norm of the {name} momentum's residual"
-        )
+        run.add(**{f"{name}_momentum_residual": size})
         numbers |= {
             f"{name}_residual": float(size.max()),
             f"{name}_impulse": impulse[name],
@@ -112,9 +108,7 @@ def _momentum(run: Evidence) -> Finding:
 
 def _energy(run: Evidence) -> Finding:
     parts = energy_residual(run.data)
-    run.add(
-        "energy_residual", "time", parts["residual"], units="J", meaning="T(t) - T(0) minus the work of tau + tau_d"
-    )
+    run.add(energy_residual=parts["residual"])
     missed, work = float(np.abs(parts["residual"]).max()), float(parts["absolute_work"][-1])
     numbers = {
         "tolerance": TOLERANCE,

@@ -50,11 +50,8 @@ def total_variation(effort: np.ndarray) -> np.ndarray:
 
 def reversals(effort: np.ndarray) -> np.ndarray:
     """Number of reversals of the force (nv): sign changes of tau_{k+1} - tau_k, without the zero changes."""
-    counts = []
-    for change in np.diff(effort, axis=0).T:
-        direction = np.sign(change[change != 0.0])
-        counts.append(np.count_nonzero(np.diff(direction)))
-    return np.array(counts, dtype=float)
+    changes = np.diff(effort, axis=0).T
+    return np.array([np.count_nonzero(np.diff(np.sign(change[change != 0.0]))) for change in changes], dtype=float)
 
 
 def findings(run: Evidence) -> list[Finding]:
@@ -66,10 +63,7 @@ def findings(run: Evidence) -> list[Finding]:
     frequency, density = effort_spectrum(tau, period)
     run.axes["frequency"] = frequency
     run.attributes["split_frequency"] = split
-    run.add(
-        "effort_spectrum", ("frequency", "coordinate"), density, units="(N m)^2/Hz, N^2/Hz",
-        meaning="power spectral density of tau (Welch)",
-    )  # fmt: skip
+    run.add(effort_spectrum=density)
     low, high = split_variance(tau, period, split=split)
     turns = reversals(tau) / (period * (len(tau) - 1))  # n samples have n - 1 changes in n - 1 periods
     variation = total_variation(tau)

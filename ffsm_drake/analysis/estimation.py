@@ -23,13 +23,8 @@ def commanded_acceleration(
     """The injected dynamics u_k (n, nv) that gave the recorded force: equation (6) solved for u, per s^2.
 
     u_k = (v_k - v_{k-1}) / L + Hhat_k^-1 (tau_k - tau_{k-1}). As in the controller, the first sample has no past: its
-    acceleration and the force before it are zero.
-
-    Args:
-      effort: tau held from t_k (n, nv).
-      measured_velocity: v as the controller reads it (n, nv).
-      nominal_mass_matrix: Hhat at the measured configurations (n, nv, nv).
-      period: L, s.
+    acceleration and the force before it are zero. ``effort`` is tau held from t_k (n, nv), ``measured_velocity`` v as
+    the controller reads it (n, nv), ``nominal_mass_matrix`` Hhat at the measured configurations (n, nv, nv).
     """
     change = np.diff(effort, axis=0, prepend=np.zeros_like(effort[:1]))
     acceleration = np.diff(measured_velocity, axis=0, prepend=measured_velocity[:1]) / period
@@ -39,12 +34,8 @@ def commanded_acceleration(
 def estimation_error(*, velocity: np.ndarray, commanded: np.ndarray, period: float) -> np.ndarray:
     """TDE error Ntilde = N - Nhat (n - 1, nv) of each period: the mean true acceleration minus the commanded one.
 
-    From (2), (5) and (6), N - Nhat = q'' - u, which is what equation (7) calls the disturbance of ds/dt.
-
-    Args:
-      velocity: true v (n, nv).
-      commanded: u of ``commanded_acceleration`` (n, nv).
-      period: L, s.
+    From (2), (5) and (6), N - Nhat = q'' - u, which is what equation (7) calls the disturbance of ds/dt. ``velocity``
+    is the true v (n, nv), ``commanded`` the u of ``commanded_acceleration`` (n, nv).
     """
     return np.diff(velocity, axis=0) / period - commanded[:-1]
 
@@ -63,13 +54,7 @@ def findings(run: "Evidence") -> list[Finding]:
     if run.too_short:
         return not_applicable(run.too_short, "tde_error_bound")
     bounds = {"bound": run.bound, "bound_late": run.late_bound}
-    unit = "rad/s^2, m/s^2"
-    run.add("tde_error", ("period", "coordinate"), run.tde_error, units=unit, meaning="TDE error N - Nhat")
-    run.add("tde_error_bound", "coordinate", run.bound, units=unit, meaning="largest |TDE error| over the run")
-    run.add(
-        "tde_error_bound_late", "coordinate", run.late_bound, units=unit,
-        meaning="largest |TDE error| after the start-up",
-    )  # fmt: skip
+    run.add(tde_error=run.tde_error, tde_error_bound=run.bound, tde_error_bound_late=run.late_bound)
     worst = int(run.bound.argmax())
     numbers: dict[str, float | str] = {
         "start_up_time": start_up_time(run.period),

@@ -9,12 +9,39 @@ import numpy as np
 from ffsm_drake.analysis import estimation
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import gain_vectors
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+# Every series that a finding may add: name -> dimensions, unit, meaning.
+_RATE, _ACCELERATION = "rad/s, m/s", "rad/s^2, m/s^2"
+SERIES = {
+    "eta": ("posture_time rank", "1", "eigenvalues of H^-1 Hhat, ascending"),
+    "condition_8": ("posture_time", "1", "||E - H^-1 Hhat||_2 (metres and radians)"),
+    "condition_8_in_h": ("posture_time", "1", "the same norm in the metric of H"),
+    "tde_error": ("period coordinate", _ACCELERATION, "TDE error N - Nhat"),
+    "tde_error_bound": ("coordinate", _ACCELERATION, "largest |TDE error| over the run"),
+    "tde_error_bound_late": ("coordinate", _ACCELERATION, "largest |TDE error| after the start-up"),
+    "sliding_variable": ("time coordinate", _RATE, "s"),
+    "reaching_gain": ("time coordinate", "1/s", "K_s"),
+    "switching_gain": ("time coordinate", _ACCELERATION, "G"),
+    "reaching_law_remainder": ("period coordinate", _ACCELERATION, "ds/dt minus what equation (7) gives"),
+    "direct_bound": ("coordinate", _RATE, "bound on |s_i| from equation (7), whole run"),
+    "scaled_sliding_variable": ("time", "1/s", "largest beta_i times ||s||_inf"),
+    "lyapunov": ("time", "1", "V of equation (12)"),
+    "lyapunov_rate": ("period", "1/s", "dV/dt of equation (13), over the period"),
+    "lyapunov_rate_of_s": ("period", "1/s", "the part of dV/dt from s"),
+    "lyapunov_rate_of_k_s": ("period", "1/s", "the part of dV/dt from K_s"),
+    "lyapunov_rate_of_g": ("period", "1/s", "the part of dV/dt from G"),
+    "outside": ("time", "1", "coordinates with |s_i| > max(K_si / beta_i, epsilon)"),
+    "effort_spectrum": ("frequency coordinate", "(N m)^2/Hz, N^2/Hz", "power spectral density of tau (Welch)"),
+    "linear_momentum_residual": ("time", "N s", "norm of the linear momentum's residual"),
+    "angular_momentum_residual": ("time", "N m s", "norm of the angular momentum's residual"),
+    "energy_residual": ("time", "J", "T(t) - T(0) minus the work of tau + tau_d"),
+}
 
 
 class Evidence:
@@ -28,6 +55,7 @@ class Evidence:
         self.period = float(record.dataset.attrs["sample_time"])
         self.nominal = make_nominal_plant(self.scenario)
         self.true = make_true_plant(self.scenario)
+        self.coordinates = self.nominal.coordinates
         self.after_start_up = self.time >= estimation.start_up_time(self.period) - 1e-9
         self.series: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
         self.attributes: dict[str, str | float] = {
@@ -36,10 +64,6 @@ class Evidence:
             "start_up_time": estimation.start_up_time(self.period),
         }
         self.axes: dict[str, np.ndarray] = {"time": self.time, "period": self.time[:-1]}
-
-    @property
-    def coordinates(self) -> Coordinates:
-        return self.nominal.coordinates
 
     @property
     def groups(self) -> dict[str, slice]:
@@ -69,18 +93,19 @@ class Evidence:
         values: np.ndarray = self.data[name].values
         return values
 
-    def add(self, name: str, dims: str | tuple[str, ...], values: np.ndarray, *, units: str, meaning: str) -> None:
-        dims = (dims,) if isinstance(dims, str) else dims
-        self.series[name] = (dims, np.asarray(values), {"long_name": meaning, "units": units})
+    def add(self, **series: np.ndarray) -> None:
+        """Keep series, by their names in ``SERIES``."""
+        for name, values in series.items():
+            dims, units, meaning = SERIES[name]
+            self.series[name] = (tuple(dims.split()), values, {"long_name": meaning, "units": units})
 
     @functools.cached_property
     def tde_error(self) -> np.ndarray:
         """Ntilde (n - 1, nv)."""
+        effort, velocity, position = map(self.values, ("generalized_force", "measured_velocity", "measured_position"))
+        inertia = estimation.mass_matrices(self.nominal, position)
         commanded = estimation.commanded_acceleration(
-            effort=self.values("generalized_force"),
-            measured_velocity=self.values("measured_velocity"),
-            nominal_mass_matrix=estimation.mass_matrices(self.nominal, self.values("measured_position")),
-            period=self.period,
+            effort=effort, measured_velocity=velocity, nominal_mass_matrix=inertia, period=self.period
         )
         return estimation.estimation_error(velocity=self.values("velocity"), commanded=commanded, period=self.period)
 

@@ -77,9 +77,6 @@ def finding(key: str, statement: str, numbers: Numbers, *, holds: bool | None = 
 
 def not_applicable(reason: str, *keys: str) -> list[Finding]:
     """Findings that do not apply to this run, all for the same reason."""
-    return [
-        Finding(
-            key=key, title=TITLES[key], statement=f"Not applicable: {reason}.", verdict="not applicable", numbers={}
-        )
-        for key in keys
-    ]
+    said: Verdict = "not applicable"
+    statement = f"Not applicable: {reason}."
+    return [Finding(key=key, title=TITLES[key], statement=statement, verdict=said, numbers={}) for key in keys]

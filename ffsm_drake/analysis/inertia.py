@@ -53,16 +53,14 @@ def findings(run: Evidence) -> list[Finding]:
     postures = run.values("position")[picked]
     true, nominal = mass_matrices(run.true, postures), mass_matrices(run.nominal, postures)
     is_length = np.array([unit == "m" for unit in run.coordinates.units])
-    norms = {
-        name: match_inertia(true, nominal, is_length=is_length, unit_of_length=metres).norm
+    matches = {
+        name: match_inertia(true, nominal, is_length=is_length, unit_of_length=metres)
         for name, metres in UNITS_OF_LENGTH.items()
     }
-    match = match_inertia(true, nominal, is_length=is_length)
+    match = matches["metres"]
     run.axes["posture_time"] = run.time[picked]
     run.axes["rank"] = np.arange(1, match.eta.shape[1] + 1)
-    run.add("eta", ("posture_time", "rank"), match.eta, units="1", meaning="eigenvalues of H^-1 Hhat, ascending")
-    run.add("condition_8", "posture_time", match.norm, units="1", meaning="||E - H^-1 Hhat||_2 (metres and radians)")
-    run.add("condition_8_in_h", "posture_time", match.norm_in_h, units="1", meaning="the same norm in the metric of H")
+    run.add(eta=match.eta, condition_8=match.norm, condition_8_in_h=match.norm_in_h)
     numbers = {
         "norm_min": float(match.norm.min()),
         "norm_max": float(match.norm.max()),
@@ -71,7 +69,7 @@ def findings(run: Evidence) -> list[Finding]:
         "eta_max": float(match.eta.max()),
         "norm_in_h_max": float(match.norm_in_h.max()),
         "postures": float(picked.size),
-        **{f"norm_max_in.{name}": float(norm.max()) for name, norm in norms.items()},
+        **{f"norm_max_in.{name}": float(one.norm.max()) for name, one in matches.items()},
     }
     statement = (
         "||E - H^-1 Hhat||_2 is at most {norm_max:.4g} in metres and radians, where 1 is the limit; the eigenvalues of "

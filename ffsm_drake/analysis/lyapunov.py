@@ -47,12 +47,8 @@ def lyapunov(
         return value, (weight * middle * np.diff(distance, axis=0)).sum(axis=1) / period
 
     parts = [term(s, np.ones_like(alpha)), term(k_s - bound, alpha), term(g - bound, phi)]
-    return Lyapunov(
-        value=np.sum([value for value, _ in parts], axis=0),
-        rate_of_s=parts[0][1],
-        rate_of_k_s=parts[1][1],
-        rate_of_g=parts[2][1],
-    )
+    values, (of_s, of_k_s, of_g) = zip(*parts, strict=True)
+    return Lyapunov(value=np.sum(values, axis=0), rate_of_s=of_s, rate_of_k_s=of_k_s, rate_of_g=of_g)
 
 
 def ultimate_bound(*, bound: float, alpha: np.ndarray, beta: np.ndarray, phi: np.ndarray, epsilon: float) -> float:
@@ -67,17 +63,15 @@ def findings(run: Evidence) -> list[Finding]:
     keys = ("lyapunov_derivative", "ultimate_bound", "lemma_1_premise", "lemma_1_conclusion")
     recorded, constants = {"sliding_variable", "reaching_gain", "switching_gain"}, {"alpha", "beta", "phi", "epsilon"}
     if not (recorded <= {*run.data} and constants <= {*run.constants}):
-        return not_applicable(
-            f"the proof is about gains that adapt by (9) and (10), which those of {run.scenario.controller} do not",
-            *keys,
-        )
+        reason = f"the proof is about gains that adapt by (9) and (10), which those of {run.scenario.controller} do not"
+        return not_applicable(reason, *keys)
     if run.too_short:
         return not_applicable(run.too_short, *keys)
     s, k_s, bound = run.values("sliding_variable"), run.gains[0], float(run.bound.max())
     alpha, beta, phi, epsilon = (run.constants[name] for name in ("alpha", "beta", "phi", "epsilon"))
     peak = np.abs(s).max(axis=1)  # ||s||_inf
     scaled = beta.max() * peak
-    run.add("scaled_sliding_variable", "time", scaled, units="1/s", meaning="largest beta_i times ||s||_inf")
+    run.add(scaled_sliding_variable=scaled)
     limit = {
         "bound": bound,
         "ultimate_bound": ultimate_bound(bound=bound, alpha=alpha, beta=beta, phi=phi, epsilon=float(epsilon)),
@@ -129,13 +123,8 @@ def _derivative(run: Evidence, bound: float) -> Finding:
     v = lyapunov(s=s, k_s=k_s, g=g, alpha=alpha, phi=phi, bound=bound, period=run.period)
     beyond = outside(s, k_s, beta=beta, epsilon=float(epsilon))
     parts = {"s": v.rate_of_s, "K_s": v.rate_of_k_s, "G": v.rate_of_g}
-    run.add("lyapunov", "time", v.value, units="1", meaning="V of equation (12)")
-    run.add("lyapunov_rate", "period", v.rate, units="1/s", meaning="dV/dt of equation (13), over the period")
-    for name, part in parts.items():
-        meaning = f"the part of dV/dt from {name}"
-        run.add(f"lyapunov_rate_of_{name.lower()}", "period", part, units="1/s", meaning=meaning)
-    meaning = "coordinates with |s_i| > max(K_si / beta_i, epsilon)"
-    run.add("outside", "time", beyond.sum(axis=1), units="1", meaning=meaning)
+    run.add(lyapunov=v.value, lyapunov_rate=v.rate, outside=beyond.sum(axis=1))
+    run.add(**{f"lyapunov_rate_of_{name.lower()}": part for name, part in parts.items()})
     rising, left, wholly = v.rate > 0.0, beyond[:-1].any(axis=1), beyond[:-1].all(axis=1)
     # The term of (13) that is the largest where V rises.
     driver = max(parts, key=lambda name: parts[name][rising].sum()) if rising.any() else "none"

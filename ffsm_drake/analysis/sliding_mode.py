@@ -41,13 +41,7 @@ def findings(run: Evidence) -> list[Finding]:
         return not_applicable(run.too_short, *keys)
     s, (k_s, g) = run.values("sliding_variable"), run.gains
     remainder = reaching_law_remainder(s=s, k_s=k_s, g=g, tde_error=run.tde_error, period=run.period)
-    for name, dim, values, unit, meaning in (
-        ("sliding_variable", "time", s, "rad/s, m/s", "s"),
-        ("reaching_gain", "time", k_s, "1/s", "K_s"),
-        ("switching_gain", "time", g, "rad/s^2, m/s^2", "G"),
-        ("reaching_law_remainder", "period", remainder, "rad/s^2, m/s^2", "ds/dt minus what equation (7) gives"),
-    ):
-        run.add(name, (dim, "coordinate"), values, units=unit, meaning=meaning)
+    run.add(sliding_variable=s, reaching_gain=k_s, switching_gain=g, reaching_law_remainder=remainder)
     return [_reaching_law(run, remainder), _direct_bound(run, remainder), *_switching_gain(run)]
 
 
@@ -78,12 +72,8 @@ def _direct_bound(run: Evidence, remainder: np.ndarray) -> Finding:
         """The bounds (nv), and largest |s_i| over bound (nv), on the samples of ``part`` (n)."""
         if not part[:-1].any():
             return (np.full(s.shape[1], np.nan),) * 2
-        bound = direct_bound(
-            first=s[part][0],
-            bound=largest(disturbance[part[:-1]]),
-            k_s_min=k_s[part].min(axis=0),
-            g_min=g[part].min(axis=0),
-        )
+        k_s_min, g_min = k_s[part].min(axis=0), g[part].min(axis=0)
+        bound = direct_bound(first=s[part][0], bound=largest(disturbance[part[:-1]]), k_s_min=k_s_min, g_min=g_min)
         reached = largest(s[part])
         return bound, np.divide(reached, bound, out=np.where(reached > 0.0, np.inf, 0.0), where=bound > 0.0)
 
@@ -91,9 +81,7 @@ def _direct_bound(run: Evidence, remainder: np.ndarray) -> Finding:
     bound, times = evaluate(run.tde_error, whole)
     _, late_times = evaluate(run.tde_error, late)
     _, full_times = evaluate(run.tde_error - remainder, whole)
-    run.add(
-        "direct_bound", "coordinate", bound, units="rad/s, m/s", meaning="bound on |s_i| from equation (7), whole run"
-    )
+    run.add(direct_bound=bound)
     numbers: Numbers = {
         "start_up_time": start_up_time(run.period),
         "coordinates": float(times.size),

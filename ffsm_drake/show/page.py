@@ -19,10 +19,8 @@ _SYMBOL = re.compile(r"(?<![\w.])(K|G|s|q|τ|β|beta|N\*)_(si|s|d\d|[iDPd])\b")
 def render(template: str, content: Mapping[str, Any], *, package: str = "ffsm_drake.show") -> str:
     """A page as text; nothing that it needs is outside it.
 
-    Args:
-      template: its file name in the package's folder ``templates`` (or the show room's).
-      content: what the template names. ``plots``, from ``embedded``, brings plotly.js with it.
-      package: whose template.
+    ``template`` is a file in the package's folder ``templates`` (or the show room's), ``content`` what it names;
+    ``plots``, from ``embedded``, brings plotly.js with it.
     """
     folders = dict.fromkeys((package, "ffsm_drake.show"))
     environment = Environment(

@@ -101,26 +101,15 @@ def figure(traces: Sequence[Trace], *, x: str, y: str, **layout: Any) -> go.Figu
 
 
 def time_panel(
-    title: str,
-    unit: str,
-    traces: Sequence[Trace],
-    *,
-    group: str = "",
-    log: bool = False,
-    range: Sequence[float] | None = None,
-    level: tuple[float, str] | None = None,
-    legend: bool = False,
-) -> Panel:
+    title: str, unit: str, traces: Sequence[Trace], *, group: str = "", log: bool = False,
+    range: Sequence[float] | None = None, level: tuple[float, str] | None = None, legend: bool = False,
+) -> Panel:  # fmt: skip
     """Curves over time; ``range`` in decades where ``log``; ``level`` is a horizontal line with its text."""
     yaxis: dict[str, Any] = {} if range is None else {"range": list(range)}
     if log:
         yaxis |= log_axis()
-    layout: dict[str, Any] = {
-        "xaxis": {"showgrid": False, "unifiedhovertitle": {"text": "%{x} s"}},
-        "yaxis": yaxis,
-        "showlegend": legend,
-        "hovermode": "x unified",
-    }
+    xaxis = {"showgrid": False, "unifiedhovertitle": {"text": "%{x} s"}}
+    layout: dict[str, Any] = {"xaxis": xaxis, "yaxis": yaxis, "showlegend": legend, "hovermode": "x unified"}
     if level is not None:
         layout["shapes"] = [{"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": level[0], "y1": level[0],
                              "line": {"color": NEUTRAL, "width": 1.2}}]  # fmt: skip

@@ -1,6 +1,7 @@
 """How runs, groups and pages look: one palette, and a name, colour and line style for every controller."""
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -60,11 +61,7 @@ class Style:
 
 
 GROUP_TITLES = {"base_rotation": "Base attitude", "base_position": "Base position", "joints": "Joints"}
-GROUP_STYLES = {
-    "base_rotation": Style(BLUE),
-    "base_position": Style(VERMILION, "longdash"),
-    "joints": Style(GREEN),
-}
+GROUP_STYLES = {"base_rotation": Style(BLUE), "base_position": Style(VERMILION, "longdash"), "joints": Style(GREEN)}
 EFFORT_UNITS = {"rad": "N m", "m": "N"}  # unit of a coordinate -> unit of its force or torque
 
 _CONTROLLERS = {
@@ -90,13 +87,10 @@ def label_of(controller: str) -> str:
 def styles_of(controllers: Sequence[str]) -> list[Style]:
     """A style for each controller of a picture, no two alike until the spare ones are used up."""
     styles: list[Style] = []
-    spares = 0
+    spares = itertools.cycle(_SPARE)
     for name in controllers:
-        style = _CONTROLLERS[name][1] if name in _CONTROLLERS else None
-        if style is None or style in styles:
-            style = _SPARE[spares % len(_SPARE)]
-            spares += 1
-        styles.append(style)
+        own = _CONTROLLERS[name][1] if name in _CONTROLLERS else None
+        styles.append(next(spares) if own is None or own in styles else own)
     return styles
 
 

@@ -42,12 +42,12 @@ def percent(share: float) -> str:
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table: the first column to the left, all others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            [row[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))]
-        ).rstrip()
-        for row in rows
-    ]
+
+    def line(first: str, *rest: str) -> str:
+        cells = [first.ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(rest, widths[1:], strict=True))]
+        return "  ".join(cells).rstrip()
+
+    return [line(*row) for row in rows]
 
 
 def results_table(records: Sequence[RunRecord]) -> str:
@@ -58,11 +58,9 @@ def results_table(records: Sequence[RunRecord]) -> str:
     ]
     for record in records:
         m = record.metrics
-        peak, final, effort = m["peak_error"], m["final_error"], m["peak_effort"]
-        figures = [
-            *(value for e in (peak, final) for value in (max(e["base_rotation"], e["joints"]), e["base_position"])),
-            *(effort[group] for group in ("base_position", "base_rotation", "joints")),
-        ]
+        errors = m["peak_error"], m["final_error"]
+        figures = [value for e in errors for value in (max(e["base_rotation"], e["joints"]), e["base_position"])]
+        figures += [m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")]
         rows.append([record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *(f"{x:.3g}" for x in figures)])
     lines = aligned(rows)
     for k, record in enumerate(records, start=2):

@@ -108,7 +108,7 @@ def test_a_diverged_run_is_shown_as_such(unstable):
     rows = table.make_table(unstable)
     for disturbance in DISTURBANCES:
         row = row_of(rows, "exact", disturbance, PROPOSED)
-        assert row.num_diverged == 1
+        assert row.diverged_runs == 1
         assert row.itae.rank == row.isv.rank == 4
         assert np.isnan(row.itae.mean)
         assert re.fullmatch(r"diverged at 0\.\d+ s", row.diverged)

@@ -43,19 +43,15 @@ def _bars(title: str, traces: Sequence[Trace], *, x: str, rows: int, **layout: A
 def _success(findings: Findings) -> Panel:
     """Success rate of every controller with its interval."""
     styles, rates = _styles(findings), findings.success
+    above = [100.0 * (rate.high - rate.value) for rate in rates.values()]
+    below = [100.0 * (rate.value - rate.low) for rate in rates.values()]
     bars: Trace = {
         "type": "bar",
         "orientation": "h",
         "x": [100.0 * rate.value for rate in rates.values()],
         "y": [label_of(name) for name in rates],
         "marker": {"color": [styles[name].color for name in rates], "opacity": 0.6},
-        "error_x": {
-            "type": "data",
-            "symmetric": False,
-            "array": [100.0 * (rate.high - rate.value) for rate in rates.values()],
-            "arrayminus": [100.0 * (rate.value - rate.low) for rate in rates.values()],
-            "color": NEUTRAL,
-        },
+        "error_x": {"type": "data", "symmetric": False, "array": above, "arrayminus": below, "color": NEUTRAL},
         "hovertemplate": "%{y}: %{x:.2f} %<extra></extra>",
     }
     title = "Share of settled runs; the whiskers are the interval"
@@ -82,16 +78,10 @@ def _differences(findings: Findings) -> list[Panel]:
     pairs = [item for item in findings.differences if item.ratios.size]
     if not pairs:
         return []
-    quantiles = np.array([np.quantile(item.ratios, (0.05, 0.25, 0.5, 0.75, 0.95)) for item in pairs]).T
-    names = ("lowerfence", "q1", "median", "q3", "upperfence")
-    boxes: Trace = {
-        "type": "box",
-        "orientation": "h",
-        "y": [f"{item.first} /<br>{item.second}" for item in pairs],
-        **dict(zip(names, quantiles.tolist(), strict=True)),
-        "line": {"color": BLUE, "width": 1.4},
-        "name": "",
-    }
+    levels = {"lowerfence": 0.05, "q1": 0.25, "median": 0.5, "q3": 0.75, "upperfence": 0.95}
+    boxes: Trace = {"type": "box", "orientation": "h", "line": {"color": BLUE, "width": 1.4}, "name": ""}
+    boxes["y"] = [f"{item.first} /<br>{item.second}" for item in pairs]
+    boxes |= {name: [float(np.quantile(item.ratios, level)) for item in pairs] for name, level in levels.items()}
     one = {"type": "line", "x0": 1, "x1": 1, "y0": 0, "y1": 1, "yref": "paper", "line": {"width": 1, "color": NEUTRAL}}
     title = "Ratio of ITAE on the same case (below 1: the first is more accurate): quartiles and the middle 90 %"
     x = "ratio of ITAE"

@@ -29,6 +29,7 @@ _METRICS = {
     "peak_effort_base_position": "peak base force [N]",
     "settled_time": "settled after [s]",
 }
+_PREDICTED = ("stable_settled", "stable_failed", "unstable_settled", "unstable_failed")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -81,12 +82,9 @@ def summary_text(findings: Findings) -> str:
         predicted = f"{percent(item.share)} of {item.total}"
         rates.append([item.controller, percent(rate.value), _between(rate), predicted])
 
-    def total(field: str) -> str:
-        return str(sum(getattr(item, field) for item in findings.agreement))
-
+    totals = [str(sum(getattr(item, name) for item in findings.agreement)) for name in _PREDICTED]
     outcomes = [["", "settled", "not settled"]]
-    for side in ("stable", "unstable"):
-        outcomes.append([f"predicted {side}", total(f"{side}_settled"), total(f"{side}_failed")])
+    outcomes += [["predicted stable", *totals[:2]], ["predicted unstable", *totals[2:]]]
     return "\n".join([*aligned(rates), "", *aligned(outcomes)])
 
 
@@ -113,12 +111,8 @@ def _page(store: Store, findings: Findings) -> str:
         "metric_names": list(_METRICS.values()),
         "differences": [
             [
-                f"{label_of(d.first)} against {label_of(d.second)}",
-                f"{100.0 * d.success.value:+.1f}",
-                f"{100.0 * d.success.low:+.1f} … {100.0 * d.success.high:+.1f}",
-                NONE if d.itae_ratio is None else f"{d.itae_ratio.value:.3g}",
-                NONE if d.itae_ratio is None else f"{d.itae_ratio.low:.3g} … {d.itae_ratio.high:.3g}",
-                d.both,
+                f"{label_of(d.first)} against {label_of(d.second)}", *_value_and_interval(d.success, "{:+.1f}", 100.0),
+                *_value_and_interval(d.itae_ratio, "{:.3g}"), d.both,
             ]
             for d in findings.differences
         ],
@@ -129,11 +123,8 @@ def _page(store: Store, findings: Findings) -> str:
             if s.name == name
         ],
         "agreement": [
-            [
-                label_of(item.controller), item.stable_settled, item.stable_failed, item.unstable_settled,
-                item.unstable_failed, percent(item.share),
-            ]
-            for item in findings.agreement
+            [label_of(one.controller), *(getattr(one, name) for name in _PREDICTED), percent(one.share)]
+            for one in findings.agreement
         ],
         "worst": _worst(store, findings),
         "map": findings.map,
@@ -163,6 +154,13 @@ def _worst(store: Store, findings: Findings) -> list[tuple[list[Any], str]]:
             command = f"ffsm campaign rerun {store.path} --case {case} --controller {name}"
             rows.append(([label_of(name), case, runs.outcome[place].replace("_", " "), message, values], command))
     return rows
+
+
+def _value_and_interval(interval: Interval | None, form: str, factor: float = 1.0) -> list[str]:
+    if interval is None:
+        return [NONE, NONE]
+    value, low, high = (form.format(factor * x) for x in (interval.value, interval.low, interval.high))
+    return [value, f"{low} … {high}"]
 
 
 def _between(interval: Interval) -> str:

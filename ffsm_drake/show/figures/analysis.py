@@ -27,6 +27,7 @@ from ffsm_drake.show.style import (
 
 _VERDICT_COLORS = {"does not hold": BAD, "holds": GOOD, "not applicable": MUTE}
 _DASHED: Any = (0, (5, 3))
+_LIMIT: Any = {"linewidth": 1.1, "linestyle": _DASHED}
 # Noisy magnitudes are drawn as the largest of each stretch of time: what a bound is about, and legible.
 _STRETCHES = 200
 
@@ -76,21 +77,15 @@ def plot_analysis(analysis: Analysis) -> Figure:
 
 def _plot_tde_error(part: SubFigure, analysis: Analysis) -> Axes:
     axes = _axes(part, "largest |Ñ$_i$| [rad/s$^2$, m/s$^2$]")
-    series, group = analysis.series, analysis.series["group"].values
     _plot_groups(axes, analysis, "tde_error", "period")
-    bound, late = (series[name].values for name in ("tde_error_bound", "tde_error_bound_late"))
-    for name in _groups(analysis):
-        if np.isfinite(late[group == name]).all():
-            axes.axhline(late[group == name].max(), color=GROUP_STYLES[name].color, linewidth=1.1, linestyle=_DASHED)
-    axes.axhline(bound.max(), color="black", linewidth=1.1, linestyle=_DASHED)
-    _note(axes, bound.max(), f"N* = {bound.max():.3g}")
+    _plot_bounds(axes, analysis, "tde_error_bound_late", "N*, without start-up by group")
+    bound, late = (float(analysis.series[name].max()) for name in ("tde_error_bound", "tde_error_bound_late"))
+    axes.axhline(bound, color="black", **_LIMIT)
+    _note(axes, bound, f"N* = {bound:.3g}")
     axes.set_yscale("log")
-    start_up = float(series.attrs["start_up_time"])
-    if np.isfinite(late).all():
-        _note(
-            axes, late.max(), f"{late.max():.3g} without the first {start_up:g} s", below=late.max() > 0.3 * bound.max()
-        )
-        axes.plot([], [], color=MUTE, linewidth=1.1, linestyle=_DASHED, label="N*, without start-up by group")
+    if np.isfinite(late):
+        text = f"{late:.3g} without the first {analysis.series.attrs['start_up_time']:g} s"
+        _note(axes, late, text, below=late > 0.3 * bound)
     legend_below(part, axes)
     return axes
 
@@ -119,13 +114,7 @@ def _plot_sliding_variable(part: SubFigure, analysis: Analysis) -> Axes:
     axes = _axes(part, "largest |s$_i$| [rad/s, m/s]")
     _plot_groups(axes, analysis, "sliding_variable", "time")
     axes.set_yscale("log")
-    series, group = analysis.series, analysis.series["group"].values
-    if "direct_bound" in series:
-        for name in _groups(analysis):
-            value = series["direct_bound"].values[group == name].max()
-            if np.isfinite(value) and value > 0.0:
-                axes.axhline(value, color=GROUP_STYLES[name].color, linewidth=1.1, linestyle=_DASHED)
-        axes.plot([], [], color=MUTE, linewidth=1.1, linestyle=_DASHED, label="bound from (7), by group")
+    _plot_bounds(axes, analysis, "direct_bound", "bound from (7), by group")
     lines = {
         "(16): ‖s‖$_2$ ≤ {:.3g}": analysis.finding("ultimate_bound").numbers.get("ultimate_bound"),
         "ε = {:.3g}": analysis.finding("lyapunov_derivative").numbers.get("epsilon"),
@@ -182,12 +171,11 @@ def _plot_gains(part: SubFigure, analysis: Analysis) -> Axes:
         axes.plot(when, most, color=PURPLE, linewidth=0.9, label="premise: max β$_i$ ‖s‖$_∞$")
     for name, label, color in (("reaching_gain", "K$_{si}$", VERMILION), ("switching_gain", "G$_i$", BLUE)):
         values = np.where(series[name].values > 0.0, series[name].values, np.nan)
-        if np.isnan(values).all():
-            continue
-        lines = axes.plot(time, values, color=color, linewidth=0.9)
-        lines[0].set_label(f"{label}, every coordinate")
+        if not np.isnan(values).all():
+            first, *_ = axes.plot(time, values, color=color, linewidth=0.9)
+            first.set_label(f"{label}, every coordinate")
     bound, late = (float(series[name].max()) for name in ("tde_error_bound", "tde_error_bound_late"))
-    axes.axhline(bound, color="black", linewidth=1.1, linestyle=_DASHED)
+    axes.axhline(bound, color="black", **_LIMIT)
     _note(axes, bound, f"N* = {bound:.3g}")
     if np.isfinite(late):
         axes.axhline(late, color=MUTE, linewidth=1.1, linestyle=(0, (1, 2)))
@@ -254,6 +242,17 @@ def _plot_groups(axes: Axes, analysis: Analysis, name: str, time: str) -> None:
         when, most = _stretches(series[time].values, np.abs(series[name].values[:, group == key]).max(axis=1))
         style = GROUP_STYLES[key].matplotlib | {"marker": "." if len(when) < 20 else ""}
         axes.plot(when, most, linewidth=1.1, label=GROUP_TITLES[key], **style)
+
+
+def _plot_bounds(axes: Axes, analysis: Analysis, name: str, label: str) -> None:
+    """The largest bound of every group's coordinates, where there is one."""
+    bounds, group = analysis.series[name].values, analysis.series["group"].values
+    largest = {key: bounds[group == key].max() for key in _groups(analysis)}
+    shown = {key: value for key, value in largest.items() if np.isfinite(value) and value > 0.0}
+    for key, value in shown.items():
+        axes.axhline(value, color=GROUP_STYLES[key].color, **_LIMIT)
+    if shown:
+        axes.plot([], [], color=MUTE, label=label, **_LIMIT)
 
 
 def _note(axes: Axes, y: float, text: str, *, below: bool = False) -> None:

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from ffsm_drake.common.files import written_whole
@@ -13,6 +14,7 @@ from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.curves import completed_range, moving_rms
 from ffsm_drake.show.figures.axes import set_log_scale, tidy
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES, SERIES, VERMILION, labels_of, styles_of
+from ffsm_drake.spacecraft.coordinates import BASE_POSITION
 
 _STARTING_STEPS = 5
 
@@ -59,23 +61,24 @@ def plot_trajectories(record: RunRecord) -> Figure:
 
     joints = data["group"].values == "joints"
     joint_names = data["coordinate"].values[joints]
-    joint_units = data["unit"].values[joints]
-    revolute = all(unit == "rad" for unit in joint_units)
+    degrees = np.rad2deg(1.0)
+    revolute = (data["unit"].values[joints] == "rad").all()
+    travel = ("angle [deg]", degrees) if revolute else ("angle [rad], travel [m]", 1.0)
+    motions = [data[f"{kind}position"] for kind in ("", "desired_")]
+    base = [motion.sel(position_name=list(BASE_POSITION)) for motion in motions]
+    arm = [motion.sel(position_name=joint_names) for motion in motions]
+    attitude = [data["base_rpy"], data["desired_base_rpy"]]
     panels = (
-        ("(b) Base attitude", "angle [deg]", np.rad2deg(1.0), data["base_rpy"], data["desired_base_rpy"],
-         ("roll", "pitch", "yaw")),
-        ("(c) Base position", "position [m]", 1.0, data["position"].sel(position_name=_base_position_names()),
-         data["desired_position"].sel(position_name=_base_position_names()), ("x", "y", "z")),
-        ("(d) Joints", "angle [deg]" if revolute else "angle [rad], travel [m]", np.rad2deg(1.0) if revolute else 1.0,
-         data["position"].sel(position_name=joint_names), data["desired_position"].sel(position_name=joint_names),
-         tuple(joint_names)),
-    )  # fmt: skip
-    for number, (title, label, factor, actual, reference, names) in enumerate(panels, start=2):
+        ("(b) Base attitude", "angle [deg]", degrees, attitude, ("roll", "pitch", "yaw")),
+        ("(c) Base position", "position [m]", 1.0, base, ("x", "y", "z")),
+        ("(d) Joints", *travel, arm, tuple(joint_names)),
+    )
+    for number, (title, label, factor, motion, names) in enumerate(panels, start=2):
         axes = figure.add_subplot(2, 2, number)
+        actual, reference = (factor * part.values for part in motion)
         for k, name in enumerate(names):
-            color = SERIES[k % len(SERIES)]
-            axes.plot(data["time"], factor * actual.values[:, k], color=color, linewidth=2, label=name)
-            axes.plot(data["time"], factor * reference.values[:, k], color="black", linestyle="--", linewidth=1)
+            axes.plot(data["time"], actual[:, k], color=SERIES[k % len(SERIES)], linewidth=2, label=name)
+            axes.plot(data["time"], reference[:, k], color="black", linestyle="--", linewidth=1)
         axes.set(xlabel="time [s]", ylabel=label, title=title)
         axes.legend(fontsize=8)
         tidy(axes)
@@ -89,9 +92,8 @@ def plot_errors(records: Sequence[RunRecord]) -> Figure:
     controllers whose errors differ by orders of magnitude, or hide in each other's noise, can be told apart.
     """
     errors = [record.dataset["error"].values for record in records]
-    return _plot_coordinates(
-        records, errors, errors, "Tracking errors", {unit: f"error [{unit}]" for unit in EFFORT_UNITS}
-    )
+    units = {unit: f"error [{unit}]" for unit in EFFORT_UNITS}
+    return _plot_coordinates(records, errors, errors, "Tracking errors", units)
 
 
 def plot_efforts(records: Sequence[RunRecord]) -> Figure:
@@ -115,7 +117,8 @@ def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
         return None
     figure = _figure(records[0], "Adaptive gains", (max(6.5, 4.6 * len(adaptive)), 6.5))
     panels = np.atleast_2d(figure.subplots(2, len(adaptive), squeeze=False, sharex=True))
-    handles = []
+    handles: list[Line2D] = []
+    dashes = dict(zip(GROUP_TITLES, ("-", "--", ":"), strict=True))
     for column, record in enumerate(adaptive):
         for axes, (kind, label) in zip(panels[:, column], kinds.items(), strict=True):
             if kind not in record.dataset:
@@ -123,16 +126,10 @@ def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
                 axes.set_axis_off()
                 continue
             series = record.dataset[kind]
-            groups = list(GROUP_TITLES)
-            handles = [
-                axes.plot(
-                    record.dataset["time"], series.values[:, k],
-                    color=SERIES[k % len(SERIES)],
-                    linestyle=("-", "--", ":")[groups.index(str(series["group"].values[k]))],
-                    linewidth=1.4, label=name,
-                )[0]
-                for k, name in enumerate(series["coordinate"].values)
-            ]  # fmt: skip
+            handles = []
+            for k, (name, group) in enumerate(zip(series["coordinate"].values, series["group"].values, strict=True)):
+                look = {"color": SERIES[k % len(SERIES)], "linestyle": dashes[str(group)], "linewidth": 1.4}
+                handles += axes.plot(record.dataset["time"], series.values[:, k], label=name, **look)
             axes.set(ylabel=label)
             if axes is panels[0, column]:
                 axes.set_title(labels_of(adaptive)[column])
@@ -218,7 +215,3 @@ def _figure(
         description = f"{description}. {record.outcome.message}"
     figure.text(0.5, 1.0 - 0.4 / size[1], description, ha="center", va="top", fontsize=9, color="#444444")
     return figure
-
-
-def _base_position_names() -> list[str]:
-    return [f"base_position_{axis}" for axis in "xyz"]

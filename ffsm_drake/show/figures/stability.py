@@ -37,23 +37,18 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins) -> None:
     law, scenario = margins.law, margins.scenario
     adapts = has_k_s(margins)
     eta = np.linspace(0.2, 1.4, 90)
-    top = (
-        1.35 * max(np.nanmax(margins.k_s_limit), law.k_s.max())
-        if adapts
-        else 1e3 * 1.5 * margins.sample_time_limit.max()
-    )
+    sampling = margins.sampling.axis(0)
+    highest_k_s = max(np.nanmax(margins.k_s_limit), law.k_s.max())
+    top = 1.35 * highest_k_s if adapts else 1500.0 * margins.sample_time_limit.max()
     vertical = np.linspace(top / 200, top, 90)
-    gains = law.at()
 
-    def poles(x: float, y: float) -> np.ndarray:
-        if adapts:
-            changed, sampling = law.at(y), margins.sampling.axis(0)
-        else:
-            changed, sampling = gains, dataclasses.replace(margins.sampling.axis(0), sample_time=1e-3 * y)
-        single = LoopGains(k_v=changed.k_v[0], k_p=changed.k_p[0], k_i=changed.k_i[0])
-        return axis_poles(single, eta=x, sampling=sampling)
+    def poles(y: float) -> list[np.ndarray]:
+        gains = law.at(y) if adapts else law.at()
+        single = LoopGains(k_v=gains.k_v[0], k_p=gains.k_p[0], k_i=gains.k_i[0])
+        used = sampling if adapts else dataclasses.replace(sampling, sample_time=1e-3 * y)
+        return [axis_poles(single, eta=x, sampling=used) for x in eta]
 
-    values = [[poles(x, y) for x in eta] for y in vertical]
+    values = [poles(y) for y in vertical]
     largest = np.array([[np.abs(entry).max() for entry in row] for row in values])
     ringing = np.array([[-entry.real.min() for entry in row] for row in values])
     shades = axes.contourf(eta, vertical, ringing, levels=[-1.0, 0.0, 0.25, 0.5, 0.75, 1.0], cmap="Blues", alpha=0.75)
@@ -69,17 +64,13 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins) -> None:
         for k, (group, part) in enumerate(margins.coordinates.groups.items()):
             if part.start >= law.k_s.size:
                 continue
-            path = margins.forecast_k_s[:, part]
+            path, color = margins.forecast_k_s[:, part], GROUP_STYLES[group].color
             extreme = path[:, np.argmax(path.max(axis=0))]
             x = margins.eta.max() - 0.02 * k
-            axes.plot(x, extreme[0], "o", color=GROUP_STYLES[group].color, markersize=6)
-            axes.annotate(
-                "", xy=(x, min(extreme[-1], 0.99 * top)), xytext=(x, extreme[0]),
-                arrowprops={"arrowstyle": "->", "color": GROUP_STYLES[group].color, "linewidth": 2},
-            )  # fmt: skip
-            axes.plot(
-                [], [], "-o", color=GROUP_STYLES[group].color, label=f"{GROUP_TITLES[group]}: start, expected path"
-            )
+            axes.plot(x, extreme[0], "o", color=color, markersize=6)
+            arrow = {"arrowstyle": "->", "color": color, "linewidth": 2}
+            axes.annotate("", xy=(x, min(extreme[-1], 0.99 * top)), xytext=(x, extreme[0]), arrowprops=arrow)
+            axes.plot([], [], "-o", color=color, label=f"{GROUP_TITLES[group]}: start, expected path")
         axes.set(ylabel="$K_s$ [1/s]", title=f"(a) Stability map of {margins.coordinates.names[0]}")
     axes.set(xlabel="$\\eta$ (above 1: inertia over-estimated)", ylim=(0, top), xlim=(eta[0], eta[-1]))
     axes.legend(loc="lower left", fontsize=8)
@@ -100,11 +91,10 @@ def _draw_forecast(axes: Axes, margins: Margins) -> None:
     limit = np.nanmin(margins.k_s_limit)
     axes.axhline(limit, color="black", linewidth=2)
     axes.text(0.01, limit, " limit", va="bottom", transform=axes.get_yaxis_transform())
-    if np.isfinite(margins.law.k_s_max).all() and (margins.law.k_s_max > margins.law.k_s).any():
-        axes.axhline(margins.law.k_s_max.max(), color=GREY, linestyle="--")
-        axes.text(
-            0.99, margins.law.k_s_max.max(), "k_s_max", va="bottom", ha="right", transform=axes.get_yaxis_transform()
-        )
+    bound = margins.law.k_s_max
+    if np.isfinite(bound).all() and (bound > margins.law.k_s).any():
+        axes.axhline(bound.max(), color=GREY, linestyle="--")
+        axes.text(0.99, bound.max(), "k_s_max", va="bottom", ha="right", transform=axes.get_yaxis_transform())
     axes.legend(fontsize=8)
 
 

@@ -18,7 +18,7 @@ _FOLDER = "forces"
 _NOTHING = 1e-6  # a scale of zero cannot be inverted, which the renderer does
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class ArrowKind:
     """What one arrow shows."""
 
@@ -40,23 +40,11 @@ class ArrowKind:
 
 
 ARROW_KINDS = (
-    ArrowKind(
-        label="control force", variable="applied_force", coordinates="base_position", unit="N",
-        color_name="green", color=(0.25, 0.90, 0.35),
-    ),
-    ArrowKind(
-        label="control torque", variable="applied_force", coordinates="base_rotation", unit="N m",
-        color_name="blue", color=(0.25, 0.60, 1.00),
-    ),
-    ArrowKind(
-        label="disturbance force", variable="disturbance_force", coordinates="base_position", unit="N",
-        color_name="red", color=(1.00, 0.25, 0.20),
-    ),
-    ArrowKind(
-        label="disturbance torque", variable="disturbance_force", coordinates="base_rotation", unit="N m",
-        color_name="pink", color=(1.00, 0.45, 0.85),
-    ),
-)  # fmt: skip
+    ArrowKind("control force", "applied_force", "base_position", "N", "green", (0.25, 0.90, 0.35)),
+    ArrowKind("control torque", "applied_force", "base_rotation", "N m", "blue", (0.25, 0.60, 1.00)),
+    ArrowKind("disturbance force", "disturbance_force", "base_position", "N", "red", (1.00, 0.25, 0.20)),
+    ArrowKind("disturbance torque", "disturbance_force", "base_rotation", "N m", "pink", (1.00, 0.45, 0.85)),
+)
 
 
 class Arrow:
@@ -117,8 +105,9 @@ class ForceArrows:
         self._longest = 2.0 * float(self._box_half_width.max())
         self.magnifications: list[int] = []
         self._scales: list[float] = []  # m per N or N m
-        for kind, peak in zip(ARROW_KINDS, self.peaks, strict=True):
-            reference = self.peaks[_control_of(kind)] or peak or 1.0
+        control = self.peaks[:2] * 2  # force and torque, whose scales the disturbance's arrows share
+        for peak, largest in zip(self.peaks, control, strict=True):
+            reference = largest or peak or 1.0
             self.magnifications.append(_magnification(peak / reference))
             self._scales.append(self._longest / reference * self.magnifications[-1])
         self._arrows = [
@@ -150,27 +139,16 @@ class ForceArrows:
 
 def legend(arrows: ForceArrows) -> list[str]:
     """One line per arrow: its colour, what it shows, how much it is magnified, and the run's peak."""
+    times = [f" x {factor}" if factor > 1 else "" for factor in arrows.magnifications]
     return [
-        f"{kind.color_name}: {kind.label}"
-        + (f" x {magnification}" if magnification > 1 else "")
-        + f", peak {peak:.3g} {kind.unit}"
-        for kind, magnification, peak in zip(ARROW_KINDS, arrows.magnifications, arrows.peaks, strict=True)
+        f"{kind.color_name}: {kind.label}{factor}, peak {peak:.3g} {kind.unit}"
+        for kind, factor, peak in zip(ARROW_KINDS, times, arrows.peaks, strict=True)
     ]
 
 
 def _finite_rows(vectors: np.ndarray) -> np.ndarray:
     """A copy with zero vectors for those (rows) that are not finite: a diverged run's last force may be."""
     return np.where(np.isfinite(vectors).all(axis=1, keepdims=True), vectors, 0.0)
-
-
-def _control_of(kind: ArrowKind) -> int:
-    """Index of the control arrow whose scale an arrow shares."""
-    (index,) = (
-        i
-        for i, other in enumerate(ARROW_KINDS)
-        if other.variable == "applied_force" and other.coordinates == kind.coordinates
-    )
-    return index
 
 
 def _magnification(ratio: float) -> int:

@@ -49,8 +49,8 @@ class Controls:
 
     def remove(self) -> None:
         """Take all controls away."""
-        for label in self._clicks:
-            self._meshcat.DeleteButton(label, strict=False)
+        for label in [*self._clicks]:
+            self.remove_button(label)
         for label in self._values:
             self._meshcat.DeleteSlider(label, strict=False)
-        self._clicks, self._values = {}, {}
+        self._values = {}

@@ -24,15 +24,9 @@ class LiveReplay:
     """
 
     def __init__(
-        self,
-        record: RunRecord,
-        *,
-        speed: float = 1.0,
-        ghost: bool = True,
-        path: bool = True,
-        forces: bool = False,
+        self, record: RunRecord, *, speed: float = 1.0, ghost: bool = True, path: bool = True, forces: bool = False,
         meshcat: Meshcat | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Set the scene and add the controls. Arguments and errors as ``recording_html``."""
         check_speed(speed)
         self.meshcat = start_meshcat() if meshcat is None else meshcat
@@ -80,15 +74,9 @@ class LiveReplay:
 
 
 def replay_live(
-    record: RunRecord,
-    *,
-    speed: float = 1.0,
-    ghost: bool = True,
-    path: bool = True,
-    forces: bool = False,
-    meshcat: Meshcat | None = None,
-    open_browser: bool = False,
-) -> None:
+    record: RunRecord, *, speed: float = 1.0, ghost: bool = True, path: bool = True, forces: bool = False,
+    meshcat: Meshcat | None = None, open_browser: bool = False,
+) -> None:  # fmt: skip
     """Replay a record in Meshcat until its Quit button is clicked or Ctrl-C is pressed.
 
     Args:
@@ -106,10 +94,7 @@ def replay_live(
         webbrowser.open(replay.meshcat.web_url())
     last = time.perf_counter()
     try:
-        while True:
-            now = time.perf_counter()
-            if not replay.step(now - last):
-                break
+        while replay.step((now := time.perf_counter()) - last):
             last = now
             time.sleep(1.0 / FRAMES_PER_SECOND)
     except KeyboardInterrupt:

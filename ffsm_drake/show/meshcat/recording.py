@@ -69,19 +69,9 @@ def recording_html(
 
 
 def write_recording(
-    record: RunRecord,
-    file: Path,
-    *,
-    speed: float = 1.0,
-    ghost: bool = True,
-    path: bool = True,
-    forces: bool = False,
+    record: RunRecord, file: Path, *, speed: float = 1.0, ghost: bool = True, path: bool = True, forces: bool = False
 ) -> None:
-    """Write the page of ``recording_html`` (same arguments and errors).
-
-    Raises:
-      RecordError: the file cannot be written.
-    """
+    """Write the page of ``recording_html`` (same arguments and errors). Raises RecordError where that fails."""
     write_text(file, recording_html(record, speed=speed, ghost=ghost, path=path, forces=forces))
 
 

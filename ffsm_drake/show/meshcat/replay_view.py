@@ -17,20 +17,10 @@ class ReplayView:
     """Stage, spacecraft and, if wanted, ghost of the target posture, end effector's path and force arrows."""
 
     def __init__(
-        self,
-        meshcat: Meshcat,
-        record: RunRecord,
-        *,
-        ghost: bool,
-        path: bool,
-        forces: bool,
+        self, meshcat: Meshcat, record: RunRecord, *, ghost: bool, path: bool, forces: bool,
         frames_per_second: float = FRAMES_PER_SECOND,
-    ) -> None:
-        """Set the scene and show the first sample.
-
-        Raises:
-          ModelError: the scenario's model does not load any more.
-        """
+    ) -> None:  # fmt: skip
+        """Set the scene and show the first sample. Raises ModelError where the model does not load any more."""
         dataset = record.dataset
         # A run that diverged may end in numbers that no picture can show.
         finite = np.isfinite(dataset["position"].values).all(axis=1)

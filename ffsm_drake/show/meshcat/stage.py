@@ -127,12 +127,7 @@ class SpacecraftView:
     """The spacecraft in Meshcat, in any configuration, without a simulation."""
 
     def __init__(self, meshcat: Meshcat, model: Model, *, frames_per_second: float = 25.0) -> None:
-        """Show the spacecraft in its default configuration.
-
-        Args:
-          meshcat: where.
-          model: what.
-          frames_per_second: of an animation that ``visualizer`` records.
+        """Show the default configuration; ``frames_per_second`` of an animation that ``visualizer`` records.
 
         Raises:
           ModelError: the model does not load.

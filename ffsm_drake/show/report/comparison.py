@@ -11,14 +11,10 @@ from ffsm_drake.show.report.results import Result, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
 from ffsm_drake.show.tables import number
 
-_MAGNITUDES = {
-    "peak_error": "Peak error",
-    "final_error": "Final error",
-    "peak_effort": "Peak control force or torque",
-}
+_MAGNITUDES = {"peak_error": "Peak error", "final_error": "Final error", "peak_effort": "Peak control force or torque"}
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Cell:
     """One figure of the result table."""
 
@@ -26,7 +22,7 @@ class Cell:
     kind: str = ""  # "best", "partial" or nothing
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Row:
     """One line of the result table, a cell for each run."""
 
@@ -39,30 +35,22 @@ class Row:
 def table(results: Sequence[Result]) -> list[Row]:
     """The figures of merit, magnitudes and times, a column for each run."""
     rows = [
-        Row(label="Accuracy, ITAE", cells=_compared(results, operator.attrgetter("itae"), digits=4)),
-        Row(label="Effort, ISV", cells=_compared(results, operator.attrgetter("isv"), digits=5)),
+        Row("Accuracy, ITAE", _compared(results, operator.attrgetter("itae"), digits=4)),
+        Row("Effort, ISV", _compared(results, operator.attrgetter("isv"), digits=5)),
     ]
     kinds = list(dict.fromkeys((part.group, part.unit) for result in results for part in result.magnitudes))
     groups = [group for group, _ in kinds]
     for field, head in _MAGNITUDES.items():
         for k, (group, unit) in enumerate(kinds):
             kind = f", {'revolute' if unit == 'rad' else 'prismatic'}" if groups.count(group) > 1 else ""
-            rows.append(
-                Row(
-                    head="" if k else head,
-                    label=GROUP_TITLES.get(group, group) + kind,
-                    unit=EFFORT_UNITS.get(unit, unit) if field == "peak_effort" else unit,
-                    cells=[Cell(text=number(_magnitude(result, group, unit, field))) for result in results],
-                )
-            )
-    wall = [result.record.wall_time for result in results]
-    rows += [
-        Row(label="Simulated time", unit="s", head="Computation",
-            cells=[Cell(text=f"{result.record.outcome.time:g}") for result in results]),
-        Row(label="Wall time, simulation", unit="s",
-            cells=[Cell(text=number(one.get("advance_to"), 3)) for one in wall]),
-        Row(label="Wall time, all told", unit="s", cells=[Cell(text=number(one.get("total"), 3)) for one in wall]),
-    ]  # fmt: skip
+            cells = [Cell(number(_magnitude(result, group, unit, field))) for result in results]
+            shown = EFFORT_UNITS.get(unit, unit) if field == "peak_effort" else unit
+            rows.append(Row(GROUP_TITLES.get(group, group) + kind, cells, unit=shown, head="" if k else head))
+    flown = [Cell(f"{result.record.outcome.time:g}") for result in results]
+    rows.append(Row("Simulated time", flown, unit="s", head="Computation"))
+    for label, key in (("Wall time, simulation", "advance_to"), ("Wall time, all told", "total")):
+        cells = [Cell(number(result.record.wall_time.get(key), 3)) for result in results]
+        rows.append(Row(label, cells, unit="s"))
     return rows
 
 
@@ -75,13 +63,8 @@ def _compared(results: Sequence[Result], figure: Callable[[Result], float], *, d
     """A sum over each run, the least of the completed ones marked where there are several."""
     completed = [figure(result) for result in results if _placed(result, figure)]
     best = min(completed) if len(completed) > 1 else None
-    return [
-        Cell(
-            text=number(figure(result), digits),
-            kind="partial" if not result.comparable else "best" if figure(result) == best else "",
-        )
-        for result in results
-    ]
+    kinds = ["partial" if not one.comparable else "best" if figure(one) == best else "" for one in results]
+    return [Cell(number(figure(result), digits), kind) for result, kind in zip(results, kinds, strict=True)]
 
 
 def _placed(result: Result, figure: Callable[[Result], float]) -> bool:

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,13 +20,8 @@ from ffsm_drake.show.report.stability_panels import stability_views
 from ffsm_drake.show.report.time_panels import points_per_curve, run_views
 from ffsm_drake.show.tables import NONE, has_k_s, margins_data, number
 
-_STATUS_WORDS = {
-    "settled": "settled",
-    "unsettled": "not settled",
-    "interrupted": "interrupted",
-    "diverged": "diverged",
-}
 _STATUS_TONES = {"settled": "good", "unsettled": "warn", "interrupted": "warn", "diverged": "bad"}
+_STATUS_WORDS = {status: "not settled" if status == "unsettled" else status for status in _STATUS_TONES}
 _FINDING_TONES = {"holds": "good", "does not hold": "bad", "measured": "mute", "not applicable": "mute"}
 # Section key -> title, text, and the sentence that stands where the records have nothing to draw.
 _SECTIONS = {
@@ -62,17 +57,13 @@ def write_report(
 ) -> Path:
     """Write one self-contained HTML page about one or several runs; it opens from disk, without a network.
 
-    Sections that do not apply to a run (the analysis of a user-supplied controller, a variable that it does not
-    record) say so in a sentence. The same records give the same bytes.
+    A section that does not apply to a run says so. The same records give the same bytes. Returns the path.
 
     Args:
       records: the runs to show and compare, in the order of the table's columns.
       path: the file to write.
       title: the page's heading; default: the scenario's description.
       recording: the text of a self-contained Meshcat page, to be played within this one.
-
-    Returns:
-      The path.
 
     Raises:
       RecordError: there is no record, or the file cannot be written.
@@ -138,8 +129,11 @@ def _summary(results: Sequence[Result]) -> str:
     if len(results) == 1:
         return f"One run of {results[0].label}, {results[0].record.outcome.time:g} s of flight."
     counted = {word: sum(result.status == status for result in results) for status, word in _STATUS_WORDS.items()}
-    parts = ", ".join(f"{count} {word}" for word, count in counted.items() if count)
-    return f"{len(results)} runs compared: {parts}."
+    return f"{len(results)} runs compared: {_tally(counted)}."
+
+
+def _tally(counted: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {word}" for word, count in counted.items() if count)
 
 
 def _thinning(thin: Thinning) -> str:
@@ -159,12 +153,8 @@ def _findings(result: Result) -> Json:
         analysis, problem = _attempt(functools.partial(analyze, result.record))
         findings = () if analysis is None else analysis.findings
         excuse = problem and f"The analysis is not available for this run: {problem}."
-    tally = ", ".join(
-        f"{count} {verdict}"
-        for verdict in _FINDING_TONES
-        if (count := sum(finding.verdict == verdict for finding in findings))
-    )
-    return {"result": result, "findings": findings, "excuse": excuse, "tally": tally}
+    counted = {verdict: sum(finding.verdict == verdict for finding in findings) for verdict in _FINDING_TONES}
+    return {"result": result, "findings": findings, "excuse": excuse, "tally": _tally(counted)}
 
 
 def _stability(result: Result, margins: Margins | None, problem: str) -> Json:

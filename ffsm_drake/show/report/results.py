@@ -19,7 +19,7 @@ SETTLED_WITHIN = {"rad": 1e-3, "m": 1e-3}
 SETTLED_OVER = 1.0  # s
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Magnitude:
     """The largest values of the coordinates of one group and unit; NaN where the record has none."""
 
@@ -78,16 +78,13 @@ def _result(record: RunRecord, label: str, style: Style) -> Result:
     status, verdict = _evaluate(record)
     period = record.scenario.sample_time
     error, effort = values_of(record, "error"), values_of(record, "generalized_force")
+    accuracy = math.nan if error is None else itae(record.dataset["time"].values[:-1], error[:-1], period)
+    cost = math.nan if effort is None else isv(effort[:-1], period)
+    magnitudes = tuple(_magnitudes(record, error, effort))
     return Result(
-        record=record,
-        label=label,
-        style=style,
-        status=status,
-        verdict=verdict,
-        itae=math.nan if error is None else itae(record.dataset["time"].values[:-1], error[:-1], period),
-        isv=math.nan if effort is None else isv(effort[:-1], period),
-        magnitudes=tuple(_magnitudes(record, error, effort)),
-    )
+        record=record, label=label, style=style, status=status, verdict=verdict, itae=accuracy, isv=cost,
+        magnitudes=magnitudes,
+    )  # fmt: skip
 
 
 def _magnitudes(record: RunRecord, error: np.ndarray | None, effort: np.ndarray | None) -> list[Magnitude]:
@@ -96,17 +93,12 @@ def _magnitudes(record: RunRecord, error: np.ndarray | None, effort: np.ndarray 
     def largest(values: np.ndarray | None, members: np.ndarray) -> float:
         return math.nan if values is None else float(np.abs(values[..., members]).max())
 
-    return [
-        Magnitude(
-            group=group,
-            unit=unit,
-            peak_error=largest(error, members),
-            final_error=largest(None if error is None else error[-1], members),
-            peak_effort=largest(effort, members),
-        )
-        for group, unit in dict.fromkeys(zip(groups.tolist(), units.tolist(), strict=True))
-        for members in [(groups == group) & (units == unit)]
-    ]
+    magnitudes = []
+    for group, unit in dict.fromkeys(zip(groups.tolist(), units.tolist(), strict=True)):
+        members = (groups == group) & (units == unit)
+        values = error, None if error is None else error[-1], effort
+        magnitudes.append(Magnitude(group, unit, *(largest(one, members) for one in values)))
+    return magnitudes
 
 
 def _evaluate(record: RunRecord) -> tuple[Status, str]:

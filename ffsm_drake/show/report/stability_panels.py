@@ -99,20 +99,13 @@ def _map_panel(results: Sequence[Result], i: int, margin: Margins) -> Panel:
         curve((eta, limit), Style(color), name="stability limit", width=2, fill="tozeroy", fillcolor=f"{color}1c")
     ]
     for (name, value), symbol in zip(used.items(), ("circle", "diamond"), strict=False):
-        marker = {"color": color, "size": 11, "symbol": symbol}
-        traces.append(
-            {"type": "scatter", "x": [high], "y": [float(value)], "name": name, "mode": "markers", "marker": marker}
-        )
+        place = {"x": [high], "y": [float(value)], "marker": {"color": color, "size": 11, "symbol": symbol}}
+        traces.append({"type": "scatter", "name": name, "mode": "markers", **place})
     finite = limit[np.isfinite(limit)]
     tops = [*used.values(), np.interp(high, eta, np.nan_to_num(limit)), *([np.median(finite)] if finite.size else [])]
     band = {"type": "rect", "yref": "paper", "y0": 0, "y1": 1, "x0": low, "x1": high, "layer": "below",
             "fillcolor": _BAND, "line": {"width": 0}}  # fmt: skip
     name = margin.coordinates.names[axis].replace("_", " ")
-    return Panel(
-        title=f"Stable below the curve, {what} of {name}: {results[i].label}",
-        kind="map",
-        figure=figure(
-            traces, x="inertia ratio η; shaded: met along the motion", y=unit, showlegend=True, shapes=[band],
-            yaxis={"range": [0.0, 1.3 * float(max(tops))]},
-        ),
-    )  # fmt: skip
+    axis_title, height = "inertia ratio η; shaded: met along the motion", {"range": [0.0, 1.3 * float(max(tops))]}
+    shown = figure(traces, x=axis_title, y=unit, showlegend=True, shapes=[band], yaxis=height)
+    return Panel(title=f"Stable below the curve, {what} of {name}: {results[i].label}", kind="map", figure=shown)

@@ -141,11 +141,10 @@ def _error_size_panels(results: Sequence[Result], thin: Thinning) -> list[Panel]
         low = low[np.isfinite(low)]
         bounds = None
         if low.size and len(results) == 1:
-            top = max(float(np.nanmax(np.abs(values[: low.size]))) for _, values in columns)
+            top = float(np.nanmax(np.abs(columns[0][1][: low.size])))
             bounds = [float(np.log10(low.min() / 10.0)), float(np.log10(top * 1.5))]
-        panels.append(time_panel(
-            name.replace("_", " "), unit, traces, group=GROUP_TITLES.get(group, group), log=True, range=bounds
-        ))  # fmt: skip
+        title, heading = name.replace("_", " "), GROUP_TITLES.get(group, group)
+        panels.append(time_panel(title, unit, traces, group=heading, log=True, range=bounds))
     return panels
 
 
@@ -162,44 +161,34 @@ def _time(result: Result) -> np.ndarray:
 
 
 def _attitude_panels(results: Sequence[Result], thin: Thinning) -> list[Panel]:
-    factor = float(np.rad2deg(1.0))
-    columns = {title: [k] * len(results) for k, title in enumerate(("Roll", "Pitch", "Yaw"))}
     return [
         panel
-        for title, places in columns.items()
-        for panel in _tracked_panel(results, thin, title, "deg", "base_rpy", places, factor=factor)
+        for k, title in enumerate(("Roll", "Pitch", "Yaw"))
+        for panel in _tracked_panel(results, thin, title, "rad", "base_rpy", [k] * len(results))
     ]
 
 
 def _position_panels(results: Sequence[Result], thin: Thinning) -> list[Panel]:
     kinds: dict[str, str] = {}
+    columns: list[dict[str, int]] = []  # of each run, name -> place
     for result in results:
         data = result.record.dataset
         units = dict(zip(data["coordinate"].values.astype(str), data["unit"].values.astype(str), strict=True))
         names = data["position_name"].values.astype(str).tolist() if "position_name" in data else []
-        kinds |= {name: units[name] for name in names if name in units and name not in kinds}  # not the quaternion
-    panels = []
-    for name, unit in kinds.items():
-        places: list[int | None] = []
-        for result in results:
-            names = result.record.dataset["position_name"].values.astype(str).tolist()
-            places.append(names.index(name) if name in names else None)
-        shown, factor = ("deg", float(np.rad2deg(1.0))) if unit == "rad" else (unit, 1.0)
-        panels += _tracked_panel(results, thin, name, shown, "position", places, factor=factor)
-    return panels
+        columns.append({name: k for k, name in enumerate(names) if name in units})  # not the quaternion
+        kinds = {name: units[name] for name in columns[-1]} | kinds
+    return [
+        panel
+        for name, unit in kinds.items()
+        for panel in _tracked_panel(results, thin, name, unit, "position", [places.get(name) for places in columns])
+    ]
 
 
 def _tracked_panel(
-    results: Sequence[Result],
-    thin: Thinning,
-    title: str,
-    unit: str,
-    variable: str,
-    places: Sequence[int | None],
-    *,
-    factor: float,
+    results: Sequence[Result], thin: Thinning, title: str, unit: str, variable: str, places: Sequence[int | None]
 ) -> list[Panel]:
     """A variable's column (its place by run) of every run that has it, and their references; no panel for none."""
+    unit, factor = ("deg", float(np.rad2deg(1.0))) if unit == "rad" else (unit, 1.0)
     columns: list[Column] = []
     traces, references, seen = [], [], set()
     for i, (result, k) in enumerate(zip(results, places, strict=True)):

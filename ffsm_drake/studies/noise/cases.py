@@ -48,10 +48,8 @@ class NoiseCase:
         if self.estimator == "kalman":
             data["estimator"] = {"kind": "kalman", "walk": WALK}
             if self.sigma is not None:
-                data["estimator"] |= {
-                    "velocity_noise": self.sigma,
-                    "position_noise": POSITION_NOISE_TIME * self.sigma,
-                }
+                position_noise = POSITION_NOISE_TIME * self.sigma
+                data["estimator"] |= {"velocity_noise": self.sigma, "position_noise": position_noise}
         if self.gains == "bandwidth":
             given = data["controllers"].get(self.controller, {})
             data["controllers"][self.controller] = given | bandwidth_gains(self.controller)

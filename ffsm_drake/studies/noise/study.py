@@ -144,22 +144,18 @@ def settled_after(duration: float) -> float:
 
 def _plan(case: NoiseCase) -> "Plan":
     """What a case's mission asks of any controller."""
-    plan = _mission(case.duration, case.sigma is None)
+    plan = _mission(case.duration, None if case.sigma is None else 1.0)
     if case.sigma is None:
         return plan
     return dataclasses.replace(plan, velocity_noise=np.full_like(plan.velocity_noise, case.sigma))
 
 
 @functools.cache  # expensive, and the same for the whole sweep but for the noise
-def _mission(duration: float, flight_sensors: bool) -> "Plan":
+def _mission(duration: float, sigma: float | None) -> "Plan":
     from ffsm_drake.control_design.stability.prediction import make_plan  # SciPy is slow to import
 
-    sigma = None if flight_sensors else 1.0
-    return make_plan(
-        NoiseCase(
-            controller="tdc", estimator="one_sample", gains="published", sigma=sigma, duration=duration
-        ).scenario()
-    )
+    case = NoiseCase(controller="tdc", estimator="one_sample", gains="published", sigma=sigma, duration=duration)
+    return make_plan(case.scenario())
 
 
 def _predicted_isv(case: NoiseCase, scenario: Scenario) -> float:
@@ -182,11 +178,7 @@ def _noise_gain(controller: str) -> float:
 
     scenario = NoiseCase(controller=controller, estimator="one_sample", gains="published", sigma=1.0).scenario()
     gains = law_gains(scenario, make_nominal_plant(scenario).coordinates).at()
-    one = np.ones((1, 1))
-    loop = coupled_loop(
-        LoopGains(k_v=gains.k_v[:1], k_p=gains.k_p[:1], k_i=gains.k_i[:1]),
-        true_mass_matrix=one,
-        nominal_mass_matrix=one,
-        sampling=Sampling(sample_time=scenario.sample_time),
-    )
+    one_axis = LoopGains(k_v=gains.k_v[:1], k_p=gains.k_p[:1], k_i=gains.k_i[:1])
+    one, sampling = np.ones((1, 1)), Sampling(sample_time=scenario.sample_time)
+    loop = coupled_loop(one_axis, true_mass_matrix=one, nominal_mass_matrix=one, sampling=sampling)
     return float(loop.noise_response(position_noise=np.zeros(1), velocity_noise=np.ones(1))["force"][0])

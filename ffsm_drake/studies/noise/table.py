@@ -11,70 +11,48 @@ from ffsm_drake.studies.noise.cases import EXCHANGED, exchange_point
 from ffsm_drake.studies.noise.study import NoiseRow, NoiseStudy, settled_after
 
 _ESTIMATES = {"one_sample": "one sample", "kalman": "Kalman"}
-_TITLES = {
-    "one_sample": "One-sample estimate, published gains",
-    "kalman": "Kalman estimate, bandwidth gains",
-}
+_TITLES = {"one_sample": "One-sample estimate, published gains", "kalman": "Kalman estimate, bandwidth gains"}
 
 
 def study_rows(study: NoiseStudy) -> list[dict[str, Any]]:
     """Every run as the columns of a file, SI units; the sensor set has no sigma, a run that diverged no figures."""
+    columns = ("controller", "estimator", "gains", "sigma", "seed", "outcome", "itae", "isv", "isv_predicted")
     return [
-        {
-            "controller": row.controller,
-            "estimator": row.estimator,
-            "gains": row.gains,
-            "sensors": "flight_sensors" if row.sigma is None else "white",
-            "sigma": row.sigma,
-            "seed": row.seed,
-            "diverged": int(row.diverged),
-            "outcome": row.outcome,
-            "itae": row.itae,
-            "isv": row.isv,
-            "isv_predicted": row.isv_predicted,
-            **{f"rms_error_{group}": row.rms_error[group] for group in GROUPS},
-            **{f"peak_force_{group}": row.peak_force[group] for group in GROUPS},
-        }
+        {name: getattr(row, name) for name in columns}
+        | {"sensors": "flight_sensors" if row.sigma is None else "white", "diverged": int(row.diverged)}
+        | {f"{name}_{group}": getattr(row, name)[group] for name in ("rms_error", "peak_force") for group in GROUPS}
         for row in study.rows
     ]
 
 
 def study_markdown(study: NoiseStudy) -> str:
     """The study as tables: the slope, whether estimate or gains matter, and every point."""
-    lines = [
+    parts = [
         "# What the published gains cost with real sensors",
-        "",
         f"Runs of {study.duration:g} s; perfect tracking without noise costs ISV {study.ideal_isv:.2f}. Positions are "
         "measured exactly but by `flight_sensors`, actuators are unlimited. Units: rad or m, N m or N. Rms errors "
         f"count after {settled_after(study.duration):g} s.",
-        "",
         "## The slope",
-        "",
         "The published estimate puts Ĥ Δv/L into the force, so that the effort of the noise grows as σ²/L². Predicted "
         "rms acceleration for a base attitude axis; extra effort (ISV - ideal)/σ² at the largest σ without divergence:",
-        "",
-        *_slopes(study),
-        "",
+        _slopes(study),
         f"## Estimate or gains? At σ = {exchange_point(study.sigmas):.0e}",
-        "",
         "ISV, and the rms error of the base attitude:",
-        "",
-        *_exchange(study),
+        _exchange(study),
     ]
     header = ["controller", "σ [rad/s, m/s]", "ITAE", "ISV", "ISV, predicted"]
     header += ["rms attitude", "rms position", "rms joints", "peak torque", "peak force", "peak joint torque"]
     for estimator, title in _TITLES.items():
         points = [point for _, kind, points in study.curves() if kind == estimator for point in points]
-        lines += ["", f"## {title}", "", *_table(header, [_point_cells(point) for point in points])]
-    lines += [
-        "",
+        parts += [f"## {title}", _table(header, [_point_cells(point) for point in points])]
+    parts.append(
         "Predicted: by the linear loop without simulating it, G left out, K_s at its bound or, without one, at its "
-        "start (AISMC). Peaks are over the whole run.",
-    ]
-    return "\n".join(lines) + "\n"
+        "start (AISMC). Peaks are over the whole run."
+    )
+    return "\n\n".join(parts) + "\n"
 
 
-def _slopes(study: NoiseStudy) -> list[str]:
+def _slopes(study: NoiseStudy) -> str:
     rows = []
     for controller, estimator, points in study.curves():
         if estimator != "one_sample":
@@ -90,7 +68,7 @@ def _slopes(study: NoiseStudy) -> list[str]:
     return _table([*header, "at σ"], rows)
 
 
-def _exchange(study: NoiseStudy) -> list[str]:
+def _exchange(study: NoiseStudy) -> str:
     ways = [("one_sample", "published"), *EXCHANGED.items(), ("kalman", "bandwidth")]
     rows = []
     for controller in study.noise_gain:
@@ -111,5 +89,6 @@ def _point_cells(point: NoiseRow) -> list[str]:
     return [*head, number(point.itae, 3), number(point.isv), predicted, *errors, *forces]
 
 
-def _table(header: list[str], rows: list[list[str]]) -> list[str]:
-    return [f"| {' | '.join(cells)} |" for cells in (header, ["---", *["---:"] * (len(header) - 1)], *rows)]
+def _table(header: list[str], rows: list[list[str]]) -> str:
+    lines = (header, ["---", *["---:"] * (len(header) - 1)], *rows)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)

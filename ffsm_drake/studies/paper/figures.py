@@ -58,93 +58,72 @@ def write_figure_2(directory: Path) -> FigureFile:
 
 def write_figure_3(results: Results, directory: Path) -> list[FigureFile]:
     """Planned and tracked motion of the proposed controller."""
-    return [
-        _write(
-            plot_trajectories(results.record(setting, PROPOSED)),
-            f"fig3_{setting}",
-            f"Planned and tracked trajectories, {words}",
+    written = []
+    for setting, words in DRAWN.items():
+        record = results.record(setting, PROPOSED)
+        caption = (
             f"Figure 3 with {words}. Motion under the proposed controller, τ_d1: (a) end effector in task space, "
             "(b) base attitude as roll, pitch, yaw, (c) base position, (d) joints. Dashed: the planned motion, from "
-            f"which the run departs by at most {_largest_departure(results.record(setting, PROPOSED))}.",
-            directory,
+            f"which the run departs by at most {_largest_departure(record)}."
         )
-        for setting, words in DRAWN.items()
-    ]
+        title = f"Planned and tracked trajectories, {words}"
+        written.append(_write(plot_trajectories(record), f"fig3_{setting}", title, caption, directory))
+    return written
 
 
 def write_figure_4(results: Results, directory: Path) -> list[FigureFile]:
     """Tracking errors of the four controllers."""
-    return _write_overlaid(
-        results,
-        directory,
-        key="fig4",
-        title="Tracking errors",
-        plot=plot_errors,
-        caption="Upper panels: true error e = q_d − q of every control sample, the largest drawn first. Lower panels: "
-        "rms of that error over one second, logarithmic, since the errors differ by orders of magnitude.",
+    caption = (
+        "Upper panels: true error e = q_d − q of every control sample, the largest drawn first. Lower panels: rms of "
+        "that error over one second, logarithmic, since the errors differ by orders of magnitude."
     )
+    return _write_overlaid(results, directory, "fig4", "Tracking errors", plot_errors, caption)
 
 
 def write_figure_5(results: Results, directory: Path) -> list[FigureFile]:
     """Control forces and torques of the four controllers."""
-    return _write_overlaid(
-        results,
-        directory,
-        key="fig5",
-        title="Control forces and torques",
-        plot=plot_efforts,
-        caption="Upper panels: force or torque held over every control period, the roughest drawn first, so that the "
-        "bands are nested. Lower panels: rms over one second of its change from one sample to the next, logarithmic: "
-        "what the measurement noise and the switching term add to the motion's own force.",
+    caption = (
+        "Upper panels: force or torque held over every control period, the roughest drawn first. Lower panels: rms "
+        "over one second of its change from one sample to the next, logarithmic: what the measurement noise and the "
+        "switching term add to the motion's own force."
     )
+    return _write_overlaid(results, directory, "fig5", "Control forces and torques", plot_efforts, caption)
 
 
 def _write_overlaid(
-    results: Results,
-    directory: Path,
-    *,
-    key: str,
-    title: str,
-    plot: Callable[[list[RunRecord]], Figure],
-    caption: str,
+    results: Results, directory: Path, key: str, title: str, plot: Callable[[list[RunRecord]], Figure], caption: str
 ) -> list[FigureFile]:
-    return [
-        _write(
-            plot([results.record(setting, name) for name in CONTROLLERS]),
-            f"{key}_{setting}",
-            f"{title}, {words}",
+    written = []
+    for setting, words in DRAWN.items():
+        figure = plot([results.record(setting, name) for name in CONTROLLERS])
+        text = (
             f"Figure {key[-1]} with {words}, four controllers, τ_d1, seed 0. (a) to (c) base attitude x, y, z; "
-            f"(d) to (f) base position x, y, z; (g) to (k) joints 1 to 5. {caption}",
-            directory,
+            f"(d) to (f) base position x, y, z; (g) to (k) joints 1 to 5. {caption}"
         )
-        for setting, words in DRAWN.items()
-    ]
+        written.append(_write(figure, f"{key}_{setting}", f"{title}, {words}", text, directory))
+    return written
 
 
 def write_overview(rows: list[Row], directory: Path) -> FigureFile:
     """Table 2 as a picture."""
-    return _write(
-        plot_overview(rows),
-        "table2",
-        "Table 2 as a picture",
-        "Table 2 as a picture: the paper's values and ours, means over the seeds. With exact integration and the "
-        "published gains the proposed controller has no value to show: it diverges.",
-        directory,
+    title = "Table 2 as a picture"
+    caption = (
+        f"{title}: the paper's values and ours, means over the seeds. With exact integration and the published gains "
+        "the proposed controller has no value to show: it diverges."
     )
+    return _write(plot_overview(rows), "table2", title, caption, directory)
 
 
 def write_divergence(results: Results, directory: Path) -> FigureFile:
     """What the published gains do on an exactly integrated plant."""
-    return _write(
-        plot_divergence(results),
-        "divergence",
-        "The published gains on an exactly integrated plant",
+    caption = (
         "Not in the paper. The proposed controller, τ_d1, seed 0. Left: the largest K_s of the eleven coordinates, "
         "which law (9) adapts, and the limit (K_D + K_s) L < 2 of the sampled loop for a perfectly known mass matrix. "
         "Right: sum of the absolute errors. Explicit Euler at the control period raises the limit and hides the "
-        "divergence.",
-        directory,
+        "divergence."
     )
+    title = "The published gains on an exactly integrated plant"
+    return _write(plot_divergence(results), "divergence", title, caption, directory)
 
 
 def plot_overview(rows: list[Row]) -> Figure:
@@ -155,10 +134,7 @@ def plot_overview(rows: list[Row]) -> Figure:
         "euler": {"marker": "o", "color": BLUE, "label": "ours, explicit Euler"},
         "bounded": {"marker": "s", "color": VERMILION, "label": "ours, exact integration, $K_s$ bounded"},
     }
-    printed_mark: dict[str, Any] = {
-        "marker": "D", "markersize": 9, "markerfacecolor": "none", "color": "black", "markeredgewidth": 1.4,
-        "label": "paper",
-    }  # fmt: skip
+    printed_mark: dict[str, Any] = {"marker": "D", "markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.4}
     places = {
         (disturbance, name): number * (len(CONTROLLERS) + 1) + k
         for number, disturbance in enumerate(DISTURBANCES)
@@ -173,7 +149,7 @@ def plot_overview(rows: list[Row]) -> Figure:
             axes.plot([np.nanmin(values), np.nanmax(values)], [place] * 2, color=GRID, linewidth=2, zorder=1)
             for setting, mark in marks.items():
                 axes.plot(means[setting], place, linestyle="none", markersize=7, **mark)
-            axes.plot(printed, place, linestyle="none", zorder=3, **printed_mark)
+            axes.plot(printed, place, linestyle="none", zorder=3, color="black", label="paper", **printed_mark)
         axes.set_xlabel({"itae": "ITAE [rad s², m s²], logarithmic", "isv": "ISV [N² s, N² m² s]"}[metric])
         axes.set_title(title, fontweight="bold", pad=14)
         axes.grid(True, axis="x", color=GRID, linewidth=0.6)
@@ -248,16 +224,12 @@ def write_noise(study: NoiseStudy, directory: Path) -> FigureFile:
         f"{told(flying[name, 'kalman'])} with the Kalman estimate"
         for name in CONTROLLERS
     )
-    return _write(
-        plot_study(study),
-        "noise",
-        "What the published gains cost with real sensors",
+    caption = (
         "Not in the paper. Error and effort against white velocity noise σ, published gains with the one-sample "
         "estimate and bandwidth gains with a Kalman estimate, τ_d1, seed 0. With the sensors of the scenario "
-        "flight_sensors: "
-        f"{told_rows} (perfect tracking: ISV {study.ideal_isv:.3g}).",
-        directory,
+        f"flight_sensors: {told_rows} (perfect tracking: ISV {study.ideal_isv:.3g})."
     )
+    return _write(plot_study(study), "noise", "What the published gains cost with real sensors", caption, directory)
 
 
 def _write(figure: Figure, name: str, title: str, caption: str, directory: Path) -> FigureFile:

@@ -17,29 +17,26 @@ from ffsm_drake.studies.paper.figures import FigureFile
 from ffsm_drake.studies.paper.robustness import nominal_payload_table
 from ffsm_drake.studies.paper.runs import PROPOSED, SETTINGS, Case, Results
 from ffsm_drake.studies.paper.table import HEADER, Row, markdown_rows, table_csv, table_notes
-from ffsm_drake.studies.paper.verdict import Kind, Verdict, comparisons, ranking
+from ffsm_drake.studies.paper.verdict import Kind, Verdict
 from ffsm_drake.studies.paper.wording import listed, span, times_span
 from ffsm_drake.systems.controllers import complete_gains
 
-TEMPLATE = "reproduction.html.j2"
 TITLE = "How far the paper holds"
 _TALLY: dict[Kind, str] = {
-    "holds": "hold",
-    "holds only": "hold only under a condition",
-    "does not hold": "do not hold",
+    "holds": "hold", "holds only": "hold only under a condition", "does not hold": "do not hold",
     "not reproduced": "not reproduced",
-}
-# What a figure is embedded as: vectors where they are small.
-_PIXELS = ("fig4", "fig5")
+}  # fmt: skip
+_PIXELS = ("fig4", "fig5")  # embedded as such; the other figures are small as vectors
 
 
 def write_table(rows: list[Row], results: Results, directory: Path) -> Path:
     """Write table2.csv, table2.md and table2.html; returns the last."""
     write_text(directory / "table2.csv", table_csv(rows))
-    text = ["# Table 2, the paper's and ours", "", *_markdown_table_2(rows, level=2), f"Paper: {paper.CITATION}", ""]
+    title = "Table 2, the paper's and ours"
+    text = [f"# {title}", "", *_markdown_table_2(rows, level=2), f"Paper: {paper.CITATION}", ""]
     write_text(directory / "table2.md", "\n".join(text))
     path = directory / "table2.html"
-    write_text(path, _render(title="Table 2, the paper's and ours", rows=rows, results=results))
+    write_text(path, _render(title, rows, results))
     return path
 
 
@@ -49,25 +46,16 @@ def write_page(
     """Write reproduction.md and reproduction.html; returns the latter."""
     write_text(directory / "reproduction.md", _markdown(results, rows, figures, verdicts))
     path = directory / "reproduction.html"
-    write_text(path, _render(title=TITLE, rows=rows, results=results, figures=figures, verdicts=verdicts))
+    write_text(path, _render(TITLE, rows, results, figures, verdicts))
     return path
 
 
 def summary(results: Results, rows: list[Row]) -> list[str]:
     """The outcome in a few sentences, every figure from the runs."""
-    total = len(comparisons(results))
-    first = {
-        setting: sum(ranking(results, "itae", setting, *case)[0] == PROPOSED for case in comparisons(results))
-        for setting in SETTINGS
-    }
-    isv = [row.isv.ratio for row in rows if row.setting == "euler"]
-    itae = [row.itae.ratio for row in rows if row.setting == "euler"]
-    diverged = [
-        run.outcome.time
-        for disturbance, seed in comparisons(results)
-        for run in [results.run("exact", PROPOSED, disturbance=disturbance, seed=seed)]
-        if not run.outcome.completed
-    ]
+    total = len(results.comparisons)
+    first = {setting: sum(order[0] == PROPOSED for order in results.rankings("itae", setting)) for setting in SETTINGS}
+    isv, itae = ([getattr(row, metric).ratio for row in rows if row.setting == "euler"] for metric in ("isv", "itae"))
+    diverged = results.divergence_times("exact", PROPOSED, variant="")
     when = f", after {span(diverged, 2)} s" if diverged else ""
     return [
         f"With explicit Euler at the control period, our effort (ISV) is {times_span(isv)} times Table 2's, our ITAE "
@@ -87,7 +75,7 @@ def provenance(results: Results, what: str) -> list[tuple[str, str]]:
         ("Seeds", f"{listed(str(seed) for seed in range(results.num_seeds))} of the measurement noise"),
         ("Command", f"ffsm reproduce {what} --seeds {results.num_seeds}"),
         ("Date", datetime.datetime.now(datetime.UTC).date().isoformat()),
-        *[(name, text) for name, text in versions.items()],
+        *versions.items(),
     ]
 
 
@@ -98,17 +86,16 @@ def runs_made(results: Results) -> list[str]:
     scenario = Case(setting="bounded", controller=PROPOSED).scenario(results.overrides)
     gains = complete_gains(scenario).controllers[PROPOSED]
     seconds = math.fsum(run.outcome.time for run in results.runs.values())
+    period, noise = 1e3 * scenario.sample_time, [1e6 * value for value in scenario.sensing.velocity_noise.values()]
+    starting, highest = (span((gains[name] or {}).values(), 2) for name in ("k_s_initial", "k_s_max"))
     lines = [
         f"{len(results.runs)} simulations, {seconds:.0f} s of flight: {table} for Table 2 (four controllers, three "
-        f"disturbances, three settings, {results.num_seeds} seeds, runs that settings share made once) and "
-        f"{len(results.runs) - table} for single claims (without noise, without the switching term, other ε, other "
-        f"nominal payloads, equal stiffness, rest under a constant load). {diverged} of them diverged.",
-        f"In all settings: control period {1e3 * scenario.sample_time:g} ms, white noise of "
-        f"{span([1e6 * value for value in scenario.sensing.velocity_noise.values()], 1)} µrad/s and µm/s on the "
+        f"disturbances, three settings, {results.num_seeds} seeds, shared runs made once) and "
+        f"{len(results.runs) - table} for single claims. {diverged} of them diverged.",
+        f"In all settings: control period {period:g} ms, white noise of {span(noise, 1)} µrad/s and µm/s on the "
         "measured velocities, disturbance as an external generalized force, H q̈ + C = τ + τ_d (with the sign of "
-        "equation (1) Table 2 cannot be met). Where K_s is bounded it starts at "
-        f"{span((gains['k_s_initial'] or {}).values(), 2)} and stays below "
-        f"{span((gains['k_s_max'] or {}).values(), 2)} 1/s.",
+        f"equation (1) Table 2 cannot be met). Where K_s is bounded it starts at {starting} and stays below {highest} "
+        "1/s.",
     ]
     if results.overrides:
         lines.append(f"Not the reproduction proper: every run had {', '.join(results.overrides)}.")
@@ -116,17 +103,17 @@ def runs_made(results: Results) -> list[str]:
 
 
 def _render(
-    *,
     title: str,
     rows: list[Row],
     results: Results,
     figures: Sequence[FigureFile] = (),
     verdicts: Sequence[Verdict] = (),
 ) -> str:
+    by_setting = {setting: [row for row in rows if row.setting == setting] for setting in SETTINGS}
     content: dict[str, Any] = {
         "title": title,
-        "rows": {setting: [row for row in rows if row.setting == setting] for setting in SETTINGS},
-        "cells": {setting: markdown_rows([row for row in rows if row.setting == setting]) for setting in SETTINGS},
+        "rows": by_setting,
+        "cells": {setting: markdown_rows(found) for setting, found in by_setting.items()},
         "settings": SETTINGS,
         "notes": table_notes(),
         "summary": summary(results, rows),
@@ -138,7 +125,7 @@ def _render(
         "figures": {figure.key: {"file": figure, "source": _data_address(figure)} for figure in figures},
         "nominal_payloads": nominal_payload_table(results) if verdicts else None,
     }
-    return render(TEMPLATE, content, package="ffsm_drake.studies.paper")
+    return render("reproduction.html.j2", content, package="ffsm_drake.studies.paper")
 
 
 def _data_address(figure: FigureFile) -> str:
@@ -152,30 +139,22 @@ def _data_address(figure: FigureFile) -> str:
 
 def _markdown(results: Results, rows: list[Row], figures: Sequence[FigureFile], verdicts: list[Verdict]) -> str:
     tally = ", ".join(f"{number} {_TALLY[kind]}" for kind, number in counts(verdicts).items())
-    lines = [f"# {TITLE}", "", paper.CITATION, "", *_paragraphs(summary(results, rows)), f"Claims: {tally}.", ""]
+    lines = [f"# {TITLE}", "", *_paragraphs([paper.CITATION, *summary(results, rows), f"Claims: {tally}."])]
     lines += ["## The claims, one by one", ""]
+    header = ["claim", "place", "what we measured", "verdict"]
     for topic, group in by_topic(verdicts):
-        lines += [f"### {topic}", ""]
-        lines += _markdown_lines(
-            ["claim", "place", "what we measured", "verdict"],
-            [[item.claim, item.place, item.measured, f"**{item.verdict}**"] for item in group],
-        )
+        cells = [[item.claim, item.place, item.measured, f"**{item.verdict}**"] for item in group]
+        lines += [f"### {topic}", "", *_markdown_lines(header, cells)]
     lines += ["## Table 2", "", *_markdown_table_2(rows, level=3)]
-    lines += [
-        "## Nominal payloads",
-        "",
-        "ITAE under τ_d1, exact integration, the proposed controller's K_s bounded.",
-        "",
-    ]
-    lines += _markdown_lines(*nominal_payload_table(results))
+    condition = "ITAE under τ_d1, exact integration, the proposed controller's K_s bounded."
+    lines += ["## Nominal payloads", "", condition, "", *_markdown_lines(*nominal_payload_table(results))]
     lines += ["## Figures", ""]
     for figure in figures:
         path = figure.png or figure.svg
-        picture = [f"![{figure.title}](figures/{path.name})", ""] if path else []
-        lines += [f"### {figure.title}", "", *picture, figure.caption, ""]
+        picture = [f"![{figure.title}](figures/{path.name})"] if path else []
+        lines += _paragraphs([f"### {figure.title}", *picture, figure.caption])
     lines += ["## What was run", "", *_paragraphs(runs_made(results))]
-    for setting in SETTINGS.values():
-        lines.append(f"- **{setting.title}** (scenario `{setting.scenario}`): {setting.description}")
+    lines += [f"- **{one.title}** (scenario `{one.scenario}`): {one.description}" for one in SETTINGS.values()]
     lines += ["", "## Provenance", "", *[f"- {label}: {text}" for label, text in provenance(results, "all")], ""]
     return "\n".join(lines)
 

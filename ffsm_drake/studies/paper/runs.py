@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 PROPOSED = "tde_aismc"
 CONTROLLERS = (PROPOSED, "aismc", "asmc", "tdc")  # the columns of Table 2
 INTEGRAL_SURFACE = (PROPOSED, "aismc")
+Side = str | tuple[str, str]  # a controller, or a controller and a variant of its runs
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -41,15 +42,13 @@ SETTINGS = {
     ),
     "exact": Setting(
         title="Exact integration, published gains",
-        description="The same scenario with the plant integrated by a third-order Runge-Kutta method between the "
-        "samples of a zero-order hold.",
+        description="The same with the plant integrated between the samples by a third-order Runge-Kutta method.",
         scenario="paper",
         overrides=("simulator_config.integration_scheme=runge_kutta3",),
     ),
     "bounded": Setting(
         title="Exact integration, K_s bounded",
-        description="As before, but the proposed controller's K_s starts lower and is bounded, so that it reaches the "
-        "end. The other three keep their gains: their runs are those of the setting before.",
+        description="The same with the proposed controller's K_s bounded and starting lower; the others are as before.",
         scenario="postcapture",
     ),
 }
@@ -118,17 +117,9 @@ class Case:
     def scenario(self, overrides: Sequence[str] = ()) -> Scenario:
         """The scenario; ``overrides`` win over everything that the case says."""
         setting = SETTINGS[self.setting]
-        return load_scenario(
-            setting.scenario,
-            [
-                *setting.overrides,
-                f"controller={self.controller}",
-                f"random_seed={self.seed}",
-                *DISTURBANCES[self.disturbance],
-                *VARIANTS[self.variant],
-                *overrides,
-            ],
-        )
+        own = f"controller={self.controller}", f"random_seed={self.seed}"
+        case = *setting.overrides, *own, *DISTURBANCES[self.disturbance], *VARIANTS[self.variant]
+        return load_scenario(setting.scenario, [*case, *overrides])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -191,19 +182,47 @@ class Results:
         """The full record of a case that ``keeps_record``."""
         return self._records[Case(setting=setting, controller=controller, variant=variant).canonical]
 
+    @property
+    def comparisons(self) -> list[tuple[str, int]]:
+        """All (disturbance, seed) of the table."""
+        return list(product(DISTURBANCES, range(self.num_seeds)))
+
+    def rankings(self, metric: str, setting: str) -> list[list[str]]:
+        """Of every comparison, the controllers from the smallest value to the largest."""
+        values = {name: self.runs_of(setting, name) for name in CONTROLLERS}
+
+        def ranking(case: tuple[str, int]) -> list[str]:
+            return sorted(CONTROLLERS, key=lambda name: getattr(values[name][case], metric))
+
+        return [ranking(case) for case in self.comparisons]
+
+    def ratios(self, metric: str, setting: str, over: Side, under: Side) -> list[float]:
+        """A metric of one controller over another's, for every (disturbance, seed) run of both.
+
+        Infinite where the first diverged, NaN where the second did.
+        """
+        first, second = (
+            self.runs_of(setting, name, variant=variant)
+            for name, variant in ((side, "") if isinstance(side, str) else side for side in (over, under))
+        )
+        pairs = [(getattr(run, metric), getattr(second[key], metric)) for key, run in first.items() if key in second]
+        return [a / b if math.isfinite(b) else math.nan for a, b in pairs]
+
+    def divergence_times(self, setting: str, controller: str, **which: str) -> list[float]:
+        """When runs of a controller diverged, s; ``which`` as for ``runs_of``."""
+        runs = self.runs_of(setting, controller, **which).values()
+        return [run.outcome.time for run in runs if not run.outcome.completed]
+
     @functools.cached_property
     def _records(self) -> dict[Case, RunRecord]:
-        return {
-            case: RunRecord(
-                scenario=complete_gains(case.scenario(self.overrides)),
-                outcome=run.outcome,
-                dataset=run.dataset,
-                wall_time={},
-                software=software_versions(),
-            )
-            for case, run in self.runs.items()
-            if run.dataset is not None
-        }
+        kept = {case: (run.outcome, run.dataset) for case, run in self.runs.items() if run.dataset is not None}
+        versions = software_versions()
+
+        def record(case: Case, outcome: Outcome, dataset: "xr.Dataset") -> RunRecord:
+            scenario = complete_gains(case.scenario(self.overrides))
+            return RunRecord(scenario=scenario, outcome=outcome, dataset=dataset, wall_time={}, software=versions)
+
+        return {case: record(case, *parts) for case, parts in kept.items()}
 
 
 def gain_of(scenario: Scenario, gain: str) -> float:
@@ -241,13 +260,10 @@ def claim_cases(num_seeds: int) -> list[Case]:
         *product(["bounded"], CONTROLLERS, NOMINALS),
         *product(["euler"], [PROPOSED], NOMINALS),
     ]
+    cases = [Case(setting=setting, controller=name, variant=variant) for setting, name, variant in wanted]
     without_g = product(SETTINGS, range(num_seeds))
-    return _distinct(
-        [
-            *(Case(setting=setting, controller=name, variant=variant) for setting, name, variant in wanted),
-            *(Case(setting=setting, controller=PROPOSED, seed=seed, variant="G = 0") for setting, seed in without_g),
-        ]
-    )
+    cases += [Case(setting=setting, controller=PROPOSED, seed=seed, variant="G = 0") for setting, seed in without_g]
+    return _distinct(cases)
 
 
 def all_cases(num_seeds: int) -> list[Case]:

@@ -8,15 +8,7 @@ import numpy as np
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.studies.paper.runs import PROPOSED, Results
-from ffsm_drake.studies.paper.verdict import (
-    Evaluated,
-    both,
-    claims_about,
-    divergence_times,
-    holds_if,
-    ratios,
-    ratios_in_both,
-)
+from ffsm_drake.studies.paper.verdict import Evaluated, both, claims_about, holds_if, ratios_in_both
 from ffsm_drake.studies.paper.wording import fixed, percent, span, times_span
 from ffsm_drake.systems.controllers import make_law
 
@@ -28,12 +20,12 @@ def comparison_is_fair(results: Results) -> Evaluated:
     scenario = results.record("euler", "asmc").scenario
     tdc, asmc, aismc = (_law(scenario, name) for name in ("tdc", "asmc", "aismc"))
     asmc_stiffness, stiffness = asmc.k_s * asmc.k_d, aismc.k_p + aismc.k_s_initial * aismc.k_d
-    before = both(lambda setting: ratios(results, "itae", setting, "tdc", "asmc")[0])
+    before = both(lambda setting: results.ratios("itae", setting, "tdc", "asmc")[0])
     after = ratios_in_both(results, "itae", ("tdc", "stiffness of ASMC"), "asmc")
     return (
-        f"Factor of the position error in the commanded acceleration (1/s²): TDC {span(tdc.k_p)}, ASMC K_s K_D = "
-        f"{span(asmc_stiffness, 4)}, AISMC and proposed K_P + K_s K_D = {span(stiffness, 4)} at the start. ITAE of TDC "
-        f"over ASMC: {before.told(fixed)}. With ASMC's stiffness TDC comes to {after.pair(times_span)}.",
+        f"Stiffness (1/s²): TDC {span(tdc.k_p)}, ASMC K_s K_D = {span(asmc_stiffness, 4)}, AISMC and proposed K_P + "
+        f"K_s K_D = {span(stiffness, 4)} at the start. ITAE of TDC over ASMC: {before.told(fixed)}; with ASMC's "
+        f"stiffness {after.pair(times_span)}.",
         holds_if(min(asmc_stiffness) <= 2.0 * max(tdc.k_p)),
     )
 
@@ -42,14 +34,13 @@ def comparison_is_fair(results: Results) -> Evaluated:
 def without_g_it_is_aismc(results: Results) -> Evaluated:
     gap = _law_gap(results, PROPOSED, "aismc", keep_k_p=True, keep_g=False)
     euler, exact = (
-        times_span(ratios(results, "itae", setting, (PROPOSED, "G = 0"), "aismc")) for setting in ("euler", "exact")
+        times_span(results.ratios("itae", setting, (PROPOSED, "G = 0"), "aismc")) for setting in ("euler", "exact")
     )
-    ended = divergence_times(results, "exact", PROPOSED, variant="G = 0")
+    ended = results.divergence_times("exact", PROPOSED, variant="G = 0")
     fate = f"it does not stay with AISMC, diverging at {span(ended, 2)} s" if ended else f"{exact} times"
     return (
-        f"For the same K_s the two laws differ by {percent(gap)} of the command over random errors: with law (21) for "
-        f"K_s they are one controller. But (6) comes with law (9): with G = 0 and (9) its ITAE is {euler} times "
-        f"AISMC's with explicit Euler; with exact integration and the published gains {fate}.",
+        f"For the same K_s the two laws differ by {percent(gap)} of the command over random errors. But (6) comes "
+        f"with law (9): with G = 0 its ITAE is {euler} times AISMC's with explicit Euler; exactly integrated {fate}.",
         ("holds only", "with law (21) in place of (9)") if gap == 0.0 else ("does not hold", ""),
     )
 
@@ -64,10 +55,9 @@ def without_k_p_surfaces_become_ordinary(results: Results) -> Evaluated:
     if robust == 0.0 != plain:
         ruling = ("holds only", "for (6) and (18), with the same K_s and G, not for (20) and (17)")
     return (
-        "Difference of the commanded accelerations over random errors with K_P = 0 and equal K_s and G, as a share of "
-        f"the command: (6) and (18) {percent(robust)}, (20) and (17) {percent(plain)}: (20) keeps K_s s = "
-        "K_s (ė + K_D e), which TDC has not; it takes K_s = 0 to reach (17). The adaptation laws differ besides: K_s "
-        "is constant in (18), and G follows (19), not (10).",
+        "Largest difference of the commands over random errors with K_P = 0 and equal K_s and G: (6) and (18) "
+        f"{percent(robust)}, (20) and (17) {percent(plain)}: (20) keeps K_s s, which TDC has not. The adaptation laws "
+        "differ besides: K_s is constant in (18), and G follows (19), not (10).",
         ruling,
     )
 
@@ -80,15 +70,11 @@ def _law(scenario: Scenario, name: str) -> Any:
 def _law_gap(results: Results, first: str, second: str, *, keep_k_p: bool, keep_g: bool) -> float:
     """Largest relative difference of two laws' feedback over random errors, with equal K_s and G."""
     scenario = results.record("euler", PROPOSED).scenario
-    coordinates = make_nominal_plant(scenario).coordinates
-    laws = {}
-    for name in (first, second):
-        law = _law(scenario, name)
-        if not keep_k_p and hasattr(law, "k_p"):
-            law = dataclasses.replace(law, k_p=np.zeros_like(law.k_p))
-        laws[name] = law
+    laws = [_law(scenario, name) for name in (first, second)]
+    if not keep_k_p:
+        laws = [dataclasses.replace(law, k_p=0.0 * law.k_p) if hasattr(law, "k_p") else law for law in laws]
     random = np.random.default_rng(0)
-    size = len(coordinates.names)
+    size = len(make_nominal_plant(scenario).coordinates.names)
     largest = 0.0
     for _ in range(100):
         e, e_dot, integral = 1e-6 * random.normal(size=(3, size))
@@ -96,7 +82,7 @@ def _law_gap(results: Results, first: str, second: str, *, keep_k_p: bool, keep_
         g = random.uniform(1e-5, 1e-3, size) if keep_g else np.zeros(size)
         given = {"integral_error": integral, "reaching_gain": k_s, "switching_gain": g}
         feedback = []
-        for law in laws.values():
+        for law in laws:
             if hasattr(law, "k_s"):  # the constant gain of (18)
                 law = dataclasses.replace(law, k_s=k_s)
             state = {key: given.get(key, value) for key, value in law.initial_state().items()}

@@ -29,15 +29,15 @@ class Cell:
     correction: str  # why the paper's value is read otherwise than printed, or empty
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Row:
     """One controller under one disturbance in one setting."""
 
     setting: str
     disturbance: str
     controller: str
-    num_diverged: int
-    num_runs: int
+    runs: int
+    diverged_runs: int
     diverged: str  # such as "diverged at 5.2 to 5.4 s", or empty
     itae: Cell
     isv: Cell
@@ -53,18 +53,8 @@ def make_table(results: Results) -> list[Row]:
             ended = [run for run in runs[name] if not run.outcome.completed]
             which = "" if len(ended) == len(runs[name]) else f" ({len(ended)} of {len(runs[name])} runs)"
             times_ended = span((run.outcome.time for run in ended), 2)
-            rows.append(
-                Row(
-                    setting=setting,
-                    disturbance=disturbance,
-                    controller=name,
-                    num_diverged=len(ended),
-                    num_runs=len(runs[name]),
-                    diverged=f"{ended[0].outcome.status} at {times_ended} s{which}" if ended else "",
-                    itae=itae[name],
-                    isv=isv[name],
-                )
-            )
+            told = f"{ended[0].outcome.status} at {times_ended} s{which}" if ended else ""
+            rows.append(Row(setting, disturbance, name, len(runs[name]), len(ended), told, itae[name], isv[name]))
     return rows
 
 
@@ -75,36 +65,28 @@ def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[st
     for name, mean in means.items():
         values = [getattr(run, metric) for run in runs[name]]
         finite = math.isfinite(mean)
+        spread = math.nan if not finite else statistics.stdev(values) if len(values) > 1 else 0.0
+        rank = 1 + sum(other < mean for other in means.values())
+        paper_rank = 1 + sum(other < printed[name] for other in printed.values())
+        correction = paper.CORRECTIONS.get((metric, disturbance, name), "")
+        shown = mean if finite else math.nan
         cells[name] = Cell(
-            mean=mean if finite else math.nan,
-            spread=math.nan if not finite else statistics.stdev(values) if len(values) > 1 else 0.0,
-            paper=printed[name],
-            ratio=mean / printed[name] if finite else math.nan,
-            rank=1 + sum(other < mean for other in means.values()),
-            paper_rank=1 + sum(other < printed[name] for other in printed.values()),
-            correction=paper.CORRECTIONS.get((metric, disturbance, name), ""),
-        )
+            mean=shown, spread=spread, paper=printed[name], ratio=shown / printed[name], rank=rank,
+            paper_rank=paper_rank, correction=correction,
+        )  # fmt: skip
     return cells
 
 
 def table_csv(rows: list[Row]) -> str:
     """The table as comma-separated values, full precision; empty where runs diverged."""
-    fields = ("mean", "spread", "paper", "ratio", "rank", "paper_rank")
-    return csv_text(
-        [
-            {
-                "setting": row.setting,
-                "disturbance": row.disturbance,
-                "controller": row.controller,
-                "runs": row.num_runs,
-                "diverged_runs": row.num_diverged,
-                "diverged": row.diverged,
-                **{f"{metric}_{field}": getattr(getattr(row, metric), field) for metric in METRICS for field in fields},
-                **{f"{metric}_paper_correction": getattr(row, metric).correction for metric in METRICS},
-            }
-            for row in rows
-        ]
-    )
+    lines = []
+    for row in rows:
+        line = dict(vars(row))
+        cells = {metric: dict(vars(line.pop(metric))) for metric in METRICS}
+        corrections = {f"{metric}_paper_correction": cell.pop("correction") for metric, cell in cells.items()}
+        figures = {f"{metric}_{field}": value for metric, cell in cells.items() for field, value in cell.items()}
+        lines.append(line | figures | corrections)
+    return csv_text(lines)
 
 
 def shown(metric: str, value: float) -> str:
@@ -149,9 +131,8 @@ HEADER = [
 def table_notes() -> list[str]:
     """What the reader of the table must know."""
     return [
-        "Ours: mean ± standard deviation over the seeds of the measurement noise. Ratio: ours over the paper's. Rank: "
-        "our place among the four controllers, 1 for the smallest value, and the paper's in brackets; diverged runs "
-        "rank last.",
+        "Ours: mean ± standard deviation over the noise seeds. Ratio: ours over the paper's. Rank: ours among the four "
+        "controllers, 1 for the smallest value, diverged runs last; in brackets the paper's.",
         *[
             f"† {METRICS[metric]}, {DISTURBANCE_NAMES[disturbance]}, {NAMES[controller]}: {why}."
             for (metric, disturbance, controller), why in paper.CORRECTIONS.items()

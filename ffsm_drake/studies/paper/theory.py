@@ -9,7 +9,7 @@ from ffsm_drake.control_design.stability import stability
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.studies.paper.runs import CONTROLLERS, PROPOSED, SETTINGS, Case, Results
 from ffsm_drake.studies.paper.verdict import Claim, Evaluated, claims_about, in_both
-from ffsm_drake.studies.paper.wording import NAMES, fixed, listed, scientific
+from ffsm_drake.studies.paper.wording import NAMES, fate, fixed, listed, scientific
 
 claim = claims_about("Theory")
 
@@ -34,14 +34,12 @@ def sampled_loop_decides(results: Results) -> Evaluated:
     euler, exact = (margins[setting, PROPOSED] for setting in ("euler", "exact"))
     limit = float(np.nanmin(exact.k_s_limit))
     leaves = exact.forecast_times[np.argmax((exact.forecast_k_s > limit).any(axis=1))]
-    outcome = results.run("exact", PROPOSED).outcome
-    fate = "completes" if outcome.completed else f"diverges at {outcome.time:.2f} s"
     agreement = f"differ for {listed(wrong)}" if wrong else f"agree in all {len(margins)} cases"
     return (
-        "The proof is in continuous time. The sampled loop, linear near every posture of the plan, is stable for K_s "
-        f"below {fixed(limit)} 1/s on the exactly integrated plant and {fixed(float(np.nanmin(euler.k_s_limit)))} 1/s "
-        f"on the Euler plant. On the former law (9) is expected to pass the limit at {leaves:.1f} s; the run "
-        f"{fate}. Predicted and simulated outcome {agreement}.",
+        f"The sampled loop is stable for K_s below {fixed(limit)} 1/s on the exactly integrated plant and "
+        f"{fixed(float(np.nanmin(euler.k_s_limit)))} 1/s on the Euler plant. On the former law (9) should pass the "
+        f"limit at {leaves:.1f} s; the run {fate(results.run('exact', PROPOSED))}. Predicted and simulated outcome "
+        f"{agreement}.",
         in_both(euler.is_stable, exact.is_stable),
     )
 

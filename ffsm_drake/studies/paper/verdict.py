@@ -6,11 +6,10 @@ proposed controller's K_s bounded: the two in which every controller reaches the
 """
 
 import dataclasses
-import math
 from collections.abc import Callable
 from typing import Generic, Literal, TypeVar
 
-from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, Results
+from ffsm_drake.studies.paper.runs import Results, Side
 from ffsm_drake.studies.paper.table import Row, make_table
 
 Kind = Literal["holds", "holds only", "does not hold", "not reproduced"]
@@ -18,7 +17,7 @@ Topic = Literal["Accuracy", "Effort and chattering", "Comparison of the schemes"
 T = TypeVar("T")
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Verdict:
     """One claim and what became of it."""
 
@@ -38,7 +37,6 @@ class Verdict:
 Ruling = tuple[Kind, str]  # kind and condition of a verdict
 Evaluated = tuple[str, Ruling]  # what was measured, and what follows from it
 Evaluation = Callable[[Results], Evaluated]
-Side = str | tuple[str, str]  # a controller, or a controller and a variant of its runs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,9 +50,7 @@ class Claim:
 
     def __call__(self, results: Results) -> Verdict:
         measured, (kind, condition) = self.evaluate(results)
-        return Verdict(
-            topic=self.topic, claim=self.claim, place=self.place, measured=measured, kind=kind, condition=condition
-        )
+        return Verdict(self.topic, self.claim, self.place, measured, kind, condition)
 
 
 def claims_about(topic: Topic) -> Callable[[str, str], Callable[[Evaluation], Claim]]:
@@ -97,45 +93,8 @@ def both(measure: Callable[[str], T]) -> Both[T]:
     return Both(measure("euler"), measure("bounded"))
 
 
-def comparisons(results: Results) -> list[tuple[str, int]]:
-    """All (disturbance, seed) of the table."""
-    return [(disturbance, seed) for disturbance in DISTURBANCES for seed in range(results.num_seeds)]
-
-
-def ratios(results: Results, metric: str, setting: str, over: Side, under: Side) -> list[float]:
-    """A metric of one controller over another's, for every (disturbance, seed) run of both.
-
-    Infinite where the first diverged, NaN where the second did.
-    """
-    first, second = (
-        results.runs_of(setting, name, variant=variant)
-        for name, variant in ((side, "") if isinstance(side, str) else side for side in (over, under))
-    )
-    pairs = [(getattr(run, metric), getattr(second[key], metric)) for key, run in first.items() if key in second]
-    return [a / b if math.isfinite(b) else math.nan for a, b in pairs]
-
-
 def ratios_in_both(results: Results, metric: str, over: Side, under: Side) -> Both[list[float]]:
-    return both(lambda setting: ratios(results, metric, setting, over, under))
-
-
-def divergence_times(results: Results, setting: str, controller: str, **which: str) -> list[float]:
-    """When runs of a controller diverged, s; ``which`` as for ``Results.runs_of``."""
-    runs = results.runs_of(setting, controller, **which).values()
-    return [run.outcome.time for run in runs if not run.outcome.completed]
-
-
-def ranking(results: Results, metric: str, setting: str, disturbance: str, seed: int) -> list[str]:
-    """Controllers from the smallest value to the largest."""
-    return sorted(
-        CONTROLLERS,
-        key=lambda name: getattr(results.run(setting, name, disturbance=disturbance, seed=seed), metric),
-    )
-
-
-def rankings(results: Results, metric: str, setting: str) -> list[list[str]]:
-    """The ranking of every comparison."""
-    return [ranking(results, metric, setting, *case) for case in comparisons(results)]
+    return both(lambda setting: results.ratios(metric, setting, over, under))
 
 
 def table_rows(results: Results, setting: str) -> list[Row]:
