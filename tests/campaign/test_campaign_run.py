@@ -64,7 +64,7 @@ def test_two_workers_give_the_table_of_one(spec, database, tmp_path):
 
 @linux
 def test_kills_change_nothing(tmp_path):
-    spec = write_spec(tmp_path / "s.yaml", controllers=["tdc"], cases=50)
+    spec = write_spec(tmp_path / "s.yaml", controllers=["tdc"], cases=24)
     events = run_with_kills(spec, tmp_path / "killed.db", kills=3, seed=2, mean_delay=0.05)
     assert len(events) == 3  # else it was over too soon
     assert table(tmp_path / "killed.db") == table(run_here(spec, tmp_path / "undisturbed.db", workers=2))
@@ -72,7 +72,7 @@ def test_kills_change_nothing(tmp_path):
 
 @linux
 def test_an_interrupted_campaign_is_resumed(tmp_path):
-    spec = write_spec(tmp_path / "long.yaml", cases=60)  # so that it is not over before the signal arrives
+    spec = write_spec(tmp_path / "long.yaml", cases=16)  # so that it is not over before the signal arrives
     path = tmp_path / "interrupted.db"
     driver = start_driver("run", str(spec), "--database", str(path), "--workers", "1")
     while count(path) < 2 and driver.poll() is None:
@@ -81,7 +81,7 @@ def test_an_interrupted_campaign_is_resumed(tmp_path):
     os.killpg(driver.pid, signal.SIGINT)  # as a terminal does: the workers get it too
     output, _ = driver.communicate(timeout=60)
     assert driver.returncode == 130, output
-    assert f"interrupted with {count(path)} of 120 runs stored" in output
+    assert f"interrupted with {count(path)} of 32 runs stored" in output
     assert "Traceback" not in output
     assert not any(alive(worker) for worker in workers)
     with contextlib.closing(sqlite3.connect(path)) as connection:

@@ -39,7 +39,7 @@ def test_it_flies(run, controller, seed):
 
 
 @pytest.mark.parametrize("controller", ["tde_aismc", "tdc"])
-@pytest.mark.parametrize("belief", [40, 50, 100, 125, 150])
+@pytest.mark.parametrize("belief", [40, 150])
 def test_it_flies_with_a_wrong_payload(run, controller, belief):
     inertia = [0.167 * belief] * 3
     payload = (f"payload.nominal.mass={belief}", f"payload.nominal.inertia={inertia}")
@@ -71,12 +71,12 @@ def test_the_published_estimate_does_not_fly(run, controller):
     assert (np.abs(commanded) > np.abs(applied) + 1e-9)[:, 3:6].mean() > 0.5  # saturated more than half of the time
 
 
-def test_prediction_against_twenty_seeds():
+def test_prediction_against_eight_seeds():
     """Rms error and effort from the linear analysis agree with Monte Carlo within 10 %."""
     scenario = load_scenario("flight_sensors", ["controller=aismc"])
     plan = make_plan(scenario)
     predicted = predict(plan, law_gains(scenario, plan.coordinates).at(), sampling_of(scenario, plan.coordinates))
-    runs = [simulate(override_scenario(scenario, [f"random_seed={seed}"]), check_stability=False) for seed in range(20)]
+    runs = [simulate(override_scenario(scenario, [f"random_seed={seed}"]), check_stability=False) for seed in range(8)]
     assert predicted.isv == pytest.approx(np.mean([record.metrics["isv"] for record in runs]), rel=0.02)
     square = np.mean([(record.dataset["error"].values[501:] ** 2).mean(axis=0) for record in runs], axis=0)
     groups = plan.coordinates.groups

@@ -1,14 +1,13 @@
 """A new law is one file and one registration: it then works in run, compare, campaign and the live panel."""
 
 import json
-import os
-import subprocess
-import sys
 
 import pytest
+from click.testing import CliRunner
 from meshcat_page import click
 
 from ffsm_drake import load_scenario
+from ffsm_drake.cli import main
 from ffsm_drake.show.meshcat import start_meshcat
 from ffsm_drake.show.meshcat.interactive import QUIT, run_interactive, start_button
 from ffsm_drake.systems.registry import block_names
@@ -46,13 +45,21 @@ def installed(tmp_path_factory):
 
 
 @pytest.fixture
-def ffsm(installed, tmp_path):
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(installed), *filter(None, sys.path)])}
+def known(installed, monkeypatch):
+    """The law can be found, as after its installation."""
+    monkeypatch.syspath_prepend(installed)
+    block_names.cache_clear()
+    yield
+    block_names.cache_clear()
+
+
+@pytest.fixture
+def ffsm(known, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
 
     def call(*arguments):
-        command = [sys.executable, "-m", "ffsm_drake", *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
+        done = CliRunner().invoke(main, arguments)
+        assert done.exit_code == 0, done.output
         return done.stdout
 
     return call
@@ -78,9 +85,8 @@ def test_campaign(ffsm, tmp_path):
     assert "all values equal the stored ones, bit for bit" in rows
 
 
-def test_the_live_panel(installed, monkeypatch):
-    monkeypatch.syspath_prepend(installed)
-    block_names.cache_clear()
+@pytest.mark.usefixtures("known")
+def test_the_live_panel():
     meshcat = start_meshcat()
     steps = iter([start_button("stiff"), QUIT])
 
@@ -89,10 +95,7 @@ def test_the_live_panel(installed, monkeypatch):
         if "ready" in status or "completed" in status:
             click(meshcat, next(steps))
 
-    try:
-        scenario = load_scenario("postcapture", ["duration=0.1"])
-        (record,) = run_interactive(scenario, meshcat=meshcat, check_stability=False, wait=wait)
-    finally:
-        block_names.cache_clear()
+    scenario = load_scenario("postcapture", ["duration=0.1"])
+    (record,) = run_interactive(scenario, meshcat=meshcat, check_stability=False, wait=wait)
     assert record.scenario.controller == "stiff"
     assert record.outcome.completed

@@ -1,7 +1,7 @@
 """Stability of the sampled loop: time-delay control with a zero-order hold on an exactly integrated plant.
 
 The paper's proof in continuous time does not cover a force that is held over a period. The loop is stable if the map
-from one control sample to the next contracts. Near a posture, with K_s constant and without the sign term, it is linear.
+from one control sample to the next contracts. Near a posture, with K_s constant and no sign term, it is linear.
 
 *One axis.* With eta an eigenvalue of H^-1 Hhat, error e, rate v = de/dt and I the sum of L e,
 
@@ -90,68 +90,84 @@ class Sampling:
         return self if self.kalman_gain is None else dataclasses.replace(self, kalman_gain=self.kalman_gain[i : i + 1])
 
 
-def axis_poles(gains: LoopGains, *, eta: float, sampling: Sampling) -> np.ndarray:
-    """Poles of the one-axis loop for scalar gains, largest magnitude first."""
-    if sampling.kalman_gain is not None:
-        one = np.ones((1, 1))
-        matrix = coupled_loop(gains, true_mass_matrix=one, nominal_mass_matrix=eta * one, sampling=sampling).a
+def axis_poles(
+    gains: LoopGains, *, eta: np.ndarray | float, sampling: Sampling, sample_time: np.ndarray | float | None = None
+) -> np.ndarray:
+    """Poles (..., m) of the one-axis loop, largest magnitude first.
+
+    Args:
+      gains, eta: floats, or arrays that broadcast to (...).
+      sampling: of one axis.
+      sample_time: s, float or (...), in place of that of ``sampling``.
+    """
+    step = sampling.sample_time if sample_time is None else sample_time
+    given = np.broadcast_arrays(gains.k_v, gains.k_p, gains.k_i, eta, step)
+    k_v, k_p, k_i, ratio, period = (np.array(values, dtype=float).reshape(-1, 1) for values in given)
+    flat = LoopGains(k_v=k_v, k_p=k_p, k_i=k_i)
+    if sampling.kalman_gain is None:
+        matrices = _axis_matrices(flat, eta=ratio, step=period, euler=sampling.euler)
     else:
-        matrix = _axis_matrix(gains, eta=eta, sampling=sampling)
-    poles = np.linalg.eigvals(matrix)
-    return poles[np.argsort(-np.abs(poles))]
+        # Axes that do not meet: the coupled loop of as many coordinates, with a diagonal M.
+        update = _loop_update(
+            flat, lambda t: ratio * t, step=period, euler=sampling.euler, kalman_gain=sampling.kalman_gain
+        )
+        size, count = 7, ratio.size
+        columns = update(np.kron(np.eye(size), np.ones((count, 1))), np.zeros((2 * count, 1)), np.zeros((count, 1)))
+        matrices = columns.reshape(size, count, size).swapaxes(0, 1)
+    if not k_i.any():  # the sum of errors feeds nothing back; its pole at 1 is no part of the loop
+        matrices = np.delete(np.delete(matrices, 2, axis=1), 2, axis=2)
+    poles = np.linalg.eigvals(matrices)
+    poles = np.take_along_axis(poles, np.argsort(-np.abs(poles), axis=1), axis=1)
+    return poles.reshape(*given[0].shape, -1)
 
 
-def _axis_matrix(gains: LoopGains, *, eta: float, sampling: Sampling) -> np.ndarray:
-    """One-sample map (4, 4) of [e, v, I, a_{k-1}] for the one-sample estimate; without I where k_i is zero."""
-    row = np.array([-eta * gains.k_p, -eta * gains.k_v, -eta * gains.k_i, 1.0 - eta], dtype=float)
-    step = sampling.sample_time
-    matrix = np.zeros((4, 4))
-    matrix[0] = np.array([1.0, step, 0.0, 0.0]) + (0.0 if sampling.euler else 0.5 * step**2) * row
-    matrix[1] = np.array([0.0, 1.0, 0.0, 0.0]) + step * row
-    matrix[2] = [step, 0.0, 1.0, 0.0]
-    matrix[3] = row
-    if gains.k_i == 0.0:  # the sum of errors is not fed back; its pole at 1 is not part of the loop
-        return np.delete(np.delete(matrix, 2, axis=0), 2, axis=1)
-    return matrix
+def _axis_matrices(gains: LoopGains, *, eta: np.ndarray, step: np.ndarray, euler: bool) -> np.ndarray:
+    """One-sample maps (n, 4, 4) of [e, v, I, a_{k-1}] for the one-sample estimate; all arguments (n, 1)."""
+    row = np.hstack([-eta * gains.k_p, -eta * gains.k_v, -eta * gains.k_i, 1.0 - eta])
+    matrices = np.tile(np.eye(4), (len(row), 1, 1))
+    matrices[:, 0, 1] = matrices[:, 2, 0] = step[:, 0]
+    matrices[:, 0] += (0.0 if euler else 0.5 * step**2) * row
+    matrices[:, 1] += step * row
+    matrices[:, 3] = row
+    return matrices
 
 
-def _scalar(law: LawGains, axis: int, k_s: float) -> LoopGains:
-    gains = law.at(k_s)
-    return LoopGains(k_v=gains.k_v[axis], k_p=gains.k_p[axis], k_i=gains.k_i[axis])
+def _scalar(law: LawGains, axis: int, k_s: np.ndarray | float) -> LoopGains:
+    """One axis' gains for any shape of K_s."""
+    return dataclasses.replace(law, k_d=law.k_d[axis], k_p=law.k_p[axis], k_s=np.asarray(k_s)).at()
 
 
-def largest_stable(radius: Callable[[float], float], low: float, high: float, *, steps: int = 400) -> float:
+def largest_stable(radius: Callable[[np.ndarray], np.ndarray], low: float, high: float, *, steps: int = 400) -> float:
     """The largest x in [low, high] with radius(x) < 1; NaN where there is none, ``high`` where the end is stable.
 
     The stable set need not start at ``low``: the scan runs from the top.
     """
     grid = np.linspace(low, high, steps)
-    values = np.array([radius(x) for x in grid]) - 1.0
-    inside = np.flatnonzero(values < 0.0)
+    inside = np.flatnonzero(radius(grid) < 1.0)
     if inside.size == 0:
         return float("nan")
     last = int(inside[-1])
     if last == steps - 1:
         return high
-    return float(brentq(lambda x: radius(x) - 1.0, grid[last], grid[last + 1], xtol=1e-9 * high))
+    return float(brentq(lambda x: float(radius(x)) - 1.0, grid[last], grid[last + 1], xtol=1e-9 * high))
 
 
 def largest_stable_k_s(law: LawGains, axis: int, *, eta: float, sampling: Sampling, ceiling: float = 1000.0) -> float:
     """Largest K_s (1/s) that keeps one axis stable; NaN where none does. Not meaningful for TDC, which has no K_s."""
+    own = sampling.axis(axis)
 
-    def radius(k_s: float) -> float:
-        return float(np.abs(axis_poles(_scalar(law, axis, k_s), eta=eta, sampling=sampling.axis(axis))[0]))
+    def radius(k_s: np.ndarray) -> np.ndarray:
+        return np.abs(axis_poles(_scalar(law, axis, k_s), eta=eta, sampling=own)[..., 0])
 
     return largest_stable(radius, 0.01, ceiling)
 
 
 def largest_sample_time(law: LawGains, axis: int, *, eta: float, sampling: Sampling, ceiling: float = 0.2) -> float:
     """Largest L (s) that keeps one axis stable at its starting gains (a Kalman gain stays what it is)."""
-    gains = _scalar(law, axis, float(law.k_s[axis]))
+    gains, own = _scalar(law, axis, law.k_s[axis]), sampling.axis(axis)
 
-    def radius(step: float) -> float:
-        changed = dataclasses.replace(sampling.axis(axis), sample_time=step)
-        return float(np.abs(axis_poles(gains, eta=eta, sampling=changed)[0]))
+    def radius(step: np.ndarray) -> np.ndarray:
+        return np.abs(axis_poles(gains, eta=eta, sampling=own, sample_time=step)[..., 0])
 
     return largest_stable(radius, 1e-5, ceiling)
 
@@ -161,13 +177,13 @@ def tolerated_eta(law: LawGains, axis: int, *, sampling: Sampling, k_s: float | 
 
     eta > 1 is an over-estimated inertia, eta < 1 an under-estimated one. (NaN, NaN) where no eta in (0, 4) is stable.
     """
-    gains = _scalar(law, axis, float(law.k_s[axis]) if k_s is None else k_s)
+    gains, own = _scalar(law, axis, law.k_s[axis] if k_s is None else k_s), sampling.axis(axis)
 
     def excess(eta: float) -> float:
-        return float(np.abs(axis_poles(gains, eta=eta, sampling=sampling.axis(axis))[0])) - 1.0
+        return float(np.abs(axis_poles(gains, eta=eta, sampling=own)[0])) - 1.0
 
     grid = np.linspace(0.005, 4.0, 800)
-    stable = np.array([excess(eta) < 0.0 for eta in grid])
+    stable = np.abs(axis_poles(gains, eta=grid, sampling=own)[:, 0]) < 1.0
     if not stable.any():
         return float("nan"), float("nan")
     anchor = int(np.flatnonzero(stable)[np.argmin(np.abs(grid[stable] - 1.0))])
@@ -235,6 +251,51 @@ class CoupledLoop:
         return {"error": rms[:n], "error_rate": rms[n : 2 * n], "force": force}
 
 
+def _loop_update(
+    gains: LoopGains,
+    accelerate: Callable[[np.ndarray], np.ndarray],
+    *,
+    step: np.ndarray | float,
+    euler: bool,
+    kalman_gain: np.ndarray | None,
+) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+    """One sample as a function of columns of states, noises and d; its matrices are its values on unit columns.
+
+    In error coordinates d^2e/dt^2 = -M (t - d), where tau = Hhat (a_d + t).
+
+    Args: gains (n, 1); ``accelerate``, the product with M; ``step``, float or (n, 1); ``kalman_gain`` (n or 1, 3, 2).
+    """
+    k_v, k_p, k_i = gains.k_v, gains.k_p, gains.k_i
+    half = 0.0 if euler else 0.5 * step**2
+
+    def one_sample(x: np.ndarray, noise: np.ndarray, d: np.ndarray) -> np.ndarray:
+        e, v, total, delayed_t, delayed_v = np.split(x, 5)
+        e_noise, v_noise = np.split(noise, 2)
+        e_m, v_m = e - e_noise, v - v_noise
+        u = k_v * v_m + k_p * e_m + k_i * total
+        # N(t - L): the measured acceleration of the last period, less what the force of that period should have given.
+        t = u + (v_m - delayed_v) / step + delayed_t
+        a = accelerate(d - t)
+        return np.concatenate([e + step * v + half * a, v + step * a, total + step * e_m, t, v_m])
+
+    def kalman(x: np.ndarray, noise: np.ndarray, d: np.ndarray) -> np.ndarray:
+        assert kalman_gain is not None
+        e, v, total, delayed_t, e_hat, v_hat, d_hat = np.split(x, 7)
+        e_noise, v_noise = np.split(noise, 2)
+        known = d_hat - delayed_t
+        e_hat, v_hat = e_hat + step * v_hat + 0.5 * step**2 * known, v_hat + step * known
+        r = (e - e_noise - e_hat, v - v_noise - v_hat)
+        e_hat, v_hat, d_hat = (
+            old + kalman_gain[:, i, :1] * r[0] + kalman_gain[:, i, 1:] * r[1]
+            for i, old in enumerate((e_hat, v_hat, d_hat))
+        )
+        t = k_v * v_hat + k_p * e_hat + k_i * total + d_hat
+        a = accelerate(d - t)
+        return np.concatenate([e + step * v + half * a, v + step * a, total + step * e_hat, t, e_hat, v_hat, d_hat])
+
+    return one_sample if kalman_gain is None else kalman
+
+
 def coupled_loop(
     gains: LoopGains,
     *,
@@ -252,38 +313,13 @@ def coupled_loop(
     n, step, kalman_gain = true_mass_matrix.shape[0], sampling.sample_time, sampling.kalman_gain
     m = np.linalg.solve(true_mass_matrix, nominal_mass_matrix)
     k_v, k_p, k_i = ((k * np.ones(n))[:, None] for k in (gains.k_v, gains.k_p, gains.k_i))
-    half = 0.0 if sampling.euler else 0.5 * step**2
-
-    # One sample as a function of columns of states, noises and d; its matrices are its values on unit columns. In error
-    # coordinates d^2e/dt^2 = -M (t - d), where tau = Hhat (a_d + t).
-    def one_sample(x: np.ndarray, noise: np.ndarray, d: np.ndarray) -> np.ndarray:
-        e, v, total, delayed_t, delayed_v = np.split(x, 5)
-        e_m, v_m = e - noise[:n], v - noise[n:]
-        u = k_v * v_m + k_p * e_m + k_i * total
-        # N(t - L): the measured acceleration of the last period, less what the force of that period should have given.
-        t = u + (v_m - delayed_v) / step + delayed_t
-        a = m @ (d - t)
-        return np.concatenate([e + step * v + half * a, v + step * a, total + step * e_m, t, v_m])
-
-    def kalman(x: np.ndarray, noise: np.ndarray, d: np.ndarray) -> np.ndarray:
-        assert kalman_gain is not None
-        e, v, total, delayed_t, e_hat, v_hat, d_hat = np.split(x, 7)
-        known = d_hat - delayed_t
-        e_hat, v_hat = e_hat + step * v_hat + 0.5 * step**2 * known, v_hat + step * known
-        r = (e - noise[:n] - e_hat, v - noise[n:] - v_hat)
-        e_hat, v_hat, d_hat = (
-            old + kalman_gain[:, i, :1] * r[0] + kalman_gain[:, i, 1:] * r[1]
-            for i, old in enumerate((e_hat, v_hat, d_hat))
-        )
-        t = k_v * v_hat + k_p * e_hat + k_i * total + d_hat
-        a = m @ (d - t)
-        return np.concatenate([e + step * v + half * a, v + step * a, total + step * e_hat, t, e_hat, v_hat, d_hat])
-
-    sample, blocks = (one_sample, 5) if kalman_gain is None else (kalman, 7)
+    columns = LoopGains(k_v=k_v, k_p=k_p, k_i=k_i)
+    update = _loop_update(columns, lambda t: m @ t, step=step, euler=sampling.euler, kalman_gain=kalman_gain)
+    blocks = 5 if kalman_gain is None else 7
     size = blocks * n
     sizes = (size, 2 * n, n)
     a, b, f = (
-        sample(*(np.eye(rows) if i == j else np.zeros((rows, sizes[j])) for i, rows in enumerate(sizes)))
+        update(*(np.eye(rows) if i == j else np.zeros((rows, sizes[j])) for i, rows in enumerate(sizes)))
         for j in range(3)
     )
     keep = np.ones(size, dtype=bool)

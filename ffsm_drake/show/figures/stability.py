@@ -1,7 +1,5 @@
 """The picture of a scenario's sampled-loop margins: the stability map, and what it rests on along the motion."""
 
-import dataclasses
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -41,16 +39,14 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins) -> None:
     highest_k_s = max(np.nanmax(margins.k_s_limit), law.k_s.max())
     top = 1.35 * highest_k_s if adapts else 1500.0 * margins.sample_time_limit.max()
     vertical = np.linspace(top / 200, top, 90)
-
-    def poles(y: float) -> list[np.ndarray]:
-        gains = law.at(y) if adapts else law.at()
-        single = LoopGains(k_v=gains.k_v[0], k_p=gains.k_p[0], k_i=gains.k_i[0])
-        used = sampling if adapts else dataclasses.replace(sampling, sample_time=1e-3 * y)
-        return [axis_poles(single, eta=x, sampling=used) for x in eta]
-
-    values = [poles(y) for y in vertical]
-    largest = np.array([[np.abs(entry).max() for entry in row] for row in values])
-    ringing = np.array([[-entry.real.min() for entry in row] for row in values])
+    gains = law.at(vertical[:, None]) if adapts else law.at()
+    poles = axis_poles(
+        LoopGains(k_v=gains.k_v[..., :1], k_p=gains.k_p[..., :1], k_i=gains.k_i[..., :1]),
+        eta=eta,
+        sampling=margins.sampling.axis(0),
+        sample_time=None if adapts else 1e-3 * vertical[:, None],
+    )
+    largest, ringing = np.abs(poles).max(axis=-1), -poles.real.min(axis=-1)
     shades = axes.contourf(eta, vertical, ringing, levels=[-1.0, 0.0, 0.25, 0.5, 0.75, 1.0], cmap="Blues", alpha=0.75)
     axes.contourf(eta, vertical, largest, levels=[1.0, np.inf], colors=[UNSTABLE])
     axes.contour(eta, vertical, largest, levels=[1.0], colors="black", linewidths=2)
