@@ -5,11 +5,9 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from ffsm_drake.campaign.errors import CampaignError
-from ffsm_drake.campaign.rules import Value
-from ffsm_drake.campaign.sampling import case_seed, unit_points
+from ffsm_drake.campaign.dispersion import Value, case_seed, get_value, set_value, unit_points
 from ffsm_drake.campaign.spec import Spec
-from ffsm_drake.campaign.values import get_value, set_value
+from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.scenario import Scenario, scenario_from_dict
 
 

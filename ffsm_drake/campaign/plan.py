@@ -5,8 +5,7 @@ import statistics
 
 from ffsm_drake.campaign.cases import make_cases
 from ffsm_drake.campaign.evaluate import OUTCOMES, Evaluator
-from ffsm_drake.campaign.progress import duration_text
-from ffsm_drake.campaign.run import MEMORY_LIMIT, check_cases
+from ffsm_drake.campaign.run import MEMORY_LIMIT, check_cases, duration_text
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.store import Store
 

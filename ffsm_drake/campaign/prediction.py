@@ -1,6 +1,5 @@
 """Stability of a case predicted from the linear sampled loop, cheap enough for every run."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -15,26 +14,12 @@ from ffsm_drake.systems.reference import make_reference
 POSTURES = (0.0, 0.5, 1.0)  # fractions of the planned motion
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Prediction:
-    """Spectral radii of the coupled sampled loop, the worst over the postures looked at; below 1 it is stable."""
+def predict_stability(scenario: Scenario) -> tuple[float, float] | None:
+    """Spectral radii of the coupled sampled loop, the worst over the postures looked at; below 1 it is stable.
 
-    starting: float  # at the starting gains
-    expected: float  # with every K_s at the largest value that adaptation is expected to reach
-
-    @property
-    def radius(self) -> float:
-        return max(self.starting, self.expected)
-
-    @property
-    def stable(self) -> bool:
-        return self.radius < 1.0
-
-
-def predict_stability(scenario: Scenario) -> Prediction | None:
-    """The prediction for a scenario; None for a controller that is not one of the paper's.
-
-    Raises ModelError or ScenarioError where a value cannot be used.
+    The first is at the starting gains, the second with every K_s at the largest value that adaptation is expected to
+    reach. None for a controller that is not one of the paper's. Raises ModelError or ScenarioError where a value cannot
+    be used.
     """
     if scenario.controller not in PAPER_LAWS:
         return None
@@ -53,7 +38,7 @@ def predict_stability(scenario: Scenario) -> Prediction | None:
 
     starting = radius(law.at())
     if starting >= 1.0 or np.array_equal(law.k_s_max, law.k_s):  # adaptation has nothing to add
-        return Prediction(starting=starting, expected=starting)
+        return starting, starting
     _, k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal)
     expected = radius(law.at(k_s.max(axis=0)))
-    return Prediction(starting=starting, expected=expected if math.isfinite(expected) else math.inf)
+    return starting, expected if math.isfinite(expected) else math.inf

@@ -9,11 +9,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ffsm_drake.campaign.cases import make_case, scenario_of
-from ffsm_drake.campaign.distributions import LogUniform
-from ffsm_drake.campaign.errors import CampaignError
 from ffsm_drake.campaign.prediction import predict_stability
 from ffsm_drake.campaign.spec import Spec
-from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.errors import CampaignError, FfsmError
 
 POINTS = 11  # along each axis
 REFINEMENT = 3  # finer by this near the boundary
@@ -49,21 +47,15 @@ def predict_map(
 ) -> StabilityMap:
     """Predict over the range that the cases cover.
 
-    Args:
-      spec: the campaign.
-      axes: names of two sampled values.
-      values: all cases' numbers by name.
-      progress: called with (done, total) controllers.
-
-    Raises:
-      CampaignError: an axis is not a sampled number, or both are the same.
+    ``axes`` names two of ``values``, the cases' numbers by name; ``progress`` is called with (done, total) controllers.
+    Raises CampaignError when an axis is not a sampled number, or both are the same.
     """
     for name in axes:
         if name not in values:
             raise CampaignError(f"--map: '{name}' is not a sampled number; choose two of {', '.join(values)}")
     if axes[0] == axes[1]:
         raise CampaignError("--map: needs two different values")
-    log = [isinstance(spec.distributions[name], LogUniform) for name in axes]
+    log = [spec.distributions[name].is_logarithmic for name in axes]
     x, y = (_axis(values[name], is_log) for name, is_log in zip(axes, log, strict=True))
     fixed = {name: distribution.value(0.5, 0) for name, distribution in spec.distributions.items() if name not in axes}
 
@@ -71,8 +63,8 @@ def predict_map(
         drawn = {**fixed, axes[0]: float(x[j]), axes[1]: float(y[i])}
         try:
             case = make_case(spec, 0, {name: drawn[name] for name in spec.distributions})
-            prediction = predict_stability(scenario_of(spec, case, controller))
-            return math.nan if prediction is None else prediction.radius
+            radii = predict_stability(scenario_of(spec, case, controller))
+            return math.nan if radii is None else max(radii)
         except (FfsmError, ArithmeticError, ValueError):
             return math.nan  # no boundary here
 

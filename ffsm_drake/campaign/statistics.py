@@ -11,6 +11,8 @@ import numpy as np
 from scipy import stats
 
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
+from ffsm_drake.campaign.spec import Spec
+from ffsm_drake.campaign.stability_map import StabilityMap, predict_map
 from ffsm_drake.campaign.store import Store
 
 CONFIDENCE = 0.95
@@ -259,3 +261,46 @@ def quantiles(runs: Runs, metric: str) -> tuple[float, float, float]:
         return math.nan, math.nan, math.nan
     low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
     return float(low), float(middle), float(high)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Findings:
+    """The evaluation of a campaign."""
+
+    spec: Spec
+    table: Table
+    success: dict[str, Interval]  # by controller
+    differences: list[Difference]
+    sensitivities: list[Sensitivity]
+    influential: list[str]  # sampled numbers, most influential first
+    agreement: list[Agreement]
+    map: StabilityMap | None  # None with fewer than two sampled numbers
+
+    @property
+    def runs(self) -> int:
+        return sum(runs.case.size for runs in self.table.runs.values())
+
+
+def find(
+    store: Store, *, axes: tuple[str, str] | None = None, progress: Callable[[int, int], None] | None = None
+) -> Findings:
+    """Evaluate the results that a database holds so far.
+
+    ``axes`` are the map's two values, None for the two most influential; ``progress`` is called with (done, total)
+    controllers of the map. Raises CampaignError when an axis is not a sampled number.
+    """
+    spec, table = store.spec, read_table(store)
+    found = sensitivities(table, seed=spec.seed)
+    influential = most_influential(found)
+    if axes is None and len(influential) >= 2:
+        axes = (influential[0], influential[1])
+    return Findings(
+        spec=spec,
+        table=table,
+        success={name: success_rate(runs) for name, runs in table.runs.items()},
+        differences=paired_differences(table, seed=spec.seed),
+        sensitivities=found,
+        influential=influential,
+        agreement=[agreement(runs) for runs in table.runs.values()],
+        map=None if axes is None else predict_map(spec, axes, table.values, progress=progress),
+    )

@@ -1,18 +1,21 @@
 """The commands ``ffsm campaign …``. What they need is imported when they run: ``--help`` stays fast."""
 
+import math
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ffsm_drake.campaign.errors import CampaignError
-from ffsm_drake.cli.common import reports_errors
+from ffsm_drake.cli.common import CommandGroup, count_progress
+from ffsm_drake.common.errors import CampaignError
 
 if TYPE_CHECKING:
+    from ffsm_drake.campaign.run import Progress
     from ffsm_drake.campaign.spec import Spec
     from ffsm_drake.campaign.store import Store
     from ffsm_drake.common.workers import Workers
@@ -21,7 +24,7 @@ EXIT_DIFFERENT = 3
 _FOLDER = Path("out/campaigns")
 
 
-@click.group()
+@click.group(cls=CommandGroup)
 def campaign() -> None:
     """Thousands of runs of a scenario with dispersed values, in one database, with a report.
 
@@ -57,7 +60,6 @@ _cases_option = click.option("--cases", type=click.IntRange(min=1), help="Number
 
 
 @campaign.command()
-@reports_errors
 @click.argument("spec")
 @_cases_option
 @click.option("--workers", type=click.IntRange(min=1), help="Processes to reckon with (default: one per processor).")
@@ -76,7 +78,6 @@ def plan(spec: str, cases: int | None, workers: int | None) -> None:
 
 
 @campaign.command()
-@reports_errors
 @click.argument("spec")
 @_database_option
 @_cases_option
@@ -91,19 +92,17 @@ def run(spec: str, database: Path | None, cases: int | None, workers: int | None
       ffsm campaign run payload_uncertainty
       ffsm campaign run mine.yaml --database /scratch/mine.db --scheduler tcp://10.0.0.5:8786
     """
-    from ffsm_drake.campaign.progress import ProgressLine
     from ffsm_drake.campaign.run import start_campaign
     from ffsm_drake.common.workers import stop_on_signals
 
     loaded = _load(spec, cases)
     path = database or _default_database(spec)
-    with stop_on_signals() as stop, _workers(workers, scheduler) as crew, _closing(ProgressLine()) as progress:
+    with stop_on_signals() as stop, _workers(workers, scheduler) as crew, closing(_ProgressLine()) as progress:
         start_campaign(loaded, path, workers=crew, stop=stop, progress=progress)
     _print_end(path)
 
 
 @campaign.command()
-@reports_errors
 @_source
 @_database_option
 @_worker_options
@@ -114,18 +113,16 @@ def resume(source: str, database: Path | None, workers: int | None, scheduler: s
     Example:
       ffsm campaign resume out/campaigns/payload_uncertainty.db
     """
-    from ffsm_drake.campaign.progress import ProgressLine
     from ffsm_drake.campaign.run import resume_campaign
     from ffsm_drake.common.workers import stop_on_signals
 
     path = _locate(source, database)
-    with stop_on_signals() as stop, _workers(workers, scheduler) as crew, _closing(ProgressLine()) as progress:
+    with stop_on_signals() as stop, _workers(workers, scheduler) as crew, closing(_ProgressLine()) as progress:
         resume_campaign(path, workers=crew, stop=stop, progress=progress)
     _print_end(path)
 
 
 @campaign.command()
-@reports_errors
 @_source
 @_database_option
 def status(source: str, database: Path | None) -> None:
@@ -140,7 +137,6 @@ def status(source: str, database: Path | None) -> None:
 
 
 @campaign.command()
-@reports_errors
 @_source
 @_database_option
 @click.option("--case", "case_index", type=click.IntRange(min=0), required=True, help="Number of the case, from 0.")
@@ -192,7 +188,6 @@ def rerun(
 
 
 @campaign.command()
-@reports_errors
 @_source
 @_database_option
 @click.option("--out", type=click.Path(path_type=Path), help="Folder (default: beside the database).")
@@ -209,7 +204,7 @@ def report(source: str, database: Path | None, out: Path | None, axes: tuple[str
 
     with _open(source, database) as store:
         folder = out or store.path.with_suffix("").with_name(f"{store.path.stem}-report")
-        written = write_report(store, folder, axes=axes, progress=_count_progress)
+        written = write_report(store, folder, axes=axes, progress=count_progress("controllers predicted"))
         click.echo(written.summary)
         click.echo(f"\nWritten to {folder}: {', '.join(path.name for path in written.files)}")
 
@@ -262,14 +257,6 @@ def _workers(count: int | None, scheduler: str | None) -> Iterator["Workers"]:
         yield crew
 
 
-@contextmanager
-def _closing(line: Any) -> Iterator[Any]:
-    try:
-        yield line
-    finally:
-        line.close()
-
-
 def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -288,6 +275,26 @@ def _status_text(store: "Store") -> str:
     return status_text(store)
 
 
-def _count_progress(done: int, total: int) -> None:
-    if sys.stderr.isatty():
-        click.echo(f"\r{done} of {total} controllers predicted" + ("\n" if done == total else ""), nl=False, err=True)
+class _ProgressLine:
+    """A campaign's progress on standard error: a bar that fills up on a terminal, plain lines elsewhere."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stderr.isatty()
+        self._period = 0.2 if self._terminal else 30.0  # s between lines
+        self._last = -math.inf
+
+    def __call__(self, progress: "Progress") -> None:
+        now = time.monotonic()
+        if progress.done < progress.total and now - self._last < self._period:
+            return
+        self._last = now
+        if self._terminal:
+            bar = "#" * (24 * progress.done // max(progress.total, 1))
+            click.echo(f"\r[{bar:.<24}] {progress!s:<90}", nl=False, err=True)
+        else:
+            click.echo(str(progress), err=True)
+
+    def close(self) -> None:
+        """End the line."""
+        if self._terminal and self._last > -math.inf:
+            click.echo(err=True)

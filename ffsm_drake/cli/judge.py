@@ -13,7 +13,6 @@ from ffsm_drake.cli.common import (
     count_progress,
     json_option,
     print_json,
-    reports_errors,
     run_argument,
     scenario_options,
 )
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@reports_errors
 @scenario_options
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Write stability.png here.")
 @json_option
@@ -59,7 +57,6 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
 
 
 @click.command()
-@reports_errors
 @run_argument
 @click.option(
     "--out",
@@ -98,7 +95,6 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
 
 
 @click.command()
-@reports_errors
 @scenario_options
 @click.option("--budget", type=FiniteFloat(), help="Largest ISV (default: 1.1 times that of perfect tracking).")
 @click.option(

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from ffsm_drake.cli.common import json_option, print_json, reports_errors
+from ffsm_drake.cli.common import json_option, print_json
 
 
 def _packages(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, Path]:
@@ -20,7 +20,6 @@ def _packages(ctx: click.Context, param: click.Parameter, values: tuple[str, ...
 
 
 @click.command()
-@reports_errors
 @click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("--urdf", required=True, type=click.Path(path_type=Path), metavar="FILE", help="URDF of base and arm.")
 @click.option("--tip", metavar="FRAME", help="Link or frame that holds the target (default: end of the longest chain).")

@@ -4,11 +4,10 @@ from pathlib import Path
 
 import click
 
-from ffsm_drake.cli.common import batch_progress, reports_errors
+from ffsm_drake.cli.common import batch_progress
 
 
 @click.command()
-@reports_errors
 @click.argument("what", type=click.Choice(("table2", "fig3", "fig4", "fig5", "all")), default="all")
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/reproduction"), show_default=True
@@ -29,7 +28,6 @@ def reproduce(what: str, out: Path, seeds: int) -> None:
 
 
 @click.command()
-@reports_errors
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/noise"), show_default=True)
 @click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds of the noise per point.")
 def noise(out: Path, seeds: int) -> None:

@@ -19,7 +19,6 @@ from ffsm_drake.cli.common import (
     overrides_option,
     print_json,
     repeated_run,
-    reports_errors,
     scenario_argument,
     scenario_options,
     scenario_stem,
@@ -37,7 +36,6 @@ _report = click.option("--report/--no-report", default=True, show_default=True, 
 
 
 @click.command()
-@reports_errors
 @scenario_options
 @_out
 @json_option
@@ -88,7 +86,6 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
 
 
 @click.command()
-@reports_errors
 @scenario_argument
 @controller_option(multiple=True, help="Repeat for each one; default: the paper's four.")
 @overrides_option

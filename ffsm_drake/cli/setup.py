@@ -13,12 +13,10 @@ from ffsm_drake.cli.common import (
     located_errors,
     overrides_option,
     print_json,
-    reports_errors,
 )
 
 
 @click.command()
-@reports_errors
 @click.argument("name", required=False, shell_complete=complete_scenario)
 @json_option
 def scenarios(name: str | None, as_json: bool) -> None:
@@ -49,7 +47,6 @@ def scenarios(name: str | None, as_json: bool) -> None:
 
 
 @click.command()
-@reports_errors
 @click.argument("scenarios", nargs=-1, required=True, metavar="SCENARIO...", shell_complete=complete_scenario)
 @overrides_option
 @json_option
@@ -92,7 +89,6 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
 
 
 @click.command()
-@reports_errors
 def schema() -> None:
     """The scenario file's JSON Schema, with the unit and meaning of every key, for editors and checkers.
 
@@ -110,7 +106,6 @@ def schema() -> None:
 
 
 @click.command()
-@reports_errors
 @json_option
 def doctor(as_json: bool) -> None:
     """Check this installation: versions, models, controllers, a short run, the browser view, Graphviz.
@@ -133,7 +128,6 @@ def doctor(as_json: bool) -> None:
 
 
 @click.command()
-@reports_errors
 @click.argument("shell", type=click.Choice(("bash", "zsh", "fish")), required=False)
 def completion(shell: str | None) -> None:
     """Print the script that teaches a shell to complete ffsm's commands, options and scenarios.

@@ -5,14 +5,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ffsm_drake.cli.common import reports_errors, run_argument, scenario_options
+from ffsm_drake.cli.common import run_argument, scenario_options
 
 if TYPE_CHECKING:
     from ffsm_drake.scenario import Scenario
 
 
 @click.command()
-@reports_errors
 @click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN_DIR...")
 @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Default: the first RUN_DIR.")
 def plot(runs: tuple[Path, ...], out: Path | None) -> None:
@@ -39,7 +38,6 @@ def plot(runs: tuple[Path, ...], out: Path | None) -> None:
 
 
 @click.command()
-@reports_errors
 @scenario_options
 @click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write FILE.dot and FILE.svg."
@@ -70,7 +68,6 @@ def diagram(scenario: "Scenario", out: Path | None) -> None:
 
 
 @click.command()
-@reports_errors
 @run_argument
 @click.option("--speed", type=float, default=1.0, show_default=True, help="Times real time.")
 @click.option("--ghost/--no-ghost", default=True, show_default=True, help="The target posture, translucent.")

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.campaign.findings import Findings
-from ffsm_drake.campaign.statistics import Runs
+from ffsm_drake.campaign.statistics import Findings, Runs
 from ffsm_drake.show.curves import cumulative, thinned
 from ffsm_drake.show.panels import Panel, Trace, View, curve, figure, log_axis
 from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, label_of, styles_of
