@@ -29,12 +29,9 @@ def make_cases(spec: Spec) -> Iterator[Case]:
     distributions = spec.distributions
     sampled = [name for name, distribution in distributions.items() if distribution.uses_point]
     points = unit_points(spec.sampling, cases=spec.cases, dimensions=len(sampled), seed=spec.seed)
-    column = {name: i for i, name in enumerate(sampled)}
     for index in range(spec.cases):
-        drawn = {
-            name: distribution.value(float(points[index, column[name]]) if name in column else 0.0, index)
-            for name, distribution in distributions.items()
-        }
+        point = dict(zip(sampled, points[index].tolist(), strict=True))
+        drawn = {name: item.value(point.get(name, 0.0), index) for name, item in distributions.items()}
         yield make_case(spec, index, drawn)
 
 

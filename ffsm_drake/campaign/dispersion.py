@@ -126,7 +126,8 @@ def parse_rule(data: Any, *, place: str) -> Rule:
     kind = _kind_of(data, "rule", _RULES, place=place, example="rule: scale, of: payload.truth.mass, by: 0.8")
     sources = _names(data[_RULES[kind][0]], place=place)
     if kind == "relative":
-        return Rule(sources=(*sources, *_names(data["error"], place=place)), apply=_relative)
+        sources = (*sources, *_names(data["error"], place=place))
+        return Rule(sources=sources, apply=lambda values: _product([*values[:-1], 1.0 + _single(values[-1])]))
     if kind == "solid_cube":
         side = number(data["side"], place=f"{place}.side")
         return Rule(sources=sources, apply=lambda m: [_single(m[0]) * side * side / 6.0] * 3)
@@ -155,11 +156,6 @@ def _sum(values: list[Value]) -> Value:
             raise CampaignError("lists that are added must have the same length")
         return [math.fsum(items) for items in zip(*values, strict=True)]
     return math.fsum(_single(value) for value in values)
-
-
-def _relative(values: list[Value]) -> Value:
-    *of, error = values
-    return _product([*of, 1.0 + _single(error)])
 
 
 def _single(value: Value) -> float:

@@ -162,7 +162,7 @@ def _drive(store: Store, workers: Workers, stop: Stop | None, progress: Callable
     with contextlib.closing(results):
         for (case, controller), result in results:
             row = _LOST if isinstance(result, WorkerLost) else result
-            store.add([(case, controller, row)])
+            store.add(case, controller, row)
             counted["session"] += 1
             counted["failed"] += row["outcome"] == "error"
             counted["unsettled"] += row["outcome"] in ("diverged", "not_settled")

@@ -114,24 +114,16 @@ def shipped_campaigns() -> dict[str, Path]:
     return {path.stem: path for path in sorted((Path(__file__).parent / "shipped").glob("*.yaml"))}
 
 
-def find_spec(name_or_path: str | Path) -> Path:
-    """The file of a shipped name or a path. Raises CampaignError when there is none."""
-    name, shipped = str(name_or_path), shipped_campaigns()
-    if name in shipped:
-        return shipped[name]
-    path = Path(name)
-    if path.is_file():
-        return path
-    raise CampaignError(f"{name}: no such campaign; choose one of {', '.join(shipped)}, or give a YAML file")
-
-
 def load_spec(name_or_path: str | Path) -> Spec:
     """Read a specification by shipped name or path, and check it.
 
     Raises:
       CampaignError, ScenarioError: the file, a key or a value cannot be used; one line says where and why.
     """
-    path = find_spec(name_or_path)
+    shipped = shipped_campaigns()
+    path = shipped.get(str(name_or_path), Path(name_or_path))
+    if not path.is_file():
+        raise CampaignError(f"{path}: no such campaign; choose one of {', '.join(shipped)}, or give a YAML file")
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:

@@ -11,8 +11,8 @@ import numpy as np
 from scipy import stats
 
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
+from ffsm_drake.campaign.prediction import StabilityMap, predict_map
 from ffsm_drake.campaign.spec import Spec
-from ffsm_drake.campaign.stability_map import StabilityMap, predict_map
 from ffsm_drake.campaign.store import Store
 
 CONFIDENCE = 0.95
@@ -34,11 +34,6 @@ class Runs:
     @functools.cached_property
     def settled(self) -> np.ndarray:
         return self.outcome == "settled"
-
-    @functools.cached_property
-    def valid(self) -> np.ndarray:
-        """Whether the run has a result; an error has none."""
-        return self.outcome != "error"
 
     @functools.cached_property
     def radius(self) -> np.ndarray:
@@ -63,12 +58,8 @@ def read_table(store: Store) -> Table:
     columns = ("outcome_time", "wall_time", *METRICS, *PREDICTIONS)
     runs = {}
     for controller in store.spec.controllers:
-        rows = list(
-            store.query(
-                f"SELECT case_index, outcome, {', '.join(columns)} FROM results WHERE controller = ? ORDER BY 1",
-                (controller,),
-            )
-        )
+        select = f"SELECT case_index, outcome, {', '.join(columns)} FROM results WHERE controller = ? ORDER BY 1"
+        rows = store.query(select, (controller,))
         cells = list(zip(*rows, strict=True)) or [()] * (2 + len(columns))
         runs[controller] = Runs(
             controller=controller,
@@ -116,10 +107,7 @@ class Difference:
 
 def paired_differences(table: Table, *, seed: int) -> list[Difference]:
     """Every pair of controllers; intervals by a seeded bootstrap over cases."""
-    return [
-        _difference(table.runs[first], table.runs[second], seed=seed)
-        for first, second in itertools.combinations(table.runs, 2)
-    ]
+    return [_difference(first, second, seed=seed) for first, second in itertools.combinations(table.runs.values(), 2)]
 
 
 def _difference(first: Runs, second: Runs, *, seed: int) -> Difference:
@@ -226,29 +214,21 @@ class Agreement:
 
 def agreement(runs: Runs) -> Agreement:
     """Count predictions and outcomes; errors and runs without a prediction are left out."""
-    known = runs.valid & ~np.isnan(runs.radius)
-    stable = runs.radius < 1.0
-
-    def number(which: np.ndarray) -> int:
-        return int((which & known).sum())
-
+    known = (runs.outcome != "error") & ~np.isnan(runs.radius)
+    stable, settled = (runs.radius < 1.0)[known], runs.settled[known]
     return Agreement(
         controller=runs.controller,
-        stable_settled=number(stable & runs.settled),
-        stable_failed=number(stable & ~runs.settled),
-        unstable_settled=number(~stable & runs.settled),
-        unstable_failed=number(~stable & ~runs.settled),
+        stable_settled=int((stable & settled).sum()),
+        stable_failed=int((stable & ~settled).sum()),
+        unstable_settled=int((~stable & settled).sum()),
+        unstable_failed=int((~stable & ~settled).sum()),
     )
 
 
 def worst_runs(runs: Runs, *, count: int = 5) -> np.ndarray:
     """Positions of the ``count`` worst runs: errors, then the earliest divergences, then the largest final errors."""
-    final = np.nanmax(
-        np.vstack(
-            [np.zeros(runs.case.size), *(runs.metrics[name] for name in METRICS if name.startswith("final_error"))]
-        ),
-        axis=0,
-    )
+    errors = [runs.metrics[name] for name in METRICS if name.startswith("final_error")]
+    final = np.nanmax(np.vstack([np.zeros(runs.case.size), *errors]), axis=0)
     order = np.select([runs.outcome == "error", runs.outcome == "diverged", ~runs.settled], [0, 1, 2], default=3)
     time = np.where(runs.outcome == "diverged", runs.metrics["outcome_time"], 0.0)
     return np.lexsort((-final, time, order))[:count]

@@ -69,17 +69,13 @@ class Store:
         """A sampled or derived value as the database keeps it, for every case in order."""
         return [row[0] for row in self.query(f"SELECT {_quoted(name)} FROM cases ORDER BY case_index")]
 
-    def add(self, rows: Iterable[tuple[Case, str, Row]]) -> None:
-        """Store results in one transaction."""
-        insert = f"INSERT INTO results VALUES ({', '.join('?' * (3 + len(_RESULT)))})"
+    def add(self, case: Case, controller: str, row: Row) -> None:
+        """Store one result."""
+        cells = (case.index, controller, *(row[name] for name in _RESULT), row["software"])
+        values = f"{', '.join('?' * (len(cells) - 1))}, (SELECT id FROM software WHERE versions = ?)"
         with _one_line_errors(self.path), self._connection:
-            for case, controller, row in rows:
-                software = self._software(row["software"])
-                self._connection.execute(insert, (case.index, controller, *(row[name] for name in _RESULT), software))
-
-    def _software(self, text: str) -> int:
-        self._connection.execute("INSERT OR IGNORE INTO software (versions) VALUES (?)", (text,))
-        return int(self._connection.execute("SELECT id FROM software WHERE versions = ?", (text,)).fetchone()[0])
+            self._connection.execute("INSERT OR IGNORE INTO software (versions) VALUES (?)", (row["software"],))
+            self._connection.execute(f"INSERT INTO results VALUES ({values})", cells)
 
     def result(self, case: int, controller: str) -> dict[str, Any]:
         """The stored row of one run, by column of the view ``runs``. Raises CampaignError when it is not there yet."""
@@ -166,7 +162,7 @@ def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Stor
         _held(path),
         _one_line_errors(path),
         written_whole(path) as temporary,
-        contextlib.closing(_connect(temporary)) as connection,
+        contextlib.closing(sqlite3.connect(temporary)) as connection,
     ):
         _fill(connection, spec, cases, folder=path.parent)
     with open_store(path, writing=True) as store:
@@ -186,7 +182,7 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
         if writing:
             stack.enter_context(_held(path))
         stack.enter_context(_one_line_errors(path))
-        connection = stack.enter_context(contextlib.closing(_connect(path)))
+        connection = stack.enter_context(contextlib.closing(sqlite3.connect(path, timeout=PATIENCE)))
         if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION_ID:
             raise CampaignError(f"{path}: is not a campaign's database")
         problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
@@ -201,10 +197,6 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
             connection.execute("BEGIN IMMEDIATE")  # fails where another program holds it
             connection.rollback()
         yield Store(connection, path, spec_from_json(notes["specification"], path.parent))
-
-
-def _connect(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(path, timeout=PATIENCE)
 
 
 def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, folder: Path) -> None:

@@ -9,10 +9,9 @@ import click
 from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.cli.common import CommandGroup
 from ffsm_drake.cli.judge import analyze, design, stability
-from ffsm_drake.cli.new import new
 from ffsm_drake.cli.paper import noise, reproduce
 from ffsm_drake.cli.run import compare, run
-from ffsm_drake.cli.setup import completion, doctor, scenarios, schema, validate
+from ffsm_drake.cli.setup import completion, doctor, new, scenarios, schema, validate
 from ffsm_drake.cli.show import diagram, plot, replay
 
 

@@ -67,6 +67,11 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print one JS
 run_argument = click.argument("run", type=click.Path(path_type=Path), metavar="RUN_DIR")
 
 
+def out_option(what: str = "DIR", **settings: Any) -> Callable[..., Any]:
+    """The option --out for a folder, or with "FILE" for a file."""
+    return click.option("--out", type=click.Path(path_type=Path, dir_okay=what == "DIR"), metavar=what, **settings)
+
+
 def controller_option(*, multiple: bool = False, **settings: Any) -> Callable[..., Any]:
     return click.option(
         "--controller", "-c", multiple=multiple, metavar="NAME", shell_complete=complete_controller, **settings

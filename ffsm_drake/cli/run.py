@@ -16,6 +16,7 @@ from ffsm_drake.cli.common import (
     controller_option,
     json_option,
     located_errors,
+    out_option,
     overrides_option,
     print_json,
     repeated_run,
@@ -29,9 +30,7 @@ if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.scenario import Scenario
 
-_out = click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Default: out/ and the scenario's name."
-)
+_out = out_option(help="Default: out/ and the scenario's name.")
 _report = click.option("--report/--no-report", default=True, show_default=True, help="Write report.html.")
 
 

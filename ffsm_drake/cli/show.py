@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ffsm_drake.cli.common import run_argument, scenario_options
+from ffsm_drake.cli.common import out_option, run_argument, scenario_options
 
 if TYPE_CHECKING:
     from ffsm_drake.scenario import Scenario
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN_DIR...")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Default: the first RUN_DIR.")
+@out_option(help="Default: the first RUN_DIR.")
 def plot(runs: tuple[Path, ...], out: Path | None) -> None:
     """Draw the figures of a recorded run, or of several overlaid, as PNG and SVG.
 
@@ -39,9 +39,7 @@ def plot(runs: tuple[Path, ...], out: Path | None) -> None:
 
 @click.command()
 @scenario_options
-@click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write FILE.dot and FILE.svg."
-)
+@out_option("FILE", help="Write FILE.dot and FILE.svg.")
 def diagram(scenario: "Scenario", out: Path | None) -> None:
     """The closed loop's block diagram as Graphviz text, or as files.
 
@@ -74,12 +72,7 @@ def diagram(scenario: "Scenario", out: Path | None) -> None:
 @click.option("--path/--no-path", default=True, show_default=True, help="The end effector's path.")
 @click.option("--forces/--no-forces", default=True, show_default=True, help="Control and disturbance as arrows.")
 @click.option("--live", is_flag=True, help="Serve it on this machine, with a time slider, until Quit or Ctrl-C.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Default: recording.html in RUN_DIR.",
-)
+@out_option("FILE", help="Default: recording.html in RUN_DIR.")
 def replay(run: Path, speed: float, ghost: bool, path: bool, forces: bool, live: bool, out: Path | None) -> None:
     """Play a recorded run back, without simulating it again: as a page to open and send, or live with a time slider.
 

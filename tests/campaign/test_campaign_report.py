@@ -11,7 +11,7 @@ from campaign_tools import run_here, write_spec
 from click.testing import CliRunner
 
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
-from ffsm_drake.campaign.stability_map import predict_map
+from ffsm_drake.campaign.prediction import predict_map
 from ffsm_drake.campaign.statistics import (
     Runs,
     Table,
