@@ -48,10 +48,6 @@ class Table:
     runs: Mapping[str, Runs]  # by controller
     values: Mapping[str, np.ndarray]  # the sampled values that are numbers, by name, (number of cases,)
 
-    def at(self, name: str, runs: Runs) -> np.ndarray:
-        """A sampled value for each run."""
-        return self.values[name][runs.case]
-
 
 def read_table(store: Store) -> Table:
     """Read the results that a database holds so far."""
@@ -156,7 +152,7 @@ class Sensitivity:
 def sensitivities(table: Table, *, seed: int) -> list[Sensitivity]:
     """Every sampled value and controller; NaN where all runs have the same outcome."""
     return [
-        _sensitivity(name, table.at(name, runs), runs, seed=seed)
+        _sensitivity(name, table.values[name][runs.case], runs, seed=seed)
         for runs in table.runs.values()
         for name in table.values
     ]

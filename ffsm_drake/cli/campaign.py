@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -37,22 +37,15 @@ def campaign() -> None:
     """
 
 
-def _worker_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    command = click.option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Use the workers of a running Dask cluster, such as tcp://127.0.0.1:8786.",
-    )(command)
-    return click.option(
-        "--workers", type=click.IntRange(min=1), help="Processes on this machine (default: one per processor)."
-    )(command)
-
-
+_workers_option = click.option(
+    "--workers", type=click.IntRange(min=1), help="Processes on this machine (default: one per processor)."
+)
+_scheduler_option = click.option(
+    "--scheduler", metavar="ADDRESS", help="Use the workers of a running Dask cluster, such as tcp://127.0.0.1:8786."
+)
 _source = click.argument("source", metavar="SPEC|DATABASE")
 _database_option = click.option(
-    "--database",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Where the results are (default: out/campaigns/NAME.db).",
+    "--database", type=click.Path(path_type=Path, dir_okay=False), help="Default: out/campaigns/NAME.db."
 )
 _cases_option = click.option("--cases", type=click.IntRange(min=1), help="Number of cases instead of the specified.")
 
@@ -60,7 +53,7 @@ _cases_option = click.option("--cases", type=click.IntRange(min=1), help="Number
 @campaign.command()
 @click.argument("spec")
 @_cases_option
-@click.option("--workers", type=click.IntRange(min=1), help="Processes to reckon with (default: one per processor).")
+@_workers_option
 def plan(spec: str, cases: int | None, workers: int | None) -> None:
     """Check a specification, show its first cases, and say how long it would take.
 
@@ -79,7 +72,8 @@ def plan(spec: str, cases: int | None, workers: int | None) -> None:
 @click.argument("spec")
 @_database_option
 @_cases_option
-@_worker_options
+@_workers_option
+@_scheduler_option
 def run(spec: str, database: Path | None, cases: int | None, workers: int | None, scheduler: str | None) -> None:
     """Run a campaign into a new database.
 
@@ -99,7 +93,8 @@ def run(spec: str, database: Path | None, cases: int | None, workers: int | None
 @campaign.command()
 @_source
 @_database_option
-@_worker_options
+@_workers_option
+@_scheduler_option
 def resume(source: str, database: Path | None, workers: int | None, scheduler: str | None) -> None:
     """Run what an interrupted campaign still lacks.
 

@@ -53,7 +53,6 @@ class InterruptedCampaign(KeyboardInterrupt):
     """The campaign was asked to stop; finished runs are stored."""
 
     def __init__(self, done: int, total: int) -> None:
-        self.done, self.total = done, total
         super().__init__(f"interrupted with {done} of {total} runs stored; 'ffsm campaign resume' finishes them")
 
 

@@ -238,7 +238,8 @@ class _Runner(Generic[Task, Result]):
         try:
             while True:
                 if self.stop:
-                    self._recall()
+                    for future in [future for future in self.flying if future.cancel()]:  # those not started yet
+                        del self.flying[future]
                 else:
                     self._fill()
                 if self.flying:
@@ -276,11 +277,6 @@ class _Runner(Generic[Task, Result]):
                 self._renew()
             return
         self.flying[future] = _Flight(task, self.executor, strikes)
-
-    def _recall(self) -> None:
-        """Cancel the tasks that have not started."""
-        for future in [future for future in self.flying if future.cancel()]:
-            del self.flying[future]
 
     def _collect(self, done: set[Future[Result]]) -> Iterator[tuple[Task, Result | WorkerLost]]:
         alone = len(self.flying) == 1
