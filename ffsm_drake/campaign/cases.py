@@ -5,11 +5,9 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from ffsm_drake.campaign.errors import CampaignError
-from ffsm_drake.campaign.rules import Value
-from ffsm_drake.campaign.sampling import case_seed, unit_points
+from ffsm_drake.campaign.dispersion import Value, case_seed, get_value, set_value, unit_points
 from ffsm_drake.campaign.spec import Spec
-from ffsm_drake.campaign.values import get_value, set_value
+from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.scenario import Scenario, scenario_from_dict
 
 
@@ -31,12 +29,9 @@ def make_cases(spec: Spec) -> Iterator[Case]:
     distributions = spec.distributions
     sampled = [name for name, distribution in distributions.items() if distribution.uses_point]
     points = unit_points(spec.sampling, cases=spec.cases, dimensions=len(sampled), seed=spec.seed)
-    column = {name: i for i, name in enumerate(sampled)}
     for index in range(spec.cases):
-        drawn = {
-            name: distribution.value(float(points[index, column[name]]) if name in column else 0.0, index)
-            for name, distribution in distributions.items()
-        }
+        point = dict(zip(sampled, points[index].tolist(), strict=True))
+        drawn = {name: item.value(point.get(name, 0.0), index) for name, item in distributions.items()}
         yield make_case(spec, index, drawn)
 
 

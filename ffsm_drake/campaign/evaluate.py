@@ -12,8 +12,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ffsm_drake.campaign.cases import Case, scenario_of
 from ffsm_drake.campaign.prediction import predict_stability
 from ffsm_drake.campaign.spec import Spec, spec_from_json
@@ -24,12 +22,8 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS
 
 OUTCOMES = ("settled", "not_settled", "diverged", "error")
-METRICS = (
-    "itae",
-    "isv",
-    *(f"{kind}_{group}" for kind in ("peak_error", "final_error", "peak_effort") for group in GROUPS),
-    "settled_time",
-)
+_BY_GROUP = [(kind, group) for kind in ("peak_error", "final_error", "peak_effort") for group in GROUPS]
+METRICS = ("itae", "isv", *(f"{kind}_{group}" for kind, group in _BY_GROUP), "settled_time")
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
 # Columns that differ between repetitions.
 CIRCUMSTANCES = ("wall_time", "worker", "rss_mib", "software")
@@ -40,12 +34,8 @@ Row = dict[str, Any]
 def evaluate(campaign: str, case: Case, controller: str) -> Row:
     """Run one case with one controller; errors become part of the row.
 
-    Args:
-      campaign: ``Spec.to_json()``; a process reads it once.
-      case: what to run.
-      controller: its controller.
-
-    Returns: the columns ``outcome``, ``outcome_time``, ``message``, METRICS, PREDICTIONS and CIRCUMSTANCES.
+    Takes ``Spec.to_json()``, which a process reads once. Returns the columns ``outcome``, ``outcome_time``,
+    ``message``, METRICS, PREDICTIONS and CIRCUMSTANCES.
     """
     return _evaluator(campaign).evaluate(case, controller)
 
@@ -72,10 +62,9 @@ class Evaluator:
             row: Row = dict.fromkeys((*METRICS, *PREDICTIONS))
             try:
                 scenario = scenario_of(self._spec, case, controller)
-                log = self._run(scenario)
-                row |= evaluate_run(self._spec, log)
-                if (prediction := predict_stability(scenario)) is not None:
-                    row |= dict(zip(PREDICTIONS, (prediction.starting, prediction.expected), strict=True))
+                row |= evaluate_run(self._spec, self._run(scenario))
+                if (radii := predict_stability(scenario)) is not None:
+                    row |= dict(zip(PREDICTIONS, radii, strict=True))
             except Exception as error:
                 row |= error_row(described(error))
             return row | {
@@ -99,34 +88,16 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     """Outcome and metrics of a run."""
     if log.outcome.status == "interrupted":
         raise RuntimeError("the run was interrupted")
-    metrics = log.metrics
-    settled_time = None
+    settled_time, outcome, message = None, "diverged", log.outcome.message
     if log.outcome.completed:
         settled_time = spec.settled.time(log.time, log.error, log.coordinates.group_of)
-        outcome = "not_settled" if settled_time is None else "settled"
-        message = ""
-    else:
-        outcome, message = "diverged", log.outcome.message
-    flat = {
-        "itae": metrics["itae"],
-        "isv": metrics["isv"],
-        **{
-            f"{kind}_{group}": metrics[kind][group]
-            for kind in ("peak_error", "final_error", "peak_effort")
-            for group in GROUPS
-        },
-        "settled_time": settled_time,
-    }
-    return {
-        "outcome": outcome,
-        "outcome_time": log.outcome.time,
-        "message": message,
-        # The database knows no NaN.
-        **{
-            name: None if value is None or math.isnan(value) else float(np.float64(value))
-            for name, value in flat.items()
-        },
-    }
+        outcome, message = "not_settled" if settled_time is None else "settled", ""
+    metrics = log.metrics
+    values = {"itae": metrics["itae"], "isv": metrics["isv"], "settled_time": settled_time}
+    values |= {f"{kind}_{group}": metrics[kind][group] for kind, group in _BY_GROUP}
+    # The database knows no NaN.
+    row = {name: None if value is None or math.isnan(value) else float(value) for name, value in values.items()}
+    return {"outcome": outcome, "outcome_time": log.outcome.time, "message": message, **row}
 
 
 def described(error: Exception) -> str:
@@ -140,11 +111,6 @@ def error_row(message: str) -> Row:
     return {**dict.fromkeys((*METRICS, *PREDICTIONS)), "outcome": "error", "outcome_time": None, "message": message}
 
 
-def result_columns() -> tuple[str, ...]:
-    """The columns that a repeated run must reproduce bit for bit."""
-    return ("outcome", "outcome_time", "message", *METRICS)
-
-
 def resident_memory() -> float:
     """Memory of this process that is in use, MiB; its peak where the system does not report it."""
     try:
@@ -156,5 +122,5 @@ def resident_memory() -> float:
 
 
 def differing_columns(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
-    """The columns of results in which two rows differ."""
-    return [name for name in result_columns() if first[name] != second[name]]
+    """Of the columns that a repeated run must reproduce bit for bit, those that differ."""
+    return [name for name in ("outcome", "outcome_time", "message", *METRICS) if first[name] != second[name]]

@@ -5,8 +5,7 @@ import statistics
 
 from ffsm_drake.campaign.cases import make_cases
 from ffsm_drake.campaign.evaluate import OUTCOMES, Evaluator
-from ffsm_drake.campaign.progress import duration_text
-from ffsm_drake.campaign.run import MEMORY_LIMIT, check_cases
+from ffsm_drake.campaign.run import MEMORY_LIMIT, check_cases, duration_text
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.store import Store
 
@@ -57,12 +56,8 @@ def status_text(store: Store) -> str:
     ]
     seconds = dict(store.query("SELECT controller, avg(wall_time) FROM results GROUP BY controller"))
     for controller, outcomes in counts.items():
-        mean = seconds.get(controller)
-        lines.append(
-            f"{controller:<12}"
-            + "".join(f"{outcomes[name]:>13}" for name in OUTCOMES)
-            + (f"{mean:>9.2f}" if mean is not None else f"{'-':>9}")
-        )
+        mean = f"{seconds[controller]:.2f}" if seconds.get(controller) is not None else "-"
+        lines.append(f"{controller:<12}" + "".join(f"{outcomes[name]:>13}" for name in OUTCOMES) + f"{mean:>9}")
     memory = "SELECT avg(rss_mib), max(rss_mib) FROM (SELECT rss_mib FROM results ORDER BY case_index {} LIMIT ?)"
     if done:
         first, last = (next(store.query(memory.format(order), (_WINDOW,))) for order in ("ASC", "DESC"))

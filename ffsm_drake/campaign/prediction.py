@@ -1,10 +1,19 @@
-"""Stability of a case predicted from the linear sampled loop, cheap enough for every run."""
+"""Stability predicted from the linear sampled loop: of one case, cheap enough for every run, and over a map.
+
+A map is the predicted boundary over two of a campaign's values, the others at their medians.
+"""
 
 import dataclasses
+import functools
+import itertools
 import math
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from ffsm_drake.campaign.cases import make_case, scenario_of
+from ffsm_drake.campaign.spec import Spec
+from ffsm_drake.common.errors import CampaignError, FfsmError
 from ffsm_drake.control_design.stability.margins import forecast_reaching_gain, sampling_of
 from ffsm_drake.control_design.stability.sampled_loop import LoopGains, coupled_loop, law_gains
 from ffsm_drake.scenario import Scenario
@@ -13,28 +22,16 @@ from ffsm_drake.systems.controllers import PAPER_LAWS
 from ffsm_drake.systems.reference import make_reference
 
 POSTURES = (0.0, 0.5, 1.0)  # fractions of the planned motion
+POINTS = 11  # along each axis
+REFINEMENT = 3  # finer by this near the boundary
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Prediction:
-    """Spectral radii of the coupled sampled loop, the worst over the postures looked at; below 1 it is stable."""
+def predict_stability(scenario: Scenario) -> tuple[float, float] | None:
+    """Spectral radii of the coupled sampled loop, the worst over the postures looked at; below 1 it is stable.
 
-    starting: float  # at the starting gains
-    expected: float  # with every K_s at the largest value that adaptation is expected to reach
-
-    @property
-    def radius(self) -> float:
-        return max(self.starting, self.expected)
-
-    @property
-    def stable(self) -> bool:
-        return self.radius < 1.0
-
-
-def predict_stability(scenario: Scenario) -> Prediction | None:
-    """The prediction for a scenario; None for a controller that is not one of the paper's.
-
-    Raises ModelError or ScenarioError where a value cannot be used.
+    The first is at the starting gains, the second with every K_s at the largest value that adaptation is expected to
+    reach. None for a controller that is not one of the paper's. Raises ModelError or ScenarioError where a value cannot
+    be used.
     """
     if scenario.controller not in PAPER_LAWS:
         return None
@@ -53,7 +50,100 @@ def predict_stability(scenario: Scenario) -> Prediction | None:
 
     starting = radius(law.at())
     if starting >= 1.0 or np.array_equal(law.k_s_max, law.k_s):  # adaptation has nothing to add
-        return Prediction(starting=starting, expected=starting)
+        return starting, starting
     _, k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal)
     expected = radius(law.at(k_s.max(axis=0)))
-    return Prediction(starting=starting, expected=expected if math.isfinite(expected) else math.inf)
+    return starting, expected if math.isfinite(expected) else math.inf
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class StabilityMap:
+    """Predicted spectral radius over a grid; below 1 is stable, NaN where there is no prediction."""
+
+    x_name: str
+    y_name: str
+    x: np.ndarray  # (m,)
+    y: np.ndarray  # (n,)
+    x_log: bool
+    y_log: bool
+    radius: Mapping[str, np.ndarray]  # controller -> (n, m)
+    fixed: Mapping[str, object]  # the other sampled values
+
+    def side(self, controller: str) -> np.ndarray:
+        """The radius (n, m) clipped to 1 +- 0.1, so that the boundary is drawn midway between points on either side."""
+        radius = self.radius[controller]
+        if np.isnan(radius).all():  # nothing is predicted of this controller: no boundary
+            return np.full_like(radius, 0.9)
+        return np.clip(np.nan_to_num(radius, nan=np.inf), 0.9, 1.1)
+
+
+def predict_map(
+    spec: Spec,
+    axes: tuple[str, str],
+    values: Mapping[str, np.ndarray],
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> StabilityMap:
+    """Predict over the range that the cases cover.
+
+    ``axes`` names two of ``values``, the cases' numbers by name; ``progress`` is called with (done, total) controllers.
+    Raises CampaignError when an axis is not a sampled number, or both are the same.
+    """
+    for name in axes:
+        if name not in values:
+            raise CampaignError(f"--map: '{name}' is not a sampled number; choose two of {', '.join(values)}")
+    if axes[0] == axes[1]:
+        raise CampaignError("--map: needs two different values")
+    log = [spec.distributions[name].is_logarithmic for name in axes]
+    x, y = (_axis(values[name], is_log) for name, is_log in zip(axes, log, strict=True))
+    fixed = {name: distribution.value(0.5, 0) for name, distribution in spec.distributions.items() if name not in axes}
+
+    def predict(controller: str, i: int, j: int) -> float:
+        drawn = {**fixed, axes[0]: float(x[j]), axes[1]: float(y[i])}
+        try:
+            case = make_case(spec, 0, {name: drawn[name] for name in spec.distributions})
+            radii = predict_stability(scenario_of(spec, case, controller))
+            return math.nan if radii is None else max(radii)
+        except (FfsmError, ArithmeticError, ValueError):
+            return math.nan  # no boundary here
+
+    radius = {}
+    for k, controller in enumerate(spec.controllers):
+        if math.isnan(predict(controller, 0, 0)) and math.isnan(predict(controller, x.size - 1, x.size - 1)):
+            radius[controller] = np.full((x.size, x.size), np.nan)
+        else:
+            radius[controller] = _refined(functools.partial(predict, controller), x.size)
+        if progress is not None:
+            progress(k + 1, len(spec.controllers))
+    return StabilityMap(
+        x_name=axes[0], y_name=axes[1], x=x, y=y, x_log=log[0], y_log=log[1], radius=radius, fixed=fixed
+    )
+
+
+def _refined(predict: Callable[[int, int], float], size: int) -> np.ndarray:
+    """The grid (size, size): every REFINEMENT-th point, and all points of the cells that the boundary crosses.
+
+    The other cells lie on one side of the boundary and are filled with the value at their first corner.
+    """
+    grid, known = np.full((size, size), np.nan), np.zeros((size, size), dtype=bool)
+
+    def fill(i: int, j: int) -> None:
+        if not known[i, j]:
+            grid[i, j], known[i, j] = predict(i, j), True
+
+    coarse = range(0, size, REFINEMENT)
+    for i, j in itertools.product(coarse, coarse):
+        fill(i, j)
+    for i, j in itertools.product(coarse[:-1], coarse[:-1]):
+        cell = np.ix_((i, i + REFINEMENT), (j, j + REFINEMENT))
+        if len({bool(value < 1.0) for value in grid[cell].ravel()}) > 1:
+            for m, n in itertools.product(range(REFINEMENT + 1), repeat=2):
+                fill(i + m, j + n)
+    nearest = (np.arange(size) // REFINEMENT) * REFINEMENT
+    return np.where(known, grid, grid[np.ix_(nearest, nearest)])
+
+
+def _axis(values: np.ndarray, is_log: bool) -> np.ndarray:
+    low, high = float(values.min()), float(values.max())
+    number = (POINTS - 1) * REFINEMENT + 1
+    return np.geomspace(low, high, number) if is_log else np.linspace(low, high, number)

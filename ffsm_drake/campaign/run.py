@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ffsm_drake.campaign.cases import Case, make_cases, scenario_of
-from ffsm_drake.campaign.errors import InterruptedCampaign
 from ffsm_drake.campaign.evaluate import (
     CIRCUMSTANCES,
     Row,
@@ -21,7 +20,7 @@ from ffsm_drake.campaign.evaluate import (
 )
 from ffsm_drake.campaign.spec import Spec, load_spec
 from ffsm_drake.campaign.store import Store, create_store, open_store
-from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.errors import FfsmError, InterruptedCampaign
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import Rollout
@@ -31,6 +30,11 @@ from ffsm_drake.runs.simulate import make_record
 # 4 MiB for each closed loop that has to be built anew.
 MEMORY_LIMIT = 700.0  # MiB
 _TRIED = 20
+_LOST = {
+    **dict.fromkeys(CIRCUMSTANCES),
+    **error_row("WorkerLost: the worker process died each time it ran this"),
+    "software": "unknown",
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -45,14 +49,28 @@ class Progress:
     unsettled: int  # runs of this session that diverged or did not settle
 
     @property
-    def rate(self) -> float:
-        """Runs per second."""
-        return self.session / self.elapsed if self.elapsed > 0.0 else 0.0
-
-    @property
     def remaining(self) -> float | None:
         """Expected s to the end; None before there is a rate."""
-        return (self.total - self.done) / self.rate if self.session else None
+        return (self.total - self.done) * self.elapsed / self.session if self.session else None
+
+    def __str__(self) -> str:
+        """Such as: 120 of 10000 runs (1.2 %), 5.1/s, 32 min left, 3 not settled, 1 error."""
+        parts = [f"{self.done} of {self.total} runs ({100.0 * self.done / max(self.total, 1):.1f} %)"]
+        if self.remaining is not None and self.done < self.total:
+            parts += [f"{self.session / self.elapsed:.2g}/s", f"{duration_text(self.remaining)} left"]
+        if self.unsettled:
+            parts.append(f"{self.unsettled} not settled")
+        if self.failed:
+            parts.append(f"{self.failed} error{'s' if self.failed > 1 else ''}")
+        return ", ".join(parts)
+
+
+def duration_text(seconds: float) -> str:
+    """A duration in seconds, minutes or hours."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 def check_cases(spec: Spec) -> None:
@@ -110,17 +128,11 @@ def start_campaign(
     stop: Stop | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
-    """Run a campaign into a new database.
-
-    Args:
-      spec: what to run.
-      path: the database to make.
-      workers: where to run it.
-      stop: set it in another thread to end early.
-      progress: called after every batch of results.
+    """Run a campaign into a new database; ``stop`` ends it early, ``progress`` is called after every result.
 
     Raises:
-      CampaignError: a value cannot be used, the database cannot be made, or the workers do not work.
+      CampaignError, RecordError: a value cannot be used, or the database cannot be made.
+      WorkersError: the workers do not work.
       InterruptedCampaign: ``stop`` was set; ``resume_campaign`` finishes.
     """
     check_cases(spec)
@@ -157,19 +169,14 @@ def _drive(store: Store, workers: Workers, stop: Stop | None, progress: Callable
     )
     with contextlib.closing(results):
         for (case, controller), result in results:
-            row = _lost_row() if isinstance(result, WorkerLost) else result
-            store.add([(case, controller, row)])
+            row = _LOST if isinstance(result, WorkerLost) else result
+            store.add(case, controller, row)
             counted["session"] += 1
             counted["failed"] += row["outcome"] == "error"
             counted["unsettled"] += row["outcome"] in ("diverged", "not_settled")
             report()
     if before + counted["session"] < total:
         raise InterruptedCampaign(before + counted["session"], total)
-
-
-def _lost_row() -> Row:
-    message = "WorkerLost: the worker process died each time it ran this"
-    return {**dict.fromkeys(CIRCUMSTANCES), **error_row(message), "software": "unknown"}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,7 +204,5 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
         repeated = evaluate_run(store.spec, log)
     except Exception as error:
         repeated = error_row(described(error))
-    record = None
-    if log is not None:
-        record = make_record(log, start=start)
+    record = None if log is None else make_record(log, start=start)
     return Repeated(record=record, stored=stored, repeated=repeated, differences=differing_columns(stored, repeated))

@@ -3,21 +3,28 @@
 import copy
 import dataclasses
 import hashlib
+import itertools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
-from ffsm_drake.campaign.distributions import Distribution, check_keys, number, parse_distribution
-from ffsm_drake.campaign.errors import CampaignError
-from ffsm_drake.campaign.rules import Rule, parse_rule
-from ffsm_drake.campaign.sampling import SAMPLINGS
-from ffsm_drake.campaign.settled import Settled, parse_settled
-from ffsm_drake.campaign.values import get_value
-from ffsm_drake.common.errors import FfsmError, ScenarioError, one_line
+from ffsm_drake.campaign.dispersion import (
+    SAMPLINGS,
+    Distribution,
+    Rule,
+    check_keys,
+    get_value,
+    number,
+    parse_distribution,
+    parse_rule,
+)
+from ffsm_drake.common.errors import CampaignError, ScenarioError, one_line
 from ffsm_drake.scenario import anchor_paths, load_scenario, relate_paths, scenario_to_dict, shipped_scenarios
+from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.registry import find_factory, module_folder
 
 _KEYS = (
@@ -26,6 +33,28 @@ _KEYS = (
 )  # fmt: skip
 # What the campaign sets by itself.
 _RESERVED = {"random_seed": "follows from 'seed' and the case's number", "controller": "belongs into 'controllers'"}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Settled:
+    """Every coordinate's |e| is within its group's tolerance throughout the last ``hold`` seconds of the run."""
+
+    hold: float  # s; 0: the last sample alone
+    tolerance: Mapping[str, float]  # rad or m, by group
+
+    def time(self, time: np.ndarray, error: np.ndarray, group_of: Sequence[str]) -> float | None:
+        """The time (s) from which the error stays within the tolerances; None when the run is not settled.
+
+        Takes the control samples (n,), s, the tracking error (n, nv), rad or m, and each coordinate's group (nv).
+        """
+        bound = np.array([self.tolerance[group] for group in group_of])
+        outside = np.flatnonzero(~(np.abs(error) <= bound).all(axis=1))  # NaN is outside
+        first = 0 if outside.size == 0 else int(outside[-1]) + 1
+        if first == time.size:
+            return None
+        since = float(time[first])
+        # Half a nanosecond: samples are multiples of the period only to rounding.
+        return since if since <= max(float(time[-1]) - self.hold, 0.0) + 5e-10 else None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -85,24 +114,16 @@ def shipped_campaigns() -> dict[str, Path]:
     return {path.stem: path for path in sorted((Path(__file__).parent / "shipped").glob("*.yaml"))}
 
 
-def find_spec(name_or_path: str | Path) -> Path:
-    """The file of a shipped name or a path. Raises CampaignError when there is none."""
-    name, shipped = str(name_or_path), shipped_campaigns()
-    if name in shipped:
-        return shipped[name]
-    path = Path(name)
-    if path.is_file():
-        return path
-    raise CampaignError(f"{name}: no such campaign; choose one of {', '.join(shipped)}, or give a YAML file")
-
-
 def load_spec(name_or_path: str | Path) -> Spec:
     """Read a specification by shipped name or path, and check it.
 
     Raises:
       CampaignError, ScenarioError: the file, a key or a value cannot be used; one line says where and why.
     """
-    path = find_spec(name_or_path)
+    shipped = shipped_campaigns()
+    path = shipped.get(str(name_or_path), Path(name_or_path))
+    if not path.is_file():
+        raise CampaignError(f"{path}: no such campaign; choose one of {', '.join(shipped)}, or give a YAML file")
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
@@ -180,6 +201,25 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
     return spec
 
 
+def parse_settled(data: Any, *, place: str) -> Settled:
+    """The criterion of a specification. Raises CampaignError for an unknown key or a value out of range."""
+    if not isinstance(data, Mapping):
+        raise CampaignError(f"{place}: must be a mapping with hold and tolerance")
+    check_keys(data, ("hold", "tolerance"), place=place)
+    hold = number(data.get("hold", 2.0), place=f"{place}.hold")
+    if hold < 0.0:
+        raise CampaignError(f"{place}.hold: must be >= 0 s, not {hold:g}")
+    given = data.get("tolerance", {})
+    if not isinstance(given, Mapping):
+        raise CampaignError(f"{place}.tolerance: must be a mapping by group: {', '.join(GROUPS)}")
+    check_keys(given, GROUPS, place=f"{place}.tolerance")
+    tolerance = {group: number(given.get(group, 1e-3), place=f"{place}.tolerance.{group}") for group in GROUPS}
+    for group, value in tolerance.items():
+        if value <= 0.0:
+            raise CampaignError(f"{place}.tolerance.{group}: must be > 0, not {value:g}")
+    return Settled(hold=hold, tolerance=tolerance)
+
+
 def _base(data: Mapping[str, Any], *, folder: Path) -> dict[str, Any]:
     """The resolved scenario as plain data, fixed overrides included."""
     name = data.get("scenario", "postcapture")
@@ -227,8 +267,9 @@ def _check_names(spec: Spec) -> None:
     for section, names in (("parameters", spec.parameters), ("derive", spec.derive)):
         for name in names:
             _check_not_reserved(name, place=section)
-    for inner, outer in _nested(keys):
-        raise CampaignError(f"parameters.{inner}: lies within {outer}, which is set too; set one of them")
+    for inner, outer in itertools.permutations(keys, 2):
+        if inner.startswith(f"{outer}."):
+            raise CampaignError(f"parameters.{inner}: lies within {outer}, which is set too; set one of them")
     for factor in spec.factors:
         if "." in factor or factor in spec.base:
             raise CampaignError(f"factors.{factor}: must be a free name, not a scenario key; see 'parameters'")
@@ -243,14 +284,9 @@ def _check_names(spec: Spec) -> None:
                 raise CampaignError(f"derive.{name}: reads {source}, which must be derived before it")
             try:
                 get_value(spec.base, source)
-            except FfsmError:
+            except CampaignError:
                 raise CampaignError(f"derive.{name}: '{source}' is neither a factor nor a scenario value") from None
         known.add(name)
-
-
-def _nested(keys: tuple[str, ...]) -> Iterator[tuple[str, str]]:
-    for outer in keys:
-        yield from ((inner, outer) for inner in keys if inner.startswith(f"{outer}."))
 
 
 def _check_not_reserved(key: str, *, place: str) -> None:

@@ -11,6 +11,8 @@ import numpy as np
 from scipy import stats
 
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
+from ffsm_drake.campaign.prediction import StabilityMap, predict_map
+from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.store import Store
 
 CONFIDENCE = 0.95
@@ -34,11 +36,6 @@ class Runs:
         return self.outcome == "settled"
 
     @functools.cached_property
-    def valid(self) -> np.ndarray:
-        """Whether the run has a result; an error has none."""
-        return self.outcome != "error"
-
-    @functools.cached_property
     def radius(self) -> np.ndarray:
         """Predicted spectral radius, the larger of the two."""
         return np.fmax(*(self.metrics[name] for name in PREDICTIONS))
@@ -51,22 +48,14 @@ class Table:
     runs: Mapping[str, Runs]  # by controller
     values: Mapping[str, np.ndarray]  # the sampled values that are numbers, by name, (number of cases,)
 
-    def at(self, name: str, runs: Runs) -> np.ndarray:
-        """A sampled value for each run."""
-        return self.values[name][runs.case]
-
 
 def read_table(store: Store) -> Table:
     """Read the results that a database holds so far."""
     columns = ("outcome_time", "wall_time", *METRICS, *PREDICTIONS)
     runs = {}
     for controller in store.spec.controllers:
-        rows = list(
-            store.query(
-                f"SELECT case_index, outcome, {', '.join(columns)} FROM results WHERE controller = ? ORDER BY 1",
-                (controller,),
-            )
-        )
+        select = f"SELECT case_index, outcome, {', '.join(columns)} FROM results WHERE controller = ? ORDER BY 1"
+        rows = store.query(select, (controller,))
         cells = list(zip(*rows, strict=True)) or [()] * (2 + len(columns))
         runs[controller] = Runs(
             controller=controller,
@@ -114,10 +103,7 @@ class Difference:
 
 def paired_differences(table: Table, *, seed: int) -> list[Difference]:
     """Every pair of controllers; intervals by a seeded bootstrap over cases."""
-    return [
-        _difference(table.runs[first], table.runs[second], seed=seed)
-        for first, second in itertools.combinations(table.runs, 2)
-    ]
+    return [_difference(first, second, seed=seed) for first, second in itertools.combinations(table.runs.values(), 2)]
 
 
 def _difference(first: Runs, second: Runs, *, seed: int) -> Difference:
@@ -166,7 +152,7 @@ class Sensitivity:
 def sensitivities(table: Table, *, seed: int) -> list[Sensitivity]:
     """Every sampled value and controller; NaN where all runs have the same outcome."""
     return [
-        _sensitivity(name, table.at(name, runs), runs, seed=seed)
+        _sensitivity(name, table.values[name][runs.case], runs, seed=seed)
         for runs in table.runs.values()
         for name in table.values
     ]
@@ -224,29 +210,21 @@ class Agreement:
 
 def agreement(runs: Runs) -> Agreement:
     """Count predictions and outcomes; errors and runs without a prediction are left out."""
-    known = runs.valid & ~np.isnan(runs.radius)
-    stable = runs.radius < 1.0
-
-    def number(which: np.ndarray) -> int:
-        return int((which & known).sum())
-
+    known = (runs.outcome != "error") & ~np.isnan(runs.radius)
+    stable, settled = (runs.radius < 1.0)[known], runs.settled[known]
     return Agreement(
         controller=runs.controller,
-        stable_settled=number(stable & runs.settled),
-        stable_failed=number(stable & ~runs.settled),
-        unstable_settled=number(~stable & runs.settled),
-        unstable_failed=number(~stable & ~runs.settled),
+        stable_settled=int((stable & settled).sum()),
+        stable_failed=int((stable & ~settled).sum()),
+        unstable_settled=int((~stable & settled).sum()),
+        unstable_failed=int((~stable & ~settled).sum()),
     )
 
 
 def worst_runs(runs: Runs, *, count: int = 5) -> np.ndarray:
     """Positions of the ``count`` worst runs: errors, then the earliest divergences, then the largest final errors."""
-    final = np.nanmax(
-        np.vstack(
-            [np.zeros(runs.case.size), *(runs.metrics[name] for name in METRICS if name.startswith("final_error"))]
-        ),
-        axis=0,
-    )
+    errors = [runs.metrics[name] for name in METRICS if name.startswith("final_error")]
+    final = np.nanmax(np.vstack([np.zeros(runs.case.size), *errors]), axis=0)
     order = np.select([runs.outcome == "error", runs.outcome == "diverged", ~runs.settled], [0, 1, 2], default=3)
     time = np.where(runs.outcome == "diverged", runs.metrics["outcome_time"], 0.0)
     return np.lexsort((-final, time, order))[:count]
@@ -259,3 +237,46 @@ def quantiles(runs: Runs, metric: str) -> tuple[float, float, float]:
         return math.nan, math.nan, math.nan
     low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
     return float(low), float(middle), float(high)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Findings:
+    """The evaluation of a campaign."""
+
+    spec: Spec
+    table: Table
+    success: dict[str, Interval]  # by controller
+    differences: list[Difference]
+    sensitivities: list[Sensitivity]
+    influential: list[str]  # sampled numbers, most influential first
+    agreement: list[Agreement]
+    map: StabilityMap | None  # None with fewer than two sampled numbers
+
+    @property
+    def runs(self) -> int:
+        return sum(runs.case.size for runs in self.table.runs.values())
+
+
+def find(
+    store: Store, *, axes: tuple[str, str] | None = None, progress: Callable[[int, int], None] | None = None
+) -> Findings:
+    """Evaluate the results that a database holds so far.
+
+    ``axes`` are the map's two values, None for the two most influential; ``progress`` is called with (done, total)
+    controllers of the map. Raises CampaignError when an axis is not a sampled number.
+    """
+    spec, table = store.spec, read_table(store)
+    found = sensitivities(table, seed=spec.seed)
+    influential = most_influential(found)
+    if axes is None and len(influential) >= 2:
+        axes = (influential[0], influential[1])
+    return Findings(
+        spec=spec,
+        table=table,
+        success={name: success_rate(runs) for name, runs in table.runs.items()},
+        differences=paired_differences(table, seed=spec.seed),
+        sensitivities=found,
+        influential=influential,
+        agreement=[agreement(runs) for runs in table.runs.values()],
+        map=None if axes is None else predict_map(spec, axes, table.values, progress=progress),
+    )

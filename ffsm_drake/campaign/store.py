@@ -6,27 +6,28 @@ results refer to). The view ``runs`` joins them all: one row per run, for any SQ
 """
 
 import contextlib
+import csv
 import datetime
 import fcntl
+import importlib
+import itertools
 import json
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from ffsm_drake.campaign.cases import Case
-from ffsm_drake.campaign.errors import CampaignError
 from ffsm_drake.campaign.evaluate import METRICS, OUTCOMES, PREDICTIONS, Row
-from ffsm_drake.campaign.export import write_csv, write_parquet
 from ffsm_drake.campaign.spec import Spec, spec_from_json
-from ffsm_drake.common.errors import RecordError, one_line
+from ffsm_drake.common.errors import CampaignError, one_line
 from ffsm_drake.common.files import written_whole
 
 FORMAT = 2
 _APPLICATION_ID = 0x66667363  # marks the file as a campaign's
 _RESULT = ("outcome", "outcome_time", "message", *METRICS, *PREDICTIONS, "wall_time", "worker", "rss_mib")
 _TEXT = ("outcome", "message", "worker")
-_CHUNK = 200  # cases held at a time
+_CHUNK, _EXPORTED = 200, 10_000  # cases, and rows of an export, held at a time
 PATIENCE = 5.0  # s to wait for another program's lock
 
 
@@ -68,17 +69,13 @@ class Store:
         """A sampled or derived value as the database keeps it, for every case in order."""
         return [row[0] for row in self.query(f"SELECT {_quoted(name)} FROM cases ORDER BY case_index")]
 
-    def add(self, rows: Iterable[tuple[Case, str, Row]]) -> None:
-        """Store results in one transaction."""
-        insert = f"INSERT INTO results VALUES ({', '.join('?' * (3 + len(_RESULT)))})"
+    def add(self, case: Case, controller: str, row: Row) -> None:
+        """Store one result."""
+        cells = (case.index, controller, *(row[name] for name in _RESULT), row["software"])
+        values = f"{', '.join('?' * (len(cells) - 1))}, (SELECT id FROM software WHERE versions = ?)"
         with _one_line_errors(self.path), self._connection:
-            for case, controller, row in rows:
-                software = self._software(row["software"])
-                self._connection.execute(insert, (case.index, controller, *(row[name] for name in _RESULT), software))
-
-    def _software(self, text: str) -> int:
-        self._connection.execute("INSERT OR IGNORE INTO software (versions) VALUES (?)", (text,))
-        return int(self._connection.execute("SELECT id FROM software WHERE versions = ?", (text,)).fetchone()[0])
+            self._connection.execute("INSERT OR IGNORE INTO software (versions) VALUES (?)", (row["software"],))
+            self._connection.execute(f"INSERT INTO results VALUES ({values})", cells)
 
     def result(self, case: int, controller: str) -> dict[str, Any]:
         """The stored row of one run, by column of the view ``runs``. Raises CampaignError when it is not there yet."""
@@ -106,27 +103,40 @@ class Store:
         """Write the view ``runs`` as CSV or Parquet, by the file's suffix; a chunk of rows is held at a time.
 
         Raises:
-          CampaignError: another suffix, ``pyarrow`` is missing, or the file cannot be written.
+          CampaignError: another suffix, or ``pyarrow`` is missing.
+          RecordError: the file cannot be written.
         """
         if path.suffix not in (".csv", ".parquet"):
             raise CampaignError(f"{path}: must end in .csv or .parquet")
         rows = self.query("SELECT * FROM runs ORDER BY case_index, controller")
-        try:
-            with written_whole(path) as temporary:
-                if path.suffix == ".csv":
-                    write_csv(temporary, self.columns, rows)
-                else:
-                    write_parquet(
-                        temporary, self.columns, rows, texts={*_TEXT, "controller", "software", *self._texts()}
-                    )
-        except RecordError as error:
-            raise CampaignError(one_line(error)) from error
+        with written_whole(path) as temporary:
+            if path.suffix == ".parquet":
+                self._write_parquet(temporary, rows)
+                return
+            with temporary.open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file)
+                writer.writerow(self.columns)
+                writer.writerows(rows)
 
-    def _texts(self) -> Iterator[str]:
-        """The names of the cases' values that are not numbers throughout."""
-        for name in self.spec.names:
-            if any(isinstance(value, str) for value in self.sampled(name)):
-                yield name
+    def _write_parquet(self, path: Path, rows: Iterator[tuple[Any, ...]]) -> None:
+        try:
+            pa: Any = importlib.import_module("pyarrow")  # optional, and without types
+            pq: Any = importlib.import_module("pyarrow.parquet")
+        except ImportError:
+            raise CampaignError("Parquet needs the extra 'parquet': pip install 'ffsm-drake[parquet]'") from None
+        # The cases' values that are not numbers throughout are text.
+        named = [name for name in self.spec.names if any(isinstance(value, str) for value in self.sampled(name))]
+        types = dict.fromkeys(self.columns, pa.float64())
+        types |= dict.fromkeys(("case_index", "random_seed"), pa.int64())
+        types |= dict.fromkeys(texts := (*_TEXT, "controller", "software", *named), pa.string())
+        schema = pa.schema(list(types.items()))
+        with pq.ParquetWriter(path, schema) as writer:
+            while chunk := list(itertools.islice(rows, _EXPORTED)):
+                cells = [
+                    [None if value is None else str(value) for value in column] if name in texts else column
+                    for name, column in zip(types, zip(*chunk, strict=True), strict=True)
+                ]
+                writer.write_table(pa.table(cells, schema=schema))
 
 
 @contextlib.contextmanager
@@ -134,7 +144,8 @@ def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Stor
     """Make a new database with all cases, and hold it for writing.
 
     Raises:
-      CampaignError: the file exists, or the place cannot be written.
+      CampaignError: the file exists, or cannot be used.
+      RecordError: the place cannot be written.
     """
     if taken := {*spec.names} & {"case_index", "controller", "random_seed", "software", *_RESULT}:
         raise CampaignError(f"factors.{min(taken)}: is the name of a column of the results; choose another")
@@ -146,13 +157,14 @@ def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Stor
                     f"{spec.fingerprint[:12]}); choose another file with --database"
                 )
         raise CampaignError(f"{path}: exists; finish it with 'ffsm campaign resume {path}', or choose --database")
-    with _held(path), _one_line_errors(path):
-        try:
-            # Filled under another name, so that a database at ``path`` always holds all cases.
-            with written_whole(path) as temporary, contextlib.closing(_connect(temporary)) as connection:
-                _fill(connection, spec, cases, folder=path.parent)
-        except RecordError as error:
-            raise CampaignError(one_line(error)) from error
+    # Filled under another name, so that a database at ``path`` always holds all cases.
+    with (
+        _held(path),
+        _one_line_errors(path),
+        written_whole(path) as temporary,
+        contextlib.closing(sqlite3.connect(temporary)) as connection,
+    ):
+        _fill(connection, spec, cases, folder=path.parent)
     with open_store(path, writing=True) as store:
         yield store
 
@@ -170,7 +182,7 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
         if writing:
             stack.enter_context(_held(path))
         stack.enter_context(_one_line_errors(path))
-        connection = stack.enter_context(contextlib.closing(_connect(path)))
+        connection = stack.enter_context(contextlib.closing(sqlite3.connect(path, timeout=PATIENCE)))
         if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION_ID:
             raise CampaignError(f"{path}: is not a campaign's database")
         problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
@@ -185,10 +197,6 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
             connection.execute("BEGIN IMMEDIATE")  # fails where another program holds it
             connection.rollback()
         yield Store(connection, path, spec_from_json(notes["specification"], path.parent))
-
-
-def _connect(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(path, timeout=PATIENCE)
 
 
 def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, folder: Path) -> None:
@@ -227,7 +235,6 @@ def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, 
 @contextlib.contextmanager
 def _held(path: Path) -> Iterator[None]:
     """Hold the lock of a database's only writer; it ends with the process."""
-    file: IO[str]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.with_name(f".{path.name}.lock").open("w", encoding="utf-8")
@@ -266,23 +273,3 @@ def _from_column(value: Any) -> Any:
 
 def _quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
-
-
-def _chunks(rows: Iterator[tuple[Any, ...]], size: int) -> Iterator[list[tuple[Any, ...]]]:
-    chunk: list[tuple[Any, ...]] = []
-    for row in rows:
-        chunk.append(row)
-        if len(chunk) == size:
-            yield chunk
-            chunk = []
-    if chunk:
-        yield chunk
-
-
-def as_columns(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Mapping[str, list[Any]]:
-    """Rows turned into columns."""
-    columns: dict[str, list[Any]] = {name: [] for name in names}
-    for row in rows:
-        for name, value in zip(names, row, strict=True):
-            columns[name].append(value)
-    return columns

@@ -7,16 +7,15 @@ from pathlib import Path
 import click
 
 from ffsm_drake.cli.campaign import campaign
-from ffsm_drake.cli.common import OrderedGroup
+from ffsm_drake.cli.common import CommandGroup
 from ffsm_drake.cli.evaluate import analyze, design, stability
-from ffsm_drake.cli.new import new
 from ffsm_drake.cli.paper import noise, reproduce
 from ffsm_drake.cli.run import compare, run
-from ffsm_drake.cli.setup import completion, doctor, scenarios, schema, validate
+from ffsm_drake.cli.setup import completion, doctor, new, scenarios, schema, validate
 from ffsm_drake.cli.show import diagram, plot, replay
 
 
-@click.group(cls=OrderedGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="ffsm-drake")
 def main() -> None:
     """Simulate and evaluate controllers of a free-flying space manipulator after debris capture.

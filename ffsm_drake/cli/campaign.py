@@ -1,27 +1,28 @@
 """The commands ``ffsm campaign …``. Imports are made when a command runs, so that ``--help`` stays fast."""
 
+import math
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Callable
+from contextlib import closing
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from ffsm_drake.campaign.errors import CampaignError
-from ffsm_drake.cli.common import reports_errors
+from ffsm_drake.cli.common import EXIT_GOOD, EXIT_UNSTABLE, CommandGroup, count_progress, out_option
+from ffsm_drake.common.errors import CampaignError
 
 if TYPE_CHECKING:
+    from ffsm_drake.campaign.run import Progress
     from ffsm_drake.campaign.spec import Spec
-    from ffsm_drake.campaign.store import Store
-    from ffsm_drake.common.workers import Workers
 
-EXIT_DIFFERENT = 3
 _FOLDER = Path("out/campaigns")
 
 
-@click.group()
+@click.group(cls=CommandGroup)
 def campaign() -> None:
     """Thousands of runs of a scenario with dispersed values, in one database, with a report.
 
@@ -37,31 +38,23 @@ def campaign() -> None:
     """
 
 
-def _worker_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    command = click.option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Use the workers of a running Dask cluster, such as tcp://127.0.0.1:8786.",
-    )(command)
-    return click.option(
-        "--workers", type=click.IntRange(min=1), help="Processes on this machine (default: one per processor)."
-    )(command)
-
-
+_workers_option = click.option(
+    "--workers", type=click.IntRange(min=1), help="Processes on this machine (default: one per processor)."
+)
+_scheduler_option = click.option(
+    "--scheduler", metavar="ADDRESS", help="Use the workers of a running Dask cluster, such as tcp://127.0.0.1:8786."
+)
 _source = click.argument("source", metavar="SPEC|DATABASE")
 _database_option = click.option(
-    "--database",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Where the results are (default: out/campaigns/NAME.db).",
+    "--database", type=click.Path(path_type=Path, dir_okay=False), help="Default: out/campaigns/NAME.db."
 )
 _cases_option = click.option("--cases", type=click.IntRange(min=1), help="Number of cases instead of the specified.")
 
 
 @campaign.command()
-@reports_errors
 @click.argument("spec")
 @_cases_option
-@click.option("--workers", type=click.IntRange(min=1), help="Processes to assume (default: one per processor).")
+@_workers_option
 def plan(spec: str, cases: int | None, workers: int | None) -> None:
     """Check a specification, show its first cases, and say how long it would take.
 
@@ -77,11 +70,11 @@ def plan(spec: str, cases: int | None, workers: int | None) -> None:
 
 
 @campaign.command()
-@reports_errors
 @click.argument("spec")
 @_database_option
 @_cases_option
-@_worker_options
+@_workers_option
+@_scheduler_option
 def run(spec: str, database: Path | None, cases: int | None, workers: int | None, scheduler: str | None) -> None:
     """Run a campaign into a new database.
 
@@ -92,22 +85,17 @@ def run(spec: str, database: Path | None, cases: int | None, workers: int | None
       ffsm campaign run payload_uncertainty
       ffsm campaign run mine.yaml --database /scratch/mine.db --scheduler tcp://10.0.0.5:8786
     """
-    from ffsm_drake.campaign.progress import ProgressLine
     from ffsm_drake.campaign.run import start_campaign
-    from ffsm_drake.common.workers import stop_on_signals
 
-    loaded = _load(spec, cases)
     path = database or _default_database(spec)
-    with stop_on_signals() as stop, _workers(workers, scheduler) as crew, _closing(ProgressLine()) as progress:
-        start_campaign(loaded, path, workers=crew, stop=stop, progress=progress)
-    _print_end(path)
+    _drive(partial(start_campaign, _load(spec, cases)), path, workers, scheduler)
 
 
 @campaign.command()
-@reports_errors
 @_source
 @_database_option
-@_worker_options
+@_workers_option
+@_scheduler_option
 def resume(source: str, database: Path | None, workers: int | None, scheduler: str | None) -> None:
     """Run the remaining cases of an interrupted campaign.
 
@@ -115,18 +103,12 @@ def resume(source: str, database: Path | None, workers: int | None, scheduler: s
     Example:
       ffsm campaign resume out/campaigns/payload_uncertainty.db
     """
-    from ffsm_drake.campaign.progress import ProgressLine
     from ffsm_drake.campaign.run import resume_campaign
-    from ffsm_drake.common.workers import stop_on_signals
 
-    path = _locate(source, database)
-    with stop_on_signals() as stop, _workers(workers, scheduler) as crew, _closing(ProgressLine()) as progress:
-        resume_campaign(path, workers=crew, stop=stop, progress=progress)
-    _print_end(path)
+    _drive(resume_campaign, _locate(source, database), workers, scheduler)
 
 
 @campaign.command()
-@reports_errors
 @_source
 @_database_option
 def status(source: str, database: Path | None) -> None:
@@ -136,17 +118,15 @@ def status(source: str, database: Path | None) -> None:
     Example:
       ffsm campaign status payload_uncertainty
     """
-    with _open(source, database) as store:
-        click.echo(_status_text(store))
+    _print_status(_locate(source, database))
 
 
 @campaign.command()
-@reports_errors
 @_source
 @_database_option
 @click.option("--case", "case_index", type=click.IntRange(min=0), required=True, help="Number of the case, from 0.")
 @click.option("--controller", help="Default: every controller of the campaign.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder (default: beside the database).")
+@out_option(help="Folder (default: beside the database).")
 @click.option("--no-recording", is_flag=True, help="Write no recording.html.")
 def rerun(
     source: str, database: Path | None, case_index: int, controller: str | None, out: Path | None, no_recording: bool
@@ -160,46 +140,42 @@ def rerun(
       ffsm campaign rerun payload_uncertainty --case 17 --controller aismc
     """
     from ffsm_drake.campaign.run import repeat_run
+    from ffsm_drake.campaign.store import open_store
     from ffsm_drake.scenario import controller_key
 
-    with _open(source, database) as store:
-        names = store.spec.controllers if controller is None else (controller,)
+    with open_store(_locate(source, database)) as store:
         if controller is not None and controller not in store.spec.controllers:
             raise CampaignError(
                 f"--controller: '{controller}' is not in it; choose {', '.join(store.spec.controllers)}"
             )
         folder = out or store.path.parent / f"{store.path.stem}-case-{case_index}"
         same = True
-        for name in names:
-            repeated = repeat_run(store, store.case(case_index), name)
-            same = same and not repeated.differences
-            outcome = repeated.repeated["outcome"]
-            what = f"case {case_index}, {name}: {outcome}"
-            if message := repeated.repeated["message"]:
-                what += f" ({message})"
-            if repeated.differences:
-                click.echo(f"{what}; NOT as stored: {', '.join(repeated.differences)}")
-                click.echo(f"  stored by {repeated.stored['software']}")
+        for name in store.spec.controllers if controller is None else (controller,):
+            found = repeat_run(store, store.case(case_index), name)
+            same = same and not found.differences
+            message = found.repeated["message"]
+            what = f"case {case_index}, {name}: {found.repeated['outcome']}" + (f" ({message})" if message else "")
+            if found.differences:
+                click.echo(f"{what}; NOT as stored: {', '.join(found.differences)}")
+                click.echo(f"  stored by {found.stored['software']}")
             else:
-                click.echo(f"{what}; all values equal the stored ones, bit for bit")
-            if repeated.record is not None:
-                repeated.record.save(folder / controller_key(name))
+                click.echo(f"{what}; every figure is bit for bit the stored one")
+            if found.record is not None:
+                place = folder / controller_key(name)
+                found.record.save(place)
                 if not no_recording:
                     from ffsm_drake.show.meshcat import write_recording
 
-                    write_recording(repeated.record, folder / controller_key(name) / "recording.html")
-                click.echo(f"  written to {folder / controller_key(name)}")
-    sys.exit(0 if same else EXIT_DIFFERENT)
+                    write_recording(found.record, place / "recording.html")
+                click.echo(f"  written to {place}")
+    sys.exit(EXIT_GOOD if same else EXIT_UNSTABLE)
 
 
 @campaign.command()
-@reports_errors
 @_source
 @_database_option
-@click.option("--out", type=click.Path(path_type=Path), help="Folder (default: beside the database).")
-@click.option(
-    "--map", "axes", nargs=2, metavar="X Y", help="Axes of the map (default: the two values that matter most)."
-)
+@out_option(help="Folder (default: beside the database).")
+@click.option("--map", "axes", nargs=2, metavar="X Y", help="Values for the map (default: the two that matter most).")
 def report(source: str, database: Path | None, out: Path | None, axes: tuple[str, str] | None) -> None:
     """Evaluate a campaign: report.html (one file, opens offline), its figures as PNG, all runs as CSV and Parquet.
 
@@ -208,11 +184,12 @@ def report(source: str, database: Path | None, out: Path | None, axes: tuple[str
       ffsm campaign report payload_uncertainty
       ffsm campaign report mine.db --map payload.truth.mass nominal_error
     """
+    from ffsm_drake.campaign.store import open_store
     from ffsm_drake.show.campaign.page import write_report
 
-    with _open(source, database) as store:
+    with open_store(_locate(source, database)) as store:
         folder = out or store.path.with_suffix("").with_name(f"{store.path.stem}-report")
-        written = write_report(store, folder, axes=axes, progress=_count_progress)
+        written = write_report(store, folder, axes=axes, progress=count_progress("controllers predicted"))
         click.echo(written.summary)
         click.echo(f"\nWritten to {folder}: {', '.join(path.name for path in written.files)}")
 
@@ -247,50 +224,51 @@ def _locate(source: str, database: Path | None) -> Path:
     return path
 
 
-@contextmanager
-def _open(source: str, database: Path | None) -> Iterator["Store"]:
+def _drive(drive: Callable[..., None], path: Path, workers: int | None, scheduler: str | None) -> None:
+    """Start or resume a campaign with the workers that the options name, and say how it stands then."""
+    from ffsm_drake.common.workers import cluster_workers, local_workers, stop_on_signals
+
+    if scheduler is not None and workers is not None:
+        raise CampaignError("--workers: the cluster at --scheduler has its own; leave one of them out")
+    crew = cluster_workers(scheduler) if scheduler is not None else local_workers(workers or _processors())
+    with stop_on_signals() as stop, crew as opened, closing(_ProgressLine()) as progress:
+        drive(path, workers=opened, stop=stop, progress=progress)
+    _print_status(path)
+    click.echo(f"Next: ffsm campaign report {path}")
+
+
+def _print_status(path: Path) -> None:
+    from ffsm_drake.campaign.plan import status_text
     from ffsm_drake.campaign.store import open_store
 
-    with open_store(_locate(source, database)) as store:
-        yield store
-
-
-@contextmanager
-def _workers(count: int | None, scheduler: str | None) -> Iterator["Workers"]:
-    from ffsm_drake.common.workers import cluster_workers, local_workers
-
-    if scheduler is not None and count is not None:
-        raise CampaignError("--workers: the cluster at --scheduler has its own; leave one of them out")
-    with cluster_workers(scheduler) if scheduler is not None else local_workers(count or _processors()) as crew:
-        yield crew
-
-
-@contextmanager
-def _closing(line: Any) -> Iterator[Any]:
-    try:
-        yield line
-    finally:
-        line.close()
+    with open_store(path) as store:
+        click.echo(status_text(store))
 
 
 def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _print_end(path: Path) -> None:
-    from ffsm_drake.campaign.store import open_store
+class _ProgressLine:
+    """A campaign's progress on standard error: a bar that fills up on a terminal, plain lines elsewhere."""
 
-    with open_store(path) as store:
-        click.echo(_status_text(store))
-    click.echo(f"Next: ffsm campaign report {path}")
+    def __init__(self) -> None:
+        self._terminal = sys.stderr.isatty()
+        self._period = 0.2 if self._terminal else 30.0  # s between lines
+        self._last = -math.inf
 
+    def __call__(self, progress: "Progress") -> None:
+        now = time.monotonic()
+        if progress.done < progress.total and now - self._last < self._period:
+            return
+        self._last = now
+        if self._terminal:
+            bar = "#" * (24 * progress.done // max(progress.total, 1))
+            click.echo(f"\r[{bar:.<24}] {progress!s:<90}", nl=False, err=True)
+        else:
+            click.echo(str(progress), err=True)
 
-def _status_text(store: "Store") -> str:
-    from ffsm_drake.campaign.plan import status_text
-
-    return status_text(store)
-
-
-def _count_progress(done: int, total: int) -> None:
-    if sys.stderr.isatty():
-        click.echo(f"\r{done} of {total} controllers predicted" + ("\n" if done == total else ""), nl=False, err=True)
+    def close(self) -> None:
+        """End the line."""
+        if self._terminal and self._last > -math.inf:
+            click.echo(err=True)

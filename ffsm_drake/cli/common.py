@@ -19,35 +19,25 @@ if TYPE_CHECKING:
 EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE, EXIT_INTERRUPTED = 0, 2, 3, 130
 
 
-class OrderedGroup(click.Group):
-    """Lists its commands in the order in which they were added, which is the order of use."""
+class CommandGroup(click.Group):
+    """Lists its commands in the order of use; the package's errors become one line and exit code 2, warnings a line."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
 
-
-def reports_errors(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Turn the package's errors into one line and exit code 2, and its warnings into one line each."""
-
-    @functools.wraps(command)
-    def wrapped(*args: Any, **kwargs: Any) -> Any:
+    def invoke(self, ctx: click.Context) -> Any:
         with warnings_as_lines():
             try:
-                return command(*args, **kwargs)
-            except FfsmError as error:
-                click.echo(f"error: {error}", err=True)
+                return super().invoke(ctx)
+            except BrokenPipeError:  # the reader of our output has gone, as ``| head`` does
+                sys.stderr.close()
+                sys.exit(EXIT_GOOD)
+            except (FfsmError, OSError) as error:  # OSError: standard output on a full disk, ...
+                click.echo(f"error: {one_line(error)}", err=True)
                 sys.exit(EXIT_BAD_INPUT)
             except KeyboardInterrupt as interruption:
                 click.echo(str(interruption) or "interrupted", err=True)
                 sys.exit(EXIT_INTERRUPTED)
-            except BrokenPipeError:  # the reader has closed the pipe, as ``| head`` does
-                sys.stderr.close()
-                sys.exit(EXIT_GOOD)
-            except OSError as error:  # standard output on a full disk, ...
-                click.echo(f"error: {one_line(error)}", err=True)
-                sys.exit(EXIT_BAD_INPUT)
-
-    return wrapped
 
 
 def complete_scenario(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
@@ -75,6 +65,11 @@ overrides_option = click.option(
 seed_option = click.option("--seed", type=int, help="Seed of the noise; short for --set random_seed=N.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of text.")
 run_argument = click.argument("run", type=click.Path(path_type=Path), metavar="RUN_DIR")
+
+
+def out_option(what: str = "DIR", **settings: Any) -> Callable[..., Any]:
+    """The option --out for a folder, or with "FILE" for a file."""
+    return click.option("--out", type=click.Path(path_type=Path, dir_okay=what == "DIR"), metavar=what, **settings)
 
 
 def controller_option(*, multiple: bool = False, **settings: Any) -> Callable[..., Any]:

@@ -1,6 +1,5 @@
 """Check the installation by trying each part."""
 
-import dataclasses
 import platform
 import shutil
 import tempfile
@@ -11,38 +10,29 @@ from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.scenario import load_scenario, override_scenario
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Check:
-    """One part of the installation: ``status`` is "ok", "missing" (required) or "without" (optional and absent)."""
+def examine() -> list[dict[str, str]]:
+    """Try every part; takes a few seconds. Each gets a name, a detail and a status.
 
-    name: str
-    status: str
-    detail: str
-
-
-def examine() -> list[Check]:
-    """Try every part; takes a few seconds."""
-    parts: tuple[tuple[str, bool, Callable[[], str]], ...] = (
-        ("Python", True, _python),
-        ("packages", True, _packages),
-        ("models", True, _models),
-        ("a short run", True, _short_run),
-        ("writing here", True, _writing),
-        ("controllers", False, _controllers),
-        ("Meshcat", False, _meshcat),
-        ("Graphviz", False, lambda: _program("dot", "diagrams as .dot only")),
+    The status is "ok", "missing" (a run needs it) or "without" (it can do without).
+    """
+    parts: tuple[tuple[str, str, Callable[[], str]], ...] = (
+        ("Python", "missing", lambda: f"{platform.python_version()} on {platform.platform()}"),
+        ("packages", "missing", _packages),
+        ("models", "missing", _models),
+        ("a short run", "missing", _short_run),
+        ("writing here", "missing", _writing),
+        ("controllers", "without", _controllers),
+        ("Meshcat", "without", _meshcat),
+        ("Graphviz", "without", _graphviz),
     )
     checks = []
-    for name, needed, examine_part in parts:
+    for name, otherwise, examine_part in parts:
         try:
-            checks.append(Check(name=name, status="ok", detail=examine_part()))
+            status, detail = "ok", examine_part()
         except (FfsmError, OSError, RuntimeError, ImportError) as error:
-            checks.append(Check(name=name, status="missing" if needed else "without", detail=one_line(error)))
+            status, detail = otherwise, one_line(error)
+        checks.append({"name": name, "status": status, "detail": detail})
     return checks
-
-
-def _python() -> str:
-    return f"{platform.python_version()} on {platform.platform()}"
 
 
 def _packages() -> str:
@@ -89,8 +79,8 @@ def _meshcat() -> str:
         return f"serves {start_meshcat().web_url()}, to this machine only"
 
 
-def _program(name: str, without: str) -> str:
-    found = shutil.which(name)
+def _graphviz() -> str:
+    found = shutil.which("dot")
     if found is None:
-        raise RuntimeError(f"'{name}' is not installed: {without}")
+        raise RuntimeError("'dot' is not installed: diagrams as .dot only")
     return found

@@ -12,8 +12,8 @@ from ffsm_drake.cli.common import (
     FiniteFloat,
     count_progress,
     json_option,
+    out_option,
     print_json,
-    reports_errors,
     run_argument,
     scenario_options,
 )
@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@reports_errors
 @scenario_options
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Write stability.png here.")
+@out_option(help="Write stability.png here.")
 @json_option
 def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     """Margins of the sampled loop along the planned motion, without a simulation.
@@ -59,14 +58,8 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
 
 
 @click.command()
-@reports_errors
 @run_argument
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Where analysis.png and analysis.json go (default: RUN_DIR).",
-)
+@out_option(help="Where analysis.png and analysis.json go (default: RUN_DIR).")
 @json_option
 def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     """Check what the paper proves and claims on a recorded run.
@@ -98,20 +91,15 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
 
 
 @click.command()
-@reports_errors
 @scenario_options
 @click.option("--budget", type=FiniteFloat(), help="Largest ISV (default: 1.1 times that of perfect tracking).")
 @click.option(
     "--payload-range", type=FiniteFloat(), nargs=2, metavar="LOW HIGH", help="True masses to be stable for, kg."
 )
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/design"), show_default=True)
+@out_option(default=Path("out/design"), show_default=True)
 @json_option
 def design(
-    scenario: "Scenario",
-    budget: float | None,
-    payload_range: tuple[float, float] | None,
-    out: Path,
-    as_json: bool,
+    scenario: "Scenario", budget: float | None, payload_range: tuple[float, float] | None, out: Path, as_json: bool
 ) -> None:
     """Choose gains and estimator for a scenario's sensors, period and payload range, without simulating it.
 

@@ -4,15 +4,12 @@ from pathlib import Path
 
 import click
 
-from ffsm_drake.cli.common import batch_progress, reports_errors
+from ffsm_drake.cli.common import batch_progress, out_option
 
 
 @click.command()
-@reports_errors
 @click.argument("what", type=click.Choice(("table2", "fig3", "fig4", "fig5", "all")), default="all")
-@click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/reproduction"), show_default=True
-)
+@out_option(default=Path("out/reproduction"), show_default=True)
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Seeds of the noise per cell.")
 def reproduce(what: str, out: Path, seeds: int) -> None:
     """Recompute the paper's table and figures, and evaluate its claims.
@@ -29,8 +26,7 @@ def reproduce(what: str, out: Path, seeds: int) -> None:
 
 
 @click.command()
-@reports_errors
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", default=Path("out/noise"), show_default=True)
+@out_option(default=Path("out/noise"), show_default=True)
 @click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds of the noise per point.")
 def noise(out: Path, seeds: int) -> None:
     """What the published gains cost with real sensors: error and effort against noise, all controllers, both estimates.

@@ -16,10 +16,10 @@ from ffsm_drake.cli.common import (
     controller_option,
     json_option,
     located_errors,
+    out_option,
     overrides_option,
     print_json,
     repeated_run,
-    reports_errors,
     scenario_argument,
     scenario_options,
     scenario_stem,
@@ -30,14 +30,11 @@ if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.scenario import Scenario
 
-_out = click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Default: out/ and the scenario's name."
-)
+_out = out_option(help="Default: out/ and the scenario's name.")
 _report = click.option("--report/--no-report", default=True, show_default=True, help="Write report.html.")
 
 
 @click.command()
-@reports_errors
 @scenario_options
 @_out
 @json_option
@@ -88,7 +85,6 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
 
 
 @click.command()
-@reports_errors
 @scenario_argument
 @controller_option(multiple=True, help="Repeat for each one; default: the paper's four.")
 @overrides_option

@@ -1,4 +1,4 @@
-"""Commands around scenarios and the installation: scenarios, validate, schema, doctor, completion."""
+"""Commands around scenarios and the installation: new, scenarios, validate, schema, doctor, completion."""
 
 import os
 import sys
@@ -13,12 +13,56 @@ from ffsm_drake.cli.common import (
     located_errors,
     overrides_option,
     print_json,
-    reports_errors,
 )
 
 
+def _packages(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for value in values:
+        name, equals, folder = value.partition("=")
+        if not (name and equals and folder):
+            raise click.BadParameter(f"'{value}' must have the form NAME=FOLDER")
+        if name in found:
+            raise click.BadParameter(f"'{name}' is given more than once")
+        found[name] = Path(folder)
+    return found
+
+
 @click.command()
-@reports_errors
+@click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--urdf", required=True, type=click.Path(path_type=Path), metavar="FILE", help="URDF of base and arm.")
+@click.option("--tip", metavar="FRAME", help="Link or frame that holds the target (default: end of the longest chain).")
+@click.option(
+    "--package", "packages", multiple=True, callback=_packages, metavar="NAME=FOLDER",
+    help="Where package://NAME/ of a mesh is; repeatable. Folders above the URDF are looked through anyway.",
+)  # fmt: skip
+@click.option("--payload-mass", type=float, metavar="KG", help="Mass of the target (default: a quarter of the base's).")
+@json_option
+def new(
+    directory: Path, urdf: Path, tip: str | None, packages: dict[str, Path], payload_mass: float | None, as_json: bool
+) -> None:
+    """Start a scenario for your own servicer from its URDF.
+
+    DIR is a new folder. It gets DIR/<name of DIR>.yaml, commented and ready to run with every shipped controller, a
+    copy of the URDF that Drake loads, and the meshes that can be drawn. It can be edited, moved or sent.
+
+    \b
+    Examples:
+      ffsm new mine --urdf my_robot.urdf
+      ffsm new mine --urdf my_robot.urdf --tip left_tool --payload-mass 30
+      ffsm new mine --urdf my_robot.urdf --package my_robot_description=~/ws/src/my_robot_description
+    """
+    from ffsm_drake.control_design.first_scenario import new_scenario
+
+    folders = {name: folder.expanduser() for name, folder in packages.items()}
+    made = new_scenario(urdf, directory, tip=tip, packages=folders, payload_mass=payload_mass)
+    if as_json:
+        print_json(made.data())
+    else:
+        click.echo(made.summary())
+
+
+@click.command()
 @click.argument("name", required=False, shell_complete=complete_scenario)
 @json_option
 def scenarios(name: str | None, as_json: bool) -> None:
@@ -49,7 +93,6 @@ def scenarios(name: str | None, as_json: bool) -> None:
 
 
 @click.command()
-@reports_errors
 @click.argument("scenarios", nargs=-1, required=True, metavar="SCENARIO...", shell_complete=complete_scenario)
 @overrides_option
 @json_option
@@ -92,7 +135,6 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
 
 
 @click.command()
-@reports_errors
 def schema() -> None:
     """The scenario file's JSON Schema, with the unit and meaning of every key, for editors and checkers.
 
@@ -110,7 +152,6 @@ def schema() -> None:
 
 
 @click.command()
-@reports_errors
 @json_option
 def doctor(as_json: bool) -> None:
     """Check this installation: versions, models, controllers, a short run, the browser view, Graphviz.
@@ -125,15 +166,14 @@ def doctor(as_json: bool) -> None:
 
     checks = examine()
     if as_json:
-        print_json([{"name": check.name, "status": check.status, "detail": check.detail} for check in checks])
+        print_json(checks)
     else:
         for check in checks:
-            click.echo(f"[{check.status:^7}] {check.name}: {check.detail}")
-    sys.exit(EXIT_BAD_INPUT if any(check.status == "missing" for check in checks) else 0)
+            click.echo(f"[{check['status']:^7}] {check['name']}: {check['detail']}")
+    sys.exit(EXIT_BAD_INPUT if any(check["status"] == "missing" for check in checks) else 0)
 
 
 @click.command()
-@reports_errors
 @click.argument("shell", type=click.Choice(("bash", "zsh", "fish")), required=False)
 def completion(shell: str | None) -> None:
     """Print a shell's completion script for ffsm's commands, options and scenarios.

@@ -5,16 +5,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ffsm_drake.cli.common import reports_errors, run_argument, scenario_options
+from ffsm_drake.cli.common import out_option, run_argument, scenario_options
 
 if TYPE_CHECKING:
     from ffsm_drake.scenario import Scenario
 
 
 @click.command()
-@reports_errors
 @click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN_DIR...")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Default: the first RUN_DIR.")
+@out_option(help="Default: the first RUN_DIR.")
 def plot(runs: tuple[Path, ...], out: Path | None) -> None:
     """Draw the figures of a recorded run, or of several overlaid, as PNG and SVG.
 
@@ -39,11 +38,8 @@ def plot(runs: tuple[Path, ...], out: Path | None) -> None:
 
 
 @click.command()
-@reports_errors
 @scenario_options
-@click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Write FILE.dot and FILE.svg."
-)
+@out_option("FILE", help="Write FILE.dot and FILE.svg.")
 def diagram(scenario: "Scenario", out: Path | None) -> None:
     """The closed loop's block diagram as Graphviz text, or as files.
 
@@ -70,19 +66,13 @@ def diagram(scenario: "Scenario", out: Path | None) -> None:
 
 
 @click.command()
-@reports_errors
 @run_argument
 @click.option("--speed", type=float, default=1.0, show_default=True, help="Times real time.")
 @click.option("--ghost/--no-ghost", default=True, show_default=True, help="The target posture, translucent.")
 @click.option("--path/--no-path", default=True, show_default=True, help="The end effector's path.")
 @click.option("--forces/--no-forces", default=True, show_default=True, help="Control and disturbance as arrows.")
 @click.option("--live", is_flag=True, help="Serve it on this machine, with a time slider, until Quit or Ctrl-C.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Default: recording.html in RUN_DIR.",
-)
+@out_option("FILE", help="Default: recording.html in RUN_DIR.")
 def replay(run: Path, speed: float, ghost: bool, path: bool, forces: bool, live: bool, out: Path | None) -> None:
     """Play a recorded run back, without simulating it again: as a page to open and send, or live with a time slider.
 

@@ -45,6 +45,17 @@ class RecordError(FfsmError):
     """A run directory that cannot be written or read."""
 
 
+class CampaignError(FfsmError):
+    """A campaign that cannot be planned, run or read."""
+
+
+class InterruptedCampaign(KeyboardInterrupt):
+    """The campaign was asked to stop; finished runs are stored."""
+
+    def __init__(self, done: int, total: int) -> None:
+        super().__init__(f"interrupted with {done} of {total} runs stored; 'ffsm campaign resume' finishes them")
+
+
 class WorkersError(FfsmError):
     """Worker processes, or a cluster, that cannot do the work."""
 

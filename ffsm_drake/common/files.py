@@ -5,7 +5,7 @@ import io
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 
     Creates missing folders. Raises RecordError when the place cannot be written.
     """
-    temporary = _temporary(path)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -35,23 +35,14 @@ def write_together(files: Mapping[Path, Callable[[Path], object]]) -> None:
 
     A failed write keeps all the old files. Raises RecordError naming the file that cannot be written.
     """
-    temporaries = {path: _temporary(path) for path in files}
-    try:
+    with ExitStack() as stack:
+        # Left in reverse order: the last file is replaced last.
+        temporaries = {path: stack.enter_context(written_whole(path)) for path in reversed(list(files))}
         for path, write in files.items():
             try:
-                path.parent.mkdir(parents=True, exist_ok=True)
                 write(temporaries[path])
             except OSError as error:
                 raise RecordError(f"{path}: cannot be written: {one_line(error)}") from error
-        for path, temporary in temporaries.items():
-            try:
-                temporary.replace(path)
-            except OSError as error:
-                raise RecordError(f"{path}: cannot be written: {one_line(error)}") from error
-    finally:
-        for temporary in temporaries.values():
-            with suppress(OSError):
-                temporary.unlink()
 
 
 def check_writable(directory: Path) -> None:
@@ -75,10 +66,6 @@ def _exists(path: Path) -> bool:
     except (FileNotFoundError, NotADirectoryError):
         return False
     return True
-
-
-def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
 
 
 def write_text(path: Path, text: str) -> None:

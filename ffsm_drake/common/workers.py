@@ -69,11 +69,9 @@ def local_workers(count: int) -> Iterator[Workers]:
 
 @contextlib.contextmanager
 def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers]:
-    """The workers of a running Dask cluster.
+    """The workers of a running Dask cluster, by its scheduler's address, such as tcp://127.0.0.1:8786.
 
-    Args:
-      address: the scheduler's, such as tcp://127.0.0.1:8786.
-      patience: s to wait for the scheduler and its first worker.
+    Waits ``patience`` seconds for the scheduler and its first worker.
 
     Raises:
       WorkersError: ``distributed`` is not installed, or no scheduler or worker answers.
@@ -240,7 +238,8 @@ class _Runner(Generic[Task, Result]):
         try:
             while True:
                 if self.stop:
-                    self._recall()
+                    for future in [future for future in self.flying if future.cancel()]:  # those not started yet
+                        del self.flying[future]
                 else:
                     self._fill()
                 if self.flying:
@@ -279,14 +278,9 @@ class _Runner(Generic[Task, Result]):
             return
         self.flying[future] = _Flight(task, self.executor, strikes)
 
-    def _recall(self) -> None:
-        """Cancel the tasks that have not started."""
-        for future in [future for future in self.flying if future.cancel()]:
-            del self.flying[future]
-
     def _collect(self, done: set[Future[Result]]) -> Iterator[tuple[Task, Result | WorkerLost]]:
         alone = len(self.flying) == 1
-        if any(_broken(future) for future in done):
+        if any(not future.cancelled() and isinstance(future.exception(), BrokenExecutor) for future in done):
             # The pool is gone: every other future of it ends now too.
             done, _ = wait(self.flying)
         broken, worn = False, False
@@ -307,7 +301,7 @@ class _Runner(Generic[Task, Result]):
                     self.suspects.append((flight.task, strikes))
                 else:
                     yield self._give_up(flight.task)
-            elif _killed(error):  # Dask counts the attempts itself
+            elif type(error).__name__ == "KilledWorker":  # Dask's, which may not be installed; it counts the attempts
                 yield self._give_up(flight.task)
             elif isinstance(error, FfsmError):
                 raise error
@@ -326,15 +320,6 @@ class _Runner(Generic[Task, Result]):
         # The old processes finish their tasks and end.
         self.executor.shutdown(wait=False)
         self.executor = self.workers.open()
-
-
-def _broken(future: Future[Any]) -> bool:
-    return not future.cancelled() and isinstance(future.exception(), BrokenExecutor)
-
-
-def _killed(error: BaseException) -> bool:
-    """Whether Dask gave the task up because its workers died; by name, as Dask may not be installed."""
-    return type(error).__name__ == "KilledWorker"
 
 
 @contextlib.contextmanager

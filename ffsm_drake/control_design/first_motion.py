@@ -1,13 +1,13 @@
-"""A first motion for an arm of which only the URDF is known: postures, duration, disturbance."""
+"""A first motion for an arm of which only the URDF is known, its disturbance, and gains to start from."""
 
 import dataclasses
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
-from ffsm_drake.control_design.first_gains import effective_inertia, rounded
 from ffsm_drake.scenario import Posture
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -25,6 +25,9 @@ _SHORTEST, _LONGEST = 20.0, 120.0  # s
 # The disturbance accelerates each coordinate, the others free to react, by this much: rad/s^2 or m/s^2.
 _DISTURBANCE = {"base_rotation": 1.5e-3, "base_position": 8e-4, "rad": 5e-3, "m": 1e-3}
 _FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)  # rad/s, taken in turn
+# Natural frequencies to start from, rad/s.
+OMEGA = {"base_rotation": 15.0, "base_position": 10.0, "joints": 20.0}
+_PD_PLUS_FACTOR = 2.0  # on the natural frequencies: PD+ estimates no disturbance, so it is stiffer
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -39,16 +42,11 @@ class Motion:
 
 
 def plan_motion(true: PlantModel, servicer: Servicer, *, body: str) -> Motion:
-    """Choose postures and duration.
+    """Choose postures and duration for a spacecraft that holds the payload with the scoped name ``body``.
 
     The target posture is the best of many drawn from the inner part of the joint limits: far from singular, the target
     clear of the spacecraft. The initial posture is the best of many near it. Seeded, so that the same URDF gets the
     same motion.
-
-    Args:
-      true: the spacecraft with its payload.
-      servicer: what the URDF holds.
-      body: scoped name of the payload body.
     """
     search = _Search(true, servicer, body)
     rng = np.random.default_rng(0)
@@ -59,14 +57,13 @@ def plan_motion(true: PlantModel, servicer: Servicer, *, body: str) -> Motion:
     near = [start for start in target + draws * step if np.all(start >= low) and np.all(start <= high)]
     initial = search.best([*near, 0.5 * (target + search.rest)])
     scale = min(max(servicer.tip.reach, 0.2), 10.0)
-    postures = [
-        Posture(base_position=position, base_rpy=rpy, joints=search.by_name(joints))
-        for position, rpy, joints in (
-            ([float(f"{0.05 * scale * x:.1g}") for x in (1, 2, -1)], [0.1, 0.08, -0.1], initial),
-            ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], target),
-        )
-    ]
-    return _timed(true, servicer, postures[0], postures[1])
+    start = Posture(
+        base_position=[float(f"{0.05 * scale * x:.1g}") for x in (1, 2, -1)],
+        base_rpy=[0.1, 0.08, -0.1],
+        joints=search.by_name(initial),
+    )
+    end = Posture(base_position=[0.0] * 3, base_rpy=[0.0] * 3, joints=search.by_name(target))
+    return _timed(true, servicer, start, end)
 
 
 class _Search:
@@ -87,11 +84,8 @@ class _Search:
         # What the target must not come near: the base and every link but those that hold it.
         base = base_body(self.plant)
         holding = {base.index(), self.payload.index(), self.tip.body().index()}
-        self.links = [
-            other
-            for index in self.plant.GetBodyIndices(base.model_instance())
-            if (other := self.plant.get_body(index)).index() not in holding
-        ]
+        links = map(self.plant.get_body, self.plant.GetBodyIndices(base.model_instance()))
+        self.links = [link for link in links if link.index() not in holding]
         self.base = base
         fixed = [self.plant.GetBodyByName(name, base.model_instance()).index() for name in servicer.base_links]
         inertia = self.plant.CalcSpatialInertia(true.context, base.body_frame(), fixed)
@@ -101,8 +95,8 @@ class _Search:
         self.base_radius = 0.6 * math.sqrt(6.0 * moments.mean() / servicer.base_mass)
 
     def all_joints(self, values: np.ndarray) -> np.ndarray:
-        """Positions (n) of all joints for those (m) that move the tip."""
-        joints = np.array([_resting(joint) for joint in self.joints])
+        """Positions (n) of all joints for those (m) that move the tip; the others stay at zero or the next limit."""
+        joints = np.array([min(max(0.0, joint.lower), joint.upper) for joint in self.joints])
         joints[self.moving] = values
         return joints
 
@@ -152,11 +146,6 @@ def _inner_limits(joint: Joint) -> tuple[float, float]:
     return max(lower, -_TURN), min(upper, _TURN)
 
 
-def _resting(joint: Joint) -> float:
-    """Where a joint that does not move the tip stays: zero, or the limit next to it."""
-    return min(max(0.0, joint.lower), joint.upper)
-
-
 def _timed(true: PlantModel, servicer: Servicer, initial: Posture, target: Posture) -> Motion:
     """The motion with a duration whose peak rates and forces are moderate."""
     coordinates = true.coordinates
@@ -192,13 +181,72 @@ def _timed(true: PlantModel, servicer: Servicer, initial: Posture, target: Postu
 def scaled_disturbance(motion: Motion, coordinates: Coordinates) -> dict[str, dict[str, float]]:
     """A harmonic per coordinate, sized by how easily the coordinate is moved in the target posture."""
     inertia = effective_inertia(motion.mass_matrices[-1])
-    harmonics = {}
-    for k, (name, unit, group) in enumerate(
-        zip(coordinates.names, coordinates.units, coordinates.group_of, strict=True)
-    ):
-        harmonics[name] = {
-            "amplitude": rounded(_DISTURBANCE[unit if group == "joints" else group] * inertia[k]),
+    kinds = [
+        unit if group == "joints" else group
+        for unit, group in zip(coordinates.units, coordinates.group_of, strict=True)
+    ]
+    return {
+        name: {
+            "amplitude": rounded(_DISTURBANCE[kinds[k]] * inertia[k]),
             "frequency": _FREQUENCIES[k % len(_FREQUENCIES)],
             "phase": 1.571 if k % 3 == 1 else 0.0,
         }
-    return harmonics
+        for k, name in enumerate(coordinates.names)
+    }
+
+
+def starting_gains(
+    omega: Mapping[str, float], *, coordinates: Coordinates, mass_matrices: np.ndarray
+) -> dict[str, dict[str, Any]]:
+    """Gains of every shipped controller: controller -> gain -> value by coordinate.
+
+    Args:
+      omega: natural frequency of each group, rad/s.
+      mass_matrices: of the true spacecraft along the motion (m, nv, nv).
+    """
+
+    def per_group(factor: float, power: int = 1) -> dict[str, float]:
+        return {group: rounded(factor * w**power) for group, w in omega.items()}
+
+    def linear() -> dict[str, Any]:
+        return {"k_d": per_group(2.0), "k_p": per_group(1.0, 2)}
+
+    def adaptive() -> dict[str, Any]:
+        return {**linear(), "k_s_initial": per_group(1.0), "k_s_max": per_group(2.0)}
+
+    return {
+        "tdc": linear(),
+        "asmc": {"k_d": per_group(1.0), "k_s": per_group(2.0)},
+        "aismc": adaptive(),
+        "tde_aismc": {**adaptive(), "g_max": 2e-3},
+        "computed_torque": linear(),
+        "pd_plus": _pd_plus(_PD_PLUS_FACTOR * coordinates.vector(omega, key="omega"), coordinates, mass_matrices),
+    }
+
+
+def _pd_plus(omega: np.ndarray, coordinates: Coordinates, mass_matrices: np.ndarray) -> dict[str, dict[str, float]]:
+    """Forces per error: K_P = w^2 m and K_D = 2 w m with the smallest inertia m of each coordinate along the motion.
+
+    PD+ does not decouple the coordinates, so that m is less than the effective inertia: with A = H^-1, it is
+    1 / sum_j |A_ij| sqrt(A_ii / A_jj). Then no eigenvalue of H^-1 K_D exceeds the largest 2 w (sums over the rows of
+    the scaled matrix), and the sampled loop is stable for 2 w L < 2.
+    """
+    inertia = np.full(omega.size, np.inf)
+    for mass_matrix in mass_matrices:
+        inverse = np.linalg.inv(mass_matrix)
+        scale = np.sqrt(np.diagonal(inverse))
+        inertia = np.minimum(inertia, 1.0 / (scale * (np.abs(inverse) / scale).sum(axis=1)))
+    return {
+        name: dict(zip(coordinates.names, map(rounded, values), strict=True))
+        for name, values in (("k_d", 2.0 * omega * inertia), ("k_p", omega**2 * inertia))
+    }
+
+
+def effective_inertia(mass_matrix: np.ndarray) -> np.ndarray:
+    """Force per acceleration of each coordinate (nv), the others free to react, kg m^2 or kg."""
+    return 1.0 / np.diagonal(np.linalg.inv(mass_matrix))
+
+
+def rounded(value: float) -> float:
+    """A number with three digits, for files that people read."""
+    return float(f"{value:.3g}")

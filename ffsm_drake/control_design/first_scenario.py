@@ -15,8 +15,14 @@ import yaml
 
 from ffsm_drake.common.errors import FfsmError, ModelError, RecordError, ScenarioError, one_line
 from ffsm_drake.common.files import check_writable, write_text
-from ffsm_drake.control_design.first_gains import OMEGA, rounded, starting_gains
-from ffsm_drake.control_design.first_motion import Motion, plan_motion, scaled_disturbance
+from ffsm_drake.control_design.first_motion import (
+    OMEGA,
+    Motion,
+    plan_motion,
+    rounded,
+    scaled_disturbance,
+    starting_gains,
+)
 from ffsm_drake.control_design.stability import stability
 from ffsm_drake.scenario import Scenario, scenario_from_dict, shipped_scenarios
 from ffsm_drake.spacecraft.coordinates import Coordinates

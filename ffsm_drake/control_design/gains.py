@@ -19,7 +19,6 @@ from ffsm_drake.control_design.stability.margins import sampling_of
 from ffsm_drake.control_design.stability.prediction import Plan, Prediction, make_plan, predict
 from ffsm_drake.control_design.stability.sampled_loop import LawGains, Sampling, coupled_loop, law_gains
 from ffsm_drake.scenario import Estimator, Scenario, scenario_from_dict, scenario_to_dict
-from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.controllers.estimators import kalman_gain
 
 # Prices of effort that the front is drawn for, per unit of ISV.
@@ -88,23 +87,19 @@ def design(
         raise ScenarioError("payload range", f"must be two masses 0 < LOW < HIGH in kg, not {low:g} and {high:g}")
     masses = np.linspace(low, high, 5)
     plans = {float(mass): make_plan(_with_true_mass(scenario, float(mass)), postures=3) for mass in masses}
-    spread = [
-        float(np.linalg.eigvals(np.linalg.solve(h, h_hat)).real[k])
-        for other in plans.values()
-        for h, h_hat in other.mass_matrices
-        for k in range(len(plan.coordinates.names))
-    ]
-    etas = np.linspace(min(spread), max(spread), 5)
+    pairs = [pair for other in plans.values() for pair in other.mass_matrices]
+    spread = np.array([np.linalg.eigvals(np.linalg.solve(h, h_hat)).real for h, h_hat in pairs])
+    etas = np.linspace(spread.min(), spread.max(), 5)
 
-    axes = {group: _Axis(plan, group, scenario.controller, etas) for group in GROUPS if _present(plan, group)}
+    axes = {group: _Axis(plan, group, scenario.controller, etas) for group in dict.fromkeys(plan.coordinates.group_of)}
     search = {group: axis.start() for group, axis in axes.items()}
     searches, front = [], []
-    for tried, price in enumerate(PRICES):
+    for tried, price in enumerate(PRICES, start=1):
         search = {group: axes[group].minimize(price, search[group]) for group in axes}
         searches.append(search)
-        front.append(_point(plan, scenario, {group: axes[group].read(x) for group, x in search.items()}))
+        front.append(_point(plan, scenario, axes, search))
         if progress is not None:
-            progress(tried + 1, len(PRICES))
+            progress(tried, len(PRICES))
         if front[0].prediction.isv > budget:  # the highest price: effort only rises from here
             cheapest = f"the cheapest gains found need {front[0].prediction.isv:.1f}"
             raise ScenarioError("budget", f"ISV {budget:.1f} cannot be met; {cheapest}")
@@ -139,8 +134,7 @@ class _Axis:
 
     def start(self) -> np.ndarray:
         """Logarithms of a first guess: a slow loop that is stable for any sensors."""
-        guess = [3.0, 1e-3] + ([0.5] if self.integral else [])
-        return np.log(guess)
+        return np.log([3.0, 1e-3, 0.5] if self.integral else [3.0, 1e-3])
 
     def read(self, x: np.ndarray) -> GroupDesign:
         omega, walk, *rest = np.exp(x)
@@ -190,15 +184,9 @@ class _Axis:
 
 def _law(controller: str, group: GroupDesign) -> LawGains:
     one = np.ones(1)
-    if controller == "asmc":
-        return LawGains(k_d=group.omega * one, k_p=0.0 * one, integral=False, k_s=group.k_s * one, k_s_max=one)
-    return LawGains(
-        k_d=2.0 * group.omega * one,
-        k_p=group.omega**2 * one,
-        integral=controller != "tdc",
-        k_s=group.k_s * one,
-        k_s_max=one,
-    )
+    k_d, k_p = (group.omega, 0.0) if controller == "asmc" else (2.0 * group.omega, group.omega**2)
+    integral = controller not in ("tdc", "asmc")
+    return LawGains(k_d=k_d * one, k_p=k_p * one, integral=integral, k_s=group.k_s * one, k_s_max=one)
 
 
 def _at_budget(
@@ -219,7 +207,7 @@ def _at_budget(
     for _ in range(4):
         price = 0.5 * (low + high)
         found = {group: axis.minimize(float(np.exp(price)), start[group]) for group, axis in axes.items()}
-        point = _point(plan, scenario, {group: axes[group].read(x) for group, x in found.items()})
+        point = _point(plan, scenario, axes, found)
         if point.prediction.isv <= budget:
             best, high = point, price
         else:
@@ -227,7 +215,8 @@ def _at_budget(
     return best
 
 
-def _point(plan: Plan, scenario: Scenario, groups: Mapping[str, GroupDesign]) -> DesignPoint:
+def _point(plan: Plan, scenario: Scenario, axes: Mapping[str, "_Axis"], found: Mapping[str, np.ndarray]) -> DesignPoint:
+    groups = {group: axes[group].read(x) for group, x in found.items()}
     designed = _with_gains(scenario, groups)
     return DesignPoint(groups=groups, scenario=designed, prediction=_predict(plan, designed))
 
@@ -267,8 +256,3 @@ def _with_true_mass(scenario: Scenario, mass: float) -> Scenario:
     truth["inertia"] = [value * mass / truth["mass"] for value in truth["inertia"]]
     truth["mass"] = mass
     return scenario_from_dict(data)
-
-
-def _present(plan: Plan, group: str) -> bool:
-    part = plan.coordinates.groups[group]
-    return part.start < len(plan.coordinates.names)

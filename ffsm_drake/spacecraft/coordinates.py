@@ -56,13 +56,8 @@ class Coordinates:
     def vector(self, values: Mapping[str, float], *, key: str, default: float | None = None) -> np.ndarray:
         """The vector (nv) that a mapping by ``all``, group or coordinate name describes.
 
-        Args:
-          values: the mapping; a coordinate's own name wins over its group, a group over ``all``.
-          key: the mapping's place in the scenario, for the error text.
-          default: value of coordinates that are not mentioned; None makes that an error.
-
-        Raises:
-          ScenarioError: an unknown name, or a coordinate without a value.
+        A coordinate's own name wins over its group, a group over ``all``; ``default`` is for coordinates that are not
+        mentioned. Raises ScenarioError, which names ``key``, for an unknown name or a coordinate without a value.
         """
         self.check_names(values, key=key)
         result = [

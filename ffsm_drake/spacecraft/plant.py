@@ -1,7 +1,9 @@
 """The combined spacecraft: model directives -> MultibodyPlant, its coordinates, and the captured payload."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -140,15 +142,9 @@ def coordinates_of(plant: MultibodyPlant) -> Coordinates:
     if len(floating) != 1:
         names = sorted(plant.get_body(index).name() for index in floating)
         raise ModelError(f"the model must have one floating base, not {len(floating)} ({', '.join(names) or 'none'})")
-    joints = sorted(
-        (
-            plant.get_joint(index)
-            for index in plant.GetJointIndices()
-            if plant.get_joint(index).num_velocities() > 0
-            and plant.get_joint(index).velocity_start() >= NUM_BASE_VELOCITIES
-        ),
-        key=lambda joint: joint.velocity_start(),
-    )
+    moving = [joint for joint in map(plant.get_joint, plant.GetJointIndices()) if joint.num_velocities() > 0]
+    joints = [joint for joint in moving if joint.velocity_start() >= NUM_BASE_VELOCITIES]
+    joints.sort(key=lambda joint: joint.velocity_start())
     for joint in joints:
         if joint.num_velocities() != 1:
             raise ModelError(
@@ -167,26 +163,22 @@ def coordinates_of(plant: MultibodyPlant) -> Coordinates:
 
 def find_body(plant: MultibodyPlant, name: str, *, key: str) -> RigidBody:
     """The body with a scoped name such as ``debris::debris``. Raises ModelError naming the valid ones."""
-    bodies = {
-        str(plant.get_body(index).scoped_name()): plant.get_body(index)
-        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
-        for index in plant.GetBodyIndices(instance)
-    }
-    if name not in bodies:
-        raise ModelError(f"{key}: no body '{name}'; choose one of {', '.join(bodies)}{did_you_mean(name, bodies)}")
-    return bodies[name]
+    return _find("body", plant.GetBodyIndices, plant.get_body, plant, name, key)
 
 
 def find_frame(plant: MultibodyPlant, name: str, *, key: str) -> Frame:
     """The frame with a scoped name such as ``servicer::end_effector``. Raises ModelError naming the valid ones."""
-    frames = {
-        str(plant.get_frame(index).scoped_name()): plant.get_frame(index)
-        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
-        for index in plant.GetFrameIndices(instance)
-    }
-    if name not in frames:
-        raise ModelError(f"{key}: no frame '{name}'; choose one of {', '.join(frames)}{did_you_mean(name, frames)}")
-    return frames[name]
+    return _find("frame", plant.GetFrameIndices, plant.get_frame, plant, name, key)
+
+
+def _find(
+    kind: str, indices: Callable[..., Any], get: Callable[..., Any], plant: MultibodyPlant, name: str, key: str
+) -> Any:
+    instances = map(ModelInstanceIndex, range(plant.num_model_instances()))
+    found = {str(get(index).scoped_name()): get(index) for instance in instances for index in indices(instance)}
+    if name not in found:
+        raise ModelError(f"{key}: no {kind} '{name}'; choose one of {', '.join(found)}{did_you_mean(name, found)}")
+    return found[name]
 
 
 def configuration(plant: MultibodyPlant, posture: Posture, *, key: str) -> np.ndarray:

@@ -11,12 +11,12 @@ from campaign_tools import run_here, write_spec
 from click.testing import CliRunner
 
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
-from ffsm_drake.campaign.findings import find
-from ffsm_drake.campaign.stability_map import predict_map
+from ffsm_drake.campaign.prediction import predict_map
 from ffsm_drake.campaign.statistics import (
     Runs,
     Table,
     agreement,
+    find,
     most_influential,
     paired_differences,
     sensitivities,
@@ -130,7 +130,7 @@ def test_the_predicted_boundary_agrees_with_the_outcomes(database):
 
 
 def test_the_map_wants_two_sampled_numbers(database):
-    from ffsm_drake.campaign.errors import CampaignError
+    from ffsm_drake.common.errors import CampaignError
 
     with open_store(database) as store, pytest.raises(CampaignError, match="'sample_time' is not a sampled number"):
         predict_map(store.spec, ("sample_time", "nominal_error"), {"nominal_error": np.arange(3.0)})

@@ -26,11 +26,11 @@ from campaign_tools import (
 from click.testing import CliRunner
 
 from ffsm_drake import RunRecord
-from ffsm_drake.campaign.errors import CampaignError
 from ffsm_drake.campaign.run import start_campaign
 from ffsm_drake.campaign.spec import load_spec
 from ffsm_drake.campaign.store import open_store
 from ffsm_drake.cli.campaign import campaign
+from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.common.workers import Stop, local_workers
 
 linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
@@ -237,8 +237,8 @@ def test_a_database_in_use(database, tmp_path, monkeypatch):
 
 
 def test_stopping_before_the_start_leaves_all_to_resume(spec, database, tmp_path):
-    from ffsm_drake.campaign.errors import InterruptedCampaign
     from ffsm_drake.campaign.run import resume_campaign
+    from ffsm_drake.common.errors import InterruptedCampaign
 
     stop = Stop()
     stop.set()

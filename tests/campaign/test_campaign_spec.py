@@ -10,14 +10,10 @@ from click.testing import CliRunner
 from scipy.stats import kstest
 
 from ffsm_drake.campaign.cases import make_cases, scenario_of
-from ffsm_drake.campaign.distributions import parse_distribution
-from ffsm_drake.campaign.errors import CampaignError
-from ffsm_drake.campaign.rules import parse_rule
-from ffsm_drake.campaign.sampling import case_seed, unit_points
-from ffsm_drake.campaign.settled import parse_settled
-from ffsm_drake.campaign.spec import load_spec, shipped_campaigns, spec_from_json
-from ffsm_drake.campaign.values import set_value
+from ffsm_drake.campaign.dispersion import case_seed, parse_distribution, parse_rule, set_value, unit_points
+from ffsm_drake.campaign.spec import load_spec, parse_settled, shipped_campaigns, spec_from_json
 from ffsm_drake.cli.campaign import campaign
+from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.systems.controllers import PAPER_LAWS
 
 

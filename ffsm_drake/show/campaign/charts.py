@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.campaign.findings import Findings
-from ffsm_drake.campaign.statistics import Runs
+from ffsm_drake.campaign.statistics import Findings, Runs
 from ffsm_drake.show.curves import cumulative, thinned
 from ffsm_drake.show.panels import Panel, Trace, View, curve, figure, log_axis
 from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, label_of, styles_of
@@ -133,7 +132,7 @@ def _map(findings: Findings, runs: Runs) -> Panel:
             "line": {"color": NEUTRAL, "width": 2, "smoothing": 0},
             "hoverinfo": "skip",
         })  # fmt: skip
-    x, y = (findings.table.at(axis, runs) for axis in (grid.x_name, grid.y_name))
+    x, y = (findings.table.values[axis][runs.case] for axis in (grid.x_name, grid.y_name))
     for which, label, color, symbol in (
         (runs.settled, "settled", SETTLED, "circle"),
         (~runs.settled, "not settled", FAILED, "x"),

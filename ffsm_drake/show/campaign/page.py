@@ -10,12 +10,10 @@ from typing import Any
 
 import yaml
 
-from ffsm_drake.campaign.errors import CampaignError
 from ffsm_drake.campaign.evaluate import OUTCOMES
-from ffsm_drake.campaign.findings import Findings, find
-from ffsm_drake.campaign.statistics import CONFIDENCE, Interval, quantiles, worst_runs
+from ffsm_drake.campaign.statistics import CONFIDENCE, Findings, Interval, find, quantiles, worst_runs
 from ffsm_drake.campaign.store import Store
-from ffsm_drake.common.errors import RecordError, one_line
+from ffsm_drake.common.errors import CampaignError, RecordError, one_line
 from ffsm_drake.common.files import write_text
 from ffsm_drake.show.campaign.charts import chart_views
 from ffsm_drake.show.page import embedded, render

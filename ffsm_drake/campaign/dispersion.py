@@ -1,0 +1,257 @@
+"""What a campaign disperses: distributions, the points they are sampled at, and rules for derived values.
+
+A rule computes a value from others of the same case:
+
+  scale         of (one name or several) multiplied with each other and with ``by`` (a number or a list; default 1)
+  sum           of (several names), added up; lists of the same length element by element
+  relative      of * (1 + error)
+  solid_cube    inertia of a homogeneous cube: mass side^2 / 6 about each axis
+  solid_sphere  inertia of a homogeneous sphere: 2/5 mass radius^2 about each axis
+
+A name is a factor, a parameter, a value derived before, or any other key of the scenario.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from ffsm_drake.common.errors import CampaignError
+
+SAMPLINGS = ("latin_hypercube", "sobol", "random")
+# Keeps quantiles of unbounded distributions finite: SciPy's points may touch zero.
+_INSIDE = 2.0**-40
+
+Value = float | list[float]
+
+
+def unit_points(sampling: str, *, cases: int, dimensions: int, seed: int) -> np.ndarray:
+    """Points (cases, dimensions) in the open unit cube."""
+    if dimensions == 0:
+        return np.empty((cases, 0))
+    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+    if sampling == "random":
+        points = generator.random((cases, dimensions))
+    else:
+        kind = qmc.LatinHypercube if sampling == "latin_hypercube" else qmc.Sobol
+        points = kind(dimensions, seed=generator).random(cases)
+    return np.clip(points, _INSIDE, 1.0 - _INSIDE)
+
+
+def case_seed(seed: int, case: int) -> int:
+    """The scenario's random_seed of one case: 31 bits of NumPy's SeedSequence(seed, spawn_key=(1, case))."""
+    return int(np.random.SeedSequence(seed, spawn_key=(1, case)).generate_state(1)[0]) >> 1
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Distribution:
+    """The distribution of a parameter or factor."""
+
+    value: Callable[[float, int], Any]  # of the case with a number, at the quantile u in (0, 1)
+    uses_point: bool = True  # whether it uses a dimension of the sampling
+    is_logarithmic: bool = False
+
+
+_DISTRIBUTIONS = {
+    "uniform": ("low", "high"),
+    "log_uniform": ("low", "high"),
+    "normal": ("mean", "deviation"),
+    "choice": ("values",),
+    "list": ("values",),
+}
+
+
+def parse_distribution(data: Any, *, place: str) -> Distribution:
+    """The distribution that one entry of the specification describes; ``place`` names it in errors.
+
+    Raises:
+      CampaignError: an unknown distribution or field, a missing one, or numbers out of range.
+    """
+    kind = _kind_of(data, "distribution", _DISTRIBUTIONS, place=place, example="distribution: uniform, low: 0, high: 1")
+    if kind in ("choice", "list"):
+        values = data["values"]
+        if not isinstance(values, list) or not values:
+            raise CampaignError(f"{place}.values: must be a list of at least one value")
+        values = [_tidy(value, place=f"{place}.values[{i}]") for i, value in enumerate(values)]
+        if kind == "list":
+            return Distribution(value=lambda u, case: values[case % len(values)], uses_point=False)
+        return Distribution(value=lambda u, case: values[min(int(u * len(values)), len(values) - 1)])
+    first, second = (number(data[name], place=f"{place}.{name}") for name in _DISTRIBUTIONS[kind])
+    if kind == "normal":
+        if second <= 0.0:
+            raise CampaignError(f"{place}.deviation: must be > 0, not {second:g}")
+        return Distribution(value=lambda u, case: NormalDist(first, second).inv_cdf(u))
+    if first >= second:
+        raise CampaignError(f"{place}: low must be below high, not {first:g} and {second:g}")
+    if kind == "uniform":
+        return Distribution(value=lambda u, case: min(max(first + u * (second - first), first), second))
+    if first <= 0.0:
+        raise CampaignError(f"{place}.low: must be > 0 for log_uniform, not {first:g}")
+
+    def log_uniform(u: float, case: int) -> float:
+        exponent = math.log(first) + u * (math.log(second) - math.log(first))
+        return min(max(math.exp(exponent), first), second)
+
+    return Distribution(value=log_uniform, is_logarithmic=True)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Rule:
+    """One entry of ``derive``: the values it reads, and the function applied to them."""
+
+    sources: tuple[str, ...]
+    apply: Callable[[list[Value]], Value]
+
+
+_OPTIONAL = ("by",)
+_RULES = {
+    "scale": ("of", "by"),
+    "sum": ("of",),
+    "relative": ("of", "error"),
+    "solid_cube": ("mass", "side"),
+    "solid_sphere": ("mass", "radius"),
+}
+
+
+def parse_rule(data: Any, *, place: str) -> Rule:
+    """The rule that one entry of ``derive`` describes.
+
+    Raises:
+      CampaignError: an unknown rule or field, or one that is missing or of the wrong type.
+    """
+    kind = _kind_of(data, "rule", _RULES, place=place, example="rule: scale, of: payload.truth.mass, by: 0.8")
+    sources = _names(data[_RULES[kind][0]], place=place)
+    if kind == "relative":
+        sources = (*sources, *_names(data["error"], place=place))
+        return Rule(sources=sources, apply=lambda values: _product([*values[:-1], 1.0 + _single(values[-1])]))
+    if kind == "solid_cube":
+        side = number(data["side"], place=f"{place}.side")
+        return Rule(sources=sources, apply=lambda m: [_single(m[0]) * side * side / 6.0] * 3)
+    if kind == "solid_sphere":
+        radius = number(data["radius"], place=f"{place}.radius")
+        return Rule(sources=sources, apply=lambda m: [0.4 * _single(m[0]) * radius * radius] * 3)
+    if kind == "sum":
+        return Rule(sources=sources, apply=_sum)
+    by = data.get("by", 1.0)
+    is_list = isinstance(by, list)
+    factors = [number(item, place=f"{place}.by") for item in (by if is_list else [by])]
+    return Rule(sources=sources, apply=lambda values: _product([*values, factors if is_list else factors[0]]))
+
+
+def _product(values: list[Value]) -> Value:
+    lists = [value for value in values if isinstance(value, list)]
+    scalar = math.prod(value for value in values if not isinstance(value, list))
+    if len(lists) > 1:
+        raise CampaignError("only one of the values that are multiplied may be a list")
+    return [scalar * item for item in lists[0]] if lists else scalar
+
+
+def _sum(values: list[Value]) -> Value:
+    if all(isinstance(value, list) for value in values):
+        if len({len(value) for value in values if isinstance(value, list)}) > 1:
+            raise CampaignError("lists that are added must have the same length")
+        return [math.fsum(items) for items in zip(*values, strict=True)]
+    return math.fsum(_single(value) for value in values)
+
+
+def _single(value: Value) -> float:
+    if isinstance(value, list):
+        raise CampaignError("needs a single number, not a list")
+    return value
+
+
+def number(data: Any, *, place: str) -> float:
+    """A finite number, also from text such as 1e-7, which YAML reads as a string."""
+    try:
+        if isinstance(data, bool) or not isinstance(data, (int, float, str)):
+            raise ValueError
+        value = float(data)
+    except ValueError:
+        raise CampaignError(f"{place}: must be a number, not {data!r}") from None
+    if not math.isfinite(value):
+        raise CampaignError(f"{place}: must be finite, not {value}")
+    return value
+
+
+def check_keys(data: Mapping[str, Any], valid: tuple[str, ...], *, place: str) -> None:
+    """Raise CampaignError for a key that is not valid."""
+    for key in data:
+        if key not in valid:
+            raise CampaignError(f"{place}.{key}: unknown key; valid here: {', '.join(valid)}")
+
+
+def _kind_of(data: Any, key: str, fields: Mapping[str, tuple[str, ...]], *, place: str, example: str) -> str:
+    """What an entry says under ``key``; its other keys must be the kind's fields, all of them."""
+    if not isinstance(data, Mapping):
+        raise CampaignError(f"{place}: must be a mapping such as {{{example}}}")
+    kind = data.get(key)
+    if not isinstance(kind, str) or kind not in fields:
+        raise CampaignError(f"{place}: {key} '{kind}' is unknown; choose one of {', '.join(fields)}")
+    check_keys(data, (key, *fields[kind]), place=place)
+    if missing := [name for name in fields[kind] if name not in data and name not in _OPTIONAL]:
+        raise CampaignError(f"{place}: {kind} needs {' and '.join(missing)}")
+    return kind
+
+
+def _names(data: Any, *, place: str) -> tuple[str, ...]:
+    names = data if isinstance(data, list) else [data]
+    if not names or not all(isinstance(name, str) for name in names):
+        raise CampaignError(f"{place}: must name other values, not {data!r}")
+    return tuple(names)
+
+
+def _tidy(value: Any, *, place: str) -> Any:
+    """A value for the scenario; numbers must be finite, also within lists and where YAML reads them as text."""
+    if isinstance(value, list):
+        return [_tidy(item, place=place) for item in value]
+    if value is None or isinstance(value, (bool, int)):
+        return value
+    if isinstance(value, str):
+        try:
+            float(value)
+        except ValueError:
+            return value
+    return number(value, place=place)
+
+
+def get_value(data: Any, key: str) -> Any:
+    """The value in plain data at a dotted key, such as ``payload.truth.center_of_mass.0``.
+
+    Raises:
+      CampaignError: there is none.
+    """
+    for part in key.split("."):
+        try:
+            data = data[_entry(data, part, key)]
+        except (CampaignError, KeyError):
+            raise CampaignError(f"{key}: the scenario has no such value") from None
+    return data
+
+
+def set_value(data: Any, key: str, value: Any) -> None:
+    """Write the value at a dotted key; missing mappings are added; the scenario's schema checks them later.
+
+    Raises:
+      CampaignError: the key leads through a single value, or past the end of a list.
+    """
+    *parents, last = key.split(".")
+    for part in parents:
+        if isinstance(data, dict) and data.get(part) is None:
+            data[part] = {}
+        data = data[_entry(data, part, key)]
+    data[_entry(data, last, key)] = value
+
+
+def _entry(data: Any, part: str, key: str) -> int | str:
+    """The part of a key as what indexes a mapping or a list."""
+    if isinstance(data, dict):
+        return part
+    if not isinstance(data, list):
+        raise CampaignError(f"{key}: unknown key; '{part}' lies within a single value")
+    if not part.isdecimal() or int(part) >= len(data):
+        raise CampaignError(f"{key}: '{part}' must be a number from 0 to {len(data) - 1}")
+    return int(part)
