@@ -22,7 +22,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
 from ffsm_drake.scenario import PerCoordinate
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.coordinates import GROUPS, Coordinates
 from ffsm_drake.systems.setup import BlockSetup
 
 State = Mapping[str, np.ndarray]
@@ -181,7 +181,7 @@ def complete_gain(declared: Gain, given: Any = _DEFAULT) -> PerCoordinate | None
         return None
     values = _by_name(value)
     # A value for all outdoes the defaults of groups, and a bound that is given is all there is of it.
-    if "all" in values or declared.default is None or declared.bound:
+    if "all" in values or set(GROUPS) <= set(values) or declared.default is None or declared.bound:
         return values
     return {**_by_name(declared.default), **values}
 
