@@ -8,6 +8,7 @@ from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import BlockError, ScenarioError, load_scenario, override_scenario, simulate
 from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.systems.reference import make_reference
 
 SCENARIO = load_scenario("flight_sensors", ["duration=1", "sensing.delay=2", "actuation.delay=1"])
 
@@ -71,6 +72,10 @@ def test_a_log_is_frozen(rollout):
         rollout.run().time = np.zeros(1)
 
 
+def scenario_reference(setup):
+    return make_reference(setup.scenario, setup.coordinates)
+
+
 @pytest.mark.parametrize(
     "overrides",
     [
@@ -82,11 +87,10 @@ def test_a_log_is_frozen(rollout):
 )
 def test_a_diverging_run_ends_where_a_monitor_of_every_step_stops_it(overrides, capfd, recwarn):
     scenario = load_scenario("postcapture", overrides)
-    rollout = Rollout(scenario)
-    log = rollout.run()
+    log = Rollout(scenario).run()
     assert log.outcome.status == "diverged"
-    rollout._judged_by_log = False
-    watched = rollout.run()
+    # With a user-supplied block, a monitor watches every step; this one is the scenario's own.
+    watched = Rollout(scenario, blocks={"reference": scenario_reference}).run()
     assert log.outcome == watched.outcome
     assert np.array_equal(log.time, watched.time)
     for name, values in watched.series.items():
