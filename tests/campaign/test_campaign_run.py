@@ -67,7 +67,7 @@ def test_kills_change_nothing(tmp_path):
     spec = write_spec(tmp_path / "s.yaml", controllers=["tdc"], cases=24)
     events = run_with_kills(spec, tmp_path / "killed.db", kills=3, seed=2, mean_delay=0.05)
     assert len(events) == 3  # else it was over too soon
-    assert table(tmp_path / "killed.db") == table(run_here(spec, tmp_path / "undisturbed.db", workers=2))
+    assert table(tmp_path / "killed.db") == table(run_here(spec, tmp_path / "undisturbed.db"))
 
 
 @linux
@@ -88,7 +88,7 @@ def test_an_interrupted_campaign_is_resumed(tmp_path):
         assert connection.execute("SELECT count(*) FROM results WHERE outcome = 'error'").fetchone() == (0,)
     result = invoke("resume", path, "--workers", "1")
     assert result.exit_code == 0, result.output
-    assert table(path) == table(run_here(spec, tmp_path / "whole.db", workers=2))
+    assert table(path) == table(run_here(spec, tmp_path / "whole.db"))
 
 
 def test_a_failing_case_is_a_row(tmp_path):
