@@ -61,7 +61,7 @@ def test_a_diverging_run_says_so_and_keeps_its_record(tmp_path):
 def test_bad_input_gets_one_line(tmp_path):
     done = example("postcapture.py", "--set", "controllers.tdc.kd=1", directory=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.startswith("error: override: controllers.tdc.kd: unknown key")
+    assert done.stderr.startswith("error: controllers.tdc.kd: unknown gain")
     assert done.stderr.count("\n") == 1
 
 

@@ -159,7 +159,7 @@ def rerun(
                 click.echo(f"{what}; NOT as stored: {', '.join(found.differences)}")
                 click.echo(f"  stored by {found.stored['software']}")
             else:
-                click.echo(f"{what}; every figure is bit for bit the stored one")
+                click.echo(f"{what}; all values equal the stored ones, bit for bit")
             if found.record is not None:
                 place = folder / controller_key(name)
                 found.record.save(place)

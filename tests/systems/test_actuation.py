@@ -110,7 +110,7 @@ def test_saturation_then_quantization_then_delay(run):
 def without_feedback(setup):
     """TDC without the port for the applied force."""
     builder = DiagramBuilder()
-    law = Tdc.from_setup(setup)
+    law = Tdc.from_setup(dataclasses.replace(setup, settings=setup.scenario.controllers["tdc"]))
     inner = builder.AddSystem(
         SampledController(law, name="tdc", coordinates=setup.coordinates, sample_time=setup.sample_time)
     )
