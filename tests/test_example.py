@@ -61,7 +61,7 @@ def test_a_diverging_run_says_so_and_keeps_its_record(tmp_path):
 def test_bad_input_gets_one_line(tmp_path):
     done = example("postcapture.py", "--set", "controllers.tdc.kd=1", directory=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.startswith("error: controllers.tdc.kd: unknown gain")
+    assert done.stderr.startswith("error: controllers.tdc.kd: unknown gain; tdc has k_d, k_p; did you mean 'k_d'?")
     assert done.stderr.count("\n") == 1
 
 

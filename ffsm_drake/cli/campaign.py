@@ -175,7 +175,7 @@ def rerun(
 @_source
 @_database_option
 @out_option(help="Folder (default: beside the database).")
-@click.option("--map", "axes", nargs=2, metavar="X Y", help="Values for the map (default: the two that matter most).")
+@click.option("--map", "axes", nargs=2, metavar="X Y", help="Axes of the map (default: the two most influential).")
 def report(source: str, database: Path | None, out: Path | None, axes: tuple[str, str] | None) -> None:
     """Evaluate a campaign: report.html (one file, opens offline), its figures as PNG, all runs as CSV and Parquet.
 

@@ -29,7 +29,7 @@ class CommandGroup(click.Group):
         with warnings_as_lines():
             try:
                 return super().invoke(ctx)
-            except BrokenPipeError:  # the reader of our output has gone, as ``| head`` does
+            except BrokenPipeError:  # the reader has closed the pipe, as ``| head`` does
                 sys.stderr.close()
                 sys.exit(EXIT_GOOD)
             except (FfsmError, OSError) as error:  # OSError: standard output on a full disk, ...

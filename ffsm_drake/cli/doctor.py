@@ -13,7 +13,7 @@ from ffsm_drake.scenario import load_scenario, override_scenario
 def examine() -> list[dict[str, str]]:
     """Try every part; takes a few seconds. Each gets a name, a detail and a status.
 
-    The status is "ok", "missing" (a run needs it) or "without" (it can do without).
+    The status is "ok", "missing" (required) or "without" (optional and absent).
     """
     parts: tuple[tuple[str, str, Callable[[], str]], ...] = (
         ("Python", "missing", lambda: f"{platform.python_version()} on {platform.platform()}"),

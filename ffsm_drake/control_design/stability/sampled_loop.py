@@ -114,7 +114,7 @@ def axis_poles(
         size, count = 7, ratio.size
         columns = update(np.kron(np.eye(size), np.ones((count, 1))), np.zeros((2 * count, 1)), np.zeros((count, 1)))
         matrices = columns.reshape(size, count, size).swapaxes(0, 1)
-    if not k_i.any():  # the sum of errors feeds nothing back; its pole at 1 is no part of the loop
+    if not k_i.any():  # the sum of errors is not fed back; its pole at 1 is not part of the loop
         matrices = np.delete(np.delete(matrices, 2, axis=1), 2, axis=2)
     poles = np.linalg.eigvals(matrices)
     poles = np.take_along_axis(poles, np.argsort(-np.abs(poles), axis=1), axis=1)

@@ -46,8 +46,8 @@ def table(results: Sequence[Result]) -> list[Row]:
             cells = [Cell(number(_magnitude(result, group, unit, field))) for result in results]
             shown = EFFORT_UNITS.get(unit, unit) if field == "peak_effort" else unit
             rows.append(Row(GROUP_TITLES.get(group, group) + kind, cells, unit=shown, head="" if k else head))
-    flown = [Cell(f"{result.record.outcome.time:g}") for result in results]
-    rows.append(Row("Simulated time", flown, unit="s", head="Computation"))
+    simulated = [Cell(f"{result.record.outcome.time:g}") for result in results]
+    rows.append(Row("Simulated time", simulated, unit="s", head="Computation"))
     for label, key in (("Wall time, simulation", "advance_to"), ("Wall time, all told", "total")):
         cells = [Cell(number(result.record.wall_time.get(key), 3)) for result in results]
         rows.append(Row(label, cells, unit="s"))
