@@ -10,7 +10,8 @@ from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
 def reaching_gain_rate(s: np.ndarray, k_s: np.ndarray, *, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """dK_s/dt (..., nv) of equation (21): zero at |s| = K_s^2 / beta."""
-    return alpha * np.abs(s) * np.sign(np.abs(s) - k_s * k_s / beta)
+    magnitude = np.abs(s)
+    return alpha * magnitude * np.sign(magnitude - k_s * k_s / beta)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,9 @@ _SMALLEST_SCALED_S = 1e-12
 
 def switching_gain_rate(s: np.ndarray, g: np.ndarray, *, a: np.ndarray, b: np.ndarray, epsilon: float) -> np.ndarray:
     """dG/dt (..., nv) of equation (19), with a = phi and b = 1/alpha of its print: fast growth, slow decay."""
-    scaled = b * np.abs(s)
-    sigma = np.sign(np.abs(s).max(axis=-1, keepdims=True) - epsilon)
+    magnitude = np.abs(s)
+    scaled = b * magnitude
+    sigma = np.sign(np.maximum.reduce(magnitude, axis=-1, keepdims=True) - epsilon)
     decays = (g > 0.0) & (sigma < 0.0)
     return np.where(decays, -a / np.maximum(scaled, _SMALLEST_SCALED_S), np.where(g > 0.0, sigma, 1.0) * (a * scaled))
 

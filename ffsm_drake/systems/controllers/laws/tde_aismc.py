@@ -10,13 +10,15 @@ from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
 def reaching_gain_rate(s: np.ndarray, k_s: np.ndarray, *, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """dK_s/dt (..., nv) of equation (9): zero at |s| = K_s / beta."""
-    return alpha * np.abs(s) * np.sign(np.abs(s) - k_s / beta)
+    magnitude = np.abs(s)
+    return alpha * magnitude * np.sign(magnitude - k_s / beta)
 
 
 def switching_gain_rate(s: np.ndarray, g: np.ndarray, *, phi: np.ndarray, epsilon: float) -> np.ndarray:
     """dG/dt (..., nv) of equation (10): grows while ||s||_inf > epsilon, shrinks below; leaves zero at phi epsilon."""
-    sigma = np.sign(np.abs(s).max(axis=-1, keepdims=True) - epsilon)
-    return np.where(g > 0.0, phi * np.abs(s) * sigma, phi * epsilon)
+    magnitude = np.abs(s)
+    sigma = np.sign(np.maximum.reduce(magnitude, axis=-1, keepdims=True) - epsilon)
+    return np.where(g > 0.0, phi * magnitude * sigma, phi * epsilon)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
