@@ -1,10 +1,20 @@
 """Runs that several tests look at, computed once per process."""
 
 import functools
+import os
 
 import pytest
 
-from ffsm_drake import RunRecord, load_scenario, simulate
+from ffsm_drake.common.workers import ONE_THREAD
+
+os.environ.update(ONE_THREAD)  # read when NumPy loads, below; the test processes fill the machine
+
+from ffsm_drake import RunRecord, load_scenario, simulate  # noqa: E402
+
+
+def pytest_configure(config):
+    # Tests run unstable loops on purpose. (Not in pyproject.toml, where it would load NumPy before the lines above.)
+    config.addinivalue_line("filterwarnings", "ignore::ffsm_drake.control_design.stability.StabilityWarning")
 
 
 @functools.cache

@@ -1,5 +1,6 @@
 """The command line ``ffsm``: parses, calls, prints. Nothing heavy is imported before a command runs."""
 
+import os
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -13,6 +14,7 @@ from ffsm_drake.cli.paper import noise, reproduce
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, doctor, new, scenarios, schema, validate
 from ffsm_drake.cli.show import diagram, plot, replay
+from ffsm_drake.common.workers import ONE_THREAD
 
 
 @click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -28,6 +30,8 @@ def main() -> None:
 
     Exit codes: 0 good, 2 bad input, 3 diverged or unstable, 130 interrupted.
     """
+    for name, threads in ONE_THREAD.items():
+        os.environ.setdefault(name, threads)  # read when NumPy loads
     with suppress(FileNotFoundError):  # the current folder has been deleted
         if str(Path.cwd()) not in sys.path:  # for module:Class; last, so that it shadows no installed module
             sys.path.append(str(Path.cwd()))

@@ -22,8 +22,8 @@ from typing import Any, Generic, TypeVar
 from ffsm_drake.common.errors import FfsmError, WorkersError, one_line
 
 ATTEMPTS = 3
-# Library threads per worker process: the workers themselves fill the machine.
-_ONE_THREAD = dict.fromkeys(
+# Library threads per process: the workers fill the machine, and a manipulator's matrices are too small to share out.
+ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
 _POLL = 0.5  # s, after which a request to stop is noticed at the latest
@@ -51,8 +51,8 @@ class Workers:
 @contextlib.contextmanager
 def local_workers(count: int) -> Iterator[Workers]:
     """Spawned processes on this machine, one library thread each, that end when this process does."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)  # inherited by the workers, and read there when NumPy loads
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)  # inherited by the workers, and read there when NumPy loads
     try:
         yield Workers(
             open=lambda: ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_follow_parent),

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import fmin
+from scipy.signal import fftconvolve
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.control_design.stability.margins import sampling_of
 from ffsm_drake.control_design.stability.prediction import Plan, Prediction, make_plan, predict
-from ffsm_drake.control_design.stability.sampled_loop import LawGains, Sampling, coupled_loop, law_gains
+from ffsm_drake.control_design.stability.sampled_loop import LawGains, Sampling, axis_poles, coupled_loop, law_gains
 from ffsm_drake.scenario import Estimator, Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.systems.controllers.estimators import kalman_gain
 
@@ -25,7 +26,6 @@ from ffsm_drake.systems.controllers.estimators import kalman_gain
 PRICES = (0.2, 0.08, 0.04, 0.022, 0.012, 0.006)
 # The one-axis loop must contract at least this much for every payload.
 LARGEST_RADIUS = 0.9995
-_STRIDE = 5
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -123,8 +123,8 @@ class _Axis:
         self.controller, self.etas = controller, etas
         self.period = plan.scenario.sample_time
         self.duration = plan.times.size * self.period
-        self.demand = plan.demand[_STRIDE // 2 :: _STRIDE, part]
-        self.late = plan.times[_STRIDE // 2 :: _STRIDE] > min(5.0, 0.25 * self.duration)
+        self.demand = plan.demand[:, part]
+        self.late = plan.times + self.period > min(5.0, 0.25 * self.duration)  # at the end of each sample
         # The group's worst sensors.
         self.noise = plan.position_noise[part].max(), plan.velocity_noise[part].max()
         # What a unit of Hhat^-1 tau costs: columns of Hhat at mid-motion.
@@ -150,22 +150,17 @@ class _Axis:
         )
         sampling = Sampling(sample_time=self.period, kalman_gain=gain[None])
         gains = _law(self.controller, group).at()
-        for eta in self.etas:
-            other = coupled_loop(gains, true_mass_matrix=one, nominal_mass_matrix=eta * one, sampling=sampling)
-            if other.spectral_radius > LARGEST_RADIUS:
-                return np.inf, np.inf
+        if np.abs(axis_poles(gains, eta=self.etas, sampling=sampling)).max() > LARGEST_RADIUS:
+            return np.inf, np.inf
         loop = coupled_loop(gains, true_mass_matrix=one, nominal_mass_matrix=one, sampling=sampling)
         covariance = loop.covariance(position_noise=np.array([self.noise[0]]), velocity_noise=np.array([self.noise[1]]))
         force = (loop.force @ covariance @ loop.force.T)[0, 0]
-        # The demand is smooth: several samples in one step.
-        several, entering = np.linalg.matrix_power(loop.a, _STRIDE), loop.f
-        for _ in range(_STRIDE - 1):
-            entering = loop.a @ entering + loop.f
-        state = np.zeros((loop.a.shape[0], self.demand.shape[1]))
-        error = np.empty_like(self.demand)
-        for k, demand in enumerate(self.demand):
-            error[k] = state[0]
-            state = several @ state + entering * demand
+        # The error's response to the demand of one sample, its length doubled until it covers the run.
+        count = len(self.demand)
+        columns, power = loop.f, loop.a
+        while columns.shape[1] < count:
+            columns, power = np.hstack([columns, power @ columns]), power @ power
+        error = fftconvolve(columns[:1, :count].T, self.demand, axes=0)[:count]
         return float((error[self.late] ** 2).mean() + covariance[0, 0]), float(self.duration * force * self.weight)
 
     def minimize(self, price: float, start: np.ndarray) -> np.ndarray:
