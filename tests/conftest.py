@@ -9,7 +9,7 @@ from ffsm_drake.common.workers import ONE_THREAD
 
 os.environ.update(ONE_THREAD)  # read when NumPy loads, below; the test processes fill the machine
 
-from ffsm_drake import RunRecord, load_scenario, simulate  # noqa: E402
+from ffsm_drake import RunRecord, load_scenario, simulate
 
 
 def pytest_configure(config):
