@@ -33,7 +33,7 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import configuration, make_plant
 from ffsm_drake.systems.controllers import gain_vectors
-from ffsm_drake.systems.reference import make_reference
+from ffsm_drake.systems.reference import make_motion
 
 JOINTS = (5, 7, 14)
 _AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
@@ -143,7 +143,7 @@ class MujocoLoop:
             mujoco.MjModel.from_xml_string(arm.mjcf(properties)) for properties in (payload.truth, payload.nominal)
         )
         self.data, self.nominal_data = mujoco.MjData(self.model), mujoco.MjData(self.nominal)
-        self.reference = make_reference(scenario, coordinates)
+        self.motion = make_motion(scenario, coordinates)
         self.gains = gain_vectors(scenario, coordinates)
         harmonics = scenario.disturbance.harmonics
         self.harmonics = [
@@ -161,7 +161,7 @@ class MujocoLoop:
         # Plan and disturbance are known beforehand; MuJoCo holds forces over a step, so the disturbance is that of the
         # step's middle.
         times = period * np.arange(num_samples)
-        plan, plan_acceleration = self.reference.motion(times)
+        plan, plan_acceleration = np.split(self.motion.rows(times), [2 * nv + 1], axis=1)
         amplitude, frequency, phase, bias = self.harmonics
         disturbances = amplitude * np.sin(frequency * (times[:, None] + 0.5 * period) + phase) + bias
         mujoco.mj_resetData(model, data)

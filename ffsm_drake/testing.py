@@ -37,7 +37,7 @@ from ffsm_drake.scenario import (
 )
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import make_controller
-from ffsm_drake.systems.reference import make_reference
+from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import Factory, find_factory
 
 _SAMPLES = 25
@@ -208,7 +208,7 @@ class _Bench:
 def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
     """Samples along the planned motion with small random errors."""
     coordinates = make_nominal_plant(scenario).coordinates
-    reference = make_reference(scenario, coordinates)
+    reference = make_motion(scenario, coordinates)
     random = np.random.default_rng(seed)
     samples = []
     for k in range(_SAMPLES):

@@ -29,7 +29,7 @@ from ffsm_drake.scenario import (
 )
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import controller_names
-from ffsm_drake.systems.reference import make_reference
+from ffsm_drake.systems.reference import make_motion
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -211,7 +211,7 @@ def test_the_baselines_sampled_limit(controller, coordinate):
     scenario = load_scenario("postcapture")
     posture = json.dumps(scenario_to_dict(scenario)["initial_posture"])
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
-    q = make_reference(scenario, nominal.coordinates).evaluate(0.0)[0]
+    q = make_motion(scenario, nominal.coordinates).evaluate(0.0)[0]
     held = ["duration=2", "disturbance.amplitude_scale=0", f"target_posture={posture}", f"controller={controller}"]
     base = 10.0 if controller == "computed_torque" else 0.0
     applied = nominal.calc_mass_matrix(q) if controller == "computed_torque" else np.eye(q.size - 1)

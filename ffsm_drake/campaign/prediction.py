@@ -19,7 +19,7 @@ from ffsm_drake.control_design.stability.sampled_loop import LoopGains, coupled_
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import PAPER_LAWS
-from ffsm_drake.systems.reference import make_reference
+from ffsm_drake.systems.reference import make_motion
 
 POSTURES = (0.0, 0.5, 1.0)  # fractions of the planned motion
 POINTS = 11  # along each axis
@@ -38,7 +38,7 @@ def predict_stability(scenario: Scenario) -> tuple[float, float] | None:
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     law = law_gains(scenario, nominal.coordinates)
     sampling = sampling_of(scenario, nominal.coordinates)
-    reference = make_reference(scenario, nominal.coordinates)
+    reference = make_motion(scenario, nominal.coordinates)
     configurations = [reference.evaluate(part * scenario.reference.duration)[0] for part in POSTURES]
     pairs = [(true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)) for q in configurations]
 

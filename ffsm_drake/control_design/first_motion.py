@@ -13,7 +13,7 @@ from ffsm_drake.spacecraft.coordinates import BASE_POSITION, NUM_BASE_POSITIONS,
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body, find_body, find_frame
 from ffsm_drake.spacecraft.urdf import Joint, Servicer
-from ffsm_drake.systems.reference import QuinticReference
+from ffsm_drake.systems.reference import QuinticMotion
 
 _SAMPLES = 800
 _TURN = 2.2  # rad, the largest joint angle that is looked for
@@ -149,7 +149,7 @@ def _inner_limits(joint: Joint) -> tuple[float, float]:
 def _timed(true: PlantModel, servicer: Servicer, initial: Posture, target: Posture) -> Motion:
     """The motion with a duration whose peak rates and forces are moderate."""
     coordinates = true.coordinates
-    unit_time = QuinticReference(
+    unit_time = QuinticMotion(
         coordinates=coordinates, start=initial, target=target, duration=1.0, sample_time=1.0 / 40.0
     )
     matrices, forces, rates = [], [], []

@@ -6,7 +6,8 @@ s(x) = 10 x^3 - 15 x^4 + 6 x^5 (Section 4 of the paper; peak speed 1.875 D/T, pe
 """
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem, OutputPort
+from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Posture, Scenario
@@ -56,24 +57,18 @@ def rpy_motion(
     return np.stack(quaternion, axis=1), np.stack(omega, axis=1), np.stack(alpha, axis=1)
 
 
-class QuinticReference(LeafSystem):
-    """Source of the planned motion, a function of time alone.
-
-    Outputs:
-      desired_state: [q_d; v_d] (nq + nv).
-      desired_acceleration: time derivative of v_d (nv).
-    """
+class QuinticMotion:
+    """The planned motion as a function of time."""
 
     def __init__(
         self, *, coordinates: Coordinates, start: Posture, target: Posture, duration: float, sample_time: float
     ) -> None:
         """Args: start and target posture (SI units), duration in s; the target is held afterwards.
 
-        At multiples of ``sample_time`` (s) the outputs are read from a precomputed block.
+        At multiples of ``sample_time`` (s) the motion is read from a precomputed block.
         """
-        super().__init__()
-        self._duration = duration
-        self._sample_time = sample_time
+        self.coordinates = coordinates
+        self._duration, self._sample_time = duration, sample_time
         # Roll, pitch, yaw, position, joints.
         first, last = (
             np.concatenate(
@@ -88,64 +83,71 @@ class QuinticReference(LeafSystem):
         self._start, self._change = first, last - first
         # A cache: the motion at the control samples from self._first_sample on.
         self._first_sample = 0
-        self._states, self._accelerations = self.motion(self._sample_time * np.arange(_BLOCK))
-        num_velocities = len(coordinates.names)
-        self.DeclareVectorOutputPort(
-            "desired_state", 2 * num_velocities + 1, weak_callback(self._calc_state), {self.time_ticket()}
-        )
-        self.DeclareVectorOutputPort(
-            "desired_acceleration", num_velocities, weak_callback(self._calc_acceleration), {self.time_ticket()}
-        )
-        untie(self)
-
-    def get_desired_state_output_port(self) -> OutputPort:
-        return self.GetOutputPort("desired_state")
-
-    def get_desired_acceleration_output_port(self) -> OutputPort:
-        return self.GetOutputPort("desired_acceleration")
+        self._rows = self.rows(sample_time * np.arange(_BLOCK))
 
     def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """q_d (nq), v_d (nv) and dv_d/dt (nv) at a time in s."""
-        row = self._row(time)
-        state, acceleration = self._states[row].copy(), self._accelerations[row].copy()
-        num_positions = state.size - acceleration.size
-        return state[:num_positions], state[num_positions:], acceleration
+        num_positions, num_velocities = len(self.coordinates.position_names), len(self.coordinates.names)
+        q_d, v_d, a_d = np.split(self.row(time).copy(), [num_positions, num_positions + num_velocities])
+        return q_d, v_d, a_d
 
-    def motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Desired states (n, nq + nv) and accelerations (n, nv) at times (n,)."""
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
         s, ds, dds = (column[:, None] for column in quintic_blend(times, self._duration))
         value, rate, acceleration = self._start + s * self._change, ds * self._change, dds * self._change
         quaternion, omega, alpha = rpy_motion(value[:, :3], rate[:, :3], acceleration[:, :3])
-        return np.hstack([quaternion, value[:, 3:], omega, rate[:, 3:]]), np.hstack([alpha, acceleration[:, 3:]])
+        return np.hstack([quaternion, value[:, 3:], omega, rate[:, 3:], alpha, acceleration[:, 3:]])
 
-    def _row(self, time: float) -> int:
-        """The row of ``_states`` and ``_accelerations`` that holds a time; they are computed anew where none does."""
+    def row(self, time: float) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (nq + 2 nv) at a time in s; must not be changed in place."""
         sample = round(time / self._sample_time)
         if sample * self._sample_time != time:  # between the control samples
-            self._first_sample = -_BLOCK
-            self._states, self._accelerations = self.motion(np.array([time]))
-            return 0
-        row = sample - self._first_sample
-        if not 0 <= row < _BLOCK:
-            self._first_sample, row = sample, 0
-            self._states, self._accelerations = self.motion(self._sample_time * np.arange(sample, sample + _BLOCK))
-        return row
-
-    def _calc_state(self, context: Context, output: BasicVector) -> None:
-        row = self._row(context.get_time())
-        output.SetFromVector(self._states[row])
-
-    def _calc_acceleration(self, context: Context, output: BasicVector) -> None:
-        row = self._row(context.get_time())
-        output.SetFromVector(self._accelerations[row])
+            return self.rows(np.array([time]))[0]
+        if not 0 <= sample - self._first_sample < _BLOCK:
+            self._first_sample = sample
+            self._rows = self.rows(self._sample_time * np.arange(sample, sample + _BLOCK))
+        return self._rows[sample - self._first_sample]
 
 
-def make_reference(scenario: Scenario, coordinates: Coordinates) -> QuinticReference:
+class _MotionSource(LeafSystem):
+    """[q_d; v_d; dv_d/dt] in one output: two would be two calls from Drake in every sample."""
+
+    def __init__(self, motion: QuinticMotion) -> None:
+        super().__init__()
+        self._motion = motion
+        size = motion.row(0.0).size
+        self.DeclareVectorOutputPort("motion", size, weak_callback(self._calc_motion), {self.time_ticket()})
+        untie(self)
+
+    def _calc_motion(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._motion.row(context.get_time()))
+
+
+def make_motion(scenario: Scenario, coordinates: Coordinates) -> QuinticMotion:
     """The planned motion of a scenario."""
-    return QuinticReference(
+    return QuinticMotion(
         coordinates=coordinates,
         start=scenario.initial_posture,
         target=scenario.target_posture,
         duration=scenario.reference.duration,
         sample_time=scenario.sample_time,
     )
+
+
+def make_reference(scenario: Scenario, coordinates: Coordinates) -> Diagram:
+    """A source of the planned motion, a function of time alone.
+
+    Outputs:
+      desired_state: [q_d; v_d] (nq + nv).
+      desired_acceleration: time derivative of v_d (nv).
+    """
+    builder = DiagramBuilder()
+    motion = builder.AddNamedSystem("motion", _MotionSource(make_motion(scenario, coordinates)))
+    num_positions, num_velocities = len(coordinates.position_names), len(coordinates.names)
+    parts = builder.AddNamedSystem("parts", Demultiplexer([num_positions + num_velocities, num_velocities]))
+    builder.Connect(motion.get_output_port(), parts.get_input_port())
+    builder.ExportOutput(parts.get_output_port(0), "desired_state")
+    builder.ExportOutput(parts.get_output_port(1), "desired_acceleration")
+    reference = builder.Build()
+    reference.set_name("reference")
+    return reference

@@ -1019,9 +1019,7 @@ def test_an_interrupted_record_is_the_whole_one_up_to_its_end(where, run, monkey
     from ffsm_drake.systems import reference
     from ffsm_drake.systems.controllers import time_delay as tde
 
-    owner, name = {"logging": (reference.QuinticReference, "_calc_acceleration"), "update": (tde, "time_delay_force")}[
-        where
-    ]
+    owner, name = {"logging": (reference.QuinticMotion, "row"), "update": (tde, "time_delay_force")}[where]
     original, calls = getattr(owner, name), 0
 
     def interrupting(*args, **kwargs):

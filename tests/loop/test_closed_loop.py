@@ -12,6 +12,7 @@ from ffsm_drake.loop.closed_loop import SIGNALS
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.show import block_diagram
 from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
+from ffsm_drake.systems.reference import make_motion
 
 DIAGRAMS = Path(__file__).parents[2] / "diagrams"
 
@@ -87,7 +88,9 @@ def test_initialize_sets_posture_payload_and_seed():
     assert noise[0][12:].any()
     assert not noise[0][:12].any()
     plant_context = loop.plant.GetMyContextFromRoot(context)
-    assert loop.plant.GetPositions(plant_context) == pytest.approx(loop.blocks["reference"].evaluate(0.0)[0])
+    assert loop.plant.GetPositions(plant_context) == pytest.approx(
+        make_motion(loop.scenario, loop.coordinates).evaluate(0.0)[0]
+    )
     assert loop.plant.CalcTotalMass(plant_context) == pytest.approx(549.0)
 
 

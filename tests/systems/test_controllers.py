@@ -14,6 +14,7 @@ from ffsm_drake.systems.controllers.laws.aismc import Aismc
 from ffsm_drake.systems.controllers.laws.asmc import Asmc
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
+from ffsm_drake.systems.reference import make_motion
 
 PERIOD = 0.01
 ONE = np.ones(1)
@@ -309,10 +310,11 @@ def test_first_update_takes_no_acceleration_and_no_previous_force():
     """tau_0 = Hhat u_0, although the base already moves."""
     scenario = load_scenario("postcapture", ["controller=tdc"])
     loop = make_closed_loop(scenario)
-    controller, reference, coordinates = loop.blocks["controller"], loop.blocks["reference"], loop.coordinates
+    controller, coordinates = loop.blocks["controller"], loop.coordinates
+    motion = make_motion(loop.scenario, coordinates)
     context = controller.CreateDefaultContext()
-    q, v, _ = reference.evaluate(5.0)
-    q_d, v_d, a_d = reference.evaluate(6.0)
+    q, v, _ = motion.evaluate(5.0)
+    q_d, v_d, a_d = motion.evaluate(6.0)
     controller.GetInputPort("estimated_state").FixValue(context, np.concatenate([q, v]))
     controller.GetInputPort("desired_state").FixValue(context, np.concatenate([q_d, v_d]))
     controller.GetInputPort("desired_acceleration").FixValue(context, a_d)

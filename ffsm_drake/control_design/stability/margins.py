@@ -24,7 +24,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_t
 from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors, make_controller
 from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_estimator
 from ffsm_drake.systems.disturbance import make_disturbance
-from ffsm_drake.systems.reference import QuinticReference, make_reference
+from ffsm_drake.systems.reference import QuinticMotion, make_motion
 
 
 class StabilityWarning(UserWarning):
@@ -107,7 +107,7 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
     make_controller(scenario, nominal)  # checks the gains' names once more
     coordinates = nominal.coordinates
     law = law_gains(scenario, coordinates)
-    reference = make_reference(scenario, coordinates)
+    reference = make_motion(scenario, coordinates)
     sampling = sampling_of(scenario, coordinates)
     times = np.linspace(0.0, scenario.reference.duration, postures)
     pairs = [_mass_matrices(true, nominal, reference, time) for time in times]
@@ -158,7 +158,7 @@ def stability_warning(scenario: Scenario) -> str:
         return ""
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     law = law_gains(scenario, nominal.coordinates)
-    reference = make_reference(scenario, nominal.coordinates)
+    reference = make_motion(scenario, nominal.coordinates)
     sampling = sampling_of(scenario, nominal.coordinates)
     pairs = [_mass_matrices(true, nominal, reference, f * scenario.reference.duration) for f in (0.0, 0.5, 1.0)]
     radius = max(_radius(law.at(), h, h_hat, sampling) for h, h_hat in pairs)
@@ -299,7 +299,7 @@ def _lumped_uncertainty_drift(
     scenario: Scenario, true: PlantModel, nominal: PlantModel, times: np.ndarray
 ) -> np.ndarray:
     """dN/dt (p, nv) along the planned motion under perfect tracking, N = a_d - Hhat^-1 tau (equation (2))."""
-    reference = make_reference(scenario, nominal.coordinates)
+    reference = make_motion(scenario, nominal.coordinates)
     disturbance = make_disturbance(scenario.disturbance, nominal.coordinates)
     port, context = disturbance.GetOutputPort("generalized_force"), disturbance.CreateDefaultContext()
     lumped = []
@@ -312,7 +312,7 @@ def _lumped_uncertainty_drift(
 
 
 def _mass_matrices(
-    true: PlantModel, nominal: PlantModel, reference: QuinticReference, time: float
+    true: PlantModel, nominal: PlantModel, reference: QuinticMotion, time: float
 ) -> tuple[np.ndarray, np.ndarray]:
     q, _, _ = reference.evaluate(time)
     return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)

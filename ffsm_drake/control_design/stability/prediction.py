@@ -15,7 +15,7 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.disturbance import make_disturbance
-from ffsm_drake.systems.reference import make_reference
+from ffsm_drake.systems.reference import make_motion
 
 # Largest of about 2000 Gaussian samples, in standard deviations.
 _PEAK = 3.5
@@ -62,7 +62,7 @@ def make_plan(scenario: Scenario, *, postures: int = 7, points: int = 201) -> Pl
     """The plan of a scenario. Raises ModelError or ScenarioError where its model or a value cannot be used."""
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     coordinates = nominal.coordinates
-    reference = make_reference(scenario, coordinates)
+    reference = make_motion(scenario, coordinates)
     disturbance = make_disturbance(scenario.disturbance, coordinates)
     port, context = disturbance.GetOutputPort("generalized_force"), disturbance.CreateDefaultContext()
     samples = (np.arange(scenario.num_control_periods) + 0.5) * scenario.sample_time

@@ -86,11 +86,16 @@ class SampledController(LeafSystem):
             self._applied_force.Eval(context) if self._applied_force.HasValue(context) else value(self._force),
             is_first,
         )
-        state = {name: value(index) for name, index in self._memory.items()}
+        state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
         if is_first:
             for values in state.values():
                 values.setflags(write=False)  # a law that writes into them is told so once
-        returned = self._step(sample, state, context)
+        try:
+            returned = self.law.step(sample, state)
+        except SystemExit as error:  # would end the process as if all were well
+            raise BlockError(
+                f"{self.get_name()}: step called sys.exit at t = {context.get_time():.2f} s; raise an exception"
+            ) from error
         if is_first:
             self._check(returned)
             discrete_values.set_value(self._has_previous, _ONE)  # unset, a value stays what it was
@@ -98,16 +103,6 @@ class SampledController(LeafSystem):
         discrete_values.set_value(self._force, force)
         for name, index in self._memory.items():
             discrete_values.set_value(index, memory[name])
-
-    def _step(
-        self, sample: Sample, state: Mapping[str, np.ndarray], context: Context
-    ) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-        try:
-            return self.law.step(sample, state)
-        except SystemExit as error:  # would end the process as if all were well
-            raise BlockError(
-                f"{self.get_name()}: step called sys.exit at t = {context.get_time():.2f} s; raise an exception"
-            ) from error
 
     def _check(self, returned: object) -> None:
         """Raise BlockError unless the law returned what it must; once, as shapes do not change."""
