@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from ffsm_drake import RunRecord
 from ffsm_drake.cli import main
 from ffsm_drake.scenario import shipped_scenarios
+from ffsm_drake.studies.paper import reproduce
 
 SHORT = ["--set", "duration=0.3"]
 
@@ -201,10 +202,18 @@ def test_completion_knows_scenarios_and_controllers(monkeypatch):
     assert "computed_torque" in [item.value for item in completer.get_completions(["run", "--controller"], "comp")]
 
 
-def test_reproduce_a_figure(tmp_path):
-    result = ffsm("reproduce", "fig3", "--out", tmp_path / "new")
+def test_reproduce_a_figure(tmp_path, monkeypatch):
+    asked = {}
+
+    def short(what, directory, **options):  # the same in this process, and not all of the 20 s
+        asked.update(options)
+        return reproduce(what, directory, **options | {"workers": 1, "overrides": ["duration=0.2"]})
+
+    monkeypatch.setattr("ffsm_drake.studies.paper.reproduce", short)
+    result = ffsm("reproduce", "fig3", "--seeds", 2, "--out", tmp_path / "new")
     assert result.exit_code == 0, result.output
-    assert "runs: tables, figures, page" in result.output
+    assert (asked["seeds"], asked["workers"]) == (2, 2)
+    assert "2 of 2 runs: tables, figures, page" in result.output  # not those of other figures
     assert (tmp_path / "new" / "figures" / "fig3_euler.png").stat().st_size > 50_000
 
 
