@@ -7,6 +7,7 @@ import sys
 
 import pytest
 from click.testing import CliRunner
+from matplotlib.figure import Figure
 
 from ffsm_drake import RunRecord
 from ffsm_drake.cli import main
@@ -101,17 +102,19 @@ def test_stability(tmp_path):
     assert "the sampled-loop margins are those of tdc, asmc, aismc, tde_aismc; 'pd_plus' is another" in other.stderr
 
 
-def test_analyze(run, tmp_path):
-    directory = run("postcapture").save(tmp_path / "run")
+def test_analyze(run, tmp_path, monkeypatch):
+    directory = run("postcapture", "duration=2").save(tmp_path / "run")
     result = ffsm("analyze", directory)
     assert result.exit_code == 0, result.output
     assert "[does not hold] Lemma 1, premise" in result.output
     findings = json.loads((directory / "analysis.json").read_text())
     assert findings["momentum_balance"]["verdict"] == "holds"
     assert (directory / "analysis.png").stat().st_size > 50_000
+    monkeypatch.setattr("ffsm_drake.show.figures.analysis.plot_analysis", lambda analysis: Figure(figsize=(1, 1)))
     elsewhere = ffsm("analyze", directory, "--out", tmp_path / "new", "--json")
     assert elsewhere.exit_code == 0
     assert json.loads((tmp_path / "new" / "analysis.json").read_text()) == findings == json.loads(elsewhere.stdout)
+    assert (tmp_path / "new" / "analysis.png").stat().st_size < 50_000
 
 
 def test_analyze_needs_a_record(tmp_path):
