@@ -84,7 +84,10 @@ def test_the_other_examples(name, tmp_path, monkeypatch):
     """As scripts, in this process: as __main__, and with their folder among those that modules come from."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(EXAMPLES)
-    runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    try:
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    finally:
+        sys.modules.pop(Path(name).stem, None)  # which a scenario may have imported
     (report,) = Path("out").rglob("report.html")
     assert "Accuracy, ITAE" in report.read_text()
 
