@@ -16,6 +16,7 @@ from types import ModuleType
 import click
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from ffsm_drake import simulate
 from ffsm_drake.cli import main
@@ -220,8 +221,7 @@ def test_the_baselines_sampled_limit(controller, coordinate):
         gains = np.where(np.array(nominal.coordinates.names) == coordinate, k_d, base)
         return np.linalg.eigvals(np.linalg.solve(true.calc_mass_matrix(q), applied * gains)).real.max()
 
-    candidates = np.geomspace(10.0, 1e5, 20_001)
-    limit = candidates[np.searchsorted([radius(k_d) for k_d in candidates], 2.0 / scenario.sample_time)]
+    limit = brentq(lambda k_d: radius(k_d) - 2.0 / scenario.sample_time, 10.0, 1e5)
     late = {}
     for factor in (0.97, 1.03):
         gains = f"controllers.{controller}.k_d={{all: {base}, {coordinate}: {factor * limit}}}"

@@ -2,6 +2,7 @@
 
 import json
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -9,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from ffsm_drake import RunRecord, load_scenario, simulate
+from ffsm_drake import RunRecord
 from ffsm_drake.show.meshcat import start_meshcat, write_recording
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+OTHERS = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name not in ("postcapture.py", "small_campaign.py"))
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
@@ -39,45 +41,66 @@ def test_the_main_job(tmp_path):
     assert "Traceback" not in done.stderr
 
 
-def test_another_scenario_and_controller(tmp_path):
-    overrides = ["--set", "controller=tdc", "--set", "duration=0.5"]
-    done = example("postcapture.py", "--scenario", "paper", *overrides, directory=tmp_path)
-    assert done.returncode == 0, done.stderr
-    record = RunRecord.load(tmp_path / "out" / "paper")
-    assert record.scenario.controller == "tdc"
+@pytest.fixture
+def main(monkeypatch, tmp_path):
+    """The main function of examples/postcapture.py, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    return runpy.run_path(str(EXAMPLES / "postcapture.py"))["main"]
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_diverging_run_of_another_scenario_says_so_and_keeps_its_record(main, capfd):
+    scenario = ["--scenario", "paper", "--set", "controller=aismc", "--set", "divergence_speed=1e-3"]
+    unstable = ["--set", "controllers.aismc.k_s_initial=250", "--set", "controllers.aismc.k_s_max=null"]
+    assert main([*scenario, *unstable, "--out", "mine"]) == 3
+    out, err = capfd.readouterr()
+    assert re.search(r"aismc diverged at t = [\d.]+ s: \S+ moves at", out)
+    assert "warning: the sampled loop is unstable at the starting gains" in err
+    record = RunRecord.load("mine")
+    assert record.outcome.status == "diverged"
+    assert record.scenario.controller == "aismc"
     assert record.scenario.simulator_config.integration_scheme == "explicit_euler"
+    assert Path("mine/report.html").is_file()
 
 
-def test_a_diverging_run_says_so_and_keeps_its_record(tmp_path):
-    overrides = ["--set", "controllers.tde_aismc.k_s_initial=150", "--set", "controllers.tde_aismc.k_s_max=null"]
-    done = example("postcapture.py", *overrides, "--out", "mine", directory=tmp_path)
-    assert done.returncode == 3
-    assert re.search(r"tde_aismc diverged at t = [\d.]+ s: \S+ moves at", done.stdout)
-    assert "warning: the sampled loop is unstable at the starting gains" in done.stderr
-    assert RunRecord.load(tmp_path / "mine").outcome.status == "diverged"
-    assert (tmp_path / "mine" / "report.html").is_file()
+def test_bad_input_gets_one_line(main, capfd):
+    assert main(["--set", "controllers.tdc.kd=1"]) == 2
+    error = capfd.readouterr().err
+    assert error.startswith("error: controllers.tdc.kd: unknown gain; tdc has k_d, k_p; did you mean 'k_d'?")
+    assert error.count("\n") == 1
 
 
-def test_bad_input_gets_one_line(tmp_path):
-    done = example("postcapture.py", "--set", "controllers.tdc.kd=1", directory=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: controllers.tdc.kd: unknown gain; tdc has k_d, k_p; did you mean 'k_d'?")
-    assert done.stderr.count("\n") == 1
-
-
-@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py") if path.name != "postcapture.py"))
-def test_the_other_examples(name, tmp_path):
-    done = example(name, directory=tmp_path)
+def test_the_campaign(tmp_path):
+    """In a process of its own, since its workers import the file."""
+    done = example("small_campaign.py", directory=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
-    written = {path.name for path in (tmp_path / "out").rglob("*")}
-    assert written & {"report.html", "runs.csv"}
+    assert "tdc: 8 settled" in done.stdout
+    assert len((tmp_path / "out/small_campaign/runs.csv").read_text().splitlines()) == 17
 
 
-def test_recording_is_self_contained(tmp_path):
-    record = simulate(load_scenario("postcapture", ["duration=1"]))
-    write_recording(record, tmp_path / "recording.html")
-    page = (tmp_path / "recording.html").read_text()
+@pytest.mark.parametrize("name", OTHERS)
+def test_the_other_examples(name, tmp_path, monkeypatch):
+    """As scripts, in this process: as __main__, and with their folder among those that modules come from."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(EXAMPLES)
+    try:
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    finally:
+        sys.modules.pop(Path(name).stem, None)  # which a scenario may have imported
+    (report,) = Path("out").rglob("report.html")
+    assert "Accuracy, ITAE" in report.read_text()
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory, run):
+    file = tmp_path_factory.mktemp("recording") / "recording.html"
+    write_recording(run("postcapture", "duration=1"), file)
+    return file
+
+
+def test_recording_is_self_contained(recording):
+    page = recording.read_text()
     for part in ("set_animation", "target_posture", "end_effector_path"):
         assert part in page or part.encode().hex() in page or _in_packed(part, page), part
     assert not re.search(r'<script[^>]+src="http', page)
@@ -92,19 +115,16 @@ def _in_packed(part: str, page: str) -> bool:
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-def test_recording_shows_the_spacecraft_in_a_browser(tmp_path):
+def test_recording_shows_the_spacecraft_in_a_browser(recording, tmp_path):
     from matplotlib import image
 
-    record = simulate(load_scenario("postcapture", ["duration=1"]))
-    write_recording(record, tmp_path / "recording.html")
     picture = tmp_path / "picture.png"
     subprocess.run(
         [
             CHROMIUM, "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-sync",
             "--disable-background-networking", "--disable-component-update", "--use-gl=angle",
             "--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'profile'}",
-            "--window-size=800,600", "--virtual-time-budget=3000", f"--screenshot={picture}",
-            (tmp_path / "recording.html").as_uri(),
+            "--window-size=800,600", "--virtual-time-budget=3000", f"--screenshot={picture}", recording.as_uri(),
         ],
         capture_output=True, timeout=120, check=True,
     )  # fmt: skip

@@ -1,5 +1,6 @@
 """Self-contained HTML pages: one Jinja environment, one stylesheet, and Plotly figures embedded as data."""
 
+import functools
 import json
 import math
 import re
@@ -22,6 +23,12 @@ def render(template: str, content: Mapping[str, Any], *, package: str = "ffsm_dr
     ``template`` is a file in the package's folder ``templates`` (or the show room's), ``content`` what it names;
     ``plots``, from ``embedded``, brings plotly.js with it.
     """
+    return _environment(package).get_template(template).render(content)
+
+
+@functools.cache
+def _environment(package: str) -> Environment:
+    """Where a package's templates come from; it compiles each of them once."""
     folders = dict.fromkeys((package, "ffsm_drake.show"))
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(name, "templates") for name in folders]),
@@ -29,7 +36,7 @@ def render(template: str, content: Mapping[str, Any], *, package: str = "ffsm_dr
     )  # fmt: skip
     environment.filters |= {"symbols": symbols, "label": label_of}
     environment.globals |= {"palette": PAGE, "plotly_script": plotly_script}
-    return environment.get_template(template).render(content)
+    return environment
 
 
 def plotly_script() -> Markup:

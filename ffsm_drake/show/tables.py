@@ -3,15 +3,17 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ffsm_drake.control_design.gains import Design
-from ffsm_drake.control_design.stability.margins import Margins
-from ffsm_drake.control_design.stability.prediction import Prediction
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.systems.controllers import complete_gains
+
+if TYPE_CHECKING:  # slow to import
+    from ffsm_drake.control_design.gains import Design
+    from ffsm_drake.control_design.stability.margins import Margins
+    from ffsm_drake.control_design.stability.prediction import Prediction
 
 NONE = "–"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -83,12 +85,12 @@ def results_data(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
     ]
 
 
-def has_k_s(margins: Margins) -> bool:
+def has_k_s(margins: "Margins") -> bool:
     """Whether the law has a reaching gain K_s."""
     return bool(np.isfinite(margins.k_s_limit).any())
 
 
-def margins_table(margins: Margins) -> str:
+def margins_table(margins: "Margins") -> str:
     """Plain text: per coordinate the limits against what the scenario uses, then what holds for all of them."""
     scenario, data = margins.scenario, margins_data(margins)
     plant = "explicit Euler at the control period" if margins.sampling.euler else "exactly integrated"
@@ -116,7 +118,7 @@ def margins_table(margins: Margins) -> str:
     ])  # fmt: skip
 
 
-def margins_data(margins: Margins) -> dict[str, Any]:
+def margins_data(margins: "Margins") -> dict[str, Any]:
     """The table's figures as plain data, by coordinate where they differ (1/s, s)."""
     by_coordinate = {
         name: {
@@ -139,7 +141,7 @@ def margins_data(margins: Margins) -> dict[str, Any]:
     }
 
 
-def design_table(found: Design) -> str:
+def design_table(found: "Design") -> str:
     """Plain text: the chosen gains, what they promise beside the scenario's own, and over the payload range."""
     chosen, reference = found.chosen, found.reference
     before, after = reference.by_group(), chosen.prediction.by_group()
@@ -166,10 +168,10 @@ def design_table(found: Design) -> str:
     ])  # fmt: skip
 
 
-def design_data(found: Design) -> dict[str, Any]:
+def design_data(found: "Design") -> dict[str, Any]:
     """The table's figures as plain data."""
 
-    def figures(prediction: Prediction) -> dict[str, Any]:
+    def figures(prediction: "Prediction") -> dict[str, Any]:
         return {
             "spectral_radius": prediction.spectral_radius,
             "isv": prediction.isv,

@@ -7,10 +7,12 @@ import sys
 
 import pytest
 from click.testing import CliRunner
+from matplotlib.figure import Figure
 
 from ffsm_drake import RunRecord
 from ffsm_drake.cli import main
 from ffsm_drake.scenario import shipped_scenarios
+from ffsm_drake.studies.paper import reproduce
 
 SHORT = ["--set", "duration=0.3"]
 
@@ -100,17 +102,19 @@ def test_stability(tmp_path):
     assert "the sampled-loop margins are those of tdc, asmc, aismc, tde_aismc; 'pd_plus' is another" in other.stderr
 
 
-def test_analyze(run, tmp_path):
-    directory = run("postcapture").save(tmp_path / "run")
+def test_analyze(run, tmp_path, monkeypatch):
+    directory = run("postcapture", "duration=2").save(tmp_path / "run")
     result = ffsm("analyze", directory)
     assert result.exit_code == 0, result.output
     assert "[does not hold] Lemma 1, premise" in result.output
     findings = json.loads((directory / "analysis.json").read_text())
     assert findings["momentum_balance"]["verdict"] == "holds"
     assert (directory / "analysis.png").stat().st_size > 50_000
+    monkeypatch.setattr("ffsm_drake.show.figures.analysis.plot_analysis", lambda analysis: Figure(figsize=(1, 1)))
     elsewhere = ffsm("analyze", directory, "--out", tmp_path / "new", "--json")
     assert elsewhere.exit_code == 0
     assert json.loads((tmp_path / "new" / "analysis.json").read_text()) == findings == json.loads(elsewhere.stdout)
+    assert (tmp_path / "new" / "analysis.png").stat().st_size < 50_000
 
 
 def test_analyze_needs_a_record(tmp_path):
@@ -201,10 +205,18 @@ def test_completion_knows_scenarios_and_controllers(monkeypatch):
     assert "computed_torque" in [item.value for item in completer.get_completions(["run", "--controller"], "comp")]
 
 
-def test_reproduce_a_figure(tmp_path):
-    result = ffsm("reproduce", "fig3", "--out", tmp_path / "new")
+def test_reproduce_a_figure(tmp_path, monkeypatch):
+    asked = {}
+
+    def short(what, directory, **options):  # the same in this process, and not all of the 20 s
+        asked.update(options)
+        return reproduce(what, directory, **options | {"workers": 1, "overrides": ["duration=0.2"]})
+
+    monkeypatch.setattr("ffsm_drake.studies.paper.reproduce", short)
+    result = ffsm("reproduce", "fig3", "--seeds", 2, "--out", tmp_path / "new")
     assert result.exit_code == 0, result.output
-    assert "runs: tables, figures, page" in result.output
+    assert (asked["seeds"], asked["workers"]) == (2, 2)
+    assert "2 of 2 runs: tables, figures, page" in result.output  # not those of other figures
     assert (tmp_path / "new" / "figures" / "fig3_euler.png").stat().st_size > 50_000
 
 

@@ -86,21 +86,18 @@ def test_frames_show_the_instants_that_are_due(record, monkeypatch):
 
 
 def test_the_page_holds_what_was_asked_for(record):
-    size = {
-        (ghost, path, forces): len(recording_html(record, ghost=ghost, path=path, forces=forces))
-        for ghost, path, forces in [(True, True, False), (False, True, False), (True, False, False), (True, True, True)]
-    }
-    full = size[True, True, False]
-    assert size[False, True, False] < full
-    assert size[True, False, False] < full
-    assert size[True, True, True] > full
-    assert "control torque" in recording_html(record, forces=True)
-    assert "control torque" not in recording_html(record)
+    full = recording_html(record, speed=4.0)
+    assert len(recording_html(record, speed=4.0, ghost=False)) < len(full)
+    assert len(recording_html(record, speed=4.0, path=False)) < len(full)
+    forces = recording_html(record, speed=4.0, forces=True)
+    assert len(forces) > len(full)
+    assert "control torque" in forces
+    assert "control torque" not in full
 
 
 def test_the_caption_is_text_not_markup(record, tmp_path):
     scenario = dataclasses.replace(record.scenario, description="<script>alert(1)</script> & more")
-    write_recording(dataclasses.replace(record, scenario=scenario), tmp_path / "page.html", ghost=False)
+    write_recording(dataclasses.replace(record, scenario=scenario), tmp_path / "page.html", speed=4.0, ghost=False)
     page = (tmp_path / "page.html").read_text()
     assert "<script>alert" not in page
     assert "&lt;script&gt;alert(1)&lt;/script&gt; &amp; more</b>" in page

@@ -137,9 +137,19 @@ def value(text):
     return float(mantissa) * 10.0 ** int(power.translate(digits) or 0)
 
 
-@pytest.mark.usefixtures("plain")
-def test_table_holds_the_metrics(short):
-    rows = table_rows(render_report([short]))
+@pytest.fixture(scope="module")
+def text(short):
+    """The whole page of a run that went well."""
+    return render_report([short])
+
+
+@pytest.fixture(scope="module")
+def page(text):
+    return Page(text)
+
+
+def test_table_holds_the_metrics(short, text):
+    rows = table_rows(text)
     metrics = short.metrics
     assert value(rows["Accuracy, ITAE"][0]) == pytest.approx(metrics["itae"], rel=5e-4)
     assert value(rows["Effort, ISV"][0]) == pytest.approx(metrics["isv"], rel=5e-5)
@@ -182,6 +192,7 @@ def test_diverged_runs_rank_last_and_never_best(short, diverged):
         order = ranking(results, lambda result, figure=figure: getattr(result, figure))
         assert [result.record for result in order] == [short, stopped, early]
     text = render_report([early, stopped, short])
+    assert len(re.findall(r"plotly\.js v\d", text)) == 1  # however many runs
     assert 'class="best"' not in text  # one completed run is no contest
     assert text.count("diverged at 0.02 s</span>") == 2
     # Both panels and sums say that they belong to a run that ended early.
@@ -206,8 +217,8 @@ def test_interrupted_after_few_samples(short, samples):
 @pytest.mark.usefixtures("without_stability")
 def test_missing_variables_cost_only_their_section(short):
     bare = dataclasses.replace(short, dataset=short.dataset.drop_vars(["disturbance_force", "error", "base_rpy"]))
-    page = page_of(bare)
-    rows = table_rows(render_report([bare]))
+    text = render_report([bare])
+    page, rows = Page(text), table_rows(text)
     assert rows["Accuracy, ITAE"] == ["–"]
     assert value(rows["Effort, ISV"][0]) == pytest.approx(short.metrics["isv"], rel=5e-5)
     assert "error-0-0" not in page.figures
@@ -246,9 +257,8 @@ def test_no_record_is_an_error_of_one_line(tmp_path):
 
 
 @pytest.mark.usefixtures("plain")
-@pytest.mark.parametrize("recording", [None, "<!DOCTYPE html><script>let a = '<\\/script>'</script>"])
-def test_loads_nothing_from_elsewhere(short, recording):
-    page = page_of(short, recording=recording)
+def test_loads_nothing_from_elsewhere(short):
+    page = page_of(short, recording="<!DOCTYPE html><script>let a = '<\\/script>'</script>")
     for tag, attributes in page.tags:
         for name in ("src", "href", "srcset", "data", "action", "poster"):
             address = attributes.get(name) or ""
@@ -256,11 +266,6 @@ def test_loads_nothing_from_elsewhere(short, recording):
     style = next(text for _, text in page.scripts)
     assert "@import" not in style
     assert "url(" not in style
-
-
-@pytest.mark.usefixtures("plain")
-def test_plotly_is_inlined_once(short):
-    assert len(re.findall(r"plotly\.js v\d", render_report([short, short]))) == 1
 
 
 @pytest.mark.usefixtures("without_stability")
@@ -271,23 +276,23 @@ def test_text_from_scenarios_is_escaped(short):
             dataclasses.replace(
                 with_scenario(short, description=text),
                 dataset=short.dataset.assign_coords(coordinate=[*names[:7], text, *names[8:]]),
-            )
+            ),
+            recording=text,
         )
         for text in ("harmless", HOSTILE)
     )
     assert [tag for tag, _ in page.tags] == [tag for tag, _ in plain.tags]  # not one element more
     assert page.titles("error-0")[7] == HOSTILE.replace("_", " ")
     assert " ".join(HOSTILE.split()) in page.text
-    (frame,) = [attributes for tag, attributes in page_of(short, recording=HOSTILE).tags if tag == "iframe"]
+    (frame,) = [attributes for tag, attributes in page.tags if tag == "iframe"]
     assert frame["srcdoc"] == HOSTILE
     assert frame["sandbox"] == "allow-scripts"
 
 
-@pytest.mark.usefixtures("without_stability")
-def test_same_records_same_bytes(short, tmp_path):
-    one = write_report([short], tmp_path / "one.html").read_bytes()
+def test_same_records_same_bytes(short, text, tmp_path):
     short.save(tmp_path / "run")
-    assert one == write_report([RunRecord.load(tmp_path / "run")], tmp_path / "two.html").read_bytes()
+    written = write_report([RunRecord.load(tmp_path / "run")], tmp_path / "report.html")
+    assert written.read_text(encoding="utf-8") == text
 
 
 def test_same_controller_twice_is_told_apart(short):
@@ -355,9 +360,7 @@ def decoded(array):
     return np.frombuffer(base64.b64decode(array["bdata"]), dtype=f"<{array['dtype']}")
 
 
-@pytest.mark.usefixtures("plain")
-def test_curves_are_the_record(short):
-    page = page_of(short)
+def test_curves_are_the_record(short, page):
     assert page.captions["error-0-7"] == "joint 2"
     x, y = (decoded(page.figures["error-0-7"]["data"][0][axis]) for axis in "xy")
     np.testing.assert_allclose(x, short.dataset["time"].values, rtol=1e-6)
@@ -374,9 +377,7 @@ def test_long_runs_are_thinned_and_the_page_says_so(short):
     assert decoded(page.figures["error-0-0"]["data"][0]["y"]).size <= 4000
 
 
-@pytest.mark.usefixtures("plain")
-def test_command_and_scenario_make_the_same_run(short):
-    text = render_report([short])
+def test_command_and_scenario_make_the_same_run(short, text):
     command = html.unescape(re.search(r'<pre class="command">(.*?)</pre>', text, re.DOTALL).group(1))
     words = shlex.split(command)
     assert words[:3] == ["ffsm", "run", "postcapture"]

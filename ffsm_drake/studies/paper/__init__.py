@@ -49,7 +49,10 @@ def reproduce(
     from ffsm_drake.studies.noise import study_noise
     from ffsm_drake.studies.paper import claims, figures, page, runs, table
 
-    cases = {"table2": runs.table_cases(seeds), "all": runs.all_cases(seeds)}.get(what, runs.figure_cases())
+    if what in ("table2", "all"):
+        cases = runs.table_cases(seeds) if what == "table2" else runs.all_cases(seeds)
+    else:
+        cases = runs.figure_cases(figures.DRAWN, (runs.PROPOSED,) if what == "fig3" else runs.CONTROLLERS)
     results = runs.run_cases(cases, num_seeds=seeds, overrides=overrides, workers=workers, progress=progress)
     with_noise = what == "all" and not overrides
     noise = study_noise(sigmas=NOISE_SWEEP, workers=workers, progress=progress) if with_noise else None

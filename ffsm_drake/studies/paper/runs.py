@@ -244,9 +244,9 @@ def table_cases(num_seeds: int) -> list[Case]:
     )
 
 
-def figure_cases() -> list[Case]:
-    """The runs that the figures show."""
-    return _distinct(Case(setting=setting, controller=name) for setting, name in product(SETTINGS, CONTROLLERS))
+def figure_cases(settings: Iterable[str], controllers: Iterable[str]) -> list[Case]:
+    """The runs that a figure of these controllers shows."""
+    return _distinct(Case(setting=setting, controller=name) for setting, name in product(settings, controllers))
 
 
 def claim_cases(num_seeds: int) -> list[Case]:
