@@ -107,11 +107,11 @@ def _coarse_map(monkeypatch):
 
 @pytest.fixture(scope="module")
 def database(tmp_path_factory):
-    """A second of flight with beliefs on both sides of ASMC's limit."""
+    """Short runs with beliefs on both sides of ASMC's limit."""
     folder = tmp_path_factory.mktemp("report")
     spec = write_spec(
         folder / "s.yaml",
-        overrides={"duration": 1.0},
+        overrides={"duration": 0.6},
         controllers=["tdc", "asmc"],
         cases=24,
         factors={"nominal_error": {"distribution": "uniform", "low": -0.5, "high": 0.6}},
