@@ -20,7 +20,7 @@ from ffsm_drake.studies.paper.claims import CLAIMS, by_topic, counts, evaluate
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-SHORT = ("duration=0.4",)
+SHORT = ("duration=0.2",)
 # Far beyond what the exactly integrated loop tolerates, and within what explicit Euler does.
 UNSTABLE = ("duration=0.8", "controllers.tde_aismc.k_s_initial=150")
 
@@ -241,7 +241,7 @@ def test_page_and_markdown_gather_everything(written, verdicts):
         assert f"**{verdict.verdict}**" in markdown
         assert html.count(f"<b>{verdict.kind}</b>") >= 1
     for text in (html, markdown):
-        assert "duration=0.4" in text  # not the reproduction proper, and says so
+        assert "duration=0.2" in text  # not the reproduction proper, and says so
         for part in ("10.3390/aerospace9020105", "drake", "numpy", "What was run", "matplotlib"):
             assert part in text
     assert html.count('class="numbers') == len(SETTINGS) + 1
