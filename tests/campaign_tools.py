@@ -1,13 +1,11 @@
 """What the campaign tests share: a small specification, tables to compare, a driver in a process of its own."""
 
 import contextlib
-import os
-import random
-import signal
 import sqlite3
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import yaml
@@ -15,7 +13,7 @@ import yaml
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.campaign.run import start_campaign
 from ffsm_drake.campaign.spec import load_spec
-from ffsm_drake.common.workers import Stop, local_workers
+from ffsm_drake.common.workers import Stop, Workers, local_workers
 
 DRIVER = "from ffsm_drake.cli.campaign import campaign; campaign(prog_name='ffsm campaign')"
 SMALL = {
@@ -44,9 +42,13 @@ def write_spec(path: Path, **changes) -> Path:
     return path
 
 
-def run_here(spec_file: Path, database: Path, *, workers: int = 1) -> Path:
-    """Run a campaign from this process."""
-    with local_workers(workers) as crew:
+# A thread of this process, which has loaded everything.
+HERE = Workers(open=lambda: ThreadPoolExecutor(1), in_flight=lambda: 1, renewable=False)
+
+
+def run_here(spec_file: Path, database: Path, *, workers: int = 0) -> Path:
+    """Run a campaign from this process; without workers, in it."""
+    with local_workers(workers) if workers else contextlib.nullcontext(HERE) as crew:
         start_campaign(load_spec(spec_file), database, workers=crew, stop=Stop())
     return database
 
@@ -94,38 +96,17 @@ def alive(pid: int) -> bool:
         return False
 
 
-def run_with_kills(spec: Path, database: Path, *, kills: int, seed: int, mean_delay: float = 1.0) -> list[str]:
-    """Run a campaign to its end while workers and the driver are killed at random moments; says what was killed.
+def wait_for_results(driver: subprocess.Popen, database: Path, number: int) -> list[int]:
+    """Wait until a driver has stored so many results; its workers."""
+    while count(database) < number:
+        assert driver.poll() is None, driver.communicate()[0]
+        time.sleep(0.01)
+    return worker_processes(driver.pid)
 
-    Kills alternate between a worker and the driver, each after a few more results.
-    """
-    chance = random.Random(seed)
-    events: list[str] = []
-    workers_seen: set[int] = set()
-    driver = start_driver("run", str(spec), "--database", str(database), "--workers", "2")
-    while len(events) < kills:
-        target = count(database) + 1
-        while driver.poll() is None and count(database) < target:
-            time.sleep(0.02)
-        time.sleep(chance.expovariate(1.0 / mean_delay))
-        workers = worker_processes(driver.pid) if driver.poll() is None else []
-        workers_seen.update(workers)
-        if driver.poll() is not None:
-            assert driver.returncode == 0, driver.communicate()[0]
-            break  # it has finished before it could be killed
-        if len(events) % 2 == 0 and workers:
-            os.kill(chance.choice(workers), signal.SIGKILL)
-            events.append(f"worker at {count(database)}")
-        elif len(events) % 2 == 1:
-            driver.kill()
-            driver.wait()
-            events.append(f"driver at {count(database)}")
-            driver = start_driver("resume", str(database), "--workers", "2")
-    output, _ = driver.communicate(timeout=300)
-    assert driver.returncode == 0, output
-    # No worker outlives its driver.
+
+def wait_for_end(processes: list[int]) -> None:
+    """No worker outlives its driver."""
     end = time.monotonic() + 10.0
-    while any(alive(pid) for pid in workers_seen) and time.monotonic() < end:
+    while any(alive(process) for process in processes) and time.monotonic() < end:
         time.sleep(0.05)
-    assert not [pid for pid in workers_seen if alive(pid)]
-    return events
+    assert not [process for process in processes if alive(process)]

@@ -18,7 +18,6 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from ffsm_drake.common.errors import CampaignError
 
@@ -37,6 +36,8 @@ def unit_points(sampling: str, *, cases: int, dimensions: int, seed: int) -> np.
     if sampling == "random":
         points = generator.random((cases, dimensions))
     else:
+        from scipy.stats import qmc  # here: it takes longer to load than all else, and workers are given their cases
+
         kind = qmc.LatinHypercube if sampling == "latin_hypercube" else qmc.Sobol
         points = kind(dimensions, seed=generator).random(cases)
     return np.clip(points, _INSIDE, 1.0 - _INSIDE)

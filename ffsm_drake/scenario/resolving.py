@@ -1,6 +1,7 @@
 """Plain data against the schema: defaults overlaid with what is given, every leaf checked, overrides applied."""
 
 import dataclasses
+import functools
 import math
 import types
 import typing
@@ -15,7 +16,8 @@ MAX_NUMBER = 1e20  # so that what is computed from a few values stays finite
 
 def as_dict(value: typing.Any) -> typing.Any:
     """Plain data (mappings, lists, leaves) of a dataclass, one of Drake's parameter structs, or a container of them."""
-    fields = schema_fields(type(value))
+    kind: typing.Any = type(value)
+    fields = schema_fields(kind)
     if fields is not None:
         return {key: as_dict(getattr(value, key)) for key in fields}
     if isinstance(value, Mapping):
@@ -25,6 +27,7 @@ def as_dict(value: typing.Any) -> typing.Any:
     return value
 
 
+@functools.cache
 def schema_fields(schema: typing.Any) -> dict[str, typing.Any] | None:
     """Field name -> type of a dataclass or of one of Drake's parameter structs; None for anything else."""
     if dataclasses.is_dataclass(schema):

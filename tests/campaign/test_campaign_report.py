@@ -100,19 +100,24 @@ def test_agreement_and_worst_runs():
     assert worst_runs(runs).tolist() == [3, 1, 2, 0]
 
 
+@pytest.fixture(autouse=True)
+def _coarse_map(monkeypatch):
+    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 5)
+
+
 @pytest.fixture(scope="module")
 def database(tmp_path_factory):
-    """A second of flight with beliefs on both sides of ASMC's limit."""
+    """Short runs with beliefs on both sides of ASMC's limit."""
     folder = tmp_path_factory.mktemp("report")
     spec = write_spec(
         folder / "s.yaml",
-        overrides={"duration": 1.0},
+        overrides={"duration": 0.6},
         controllers=["tdc", "asmc"],
         cases=24,
         factors={"nominal_error": {"distribution": "uniform", "low": -0.5, "high": 0.6}},
         description="with <angle> brackets & </script>",
     )
-    return run_here(spec, folder / "x.db", workers=1)
+    return run_here(spec, folder / "x.db")
 
 
 def test_the_predicted_boundary_agrees_with_the_outcomes(database):

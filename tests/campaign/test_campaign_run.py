@@ -7,43 +7,42 @@ import json
 import os
 import signal
 import sqlite3
-import subprocess
-import sys
+import threading
 import time
 from pathlib import Path
 
 import pytest
 from campaign_tools import (
-    alive,
+    HERE,
     count,
     run_here,
-    run_with_kills,
     start_driver,
     table,
-    worker_processes,
+    wait_for_end,
+    wait_for_results,
     write_spec,
 )
 from click.testing import CliRunner
 
 from ffsm_drake import RunRecord
-from ffsm_drake.campaign.run import start_campaign
+from ffsm_drake.campaign.run import resume_campaign, start_campaign
 from ffsm_drake.campaign.spec import load_spec
 from ffsm_drake.campaign.store import open_store
 from ffsm_drake.cli.campaign import campaign
-from ffsm_drake.common.errors import CampaignError
-from ffsm_drake.common.workers import Stop, local_workers
+from ffsm_drake.common.errors import CampaignError, InterruptedCampaign
+from ffsm_drake.common.workers import Stop
 
 linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
 
 
 @pytest.fixture(scope="module")
 def spec(tmp_path_factory):
-    return write_spec(tmp_path_factory.mktemp("spec") / "small.yaml")
+    return write_spec(tmp_path_factory.mktemp("spec") / "small.yaml", cases=16)
 
 
 @pytest.fixture(scope="module")
 def database(spec, tmp_path_factory):
-    """The campaign, undisturbed, with one worker. Not to be written to."""
+    """The campaign, undisturbed, in this process. Not to be written to."""
     return run_here(spec, tmp_path_factory.mktemp("database") / "one.db")
 
 
@@ -57,38 +56,32 @@ def one_line_error(result, said):
     assert result.output.count("\n") == 1
 
 
-def test_two_workers_give_the_table_of_one(spec, database, tmp_path):
-    assert table(run_here(spec, tmp_path / "two.db", workers=2)) == table(database)
-    assert len(table(database)) == 16
-
-
 @linux
-def test_kills_change_nothing(tmp_path):
-    spec = write_spec(tmp_path / "s.yaml", controllers=["tdc"], cases=24)
-    events = run_with_kills(spec, tmp_path / "killed.db", kills=3, seed=2, mean_delay=0.05)
-    assert len(events) == 3  # else it was over too soon
-    assert table(tmp_path / "killed.db") == table(run_here(spec, tmp_path / "undisturbed.db"))
-
-
-@linux
-def test_an_interrupted_campaign_is_resumed(tmp_path):
-    spec = write_spec(tmp_path / "long.yaml", cases=16)  # so that it is not over before the signal arrives
-    path = tmp_path / "interrupted.db"
-    driver = start_driver("run", str(spec), "--database", str(path), "--workers", "1")
-    while count(path) < 2 and driver.poll() is None:
-        time.sleep(0.02)
-    workers = worker_processes(driver.pid)
+def test_kills_and_an_interruption_change_nothing(spec, database, tmp_path):
+    """One of two workers is killed, then the driver; Ctrl-C interrupts what resumes; what resumes that finishes."""
+    path = tmp_path / "disturbed.db"
+    driver = start_driver("run", str(spec), "--database", str(path), "--workers", "2")
+    workers = wait_for_results(driver, path, 2)
+    os.kill(workers[0], signal.SIGKILL)
+    workers += wait_for_results(driver, path, count(path) + 2)
+    assert driver.poll() is None, "over before it could be killed"
+    driver.kill()
+    driver.communicate()
+    wait_for_end(workers)
+    driver = start_driver("resume", str(path), "--workers", "1")
+    workers = wait_for_results(driver, path, count(path) + 2)
     os.killpg(driver.pid, signal.SIGINT)  # as a terminal does: the workers get it too
     output, _ = driver.communicate(timeout=60)
     assert driver.returncode == 130, output
     assert f"interrupted with {count(path)} of 32 runs stored" in output
     assert "Traceback" not in output
-    assert not any(alive(worker) for worker in workers)
+    wait_for_end(workers)
     with contextlib.closing(sqlite3.connect(path)) as connection:
         assert connection.execute("SELECT count(*) FROM results WHERE outcome = 'error'").fetchone() == (0,)
     result = invoke("resume", path, "--workers", "1")
     assert result.exit_code == 0, result.output
-    assert table(path) == table(run_here(spec, tmp_path / "whole.db"))
+    assert table(path) == table(database)
+    assert len(table(path)) == 32
 
 
 def test_a_failing_case_is_a_row(tmp_path):
@@ -110,52 +103,26 @@ def test_a_failing_case_is_a_row(tmp_path):
     assert "all values equal the stored ones, bit for bit" in result.output
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
 def test_a_dask_cluster_gives_the_same_table(spec, database, tmp_path):
-    pytest.importorskip("distributed")
-    log = (tmp_path / "cluster.log").open("w")
-    running = []
+    distributed = pytest.importorskip("distributed")
+    path = tmp_path / "cluster.db"
 
-    def start(command, *arguments):
-        line = [sys.executable, "-m", f"distributed.cli.dask_{command}", *arguments, "--no-dashboard"]
-        running.append(subprocess.Popen(line, stdout=log, stderr=subprocess.STDOUT))
-        return running[-1]
-
-    file = tmp_path / "scheduler.json"
-    try:
-        start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
-        address = wait_for(lambda: json.loads(file.read_text())["address"])
-        workers = [
-            start(
-                "worker", address, "--nthreads", "1", "--host", "127.0.0.1",
-                "--local-directory", str(tmp_path / f"worker{k}"),
-            )
-            for k in range(2)
-        ]  # fmt: skip
-        path = tmp_path / "cluster.db"
-        driver = start_driver("run", str(spec), "--database", str(path), "--scheduler", address)
-        while count(path) < 2 and driver.poll() is None:
+    def kill_a_worker():
+        while count(path) < 2:
             time.sleep(0.02)
-        for victim in worker_processes(workers[0].pid):
-            os.kill(victim, signal.SIGKILL)
-        output, _ = driver.communicate(timeout=120)
-        assert driver.returncode == 0, output
-        assert table(path) == table(database)
-    finally:
-        for process in reversed(running):
-            process.terminate()
-            process.wait(timeout=30)
-        log.close()
+        os.kill(cluster.workers[0].pid, signal.SIGKILL)  # Dask starts another
 
-
-def wait_for(function, *, patience=60.0):
-    end = time.monotonic() + patience
-    while True:
-        try:
-            return function()
-        except (OSError, ValueError):
-            assert time.monotonic() < end
-            time.sleep(0.1)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, host="127.0.0.1", dashboard_address=":0", local_directory=str(tmp_path)
+    ) as cluster:
+        killer = threading.Thread(target=kill_a_worker, daemon=True)
+        killer.start()
+        result = invoke("run", spec, "--database", path, "--scheduler", cluster.scheduler_address)
+        assert result.exit_code == 0, result.output
+        killer.join(timeout=10)
+    assert table(path) == table(database)
+    with open_store(path) as store:
+        assert len({store.result(case, "tdc")["worker"] for case in range(16)}) == 2  # another did the rest
 
 
 def test_rerun_reproduces_a_row_with_its_record(database, tmp_path):
@@ -182,7 +149,7 @@ def test_rerun_notices_another_result(database, tmp_path):
 def test_status_and_export(database, tmp_path):
     result = invoke("status", database)
     assert result.exit_code == 0
-    assert "16 of 16 runs (100.0 %)" in result.output
+    assert "32 of 32 runs (100.0 %)" in result.output
     assert "memory of a worker" in result.output
     with open_store(database) as store:
         store.export(tmp_path / "runs.csv")
@@ -219,7 +186,7 @@ def test_databases_that_cannot_be_used(spec, database, tmp_path):
     one_line_error(invoke("resume", tmp_path / "half.db"), "damaged")
     (tmp_path / "file").write_text("")
     one_line_error(invoke("run", spec, "--database", tmp_path / "file" / "x.db"), "cannot be written")
-    one_line_error(invoke("rerun", database, "--case", "8"), "has no case 8; there are 0 to 7")
+    one_line_error(invoke("rerun", database, "--case", "16"), "has no case 16; there are 0 to 15")
     one_line_error(invoke("rerun", database, "--case", "1", "--controller", "aismc"), "'aismc' is not in it")
     one_line_error(invoke("run", spec, "--workers", "1", "--scheduler", "tcp://127.0.0.1:1"), "leave one of them out")
 
@@ -237,16 +204,12 @@ def test_a_database_in_use(database, tmp_path, monkeypatch):
 
 
 def test_stopping_before_the_start_leaves_all_to_resume(spec, database, tmp_path):
-    from ffsm_drake.campaign.run import resume_campaign
-    from ffsm_drake.common.errors import InterruptedCampaign
-
     stop = Stop()
     stop.set()
-    with local_workers(1) as workers:
-        with pytest.raises(InterruptedCampaign, match="0 of 16"):
-            start_campaign(load_spec(spec), tmp_path / "x.db", workers=workers, stop=stop)
-        seen = []
-        resume_campaign(tmp_path / "x.db", workers=workers, stop=Stop(), progress=seen.append)
-    assert [progress.done for progress in seen] == list(range(17))
+    with pytest.raises(InterruptedCampaign, match="0 of 32"):
+        start_campaign(load_spec(spec), tmp_path / "x.db", workers=HERE, stop=stop)
+    seen = []
+    resume_campaign(tmp_path / "x.db", workers=HERE, stop=Stop(), progress=seen.append)
+    assert [progress.done for progress in seen] == list(range(33))
     assert seen[-1].remaining == 0.0
     assert table(tmp_path / "x.db") == table(database)

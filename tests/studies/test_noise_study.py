@@ -13,10 +13,9 @@ from ffsm_drake import load_scenario, simulate
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.studies.noise import NoiseStudy, study_noise, write_study
 from ffsm_drake.studies.noise.cases import CONTROLLERS, NoiseCase
-from ffsm_drake.studies.noise.study import run_case
 
 SIGMAS = (1e-5, 1e-4)
-DURATION = 2.0
+DURATION = 1.0
 
 
 @functools.cache
@@ -137,21 +136,11 @@ def test_one_sigma_and_several_seeds_can_be_written(tmp_path):
 
 
 def test_same_seeds_same_table_whatever_the_workers():
-    settings = {"sigmas": (1e-4,), "duration": 0.05, "controllers": ("tdc", "aismc")}
+    settings = {"sigmas": (1e-4,), "duration": 0.05, "controllers": ("aismc",)}
     done = []
     one = study_noise(**settings, progress=lambda *call: done.append(call[:2]))
     assert done == [(k + 1, len(one.rows)) for k in range(len(one.rows))]
     assert repr(one) == repr(study_noise(**settings, workers=2))  # a diverged run's NaN equals nothing
-
-
-def test_the_seed_changes_the_noise():
-    isv = [
-        run_case(
-            NoiseCase(controller="tdc", estimator="one_sample", gains="published", sigma=1e-4, seed=seed, duration=0.2)
-        ).isv
-        for seed in (0, 1)
-    ]
-    assert isv[0] != isv[1]
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from ffsm_drake.studies.paper.claims import CLAIMS, by_topic, counts, evaluate
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-SHORT = ("duration=0.4",)
+SHORT = ("duration=0.2",)
 # Far beyond what the exactly integrated loop tolerates, and within what explicit Euler does.
 UNSTABLE = ("duration=0.8", "controllers.tde_aismc.k_s_initial=150")
 
@@ -51,7 +51,6 @@ def written(results, verdicts, tmp_path_factory):
             figures.write_overview(rows, directory),
             figures.write_divergence(results, directory),
             figures.write_figure_2(directory),
-            *figures.write_figure_3(results, directory),
             *figures.write_figure_4(results, directory),
         ]
     page.write_table(rows, results, directory)
@@ -96,9 +95,9 @@ def test_the_table_shows_what_simulate_gives(
 
 
 def test_mean_and_spread_over_the_seeds():
-    of_seeds = runs.run_cases(runs.table_cases(3), num_seeds=3, overrides=["duration=0.05"], workers=2)
-    values = [of_seeds.run("euler", "tdc", seed=seed).itae for seed in range(3)]
-    assert len(set(values)) == 3
+    of_seeds = runs.run_cases(runs.table_cases(2), num_seeds=2, overrides=["duration=0.05"])
+    values = [of_seeds.run("euler", "tdc", seed=seed).itae for seed in range(2)]
+    assert len(set(values)) == 2
     cell = row_of(table.make_table(of_seeds), "euler", "tau_d1", "tdc").itae
     assert cell.mean == pytest.approx(np.mean(values))
     assert cell.spread == pytest.approx(np.std(values, ddof=1))
@@ -157,7 +156,7 @@ def test_workers_give_the_same_results():
     first, second = (made.record("euler", "tdc").dataset for made in (alone, together))
     assert first.identical(second)
     with pytest.raises(ScenarioError, match="unknown coordinate"):
-        runs.run_cases(cases, num_seeds=2, overrides=["controllers.tdc.k_d.nowhere=1"], workers=2)
+        runs.run_cases(cases, num_seeds=2, overrides=["controllers.tdc.k_d.nowhere=1"])
 
 
 def test_every_claim_has_a_verdict_with_figures(verdicts):
@@ -230,7 +229,7 @@ def test_the_page_is_self_contained(written):
     assert not {"script", "iframe", "object"} & set(parser.tags)
     assert "url(" not in text
     assert "@import" not in text
-    assert parser.tags.count("img") >= 4
+    assert parser.tags.count("img") >= 3
     targets = [address[1:] for address in parser.addresses if address.startswith("#")]
     assert targets
     assert all(f'id="{target}"' in text for target in targets)
@@ -242,7 +241,7 @@ def test_page_and_markdown_gather_everything(written, verdicts):
         assert f"**{verdict.verdict}**" in markdown
         assert html.count(f"<b>{verdict.kind}</b>") >= 1
     for text in (html, markdown):
-        assert "duration=0.4" in text  # not the reproduction proper, and says so
+        assert "duration=0.2" in text  # not the reproduction proper, and says so
         for part in ("10.3390/aerospace9020105", "drake", "numpy", "What was run", "matplotlib"):
             assert part in text
     assert html.count('class="numbers') == len(SETTINGS) + 1
@@ -250,17 +249,22 @@ def test_page_and_markdown_gather_everything(written, verdicts):
         assert (written / path).is_file()
 
 
-def test_the_figures_are_not_blank(written):
+def check_figures(folder):
+    """They are not blank: there is ink, colour (the curves) and paths."""
     from matplotlib import image
 
-    names = {path.name for path in (written / "figures").iterdir()}
-    assert names >= {"table2.png", "divergence.png", "fig3_bounded.png", "fig4_bounded.png", "fig4_bounded.svg"}
-    for path in (written / "figures").glob("*.png"):
+    for path in folder.glob("*.png"):
         pixels = image.imread(path)[..., :3]
         assert (pixels.min(axis=2) < 0.9).mean() > 0.01, path.name
-        assert (np.ptp(pixels, axis=2) > 0.3).mean() > 0.0005, path.name  # colour: the curves
-    for path in (written / "figures").glob("*.svg"):
+        assert (np.ptp(pixels, axis=2) > 0.3).mean() > 0.0005, path.name
+    for path in folder.glob("*.svg"):
         assert path.read_text().count("<path") > 10, path.name
+
+
+def test_the_figures_are_not_blank(written):
+    names = {path.name for path in (written / "figures").iterdir()}
+    assert names >= {"table2.png", "divergence.png", "fig4_bounded.png", "fig4_bounded.svg"}
+    check_figures(written / "figures")
 
 
 def test_one_figure_alone(tmp_path, monkeypatch):
@@ -268,6 +272,7 @@ def test_one_figure_alone(tmp_path, monkeypatch):
     path = reproduce("fig3", tmp_path, seeds=1, overrides=["duration=0.2"])
     assert path == tmp_path / "figures" / "fig3_euler.png"
     assert {file.name for file in path.parent.iterdir()} == {"fig3_euler.png", "fig3_euler.svg"}
+    check_figures(path.parent)
 
 
 def test_without_graphviz_the_figure_says_so(tmp_path, monkeypatch):

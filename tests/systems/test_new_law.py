@@ -79,7 +79,7 @@ def test_campaign(ffsm, tmp_path):
         """{scenario: postcapture, overrides: {duration: 1}, controllers: [stiff, tdc], cases: 2,
         parameters: {payload.truth.mass: {distribution: uniform, low: 80, high: 120}}}"""
     )
-    out = ffsm("campaign", "run", "spec.yaml", "--database", "spec.db", "--workers", "2")
+    out = ffsm("campaign", "run", "spec.yaml", "--database", "spec.db", "--workers", "1")
     assert "4 of 4 runs" in out
     rows = ffsm("campaign", "rerun", "spec.db", "--case", "1", "--controller", "stiff", "--no-recording")
     assert "all values equal the stored ones, bit for bit" in rows
