@@ -1,6 +1,7 @@
 """Plain data against the schema: defaults overlaid with what is given, every leaf checked, overrides applied."""
 
 import dataclasses
+import functools
 import math
 import types
 import typing
@@ -25,6 +26,7 @@ def as_dict(value: typing.Any) -> typing.Any:
     return value
 
 
+@functools.cache
 def schema_fields(schema: typing.Any) -> dict[str, typing.Any] | None:
     """Field name -> type of a dataclass or of one of Drake's parameter structs; None for anything else."""
     if dataclasses.is_dataclass(schema):
