@@ -155,9 +155,7 @@ def test_sampled_loop_is_stable(controller):
     assert stability(load_scenario("seven_joint", [f"controller={controller}"])).verdict == "stable"
 
 
-@pytest.mark.parametrize(
-    ("controller", "seed"), [*((name, 0) for name in PAPER_LAWS), ("tde_aismc", 1)]
-)
+@pytest.mark.parametrize(("controller", "seed"), [*((name, 0) for name in PAPER_LAWS), ("tde_aismc", 1)])
 def test_controllers_converge(run, controller, seed):
     quick = ("reference.duration=10", "duration=10")  # half of what is shipped, which asks for more
     record = run("seven_joint", f"controller={controller}", f"random_seed={seed}", *quick)

@@ -16,7 +16,8 @@ MAX_NUMBER = 1e20  # so that what is computed from a few values stays finite
 
 def as_dict(value: typing.Any) -> typing.Any:
     """Plain data (mappings, lists, leaves) of a dataclass, one of Drake's parameter structs, or a container of them."""
-    fields = schema_fields(type(value))
+    kind: typing.Any = type(value)
+    fields = schema_fields(kind)
     if fields is not None:
         return {key: as_dict(getattr(value, key)) for key in fields}
     if isinstance(value, Mapping):

@@ -372,7 +372,8 @@ def test_displacement_is_the_integral_of_velocity():
 @pytest.mark.parametrize(
     "overrides",
     [("controller=tdc", SHORT), ("controller=asmc", SHORT), ("controller=aismc", SHORT), (), DIVERGING,
-     ("duration=0.01",), ("duration=0.05",), ("duration=0.2", "sample_time=0.05"), ("duration=1", "controllers.tde_aismc.alpha=0")],
+     ("duration=0.01",), ("duration=0.05",), ("duration=0.2", "sample_time=0.05"),
+     ("duration=1", "controllers.tde_aismc.alpha=0")],
     ids=lambda overrides: ",".join(overrides)[:40] or "proposed",
 )  # fmt: skip
 def test_every_run_gives_every_finding_and_a_figure(analysis, overrides):

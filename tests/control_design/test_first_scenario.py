@@ -23,8 +23,8 @@ from ffsm_drake.spacecraft.plant import base_body
 from ffsm_drake.spacecraft.urdf import read_urdf
 from ffsm_drake.systems.controllers import controller_names
 
-# Final error, rad or m, held after a motion of a quarter of the planned duration (PD+: of half of it). Computed torque and PD+ estimate neither the
-# disturbance nor the payload's deviation, and keep the error that these cause.
+# Final error, rad or m, held after a motion of a quarter of the planned duration (PD+: of half of it). Computed torque
+# and PD+ estimate neither the disturbance nor the payload's deviation, and keep the error that these cause.
 LARGEST_ERROR = {"computed_torque": 2e-4, "pd_plus": 1e-3}
 
 
