@@ -124,12 +124,11 @@ class MujocoSpacecraft:
     def mass_matrix(self, configuration: np.ndarray) -> np.ndarray:
         """H (11, 11)."""
         self._evaluate(configuration, np.zeros(11), np.zeros(11))
-        product = np.zeros(11)
-        columns = []
-        for unit in np.eye(11):
-            mujoco.mj_mulM(self.model, self.data, product, rates_to_qvel(configuration, unit))
-            columns.append(qvel_to_rates(configuration, product))
-        return np.array(columns).T
+        turn, columns = np.eye(11), np.empty((11, 11))
+        turn[3:6, 3:6] = rotation_matrix(configuration)  # rates = turn @ qvel
+        for unit, column in zip(np.eye(11), columns, strict=True):
+            mujoco.mj_mulM(self.model, self.data, column, unit)
+        return turn @ columns.T @ turn.T
 
     def bias(self, configuration: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """c (11): the force that holds dv/dt at zero."""

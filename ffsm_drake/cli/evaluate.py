@@ -39,7 +39,6 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     """
     from ffsm_drake.common.files import check_writable, written_whole
     from ffsm_drake.control_design.stability import stability as find_margins
-    from ffsm_drake.show.figures.stability import plot_margins
     from ffsm_drake.show.tables import margins_data, margins_table
 
     if out is not None:
@@ -50,6 +49,8 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     else:
         click.echo(margins_table(margins))
     if out is not None:
+        from ffsm_drake.show.figures.stability import plot_margins
+
         path = out / "stability.png"
         with written_whole(path) as temporary:
             plot_margins(margins).savefig(temporary, dpi=130)

@@ -27,6 +27,7 @@ from ffsm_drake.spacecraft.coordinates import position_error
 pytestmark = pytest.mark.filterwarnings("ignore:.*sampled loop")
 
 L = 0.01
+SHORT = "duration=5"
 QUIET = "sensing.velocity_noise=0"
 # The paper's initial posture as target: a reference that does not move.
 HOLD = (
@@ -61,9 +62,9 @@ def test_tde_error_is_the_disturbance_of_the_reaching_law_on_the_euler_plant(run
     s once multiplied by K_D) and, for the base's rotation, up to the rotation vector, whose rate is v_d - v to first
     order only: 1e-7.
     """
-    data = run("paper", QUIET, *HOLD).dataset
+    data = run("paper", QUIET, *HOLD, SHORT).dataset
     s, k_s, g = (data[name].values[:-1] for name in DATA)
-    tde_error = analysis("paper", QUIET, *HOLD).series["tde_error"].values
+    tde_error = analysis("paper", QUIET, *HOLD, SHORT).series["tde_error"].values
     assert np.abs(tde_error).max() > 1e-4
     predicted = (1.0 - k_s * L) * s - L * tde_error - L * g * np.sign(s)
     following = data["sliding_variable"].values[1:]
@@ -76,7 +77,8 @@ def test_tde_error_is_the_disturbance_of_the_reaching_law_on_the_euler_plant(run
 
 def test_what_the_reaching_law_leaves_out_on_the_euler_plant_is_the_sampled_reference(run, analysis):
     """For a moving reference the remainder is (dv_d/L - a_d) + K_D (dq_d/L - v_d), of no signal of the plant's."""
-    data, result = run("paper", QUIET).dataset, analysis("paper", QUIET)
+    short = ("paper", QUIET, SHORT)  # the reference accelerates most at 4.2 s
+    data, result = run(*short).dataset, analysis(*short)
     q_d, v_d, a_d = (data[f"desired_{name}"].values for name in ("position", "velocity", "acceleration"))
     moved = np.array([position_error(after, before) for before, after in pairwise(q_d)])
     expected = np.diff(v_d, axis=0) / L - a_d[:-1] + 100.0 * (moved / L - v_d[:-1])
@@ -90,13 +92,13 @@ def test_what_the_reaching_law_leaves_out_on_the_euler_plant_is_the_sampled_refe
 
 def test_tde_error_is_that_of_equations_2_and_5_on_the_true_plant(run, analysis):
     """N from the true H, C, tau_d; Nhat from the measured past. Explicit Euler makes N that of the whole period."""
-    record = run("paper")  # with noise
+    record = run("paper", SHORT)  # with noise
     data = record.dataset
     true, nominal = make_true_plant(record.scenario), make_nominal_plant(record.scenario)
     q, v, tau, tau_d = (data[x].values for x in ("position", "velocity", "generalized_force", "disturbance_force"))
     measured_q, measured_v = data["measured_position"].values, data["measured_velocity"].values
-    tde_error = analysis("paper").series["tde_error"].values
-    for k in range(1, 2000, 101):
+    tde_error = analysis("paper", SHORT).series["tde_error"].values
+    for k in range(1, 500, 25):
         h, h_hat = true.calc_mass_matrix(q[k]), nominal.calc_mass_matrix(measured_q[k])
         n = np.linalg.solve(h, tau[k] + tau_d[k] - true.calc_bias(q[k], v[k])) - np.linalg.solve(h_hat, tau[k])
         n_hat = (measured_v[k] - measured_v[k - 1]) / L - np.linalg.solve(h_hat, tau[k - 1])
@@ -274,13 +276,13 @@ def test_lemma_1_can_have_its_premise_without_its_conclusion(analysis):
 
 def test_direct_bound_needs_short_samples(analysis):
     """At 1 ms the continuous-time bound holds without a switching term; at 10 ms it fails, with K_D L = 1."""
-    short = ("sample_time=0.001", "simulator_config.max_step_size=0.001", "duration=1")
+    short = ("sample_time=0.001", "simulator_config.max_step_size=0.001", "duration=0.3")
     assert analysis("postcapture", QUIET, "controller=aismc", *short).finding("direct_bound").verdict == "holds"
-    finding = analysis("postcapture", "controller=aismc").finding("direct_bound")
+    finding = analysis("postcapture", "controller=aismc", SHORT).finding("direct_bound")
     assert finding.verdict == "does not hold"
     assert finding.numbers["worst_ratio"] == finding.numbers[f"ratio.{finding.numbers['worst_coordinate']}"] > 1.0
     assert finding.numbers["worst_ratio_with_remainder"] < 1.0
-    asmc = analysis("postcapture", "controller=asmc")
+    asmc = analysis("postcapture", "controller=asmc", SHORT)
     assert asmc.finding("reaching_law").numbers["largest_k_s_l"] == pytest.approx(0.8)  # its constant K_s
     assert asmc.finding("direct_bound").verdict != "not applicable"
 
@@ -315,12 +317,12 @@ def test_total_variation_and_reversals():
 
 
 def test_switching_costs_chattering(run, analysis):
-    numbers = {name: analysis("postcapture", f"controller={name}").finding("chattering").numbers
+    numbers = {name: analysis("postcapture", f"controller={name}", SHORT).finding("chattering").numbers
                for name in ("tdc", "tde_aismc")}  # fmt: skip
     for group in ("base_rotation", "base_position", "joints"):
         assert numbers["tde_aismc"][f"rms.{group}"] > 1.5 * numbers["tdc"][f"rms.{group}"]
         assert numbers["tde_aismc"][f"total_variation.{group}"] > 2.0 * numbers["tdc"][f"total_variation.{group}"]
-    tau = run("postcapture", "controller=tdc").dataset["generalized_force"].values
+    tau = run("postcapture", "controller=tdc", SHORT).dataset["generalized_force"].values
     assert numbers["tdc"]["total_variation.joint_2"] == pytest.approx(np.abs(tau[1:, 7] - tau[:-1, 7]).sum())
     assert 0.0 < numbers["tdc"]["effort_share"] < numbers["tde_aismc"]["effort_share"] < 0.2
     assert numbers["tdc"]["reversals_per_second.base_position"] < 100.0
@@ -330,14 +332,14 @@ def test_switching_costs_chattering(run, analysis):
 
 
 def test_balances_hold_for_exact_integration_and_not_for_euler(run, analysis):
-    exact, euler = analysis("postcapture"), analysis("paper")
+    exact, euler = analysis("postcapture"), analysis("paper", SHORT)
     for key in ("momentum_balance", "energy_balance"):
         assert exact.finding(key).verdict == "holds", exact.finding(key).statement
         assert euler.finding(key).verdict == "does not hold"
     energy = exact.finding("energy_balance").numbers
     assert energy["residual"] < 1e-9 < 1e-8 < energy["residual_by_trapezoid"] < 1e-6
     assert 3.0 < energy["absolute_work"] < 4.5
-    assert euler.finding("energy_balance").numbers["residual"] > 1e-3
+    assert euler.finding("energy_balance").numbers["residual"] > 5e-4
     momentum = exact.finding("momentum_balance").numbers
     assert momentum["linear_residual"] == run("postcapture").metrics["momentum_residual"]["linear"]
     assert momentum["angular_ratio"] < 1e-9
@@ -369,8 +371,9 @@ def test_displacement_is_the_integral_of_velocity():
 
 @pytest.mark.parametrize(
     "overrides",
-    [("controller=tdc",), ("controller=asmc",), ("controller=aismc",), (), DIVERGING, ("duration=0.01",),
-     ("duration=0.05",), ("duration=0.2", "sample_time=0.05"), ("duration=1", "controllers.tde_aismc.alpha=0")],
+    [("controller=tdc", SHORT), ("controller=asmc", SHORT), ("controller=aismc", SHORT), (), DIVERGING,
+     ("duration=0.01",), ("duration=0.05",), ("duration=0.2", "sample_time=0.05"),
+     ("duration=1", "controllers.tde_aismc.alpha=0")],
     ids=lambda overrides: ",".join(overrides)[:40] or "proposed",
 )  # fmt: skip
 def test_every_run_gives_every_finding_and_a_figure(analysis, overrides):
@@ -393,10 +396,12 @@ def test_every_run_gives_every_finding_and_a_figure(analysis, overrides):
     assert len(plot_analysis(result).subfigs) == 6
 
 
-@pytest.mark.parametrize("overrides", [("controller=tdc",), (), DIVERGING, ("duration=0.01",)], ids=str)
+@pytest.mark.parametrize("overrides", [("controller=tdc", SHORT), DIVERGING, ("duration=0.01",)], ids=str)
 def test_the_figure_can_be_drawn(analysis, overrides):
-    file = io.BytesIO()
-    plot_analysis(analysis("postcapture", *overrides)).savefig(file, format="png", dpi=20)
+    """With panels that do not apply, with numbers out of all bounds, and with two samples."""
+    figure, file = plot_analysis(analysis("postcapture", *overrides)), io.BytesIO()
+    figure.set_layout_engine("none")  # half the cost
+    figure.savefig(file, format="png", dpi=20)
     assert len(file.getvalue()) > 5000
 
 
@@ -407,7 +412,7 @@ def test_every_finding_is_documented():
 
 
 def test_what_does_not_apply_says_why(analysis):
-    result = analysis("postcapture", "controller=tdc")
+    result = analysis("postcapture", "controller=tdc", SHORT)
     reasons = {finding.key: finding.statement for finding in result.findings if finding.verdict == "not applicable"}
     assert set(reasons) == {
         "reaching_law", "lyapunov_derivative", "ultimate_bound", "direct_bound", "lemma_1_premise",
@@ -416,7 +421,7 @@ def test_what_does_not_apply_says_why(analysis):
     assert "tdc has no sliding variable" in reasons["direct_bound"]
     assert "(9) and (10)" in reasons["ultimate_bound"]
     assert "aismc has no switching gain" in (
-        analysis("postcapture", "controller=aismc").finding("switching_gain_bound").statement
+        analysis("postcapture", "controller=aismc", SHORT).finding("switching_gain_bound").statement
     )
     assert "the record has 2" in analysis("postcapture", "duration=0.01").finding("chattering").statement
     with pytest.raises(KeyError, match="no finding 'condition_9'; choose one of condition_8"):

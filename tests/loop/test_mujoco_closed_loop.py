@@ -62,6 +62,7 @@ def quintic() -> np.polynomial.Polynomial:
     return np.polynomial.Polynomial(np.linalg.solve(conditions, [0, 0, 0, 1, 0, 0]) / DURATION**powers)
 
 
+@functools.cache
 def reference(t: float) -> tuple[np.ndarray, Rotation, np.ndarray, np.ndarray, np.ndarray]:
     """Position (3), attitude, joint angles (5), rates (11) and accelerations (11)."""
     polynomial = quintic()
@@ -213,7 +214,7 @@ class Series(NamedTuple):
     switching_gain: np.ndarray  # G likewise
 
 
-def run_on_mujoco(scenario: Scenario, *, substeps: int = 2) -> Series:
+def run_on_mujoco(scenario: Scenario, *, substeps: int = 1) -> Series:
     """The closed loop, by fourth-order Runge-Kutta steps of PERIOD / substeps."""
     plant, nominal = (oracle.MujocoSpacecraft(target) for target in (oracle.TRUE_TARGET, oracle.BELIEVED_TARGET))
     law = LAWS[scenario.controller](scenario)

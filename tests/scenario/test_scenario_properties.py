@@ -27,10 +27,10 @@ SETTINGS = settings(
     derandomize=True,
     database=None,
     deadline=None,
-    max_examples=200,
+    max_examples=120,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
-FEW = settings(SETTINGS, max_examples=40)
+FEW = settings(SETTINGS, max_examples=25)
 
 COORDINATES = st.sampled_from(("all", *GROUPS, *BASE_ROTATION, *BASE_POSITION, "joint_1", "joint_2"))
 POSITIVE = st.floats(1e-6, 1e6)

@@ -272,10 +272,10 @@ def test_free_motion_conserves_momentum_and_energy(plant: MultibodyPlant, contex
     about_origin = generalized[:3] + np.cross(q[4:7], generalized[3:6])
     for mine, theirs in zip((generalized[3:6], about_origin), before[:2], strict=True):
         assert_allclose(mine, theirs, rtol=0, atol=1e-12 * np.linalg.norm(theirs))
-    simulate_tightly(plant, context, 20.0)
+    simulate_tightly(plant, context, 2.0)
     assert np.abs(plant.GetPositions(context) - q).max() > 1  # it did move
     for start, end in zip(before, conserved(), strict=True):
-        assert np.linalg.norm(end - start) < 1e-9 * np.linalg.norm(start)
+        assert np.linalg.norm(end - start) < 1e-10 * np.linalg.norm(start)
 
 
 class WorkMeter(LeafSystem):
@@ -312,7 +312,7 @@ def test_work_of_a_sine_force_is_the_gain_of_kinetic_energy() -> None:
     plant.SetPositions(plant_context, q)
     plant.SetVelocities(plant_context, v)
     before = plant.CalcKineticEnergy(plant_context)
-    simulate_tightly(diagram, context, 5.0)
+    simulate_tightly(diagram, context, 1.0)
     gain = plant.CalcKineticEnergy(plant_context) - before
     assert abs(gain) > 0.1
     assert_allclose(work_done(meter, diagram, context), gain, rtol=0, atol=1e-10 * before)

@@ -23,6 +23,7 @@ FLIGHT = (
 # What binds for a while on the way: the plan asks the base for up to 3.4 N.
 TIGHT = "actuation.limit={base_position: 3, base_rotation: 10, joints: 50}"
 SHORT = (*FLIGHT, "duration=4")
+QUIET = ("sensing.velocity_noise=1e-6", "sensing.position_noise=0")
 
 
 def forces(record):
@@ -41,14 +42,14 @@ def assert_the_plant_got_the_applied_force(record):
 
 
 def test_by_default_the_applied_force_is_the_commanded(run):
-    record = run("postcapture")
+    record = run("postcapture", "duration=1")
     commanded, applied = forces(record)
     assert np.array_equal(applied, commanded)
     assert "actuation" not in make_closed_loop(record.scenario).blocks
 
 
 def test_saturation(run):
-    record = run(*FLIGHT, TIGHT)
+    record = run(*FLIGHT, *QUIET, TIGHT, "estimator.kind=kalman")
     commanded, applied = forces(record)
     limit = limits(record)
     assert np.array_equal(applied, np.clip(commanded, -limit, limit))
@@ -96,6 +97,7 @@ def test_saturation_then_quantization_then_delay(run):
         "actuation.limit={base_position: 3.04, base_rotation: 10, joints: 50}",
         "actuation.quantization=0.1",
         "actuation.delay=2",
+        "duration=5",  # the plan asks for most at 4.2 s
     )
     commanded, applied = forces(record)
     limit = limits(record)
@@ -144,11 +146,9 @@ def replay(record, *, applied):
 
 
 @pytest.mark.parametrize("kind", ["kalman", "one_sample"])
-def test_a_limit_that_binds_for_a_while_does_not_wind_up_the_estimate(kind):
-    quiet = ("sensing.velocity_noise=1e-6", "sensing.position_noise=0")
-    scenario = load_scenario(FLIGHT[0], [*FLIGHT[1:], TIGHT, f"estimator.kind={kind}", *quiet])
-    fed = simulate(scenario, check_stability=False)
-    blind = simulate(scenario, blocks={"controller": without_feedback}, check_stability=False)
+def test_a_limit_that_binds_for_a_while_does_not_wind_up_the_estimate(run, kind):
+    fed = run(*FLIGHT, *QUIET, TIGHT, f"estimator.kind={kind}")
+    blind = simulate(fed.scenario, blocks={"controller": without_feedback}, check_stability=False)
     assert fed.outcome.completed
     assert fed.metrics["peak_error"]["base_position"] < 0.01
     assert fed.metrics["final_error"]["base_position"] < 2e-4
@@ -173,8 +173,7 @@ def test_a_limit_that_binds_for_a_while_does_not_wind_up_the_estimate(kind):
 )
 def test_the_estimate_is_fed_the_applied_force(run, kind, override):
     """With the applied force the pure functions give the recorded commands; with the commanded they do not."""
-    quiet = ("sensing.velocity_noise=1e-6", "sensing.position_noise=0")
-    record = run(*FLIGHT, *quiet, "duration=5", f"estimator.kind={kind}", override)
+    record = run(*FLIGHT, *QUIET, "duration=5", f"estimator.kind={kind}", override)
     commanded, applied = forces(record)
     assert np.abs(commanded - applied).max() > 1e-3
     assert replay(record, applied=applied)[1] == pytest.approx(commanded, rel=1e-6, abs=1e-8)

@@ -106,7 +106,7 @@ def test_gain_is_the_steady_state_of_the_riccati_iteration():
         noise = np.zeros((walk.size, 2, 2))
         noise[:, 0, 0], noise[:, 1, 1] = position**2, velocity**2
         covariance = np.tile(np.diag([1e-4, 1e-4, 1.0]), (walk.size, 1, 1))
-        for _ in range(8000):
+        for _ in range(4000):
             gain = covariance[:, :, :2] @ np.linalg.inv(covariance[:, :2, :2] + noise)
             keep = np.eye(3) - np.pad(gain, ((0, 0), (0, 0), (0, 1)))
             covariance = keep @ covariance @ keep.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
@@ -147,7 +147,7 @@ def test_each_coordinate_has_the_gain_of_its_own_noise():
 
 def test_an_unknown_constant_disturbance_leaves_no_error(run):
     """At rest the force cancels tau_d, and what is left of the error is nothing beside that of the law alone."""
-    record = run(*FLIGHT, "duration=40", "disturbance.frequency_scale=0", *NO_NOISE)
+    record = run(*FLIGHT, "reference.duration=8", "duration=25", "disturbance.frequency_scale=0", *NO_NOISE)
     data, scenario = record.dataset, record.scenario
     disturbance = data["disturbance_force"].values
     assert np.ptp(disturbance, axis=0) == pytest.approx(np.zeros(11), abs=1e-15)
@@ -210,7 +210,7 @@ def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
     """Twice the inertia: eta > 2, and one sample alone is a growing oscillation."""
     setting = ("postcapture", *heavier(250, 42), *FLIGHT_GAINS)
     assert run(*setting).outcome.status == "diverged"
-    record = run(*setting, *FLIGHT_FILTER)
+    record = run(*setting, *FLIGHT_FILTER, "duration=10")
     assert record.outcome.completed
     assert max(record.metrics["peak_error"].values()) < 3e-4
     assert max(record.metrics["peak_effort"].values()) < 10

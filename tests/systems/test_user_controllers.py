@@ -400,7 +400,7 @@ def test_a_name_that_exists_nowhere():
 
 def test_every_controller_runs_on_every_shipped_scenario(shipped_scenario, any_controller):
     record = simulate(
-        load_scenario(shipped_scenario, [f"controller={any_controller}", "duration=0.3"]), check_stability=False
+        load_scenario(shipped_scenario, [f"controller={any_controller}", "duration=0.1"]), check_stability=False
     )
     assert record.outcome.completed
     assert np.isfinite(record.dataset["generalized_force"].values).all()

@@ -35,8 +35,10 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins) -> None:
     law, scenario = margins.law, margins.scenario
     adapts = has_k_s(margins)
     eta = np.linspace(0.2, 1.4, 90)
-    highest_k_s = max(np.nanmax(margins.k_s_limit), law.k_s.max())
-    top = 1.35 * highest_k_s if adapts else 1500.0 * margins.sample_time_limit.max()
+    if adapts:
+        top = 1.35 * max(np.nanmax(margins.k_s_limit), law.k_s.max())
+    else:
+        top = 1500.0 * margins.sample_time_limit.max()
     vertical = np.linspace(top / 200, top, 90)
     gains = law.at(vertical[:, None]) if adapts else law.at()
     poles = axis_poles(
