@@ -1,5 +1,7 @@
 """YAML for settings, read strictly: what PyYAML would silently ignore, or expand without limit, is refused."""
 
+import copy
+import functools
 import re
 from typing import Any
 
@@ -62,6 +64,11 @@ def read_yaml(text: str) -> Any:
 
     Raises StrictYamlError: not YAML, a key given twice, a tag, aliases that multiply or are circular, deep nesting.
     """
+    return copy.deepcopy(_read(text))
+
+
+@functools.lru_cache(maxsize=64)  # the shipped files are read again and again, and PyYAML is slow
+def _read(text: str) -> Any:
     try:
         loader = _StrictLoader(text)
         try:
