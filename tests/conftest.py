@@ -17,6 +17,11 @@ def pytest_configure(config):
     config.addinivalue_line("filterwarnings", "ignore::ffsm_drake.control_design.stability.StabilityWarning")
 
 
+def pytest_collection_modifyitems(items):
+    # The module that takes longest starts first, so that no worker ends alone with it.
+    items.sort(key=lambda item: item.path.name != "test_example.py")
+
+
 @functools.cache
 def _run(name: str, *overrides: str) -> RunRecord:
     return simulate(load_scenario(name, overrides))
