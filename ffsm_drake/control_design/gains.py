@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import fmin
-from scipy.signal import fftconvolve
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.control_design.stability.margins import sampling_of
@@ -160,7 +159,8 @@ class _Axis:
         columns, power = loop.f, loop.a
         while columns.shape[1] < count:
             columns, power = np.hstack([columns, power @ columns]), power @ power
-        error = fftconvolve(columns[:1, :count].T, self.demand, axes=0)[:count]
+        response = np.fft.rfft(columns[:1, :count].T, 2 * count, axis=0)
+        error = np.fft.irfft(response * np.fft.rfft(self.demand, 2 * count, axis=0), axis=0)[:count]
         return float((error[self.late] ** 2).mean() + covariance[0, 0]), float(self.duration * force * self.weight)
 
     def minimize(self, price: float, start: np.ndarray) -> np.ndarray:

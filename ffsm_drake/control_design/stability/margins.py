@@ -5,7 +5,6 @@ import functools
 import math
 
 import numpy as np
-from scipy.special import erf
 
 from ffsm_drake.control_design.stability.sampled_loop import (
     LawGains,
@@ -234,7 +233,7 @@ def _mean_signed_magnitude(mean: float, sigma: float, threshold: float) -> float
         """Integral of s times the density from a to b."""
         za, zb = (a - mean) / (sigma * math.sqrt(2.0)), (b - mean) / (sigma * math.sqrt(2.0))
         density = sigma / math.sqrt(2.0 * math.pi) * (math.exp(-za * za) - math.exp(-zb * zb))
-        return density + 0.5 * mean * float(erf(zb) - erf(za))
+        return density + 0.5 * mean * (math.erf(zb) - math.erf(za))
 
     inside = partial(0.0, threshold) - partial(-threshold, 0.0)
     far = abs(mean) + 12.0 * sigma + threshold

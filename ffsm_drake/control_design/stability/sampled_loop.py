@@ -16,10 +16,10 @@ input; the covariance of its response solves a discrete Lyapunov equation.
 import dataclasses
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh, solve_discrete_lyapunov
-from scipy.optimize import brentq
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import Scenario
@@ -137,6 +137,12 @@ def _scalar(law: LawGains, axis: int, k_s: np.ndarray | float) -> LoopGains:
     return dataclasses.replace(law, k_d=law.k_d[axis], k_p=law.k_p[axis], k_s=np.asarray(k_s)).at()
 
 
+def _root(function: Callable[[Any], float], low: float, high: float, *, xtol: float = 2e-12) -> float:
+    from scipy.optimize import brentq  # slow to load, and a run needs no margins
+
+    return float(brentq(function, low, high, xtol=xtol))
+
+
 def largest_stable(radius: Callable[[np.ndarray], np.ndarray], low: float, high: float, *, steps: int = 400) -> float:
     """The largest x in [low, high] with radius(x) < 1; NaN where there is none, ``high`` where the end is stable.
 
@@ -149,7 +155,7 @@ def largest_stable(radius: Callable[[np.ndarray], np.ndarray], low: float, high:
     last = int(inside[-1])
     if last == steps - 1:
         return high
-    return float(brentq(lambda x: float(radius(x)) - 1.0, grid[last], grid[last + 1], xtol=1e-9 * high))
+    return _root(lambda x: float(radius(x)) - 1.0, grid[last], grid[last + 1], xtol=1e-9 * high)
 
 
 def largest_stable_k_s(law: LawGains, axis: int, *, eta: float, sampling: Sampling, ceiling: float = 1000.0) -> float:
@@ -193,8 +199,8 @@ def tolerated_eta(law: LawGains, axis: int, *, sampling: Sampling, k_s: float | 
     while high < grid.size - 1 and stable[high + 1]:
         high += 1
     return (
-        float(grid[0]) if low == 0 else float(brentq(excess, grid[low - 1], grid[low])),
-        float(grid[-1]) if high == grid.size - 1 else float(brentq(excess, grid[high], grid[high + 1])),
+        float(grid[0]) if low == 0 else _root(excess, grid[low - 1], grid[low]),
+        float(grid[-1]) if high == grid.size - 1 else _root(excess, grid[high], grid[high + 1]),
     )
 
 
