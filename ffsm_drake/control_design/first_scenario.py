@@ -278,16 +278,17 @@ def _limits(joint: Joint) -> str:
 def _margins(scenario: Scenario) -> dict[str, Any]:
     """What the sampled-loop analysis says, in SI units; NaN for K_s of a law without."""
     margins = stability(scenario, postures=9)
-    eta, tolerated = margins.eta, margins.eta_tolerated
+    eta, axes = margins.eta, margins.axes
+    assert axes is not None  # one of the paper's laws, and nothing is late
     return {
         "verdict": margins.verdict,
         "stable": margins.is_stable,
-        "spectral_radius": float(margins.spectral_radius.max()),
-        "k_s_bound": float("nan") if np.isnan(margins.k_s_limit).all() else float(margins.law.k_s_max.max()),
-        "k_s_limit": float(margins.k_s_limit.min()),
-        "sample_time_limit": float(margins.sample_time_limit.min()),
+        "spectral_radius": margins.worst.spectral_radius,
+        "k_s_bound": float("nan") if np.isnan(axes.k_s_limit).all() else float(axes.law.k_s_max.max()),
+        "k_s_limit": float(axes.k_s_limit.min()),
+        "sample_time_limit": float(axes.sample_time_limit.min()),
         "eta": (float(eta.min()), float(eta.max())),  # met along the motion
-        "eta_tolerated": (float(tolerated[:, 0].max()), float(tolerated[:, 1].min())),
+        "eta_tolerated": (float(axes.eta_tolerated[:, 0].max()), float(axes.eta_tolerated[:, 1].min())),
     }
 
 

@@ -10,7 +10,7 @@ from pydrake.geometry import Meshcat
 from ffsm_drake.loop.blocks import block_choices, block_sources
 from ffsm_drake.runs.dataset import make_dataset
 from ffsm_drake.runs.record import RunRecord, software_versions
-from ffsm_drake.runs.rollout import Rollout, RunLog
+from ffsm_drake.runs.rollout import Rollout, RunLog, user_supplied
 from ffsm_drake.scenario import Block, Scenario
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.registry import Factory, address_of, module_folder
@@ -36,14 +36,15 @@ def simulate(
         be imported by name, so that the run can be repeated from its record.
       meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate`` to pace it).
       progress: called with (simulated time, duration) in s, once per simulated second.
-      check_stability: warn (StabilityWarning) when the sampled loop starts unstable or its adaptation may become so.
+      check_stability: warn (StabilityWarning) when the sampled loop starts unstable or its adaptation may become so;
+        not with user-supplied blocks, which a check would have to run.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block cannot be loaded, built, wired or run.
     """
     start = time.perf_counter()
-    if check_stability:
+    if check_stability and not user_supplied(scenario, blocks):
         from ffsm_drake.control_design.stability import StabilityWarning, stability_warning  # SciPy is slow to import
 
         if remark := stability_warning(scenario):

@@ -2,17 +2,15 @@
 """Numbers and tables as plain text, and the tables' figures as plain data."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.systems.controllers import complete_gains
 
 if TYPE_CHECKING:  # slow to import
     from ffsm_drake.control_design.gains import Design
-    from ffsm_drake.control_design.stability.margins import Margins
+    from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
     from ffsm_drake.control_design.stability.prediction import Prediction
 
 NONE = "–"
@@ -85,58 +83,74 @@ def results_data(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
     ]
 
 
-def has_k_s(margins: "Margins") -> bool:
-    """Whether the law has a reaching gain K_s."""
-    return bool(np.isfinite(margins.k_s_limit).any())
-
-
 def margins_table(margins: "Margins") -> str:
-    """Plain text: per coordinate the limits against what the scenario uses, then what holds for all of them."""
-    scenario, data = margins.scenario, margins_data(margins)
-    plant = "explicit Euler at the control period" if margins.sampling.euler else "exactly integrated"
+    """Plain text: the modes of the worst posture, and for the paper's laws per coordinate the limits."""
+    scenario, data, worst = margins.scenario, margins_data(margins), margins.worst
+    low, high = data["eta"]
+    lines = [
+        f"{scenario.description or 'scenario'}: {scenario.controller}, L = {scenario.sample_time:g} s",
+        f"eigenvalues eta of H^-1 Hhat along the planned motion: {low:.3f} to {high:.3f}",
+        "",
+        f"slowest modes of the loop as it is wired, at t = {worst.time:g} s:",
+    ]
+    rows = [["|z|", "frequency", "damping", "coordinates"], ["", "rad/s", "", ""]]
+    for mode in data["modes"]:
+        shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(mode["coordinates"].items())[:3])
+        rows.append([f"{mode['magnitude']:.5f}", f"{mode['frequency']:.3g}", f"{mode['damping']:.3f}", shares])
+    lines += aligned(rows)
+    if margins.axes is not None:
+        plant = "explicit Euler at the control period" if margins.axes.sampling.euler else "exactly integrated"
+        lines += ["", f"limits of each coordinate alone, plant {plant}:", *_axis_lines(margins.axes, data)]
+    return "\n".join(
+        [*lines, "", f"spectral radius {data['spectral_radius']:.5f} at the worst posture", margins.verdict]
+    )
+
+
+def _axis_lines(axes: "AxisMargins", data: Mapping[str, Any]) -> list[str]:
     rows = [
         ["coordinate", "K_s start", "expected", "bound", "limit", "margin", "largest L", "tolerated eta"],
         ["", "1/s", "1/s", "1/s", "1/s", "", "ms", ""],
     ]
     for name, item in data["coordinates"].items():
         gains = ["-"] * 5
-        if has_k_s(margins):
+        if axes.has_k_s:
             expected, limit, bound = (item[f"k_s_{key}"] for key in ("expected", "limit", "bound"))
             gains = [f"{item['k_s_start']:.4g}", f"{expected:.4g}", f"{bound:.4g}" if math.isfinite(bound) else "none",
                      f"{limit:.4g}", f"{limit / max(expected, 1e-9):.2f}"]  # fmt: skip
         low, high = item["eta_tolerated"]
         rows.append([name, *gains, f"{1e3 * item['sample_time_limit']:.2f}", f"{low:.2f} .. {high:.2f}"])
-    low, high = data["eta"]
-    return "\n".join([
-        f"{scenario.description or 'scenario'}: {scenario.controller}, L = {scenario.sample_time:g} s, plant {plant}",
-        f"eigenvalues eta of H^-1 Hhat along the planned motion: {low:.3f} to {high:.3f}",
-        "",
-        *aligned(rows),
-        "",
-        f"coupled loop at the starting gains: spectral radius {data['spectral_radius']:.5f} at the worst posture",
-        margins.verdict,
-    ])  # fmt: skip
+    return aligned(rows)
 
 
 def margins_data(margins: "Margins") -> dict[str, Any]:
-    """The table's figures as plain data, by coordinate where they differ (1/s, s)."""
-    by_coordinate = {
+    """The table's figures as plain data, by coordinate where they differ (1/s, s, rad/s)."""
+    axes = margins.axes
+    by_coordinate = {} if axes is None else {
         name: {
-            "k_s_start": float(margins.law.k_s[i]),
-            "k_s_expected": float(margins.forecast_k_s[:, i].max()),
-            "k_s_bound": float(margins.law.k_s_max[i]),
-            "k_s_limit": float(margins.k_s_limit[i]),
-            "sample_time_limit": float(margins.sample_time_limit[i]),
-            "eta_tolerated": margins.eta_tolerated[i].tolist(),
+            "k_s_start": float(axes.law.k_s[i]),
+            "k_s_expected": float(axes.forecast_k_s[:, i].max()),
+            "k_s_bound": float(axes.law.k_s_max[i]),
+            "k_s_limit": float(axes.k_s_limit[i]),
+            "sample_time_limit": float(axes.sample_time_limit[i]),
+            "eta_tolerated": axes.eta_tolerated[i].tolist(),
         }
         for i, name in enumerate(margins.coordinates.names)
-    }
+    }  # fmt: skip
     return {
         "controller": margins.scenario.controller,
         "verdict": margins.verdict,
         "stable": margins.is_stable,
-        "spectral_radius": float(margins.spectral_radius.max()),
+        "spectral_radius": margins.worst.spectral_radius,
         "eta": [float(margins.eta.min()), float(margins.eta.max())],
+        "modes": [
+            {
+                "magnitude": abs(mode.pole),
+                "frequency": mode.frequency,
+                "damping": mode.damping,
+                "coordinates": dict(mode.coordinates),
+            }
+            for mode in margins.worst.modes()
+        ],
         "coordinates": by_coordinate,
     }
 

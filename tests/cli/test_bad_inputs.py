@@ -210,8 +210,12 @@ def directives(id: str, text: str, *expected: str) -> Row:
 def controller(id: str, name: str, *expected: str, command: str = "validate", text: str = CONTROLLERS) -> Row:
     """A controller of one's own; each row has a module of its own name, since modules are imported once."""
     module = f"bad_{id.replace('-', '_')}"
-    words = {"run": f"run --no-report {SHORT} -c", "validate": "validate postcapture --set"}[command]
-    value = f"{module}:{name}" if command == "run" else f"controller={module}:{name}"
+    words = {
+        "run": f"run --no-report {SHORT} -c",
+        "validate": "validate postcapture --set",
+        "stability": "stability -c",
+    }[command]
+    value = f"controller={module}:{name}" if command == "validate" else f"{module}:{name}"
     return Row(id, f"{words} {value}", (name, *expected), {f"{module}.py": text})
 
 
@@ -592,6 +596,8 @@ TABLE = [
     controller("invents-memory", "Invents", "'integral', which initial_state does not name", command="run"),
     controller("raises-in-law", "Raises", "failed at t = 0.00 s: KeyError: 'gain'", "line ", command="run"),
     controller("exits-in-law", "Leaves", "step called sys.exit at t = 0.00 s", command="run"),
+    controller("raises-linearised", "Raises", "cannot be linearised: KeyError: 'gain'", command="stability"),
+    controller("exits-linearised", "Leaves", "step called sys.exit at t = 0.00 s", command="stability"),
     controller("no-law", "NoLaw", "NoLaw must define step(sample, state)", command="run"),
     controller("nan-configuration", "NanState", "the configuration q is not finite", command="run"),
     Row(
@@ -599,9 +605,6 @@ TABLE = [
         "validate postcapture --set controller=mine_bad:Good --set controllers.Good.kk=1",
         ("controllers.Good.kk: unknown gain; Good has k; did you mean 'k'?",),
         MODULES,
-    ),
-    Row(
-        "margins-of-own", "stability -c mine_bad:Good", ("controller", "sampled-loop margins are those of tdc"), MODULES
     ),
     # Where results go.
     Row(

@@ -97,9 +97,10 @@ def test_stability(tmp_path):
     data = json.loads(unstable.stdout)
     assert data["stable"] is False
     assert data["coordinates"]["joint_1"]["k_s_limit"] == pytest.approx(100, rel=1e-6)
-    other = ffsm("stability", "-c", "pd_plus")
-    assert other.exit_code == 2
-    assert "the sampled-loop margins are those of tdc, asmc, aismc, tde_aismc; 'pd_plus' is another" in other.stderr
+    other = ffsm("stability", "-c", "pd_plus", "--out", tmp_path / "other")
+    assert other.exit_code == 0
+    assert "spectral radius 0.9996" in other.stdout
+    assert (tmp_path / "other" / "stability.png").is_file()
 
 
 def test_analyze(run, tmp_path, monkeypatch):

@@ -84,8 +84,8 @@ def test_margins_are_those_of_the_stability_command(made):
     margins = stability(load_scenario(new.scenario_file, ["controller=aismc"]))
     shown = new.margins["aismc"]
     assert margins.verdict == shown["verdict"] == "stable"
-    assert shown["k_s_limit"] == pytest.approx(margins.k_s_limit.min(), rel=0.02)
-    assert margins.k_s_limit.min() > 1.5 * margins.law.k_s_max.max()
+    assert shown["k_s_limit"] == pytest.approx(margins.axes.k_s_limit.min(), rel=0.02)
+    assert margins.axes.k_s_limit.min() > 1.5 * margins.axes.law.k_s_max.max()
 
 
 def test_folder_can_be_moved(made, tmp_path):

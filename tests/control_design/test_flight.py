@@ -154,8 +154,8 @@ def test_margins_know_the_estimator():
     kalman = stability(load_scenario("flight_sensors", ["controller=tdc"]))
     one_sample = stability(load_scenario("postcapture", ["controller=aismc"]))
     assert kalman.is_stable
-    assert kalman.eta_tolerated[:, 1].min() > 1.6 > one_sample.eta_tolerated[:, 1].max()
-    assert kalman.sample_time_limit.min() > 0.015
+    assert kalman.axes.eta_tolerated[:, 1].min() > 1.6 > one_sample.axes.eta_tolerated[:, 1].max()
+    assert kalman.axes.sample_time_limit.min() > 0.015
 
 
 @pytest.mark.parametrize("payload_range", [("150", "60"), ("-5", "60"), ("60", "60")])

@@ -214,12 +214,12 @@ def test_expected_adaptation_against_simulation(run):
     for overrides in ((), ("controller=aismc",)):
         scenario = load_scenario("postcapture", overrides)
         simulated = run("postcapture", *overrides).dataset["reaching_gain"].values[-1]
-        expected = stability(scenario).forecast_k_s[-1]
+        expected = stability(scenario).axes.forecast_k_s[-1]
         base = slice(0, 6)  # the joints' errors follow from the motion, which the forecast treats more coarsely
         assert expected[base] == pytest.approx(simulated[base], rel=0.03)
         assert expected == pytest.approx(simulated, rel=0.2)
-    margins = stability(load_scenario("postcapture", PUBLISHED_UNBOUNDED))
-    first = margins.forecast_times[np.argmax((margins.forecast_k_s > 100.0).any(axis=1))]
+    axes = stability(load_scenario("postcapture", PUBLISHED_UNBOUNDED)).axes
+    first = axes.forecast_times[np.argmax((axes.forecast_k_s > 100.0).any(axis=1))]
     assert first == pytest.approx(run("postcapture", *PUBLISHED_UNBOUNDED).outcome.time, abs=2.0)
 
 

@@ -231,7 +231,7 @@ def test_missing_variables_cost_only_their_section(short):
 def test_a_user_supplied_controller_gets_its_report(short):
     page = page_of(with_scenario(short, controller="lab:MyLqr"), short)
     assert "MyLqr" in page.text
-    assert "the stability map is not available" in page.text
+    assert "the stability of the loop is not available" in page.text
     assert "error-0-0" in page.figures
     names = [label_of(name) for name in ("tdc", "lab:MyLqr", "mine")]
     assert names == ["TDC", "MyLqr", "mine"]

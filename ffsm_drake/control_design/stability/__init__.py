@@ -1,4 +1,4 @@
-"""Stability of the sampled loop, predicted from gains, period and mass matrices alone."""
+"""Stability of the sampled loop, read from its wiring, and its closed forms for the paper's laws."""
 
 from ffsm_drake.control_design.stability.margins import Margins, StabilityWarning, stability, stability_warning
 

@@ -1,4 +1,4 @@
-"""Sampled-loop margins of a scenario along its planned motion, and the expected course of its adaptation."""
+"""Stability of a scenario's sampled loop along its planned motion, and the expected course of its adaptation."""
 
 import dataclasses
 import functools
@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from ffsm_drake.control_design.stability.linearization import Linearizer, LinearLoop
 from ffsm_drake.control_design.stability.sampled_loop import (
     LawGains,
-    LoopGains,
     Sampling,
     coupled_loop,
     inertia_ratios,
@@ -17,13 +17,16 @@ from ffsm_drake.control_design.stability.sampled_loop import (
     law_gains,
     tolerated_eta,
 )
+from ffsm_drake.loop.blocks import block_choices
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
-from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors, make_controller
+from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors
 from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_estimator
 from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.reference import QuinticMotion, make_motion
+
+POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of the planned motion that the loop is linearised at
 
 
 class StabilityWarning(UserWarning):
@@ -31,20 +34,11 @@ class StabilityWarning(UserWarning):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Margins:
-    """Sampled-loop margins of a scenario, without a simulation.
+class AxisMargins:
+    """What the one-axis loop of the paper's laws says in closed form, for the worst eta along the planned motion."""
 
-    Limits hold for the worst eta met along the planned motion.
-    """
-
-    scenario: Scenario
-    coordinates: Coordinates
     sampling: Sampling
     law: LawGains
-    times: np.ndarray  # (m,) s, the postures looked at
-    eta: np.ndarray  # (m, nv) eigenvalues of H^-1 Hhat there
-    spectral_radius: np.ndarray  # (m,) of the coupled loop at the starting gains
-    spectral_radius_expected: np.ndarray  # (m,) with every K_s at its largest expected value
     k_s_limit: np.ndarray  # (nv,) 1/s, NaN for a law without K_s
     sample_time_limit: np.ndarray  # (nv,) s
     eta_tolerated: np.ndarray  # (nv, 2) at the starting gains
@@ -52,9 +46,9 @@ class Margins:
     forecast_k_s: np.ndarray  # (p, nv) 1/s, where adaptation is expected to take K_s
 
     @property
-    def starts_stable(self) -> bool:
-        """Whether the coupled loop contracts at the starting gains at every posture looked at."""
-        return bool(self.spectral_radius.max() < 1.0)
+    def has_k_s(self) -> bool:
+        """Whether the law has a reaching gain K_s."""
+        return bool(np.isfinite(self.k_s_limit).any())
 
     @property
     def forecast_leaves(self) -> np.ndarray:
@@ -66,52 +60,103 @@ class Margins:
         """(nv,) whether nothing stops adaptation before the limit."""
         return self.law.k_s_max > np.nan_to_num(self.k_s_limit, nan=np.inf)
 
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Margins:
+    """Stability of a scenario's sampled loop along its planned motion, without a simulation."""
+
+    scenario: Scenario
+    coordinates: Coordinates
+    times: np.ndarray  # (m,) s, the postures looked at
+    eta: np.ndarray  # (m, nv) eigenvalues of H^-1 Hhat there
+    loops: tuple[LinearLoop, ...]  # the loop as it is wired, at some of them, at the starting gains
+    loops_expected: tuple[LinearLoop, ...]  # the same with every K_s at its largest expected value
+    axes: AxisMargins | None  # None for a controller that is not the paper's, and where something delays
+
+    @property
+    def worst(self) -> LinearLoop:
+        """The loop of the posture with the largest spectral radius, at the starting gains."""
+        return max(self.loops, key=lambda loop: loop.spectral_radius)
+
+    @property
+    def starts_stable(self) -> bool:
+        """Whether the loop contracts at the starting gains at every posture looked at."""
+        return self.worst.spectral_radius < 1.0
+
     @property
     def verdict(self) -> str:
         """One line: "stable", or what is wrong."""
         if not self.starts_stable:
-            worst = int(np.argmax(self.spectral_radius))
+            worst = self.worst
             return (
                 f"unstable: the sampled loop of {self.scenario.controller} has spectral radius "
-                f"{self.spectral_radius[worst]:.4f} at the posture of t = {self.times[worst]:g} s"
+                f"{worst.spectral_radius:.4f} at the posture of t = {worst.time:g} s"
             )
-        if self.forecast_leaves.any():
-            i = int(np.argmax(self.forecast_leaves))
-            time = self.forecast_times[int(np.argmax(self.forecast_k_s[:, i] > self.k_s_limit[i]))]
+        if self.axes is None:
+            return "stable"
+        if self.axes.forecast_leaves.any():
+            i = int(np.argmax(self.axes.forecast_leaves))
+            limit = self.axes.k_s_limit[i]
+            time = self.axes.forecast_times[int(np.argmax(self.axes.forecast_k_s[:, i] > limit))]
             return (
                 f"unstable: adaptation is expected to take K_s of {self.coordinates.names[i]} past its limit of "
-                f"{self.k_s_limit[i]:.1f} 1/s at t = {time:.1f} s"
+                f"{limit:.1f} 1/s at t = {time:.1f} s"
             )
-        if self.may_leave.any():
-            i = int(np.argmax(self.may_leave))
+        if self.axes.may_leave.any():
+            i = int(np.argmax(self.axes.may_leave))
             return (
                 f"predicted stable, but nothing stops K_s before its limit "
-                f"({self.k_s_limit[i]:.1f} 1/s for {self.coordinates.names[i]}); set k_s_max"
+                f"({self.axes.k_s_limit[i]:.1f} 1/s for {self.coordinates.names[i]}); set k_s_max"
             )
         return "stable"
 
     @property
     def is_stable(self) -> bool:
         """Whether the run starts inside its margin and is expected to stay there."""
-        return self.starts_stable and not bool(self.forecast_leaves.any())
+        return self.starts_stable and (self.axes is None or not bool(self.axes.forecast_leaves.any()))
 
 
 def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
-    """Margins of a scenario along its planned motion. Takes about a second.
+    """Stability of the sampled loop of a scenario, with any controller and blocks; takes about a second.
+
+    Args:
+      scenario: what to look at.
+      postures: number along the planned motion that the inertia ratios are computed at.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
+      BlockError: a user-supplied block cannot be loaded, built, wired or run.
     """
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
-    make_controller(scenario, nominal)  # checks the gains' names once more
-    coordinates = nominal.coordinates
-    law = law_gains(scenario, coordinates)
-    reference = make_motion(scenario, coordinates)
-    sampling = sampling_of(scenario, coordinates)
+    coordinates, motion = nominal.coordinates, make_motion(scenario, nominal.coordinates)
     times = np.linspace(0.0, scenario.reference.duration, postures)
-    pairs = [_mass_matrices(true, nominal, reference, time) for time in times]
-    eta = np.array([inertia_ratios(h, h_hat) for h, h_hat in pairs])
-    radius = np.array([_radius(law.at(), h, h_hat, sampling) for h, h_hat in pairs])
+    eta = np.array([inertia_ratios(*_mass_matrices(true, nominal, motion, time)) for time in times])
+    instants = [part * scenario.reference.duration for part in POSTURES]
+    axes = _axis_margins(scenario, true, nominal, eta) if _has_closed_form(scenario) else None
+    with Linearizer(scenario) as linearizer:
+        loops = expected = tuple(linearizer.at(time) for time in instants)
+        if axes is not None and axes.forecast_k_s.max() > axes.law.k_s.max():
+            k_s = axes.forecast_k_s.max(axis=0)
+            expected = tuple(linearizer.at(time, held={"reaching_gain": k_s}) for time in instants)
+    return Margins(
+        scenario=scenario,
+        coordinates=coordinates,
+        times=times,
+        eta=eta,
+        loops=loops,
+        loops_expected=expected,
+        axes=axes,
+    )
+
+
+def _has_closed_form(scenario: Scenario) -> bool:
+    """Whether the one-axis loop is that of the scenario: one of the paper's laws, nothing late, no block replaced."""
+    delays = scenario.sensing.delay or scenario.actuation.delay
+    return scenario.controller in PAPER_LAWS and not delays and not block_choices(scenario)
+
+
+def _axis_margins(scenario: Scenario, true: PlantModel, nominal: PlantModel, eta: np.ndarray) -> AxisMargins:
+    law, sampling = law_gains(scenario, nominal.coordinates), sampling_of(scenario, nominal.coordinates)
 
     # Coordinates with the same gains have the same limits.
     @functools.cache
@@ -130,16 +175,9 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
     kinds = list(zip(*(column.tolist() for column in (law.k_d, law.k_p, law.k_s, *filters)), strict=True))
     table = np.array([limits(*gains) for gains in kinds])
     forecast_times, forecast_k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal)
-    expected = np.array([_radius(law.at(forecast_k_s.max(axis=0)), h, h_hat, sampling) for h, h_hat in pairs])
-    return Margins(
-        scenario=scenario,
-        coordinates=coordinates,
+    return AxisMargins(
         sampling=sampling,
         law=law,
-        times=times,
-        eta=eta,
-        spectral_radius=radius,
-        spectral_radius_expected=expected,
         k_s_limit=table[:, 0],
         sample_time_limit=table[:, 1],
         eta_tolerated=table[:, 2:],
@@ -149,27 +187,29 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
 
 
 def stability_warning(scenario: Scenario) -> str:
-    """One line when a scenario starts outside its margin or its adaptation may leave it; empty otherwise.
+    """One line when a scenario starts unstable or its adaptation may become so; empty otherwise.
 
-    A fast check of three postures, made by ``simulate`` before every run. It covers the paper's four controllers only.
+    A fast check at the start of the motion, made by ``simulate`` before a run without user-supplied blocks.
     """
-    if scenario.controller not in PAPER_LAWS:
-        return ""
-    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
-    law = law_gains(scenario, nominal.coordinates)
-    reference = make_motion(scenario, nominal.coordinates)
-    sampling = sampling_of(scenario, nominal.coordinates)
-    pairs = [_mass_matrices(true, nominal, reference, f * scenario.reference.duration) for f in (0.0, 0.5, 1.0)]
-    radius = max(_radius(law.at(), h, h_hat, sampling) for h, h_hat in pairs)
+    with Linearizer(scenario) as linearizer:
+        return _warning(scenario, linearizer)
+
+
+def _warning(scenario: Scenario, linearizer: Linearizer) -> str:
+    radius = linearizer.at(0.0).spectral_radius
     remedy = f"see 'ffsm stability' for the margins of {scenario.controller}"
     if radius >= 1.0:
         return f"the sampled loop is unstable at the starting gains (spectral radius {radius:.4f}); {remedy}"
+    if not _has_closed_form(scenario):
+        return ""
+    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    law, sampling = law_gains(scenario, nominal.coordinates), sampling_of(scenario, nominal.coordinates)
     if np.array_equal(law.k_s_max, law.k_s):
         return ""
     unbounded = ~np.isfinite(law.k_s_max)
-    if not unbounded.any() and max(_radius(law.at(law.k_s_max), h, h_hat, sampling) for h, h_hat in pairs) < 1.0:
+    if not unbounded.any() and linearizer.at(0.0, held={"reaching_gain": law.k_s_max}).spectral_radius < 1.0:
         return ""
-    eta = max(inertia_ratios(h, h_hat)[-1] for h, h_hat in pairs)
+    eta = inertia_ratios(*_mass_matrices(true, nominal, make_motion(scenario, nominal.coordinates), 0.0))[-1]
     axis = int(np.argmax(law.k_s_max))
     limit = largest_stable_k_s(law, axis, eta=eta, sampling=sampling)
     bound = "is not bounded" if unbounded.any() else f"may grow to {law.k_s_max.max():g} 1/s"
@@ -311,9 +351,9 @@ def _lumped_uncertainty_drift(
 
 
 def _mass_matrices(
-    true: PlantModel, nominal: PlantModel, reference: QuinticMotion, time: float
+    true: PlantModel, nominal: PlantModel, motion: QuinticMotion, time: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    q, _, _ = reference.evaluate(time)
+    q, _, _ = motion.evaluate(time)
     return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
 
 
@@ -327,7 +367,3 @@ def sampling_of(scenario: Scenario, coordinates: Coordinates) -> Sampling:
         euler=config.integration_scheme == "explicit_euler" and config.max_step_size >= 0.999 * scenario.sample_time,
         kalman_gain=estimator.gain if isinstance(estimator, KalmanEstimator) else None,
     )
-
-
-def _radius(gains: LoopGains, h: np.ndarray, h_hat: np.ndarray, sampling: Sampling) -> float:
-    return coupled_loop(gains, true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=sampling).spectral_radius

@@ -4,47 +4,49 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ffsm_drake.control_design.stability.margins import Margins
+from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
 from ffsm_drake.control_design.stability.sampled_loop import LoopGains, axis_poles
 from ffsm_drake.show.figures.axes import tidy
 from ffsm_drake.show.style import BLUE, GREY, GROUP_STYLES, GROUP_TITLES, UNSTABLE, VERMILION, label_of
-from ffsm_drake.show.tables import has_k_s
 
 _DASHES = ("-", "--", ":", "-.", (0, (1, 1)), (0, (6, 2, 1, 2, 1, 2)), (0, (9, 3)))  # seven joints can be told apart
 
 
 def plot_margins(margins: Margins) -> Figure:
     """The stability map with the operating point and its expected path, and what it rests on along the motion."""
-    figure = Figure(figsize=(12.0, 8.5), layout="constrained")
+    rows = 1 if margins.axes is None else 2
+    figure = Figure(figsize=(12.0, 0.5 + 4.0 * rows), layout="constrained")
     figure.suptitle(
         f"Sampled-loop stability: {label_of(margins.scenario.controller)}, {margins.scenario.description}\n"
         f"{margins.verdict}",
         fontsize=11,
     )
-    panels = figure.subplots(2, 2)
-    _draw_map(figure, panels[0, 0], margins)
-    _draw_forecast(panels[0, 1], margins)
-    _draw_eta(panels[1, 0], margins)
-    _draw_radius(panels[1, 1], margins)
-    for axes in panels.ravel():
+    panels = figure.subplots(rows, 2).ravel()
+    if margins.axes is None:
+        _draw_poles(panels[0], margins)
+    else:
+        _draw_map(figure, panels[0], margins, margins.axes)
+        _draw_forecast(panels[1], margins, margins.axes)
+        _draw_eta(panels[2], margins, margins.axes)
+    _draw_radius(panels[-1], margins)
+    for letter, axes in zip("abcd", panels, strict=False):
+        axes.set_title(f"({letter}) {axes.get_title()}")
         tidy(axes)
     return figure
 
 
-def _draw_map(figure: Figure, axes: Axes, margins: Margins) -> None:
-    law, scenario = margins.law, margins.scenario
-    adapts = has_k_s(margins)
+def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins) -> None:
+    law, scenario, adapts = limits.law, margins.scenario, limits.has_k_s
     eta = np.linspace(0.2, 1.4, 90)
-    if adapts:
-        top = 1.35 * max(np.nanmax(margins.k_s_limit), law.k_s.max())
-    else:
-        top = 1500.0 * margins.sample_time_limit.max()
+    top = float(
+        1.35 * max(np.nanmax(limits.k_s_limit), law.k_s.max()) if adapts else 1500.0 * limits.sample_time_limit.max()
+    )
     vertical = np.linspace(top / 200, top, 90)
     gains = law.at(vertical[:, None]) if adapts else law.at()
     poles = axis_poles(
         LoopGains(k_v=gains.k_v[..., :1], k_p=gains.k_p[..., :1], k_i=gains.k_i[..., :1]),
         eta=eta,
-        sampling=margins.sampling.axis(0),
+        sampling=limits.sampling.axis(0),
         sample_time=None if adapts else 1e-3 * vertical[:, None],
     )
     largest, ringing = np.abs(poles).max(axis=-1), -poles.real.min(axis=-1)
@@ -56,61 +58,74 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins) -> None:
     axes.text(1.22, 0.93 * top, "unstable", fontsize=10)
     if not adapts:
         axes.plot(margins.eta.max(), 1e3 * scenario.sample_time, "o", color="black", label="sample time in use")
-        axes.set(ylabel="sample time L [ms]", title="(a) Stability map")
+        axes.set(ylabel="sample time L [ms]", title="Stability map")
     else:
         for k, (group, part) in enumerate(margins.coordinates.groups.items()):
             if part.start >= law.k_s.size:
                 continue
-            path, color = margins.forecast_k_s[:, part], GROUP_STYLES[group].color
+            path, color = limits.forecast_k_s[:, part], GROUP_STYLES[group].color
             extreme = path[:, np.argmax(path.max(axis=0))]
             x = margins.eta.max() - 0.02 * k
             axes.plot(x, extreme[0], "o", color=color, markersize=6)
             arrow = {"arrowstyle": "->", "color": color, "linewidth": 2}
             axes.annotate("", xy=(x, min(extreme[-1], 0.99 * top)), xytext=(x, extreme[0]), arrowprops=arrow)
             axes.plot([], [], "-o", color=color, label=f"{GROUP_TITLES[group]}: start, expected path")
-        axes.set(ylabel="$K_s$ [1/s]", title=f"(a) Stability map of {margins.coordinates.names[0]}")
+        axes.set(ylabel="$K_s$ [1/s]", title=f"Stability map of {margins.coordinates.names[0]}")
     axes.set(xlabel="$\\eta$ (above 1: inertia over-estimated)", ylim=(0, top), xlim=(eta[0], eta[-1]))
     axes.legend(loc="lower left", fontsize=8)
 
 
-def _draw_forecast(axes: Axes, margins: Margins) -> None:
-    axes.set(xlabel="time [s]", ylabel="$K_s$ [1/s]", title="(b) Where adaptation is expected to take $K_s$")
-    if not has_k_s(margins):
+def _draw_forecast(axes: Axes, margins: Margins, limits: AxisMargins) -> None:
+    axes.set(xlabel="time [s]", ylabel="$K_s$ [1/s]", title="Where adaptation is expected to take $K_s$")
+    if not limits.has_k_s:
         axes.text(0.5, 0.5, "this law has no $K_s$", ha="center", va="center", transform=axes.transAxes)
         return
     for group, part in margins.coordinates.groups.items():
-        for i in range(*part.indices(margins.law.k_s.size)):
+        for i in range(*part.indices(limits.law.k_s.size)):
             axes.plot(
-                margins.forecast_times, margins.forecast_k_s[:, i], color=GROUP_STYLES[group].color, linewidth=1.3,
+                limits.forecast_times, limits.forecast_k_s[:, i], color=GROUP_STYLES[group].color, linewidth=1.3,
                 linestyle=_DASHES[(i - part.start) % len(_DASHES)],
                 label=GROUP_TITLES[group] if i == part.start else None,
             )  # fmt: skip
-    limit = np.nanmin(margins.k_s_limit)
+    limit = np.nanmin(limits.k_s_limit)
     axes.axhline(limit, color="black", linewidth=2)
     axes.text(0.01, limit, " limit", va="bottom", transform=axes.get_yaxis_transform())
-    bound = margins.law.k_s_max
-    if np.isfinite(bound).all() and (bound > margins.law.k_s).any():
+    bound = limits.law.k_s_max
+    if np.isfinite(bound).all() and (bound > limits.law.k_s).any():
         axes.axhline(bound.max(), color=GREY, linestyle="--")
         axes.text(0.99, bound.max(), "k_s_max", va="bottom", ha="right", transform=axes.get_yaxis_transform())
     axes.legend(fontsize=8)
 
 
-def _draw_eta(axes: Axes, margins: Margins) -> None:
+def _draw_eta(axes: Axes, margins: Margins, limits: AxisMargins) -> None:
     axes.plot(margins.times, margins.eta, color=BLUE, linewidth=1.2)
     axes.axhline(1.0, color="black", linewidth=0.8)
-    low, high = margins.eta_tolerated[:, 0].max(), margins.eta_tolerated[:, 1].min()
+    low, high = limits.eta_tolerated[:, 0].max(), limits.eta_tolerated[:, 1].min()
     axes.axhspan(low, high, color=BLUE, alpha=0.12, label=f"tolerated at the starting gains: {low:.2f} to {high:.2f}")
-    axes.set(xlabel="time along the planned motion [s]", ylabel="$\\eta$", title="(c) Eigenvalues of $H^{-1}\\hat{H}$")
+    axes.set(xlabel="time along the planned motion [s]", ylabel="$\\eta$", title="Eigenvalues of $H^{-1}\\hat{H}$")
     axes.legend(fontsize=8, loc="lower left")
 
 
+def _draw_poles(axes: Axes, margins: Margins) -> None:
+    poles = margins.worst.poles
+    circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
+    axes.plot(circle.real, circle.imag, color="black", linewidth=1)
+    stable = np.abs(poles) < 1.0
+    for part, color in ((stable, BLUE), (~stable, VERMILION)):
+        axes.plot(poles[part].real, poles[part].imag, "x", color=color)
+    axes.set(xlabel="real part of z", ylabel="imaginary part", aspect="equal")
+    axes.set_title(f"Poles at t = {margins.worst.time:g} s")
+
+
 def _draw_radius(axes: Axes, margins: Margins) -> None:
-    axes.plot(margins.times, margins.spectral_radius, color=VERMILION, linewidth=2, label="starting gains")
-    if has_k_s(margins):
-        expected = margins.spectral_radius_expected
-        axes.plot(margins.times, expected, color=BLUE, linewidth=2, linestyle="--", label="largest expected $K_s$")
+    curves = {"starting gains": (margins.loops, VERMILION, "-")}
+    if margins.loops_expected is not margins.loops:
+        curves["largest expected $K_s$"] = (margins.loops_expected, BLUE, "--")
+    for name, (loops, color, dash) in curves.items():
+        times, radii = [loop.time for loop in loops], [loop.spectral_radius for loop in loops]
+        axes.plot(times, radii, "o", linestyle=dash, color=color, linewidth=2, markersize=4, label=name)
     axes.axhline(1.0, color="black", linewidth=2)
     axes.set(xlabel="time along the planned motion [s]", ylabel="spectral radius")
-    axes.set_title("(d) Coupled loop of all coordinates")
+    axes.set_title("The loop of all coordinates as it is wired")
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.legend(fontsize=8)

@@ -18,7 +18,7 @@ from ffsm_drake.show.report.provenance import provenance, software
 from ffsm_drake.show.report.results import SETTLED_OVER, SETTLED_WITHIN, Result, results_of
 from ffsm_drake.show.report.stability_panels import stability_views
 from ffsm_drake.show.report.time_panels import points_per_curve, run_views
-from ffsm_drake.show.tables import NONE, has_k_s, margins_data, number
+from ffsm_drake.show.tables import NONE, margins_data, number
 
 _STATUS_TONES = {"settled": "good", "unsettled": "warn", "interrupted": "warn", "diverged": "bad"}
 _STATUS_WORDS = {status: "not settled" if status == "unsettled" else status for status in _STATUS_TONES}
@@ -160,21 +160,25 @@ def _findings(result: Result) -> Json:
 def _stability(result: Result, margins: Margins | None, problem: str) -> Json:
     """The run's line of the stability table and its limits by coordinate, or why there are none."""
     if margins is None:
-        return {"result": result, "excuse": f"{result.label}: the stability map is not available: {problem}."}
-    adapts = has_k_s(margins)
-    data = margins_data(margins)
+        excuse = f"{result.label}: the stability of the loop is not available: {problem}."
+        return {"result": result, "excuse": excuse, "limits": {}}
+    axes, data = margins.axes, margins_data(margins)
+    adapts = axes is not None and axes.has_k_s
     items = data["coordinates"]
     limits = [item["k_s_limit"] for item in items.values() if math.isfinite(item["k_s_limit"])]
-    period = 1e3 * margins.scenario.sample_time
+    highest = [item["k_s_expected"] for item in items.values()]
+    period = f"{1e3 * margins.scenario.sample_time:.3g}"
+    longest = NONE if axes is None else f"{1e3 * axes.sample_time_limit.min():.3g}"
+    expected = max(loop.spectral_radius for loop in margins.loops_expected)
     return {
         "result": result,
         "excuse": "",
         "cells": [
             _span(*data["eta"]),
             f"{data['spectral_radius']:.5f}",
-            f"{margins.spectral_radius_expected.max():.5f}" if adapts else NONE,
-            f"{margins.forecast_k_s.max():.3g} / {min(limits):.3g}" if adapts else NONE,
-            f"{period:.3g} / {1e3 * margins.sample_time_limit.min():.3g}",
+            f"{expected:.5f}" if adapts else NONE,
+            f"{max(highest):.3g} / {min(limits):.3g}" if adapts else NONE,
+            f"{period} / {longest}",
         ],
         "tone": "bad" if not margins.is_stable else "good" if margins.verdict == "stable" else "warn",
         "verdict": margins.verdict,

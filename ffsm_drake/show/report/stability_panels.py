@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ffsm_drake.control_design.stability import Margins
+from ffsm_drake.control_design.stability.linearization import LinearLoop
 from ffsm_drake.control_design.stability.sampled_loop import largest_sample_time, largest_stable_k_s
 from ffsm_drake.show.panels import Panel, Thinning, Trace, View, curve, figure, time_panel
 from ffsm_drake.show.report.results import Result, values_of
 from ffsm_drake.show.report.time_panels import run_curve
 from ffsm_drake.show.style import GROUP_STYLES, NEUTRAL, Style
-from ffsm_drake.show.tables import has_k_s
 
 _MAP_ETA = (0.2, 1.4, 25)  # range and points: the curve is smooth
 _BAND = "rgba(128, 136, 146, 0.2)"
@@ -23,18 +23,25 @@ def stability_views(results: Sequence[Result], margins: Sequence[Margins | None]
         return []
     radius = []
     for i, margin in assessed:
-        radius.append(run_curve(results, i, thin(margin.times, margin.spectral_radius), name="starting gains"))
-        if has_k_s(margin):
+        radius.append(run_curve(results, i, thin(*_radii(margin.loops)), name="starting gains"))
+        if margin.loops_expected is not margin.loops:
             style = Style(results[i].style.color, "dash")
-            expected = thin(margin.times, margin.spectral_radius_expected)
+            expected = thin(*_radii(margin.loops_expected))
             radius.append(run_curve(results, i, expected, name="largest expected Kₛ", style=style))
-    title = "Spectral radius of the coupled loop (dashed: at the largest expected Kₛ)"
+    title = "Spectral radius of the loop as it is wired (dashed: at the largest expected Kₛ)"
     panels = [*_eta_panels(results, assessed, thin), time_panel(title, "1", radius, level=(1.0, "limit 1"))]
     for i, margin in assessed:
-        if has_k_s(margin):
+        if margin.axes is None:
+            continue
+        if margin.axes.has_k_s:
             panels.append(_forecast_panel(results[i], margin, thin))
         panels.append(_map_panel(results, i, margin))
     return [View(label="Stability", panels=panels)]
+
+
+def _radii(loops: Sequence[LinearLoop]) -> tuple[np.ndarray, np.ndarray]:
+    """Times (m,) in s and spectral radii (m,)."""
+    return np.array([loop.time for loop in loops]), np.array([loop.spectral_radius for loop in loops])
 
 
 def _eta_panels(results: Sequence[Result], assessed: Sequence[tuple[int, Margins]], thin: Thinning) -> list[Panel]:
@@ -56,22 +63,23 @@ def _eta_panels(results: Sequence[Result], assessed: Sequence[tuple[int, Margins
 
 def _forecast_panel(result: Result, margin: Margins, thin: Thinning) -> Panel:
     """Of each group, the coordinate whose K_s is expected to come highest: as expected and as recorded."""
+    assert margin.axes is not None
     traces: list[Trace] = []
     recorded = values_of(result.record, "reaching_gain")
     names = result.record.dataset["coordinate"].values.astype(str).tolist()
     for group, part in margin.coordinates.groups.items():
-        forecast = margin.forecast_k_s[:, part]
+        forecast = margin.axes.forecast_k_s[:, part]
         if not forecast.shape[1]:
             continue
         k = part.start + int(forecast.max(axis=0).argmax())
         name, color = margin.coordinates.names[k], GROUP_STYLES[group].color
-        expected = thin(margin.forecast_times, margin.forecast_k_s[:, k])
+        expected = thin(margin.axes.forecast_times, margin.axes.forecast_k_s[:, k])
         traces.append(curve(expected, Style(color, "dash"), name=f"{name}, expected"))
         if recorded is not None and name in names:
             measured = thin(result.record.dataset["time"].values, recorded[:, names.index(name)])
             traces.append(curve(measured, Style(color), name=f"{name}, recorded"))
-    limit = float(np.nanmin(margin.k_s_limit))
-    highest = [float(margin.forecast_k_s.max())]
+    limit = float(np.nanmin(margin.axes.k_s_limit))
+    highest = [float(margin.axes.forecast_k_s.max())]
     if recorded is not None and np.isfinite(recorded).any():
         highest.append(min(float(recorded[np.isfinite(recorded)].max()), 2.0 * limit))
     return time_panel(
@@ -84,14 +92,16 @@ def _map_panel(results: Sequence[Result], i: int, margin: Margins) -> Panel:
     """Where the coordinate with the least margin is stable: K_s, or without K_s the sample time, against eta."""
     eta = np.linspace(*_MAP_ETA)
     low, high = float(margin.eta.min()), float(margin.eta.max())
-    if has_k_s(margin):
-        axis = int(np.nanargmin(margin.k_s_limit / np.maximum(margin.forecast_k_s.max(axis=0), 1e-9)))
-        limit = np.array([largest_stable_k_s(margin.law, axis, eta=x, sampling=margin.sampling) for x in eta])
-        used = {"Kₛ at the start": margin.law.k_s[axis], "largest expected Kₛ": margin.forecast_k_s[:, axis].max()}
+    axes = margin.axes
+    assert axes is not None
+    if axes.has_k_s:
+        axis = int(np.nanargmin(axes.k_s_limit / np.maximum(axes.forecast_k_s.max(axis=0), 1e-9)))
+        limit = np.array([largest_stable_k_s(axes.law, axis, eta=x, sampling=axes.sampling) for x in eta])
+        used = {"Kₛ at the start": axes.law.k_s[axis], "largest expected Kₛ": axes.forecast_k_s[:, axis].max()}
         unit, what = "Kₛ [1/s]", "Kₛ"
     else:
-        axis = int(np.nanargmin(margin.sample_time_limit))
-        limit = 1e3 * np.array([largest_sample_time(margin.law, axis, eta=x, sampling=margin.sampling) for x in eta])
+        axis = int(np.nanargmin(axes.sample_time_limit))
+        limit = 1e3 * np.array([largest_sample_time(axes.law, axis, eta=x, sampling=axes.sampling) for x in eta])
         used = {"sample time in use": 1e3 * margin.scenario.sample_time}
         unit, what = "L [ms]", "sample time"
     color = results[i].style.color

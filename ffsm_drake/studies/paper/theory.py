@@ -32,12 +32,14 @@ def sampled_loop_decides(results: Results) -> Evaluated:
         if found.is_stable != results.run(setting, name).outcome.completed
     ]
     euler, exact = (margins[setting, PROPOSED] for setting in ("euler", "exact"))
-    limit = float(np.nanmin(exact.k_s_limit))
-    leaves = exact.forecast_times[np.argmax((exact.forecast_k_s > limit).any(axis=1))]
+    assert exact.axes is not None
+    assert euler.axes is not None
+    limit, euler_limit = (float(np.nanmin(axes.k_s_limit)) for axes in (exact.axes, euler.axes))
+    leaves = exact.axes.forecast_times[np.argmax((exact.axes.forecast_k_s > limit).any(axis=1))]
     agreement = f"differ for {listed(wrong)}" if wrong else f"agree in all {len(margins)} cases"
     return (
         f"The sampled loop is stable for K_s below {fixed(limit)} 1/s on the exactly integrated plant and "
-        f"{fixed(float(np.nanmin(euler.k_s_limit)))} 1/s on the Euler plant. On the former law (9) should pass the "
+        f"{fixed(euler_limit)} 1/s on the Euler plant. On the former law (9) should pass the "
         f"limit at {leaves:.1f} s; the run {fate(results.run('exact', PROPOSED))}. Predicted and simulated outcome "
         f"{agreement}.",
         in_both(euler.is_stable, exact.is_stable),

@@ -78,6 +78,14 @@ class ControlLaw:
         """Name -> initial value of each piece of the law's memory."""
         return {}
 
+    def held(self) -> Mapping[str, float | None]:
+        """What of the memory a linearisation holds: at the number given, None: as it is.
+
+        Gains under adaptation, which change slowly beside the loop, and with 0 the gain of a sign term, which has no
+        derivative.
+        """
+        return {}
+
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """One control sample.
 

@@ -65,6 +65,11 @@ class SampledController(LeafSystem):
         index = {"generalized_force": self._force, "has_previous": self._has_previous, **self._memory}[name]
         return np.array(context.get_discrete_state(index).value())
 
+    def held_groups(self) -> Mapping[str, tuple[int, float | None]]:
+        """Discrete groups that a linearisation holds, name -> (group, value), see ``ControlLaw.held``."""
+        held = {name: (int(self._memory[name]), value) for name, value in self.law.held().items()}
+        return {"has_previous": (int(self._has_previous), 1.0), **held}
+
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         estimated = self._estimated_state.Eval(context)
         desired = self._desired_state.Eval(context)

@@ -9,6 +9,7 @@ in which only the *injected dynamics* u differs between controllers (equations (
 """
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -23,6 +24,10 @@ class InjectedDynamics:
 
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the dynamics' memory."""
+        return {}
+
+    def held(self) -> Mapping[str, float | None]:
+        """What of the memory a linearisation holds; see ControlLaw."""
         return {}
 
     def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
@@ -57,6 +62,9 @@ class TimeDelayControl(ControlLaw):
 
     def initial_state(self) -> State:
         return {**self.estimator.initial_state(), **self.dynamics.initial_state()}
+
+    def held(self) -> Mapping[str, float | None]:
+        return self.dynamics.held()
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         mass_matrix = self.model.calc_mass_matrix(sample.q)  # which refuses what is not finite

@@ -1,6 +1,7 @@
 """AISMC: adaptive integral sliding-mode control with time-delay estimation, equations (20) and (21)."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -40,6 +41,9 @@ class Aismc(InjectedDynamics):
     def initial_state(self) -> State:
         zeros = np.zeros_like(self.k_d)
         return {"integral_error": zeros, "sliding_variable": zeros, "reaching_gain": self.k_s_initial}
+
+    def held(self) -> Mapping[str, float | None]:
+        return {"reaching_gain": None}
 
     def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see InjectedDynamics."""

@@ -1,6 +1,7 @@
 """ASMC: adaptive sliding-mode control with time-delay estimation, equations (18) and (19)."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -43,6 +44,9 @@ class Asmc(InjectedDynamics):
 
     def initial_state(self) -> State:
         return {"sliding_variable": np.zeros_like(self.k_d), "switching_gain": self.g_initial}
+
+    def held(self) -> Mapping[str, float | None]:
+        return {"switching_gain": 0.0}
 
     def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see InjectedDynamics."""

@@ -1,6 +1,7 @@
 """The proposed controller: TDE-based adaptive integral sliding-mode control, equations (6), (9) and (10)."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -63,6 +64,9 @@ class TdeAismc(InjectedDynamics):
             "reaching_gain": self.k_s_initial,
             "switching_gain": self.g_initial,
         }
+
+    def held(self) -> Mapping[str, float | None]:
+        return {"reaching_gain": None, "switching_gain": 0.0}
 
     def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see InjectedDynamics."""

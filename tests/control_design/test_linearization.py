@@ -1,0 +1,112 @@
+"""The loop read from its wiring: against the closed forms, against known figures, and against simulation."""
+
+import dataclasses
+import gc
+import weakref
+
+import numpy as np
+import pytest
+
+from ffsm_drake import ControlLaw, gain, load_scenario, simulate
+from ffsm_drake.control_design.stability import stability, stability_warning
+from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.margins import sampling_of
+from ffsm_drake.control_design.stability.sampled_loop import coupled_loop, law_gains
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.systems.controllers import PAPER_LAWS
+from ffsm_drake.systems.reference import make_motion
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "radius"),
+    [
+        ("postcapture", [], 0.98990),
+        ("postcapture", ["sensing.delay=1"], 1.8942),
+        ("postcapture", ["actuation.delay=1"], 1.4288),
+        ("postcapture", ["controller=tdc"], 0.98995),
+        ("postcapture", ["controller=pd_plus"], 0.99964),
+        ("postcapture", ["controller=computed_torque"], 0.96266),
+        ("flight_sensors", [], 0.99950),
+        ("flight_sensors", ["sensing.delay=4"], 1.0246),
+        ("flight_sensors", ["sensing.delay=5"], 1.0435),
+    ],
+)
+def test_spectral_radius(name, overrides, radius):
+    """Figures of an independent prototype, at the start of the shipped motion."""
+    with Linearizer(load_scenario(name, overrides)) as linearizer:
+        assert linearizer.at(0.0).spectral_radius == pytest.approx(radius, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["postcapture", "flight_sensors"])
+@pytest.mark.parametrize("controller", PAPER_LAWS)
+def test_poles_are_those_of_the_closed_form(name, controller):
+    """Half-way, where the plant moves: its velocity changes the poles by less than the tolerance."""
+    scenario = load_scenario(name, [f"controller={controller}"])
+    with Linearizer(scenario) as linearizer:
+        found = linearizer.at(10.0)
+    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    q, _, _ = make_motion(scenario, nominal.coordinates).evaluate(found.time)
+    expected = coupled_loop(
+        law_gains(scenario, nominal.coordinates).at(),
+        true_mass_matrix=true.calc_mass_matrix(q),
+        nominal_mass_matrix=nominal.calc_mass_matrix(q),
+        sampling=sampling_of(scenario, nominal.coordinates),
+    )
+    assert found.spectral_radius == pytest.approx(expected.spectral_radius, abs=2e-4)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Damper(ControlLaw):
+    """A user's law with memory that only counts, which is not part of the loop."""
+
+    model: PlantModel
+    k_p: np.ndarray = gain(4.0)
+    k_d: np.ndarray = gain(5.0)
+
+    def initial_state(self):
+        return {"count": np.zeros(1)}
+
+    def step(self, sample, state):
+        u = sample.a_d + self.k_d * sample.e_dot + self.k_p * sample.e
+        force = self.model.calc_mass_matrix(sample.q) @ u + self.model.calc_bias(sample.q, sample.v)
+        return force, {"count": state["count"] + 1.0}
+
+
+def test_modes_of_a_users_law_are_those_of_its_gains():
+    """Computed torque with its poles at -1 and -4 1/s, on a nominal payload that is the true one."""
+    blocks = {"controller": Damper}
+    same = ["payload.nominal.mass=100", "payload.nominal.inertia=[16.7, 16.7, 16.7]"]
+    with Linearizer(load_scenario("postcapture", same), blocks=blocks) as linearizer:
+        loop = linearizer.at(0.0)
+    assert loop.spectral_radius == pytest.approx(np.exp(-1.0 * 0.01), abs=2e-4)
+    mode = loop.modes(1)[0]
+    assert mode.frequency == pytest.approx(1.0, rel=0.02)
+    assert mode.damping == pytest.approx(1.0, abs=1e-3)
+    assert sum(mode.coordinates.values()) == pytest.approx(1.0)
+    assert next(iter(mode.coordinates.values())) == max(mode.coordinates.values())
+
+
+def test_it_is_freed():
+    with Linearizer(load_scenario("postcapture")) as linearizer:
+        diagram = weakref.ref(linearizer.loop.diagram)
+    del linearizer
+    gc.collect()
+    assert diagram() is None
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "stable"),
+    [
+        ("postcapture", ["sensing.delay=1"], False),
+        ("postcapture", ["controller=computed_torque", "sensing.delay=1"], True),
+        ("flight_sensors", ["sensing.delay=3", "duration=8"], True),
+        ("flight_sensors", ["sensing.delay=4"], False),
+        ("flight_sensors", ["actuation.delay=4", "controller=pd_plus"], True),
+    ],
+)
+def test_delays_against_simulation(name, overrides, stable):
+    scenario = load_scenario(name, overrides)
+    margins = stability(scenario)
+    assert margins.is_stable == stable
+    assert ("unstable at the starting gains" in stability_warning(scenario)) == (not stable)
+    assert simulate(scenario, check_stability=False).outcome.completed == stable
