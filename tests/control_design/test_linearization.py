@@ -2,6 +2,8 @@
 
 import dataclasses
 import gc
+import sys
+import types
 import weakref
 
 import numpy as np
@@ -9,11 +11,18 @@ import pytest
 
 from ffsm_drake import ControlLaw, gain, load_scenario, simulate
 from ffsm_drake.control_design.stability import stability, stability_warning
+from ffsm_drake.control_design.stability.boundaries import (
+    find_boundaries,
+    with_delay,
+    with_gains,
+    with_nominal_payload,
+    with_sample_time,
+)
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.margins import sampling_of
 from ffsm_drake.control_design.stability.sampled_loop import coupled_loop, law_gains
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
-from ffsm_drake.systems.controllers import PAPER_LAWS
+from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.reference import make_motion
 
 
@@ -110,3 +119,52 @@ def test_delays_against_simulation(name, overrides, stable):
     assert margins.is_stable == stable
     assert ("unstable at the starting gains" in stability_warning(scenario)) == (not stable)
     assert simulate(scenario, check_stability=False).outcome.completed == stable
+
+
+CHANGES = {"gains": with_gains, "nominal_payload": with_nominal_payload, "sample_time": with_sample_time}
+HELD = [
+    "sensing.velocity_noise=0",
+    "disturbance.amplitude_scale=0",
+    "initial_velocity={joint_1: 1e-6, base_rotation_x: 1e-6}",
+    "target_posture.base_position=[0.1, 0.3, -0.2]",
+    "target_posture.base_rpy=[0.11, 0.08, -0.1]",
+    *(f"target_posture.joints.joint_{i}={np.deg2rad(angle)}" for i, angle in enumerate((10, 20, 60, 35, -40), start=1)),
+]
+
+
+def grows(scenario):
+    """Whether the motion after a kick of 1e-6 rad/s grows, perhaps into a limit cycle, instead of dying out."""
+    record = simulate(scenario, check_stability=False)
+    rate = np.abs(record.dataset["error_rate"].values).max(axis=1)
+    return not record.outcome.completed or rate[-len(rate) // 4 :].max() > 1e-6
+
+
+@pytest.mark.parametrize("controller", ["tdc", "pd_plus", "lab_of_the_boundaries:Damper"])
+def test_boundaries_against_simulation(controller, monkeypatch):
+    """The initial posture held after a kick: 1.5 % inside a boundary the oscillation decays, 1.5 % outside it grows."""
+    module = types.ModuleType("lab_of_the_boundaries")
+    module.Damper = Damper
+    monkeypatch.setitem(sys.modules, "lab_of_the_boundaries", module)
+    overrides = [*HELD, f"controller={controller}", "controllers.Damper.k_d=50"]
+    scenario = complete_gains(load_scenario("postcapture", overrides))
+    found = find_boundaries(scenario, time=0.0)
+    assert np.isfinite([found.gains, found.sample_time, found.delay]).all()
+    for name, change in CHANGES.items():
+        boundary = getattr(found, name)
+        if np.isfinite(boundary):
+            assert not grows(change(scenario, 0.985 * boundary)), (name, boundary)
+            assert grows(change(scenario, 1.015 * boundary)), (name, boundary)
+    assert not grows(with_delay(scenario, int(found.delay) - 1)), found.delay
+    assert grows(with_delay(scenario, int(found.delay))), found.delay
+
+
+def test_boundaries_of_the_closed_form():
+    """TDC and the sliding-mode laws: (K_D + K_s) L < 2 at eta = 1, in the gains as in the sample time."""
+    for controller, rate in (("tdc", 100.0), ("aismc", 180.0)):
+        gains = ["controllers.aismc.k_s_initial=80", "controllers.aismc.k_s_max=80"]
+        same = ["payload.nominal.mass=100", "payload.nominal.inertia=[16.7, 16.7, 16.7]"]
+        scenario = load_scenario("postcapture", [f"controller={controller}", *gains, *same])
+        found = find_boundaries(scenario, time=0.0)
+        assert found.gains == pytest.approx(2.0 / (rate * 0.01), rel=3e-3)
+        assert found.sample_time == pytest.approx(2.0 / (rate * 0.01), rel=3e-3)
+        assert found.delay == 1.0

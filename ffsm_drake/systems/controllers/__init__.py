@@ -9,7 +9,16 @@ from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, complete_gain, gain, gain_values, gains_of
+from ffsm_drake.systems.controllers.law import (
+    ControlLaw,
+    Gain,
+    Sample,
+    State,
+    complete_gain,
+    gain,
+    gain_values,
+    gains_of,
+)
 from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS, SampledController
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 from ffsm_drake.systems.registry import Factory, block_names, call_factory, find_factory
@@ -26,6 +35,7 @@ __all__ = [
     "complete_gains",
     "controller_names",
     "controller_setup",
+    "declared_gains",
     "gain",
     "gain_vectors",
     "gains_schema",
@@ -84,9 +94,14 @@ def gain_vectors(scenario: Scenario, coordinates: Coordinates) -> dict[str, Any]
     return gain_values(factory, scenario.controllers.get(name, {}), coordinates, name=name) if gains_of(factory) else {}
 
 
+def declared_gains(scenario: Scenario) -> dict[str, Gain]:
+    """The gains that the scenario's controller declares, by name; empty for one that declares none."""
+    return gains_of(_factory(scenario))
+
+
 def complete_gains(scenario: Scenario) -> Scenario:
     """The scenario with all gains of its controller written out, those that it leaves to their defaults too."""
-    declared, key = gains_of(_factory(scenario)), controller_key(scenario.controller)
+    declared, key = declared_gains(scenario), controller_key(scenario.controller)
     if not declared:
         return scenario
     given = scenario.controllers.get(key, {})

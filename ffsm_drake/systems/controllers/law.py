@@ -52,6 +52,7 @@ class Gain:
     scalar: bool  # one number for all coordinates
     positive: bool  # must be > 0; otherwise >= 0
     bound: bool  # an upper bound, which null takes away
+    feedback: bool  # acts on the error; otherwise on how the law adapts
 
 
 def gain(
@@ -62,9 +63,12 @@ def gain(
     scalar: bool = False,
     positive: bool = False,
     bound: bool = False,
+    feedback: bool = True,
 ) -> Any:
     """A field of a law that a scenario can set; see Gain."""
-    declared = Gain(default=default, unit=unit, meaning=meaning, scalar=scalar, positive=positive, bound=bound)
+    declared = Gain(
+        default=default, unit=unit, meaning=meaning, scalar=scalar, positive=positive, bound=bound, feedback=feedback
+    )
     return dataclasses.field(metadata={"gain": declared})
 
 

@@ -28,13 +28,17 @@ class Aismc(InjectedDynamics):
     k_p: np.ndarray = gain({"all": 100.0, "base_position": 200.0}, "1/s^2", "gain K_P on the error")
     k_s_initial: np.ndarray = gain(60.0, "1/s", "reaching gain K_s at the start")
     alpha: np.ndarray = gain(
-        {"base_position": 3e4, "base_rotation": 18e4, "joints": 9e4}, "1/(rad s) or 1/(m s)", "rate of K_s"
+        {"base_position": 3e4, "base_rotation": 18e4, "joints": 9e4},
+        "1/(rad s) or 1/(m s)",
+        "rate of K_s",
+        feedback=False,
     )
     beta: np.ndarray = gain(
         {"base_position": 4e7, "base_rotation": 24e7, "joints": 12e7},
         "1/(rad s) or 1/(m s)",
         "accuracy scale of K_s, which rests at |s| = K_s^2 / beta",
         positive=True,
+        feedback=False,
     )
     k_s_max: np.ndarray = gain(70.0, "1/s", "upper bound of K_s; null: unbounded", bound=True)
 

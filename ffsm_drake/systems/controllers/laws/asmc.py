@@ -29,7 +29,7 @@ class Asmc(InjectedDynamics):
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the error's rate")
     k_s: np.ndarray = gain(80.0, "1/s", "reaching gain K_s, constant")
     g_initial: np.ndarray = gain(
-        0.0, "rad/s^2 or m/s^2", "switching gain G at the start; (19) has a branch of its own for zero"
+        0.0, "rad/s^2 or m/s^2", "switching gain G at the start; (19) has a branch of its own for zero", feedback=False
     )
     epsilon: float = gain(
         1e-4,
@@ -37,10 +37,13 @@ class Asmc(InjectedDynamics):
         "bound on the sliding variable that switches the adaptation's sign",
         scalar=True,
         positive=True,
+        feedback=False,
     )
-    a: np.ndarray = gain({"all": 1e-6, "base_position": 1e-7}, "rad/s^3 or m/s^3", "adaptation rate, the phi of (19)")
-    b: np.ndarray = gain(1e5, "s/rad or s/m", "adaptation scale, the 1/alpha of (19)", positive=True)
-    g_max: np.ndarray = gain(None, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True)
+    a: np.ndarray = gain(
+        {"all": 1e-6, "base_position": 1e-7}, "rad/s^3 or m/s^3", "adaptation rate, the phi of (19)", feedback=False
+    )
+    b: np.ndarray = gain(1e5, "s/rad or s/m", "adaptation scale, the 1/alpha of (19)", positive=True, feedback=False)
+    g_max: np.ndarray = gain(None, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True, feedback=False)
 
     def initial_state(self) -> State:
         return {"sliding_variable": np.zeros_like(self.k_d), "switching_gain": self.g_initial}

@@ -36,25 +36,30 @@ class TdeAismc(InjectedDynamics):
     k_p: np.ndarray = gain({"all": 100.0, "base_position": 200.0}, "1/s^2", "gain K_P on the error")
     k_s_initial: np.ndarray = gain(60.0, "1/s", "reaching gain K_s at the start")
     alpha: np.ndarray = gain(
-        {"base_position": 3e4, "base_rotation": 18e4, "joints": 9e4}, "1/(rad s) or 1/(m s)", "rate of K_s"
+        {"base_position": 3e4, "base_rotation": 18e4, "joints": 9e4},
+        "1/(rad s) or 1/(m s)",
+        "rate of K_s",
+        feedback=False,
     )
     beta: np.ndarray = gain(
         {"base_position": 4e7, "base_rotation": 24e7, "joints": 12e7},
         "1/rad or 1/m",
         "accuracy scale of K_s, which rests at |s| = K_s / beta",
         positive=True,
+        feedback=False,
     )
     k_s_max: np.ndarray = gain(70.0, "1/s", "upper bound of K_s; null: unbounded", bound=True)
-    g_initial: np.ndarray = gain(2e-4, "rad/s^2 or m/s^2", "switching gain G at the start")
+    g_initial: np.ndarray = gain(2e-4, "rad/s^2 or m/s^2", "switching gain G at the start", feedback=False)
     epsilon: float = gain(
         1e-4,
         "rad/s or m/s",
         "bound on the sliding variable that switches the adaptation's sign",
         scalar=True,
         positive=True,
+        feedback=False,
     )
-    phi: np.ndarray = gain({"all": 1e-1, "base_position": 1e-2}, "1/s^2", "rate of G")
-    g_max: np.ndarray = gain(None, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True)
+    phi: np.ndarray = gain({"all": 1e-1, "base_position": 1e-2}, "1/s^2", "rate of G", feedback=False)
+    g_max: np.ndarray = gain(None, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True, feedback=False)
 
     def initial_state(self) -> State:
         zeros = np.zeros_like(self.k_d)

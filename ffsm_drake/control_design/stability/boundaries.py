@@ -1,0 +1,108 @@
+"""How far a scenario is from the edge of stability, found on the loop as it is wired: one thing is changed at a time.
+
+Every trial builds the loop anew and linearises it at the posture that is nearest to the edge.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
+from ffsm_drake.systems.controllers import complete_gains, declared_gains
+
+LARGEST_FACTOR = 30.0
+LARGEST_DELAY = 30  # control samples
+_RATIO = 1.3  # of one factor to the next in the search
+_ACCURACY = 1e-3  # of a factor, relative
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Boundaries:
+    """Where the loop becomes unstable. NaN: it is so already; infinite: stable as far as was looked."""
+
+    gains: float  # factor on all feedback gains of the controller; infinite, too, where it declares none
+    nominal_payload: float  # factor on the nominal payload's mass and inertia
+    sample_time: float  # factor on the control period
+    delay: float  # further delay of the sensors, control samples: the first number that is unstable
+
+
+def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
+    """The boundaries at one posture of the planned motion; takes some seconds.
+
+    Args:
+      scenario: what to look at.
+      time: s, the posture; ``Margins.worst.time`` of ``stability``.
+
+    Raises ModelError, ScenarioError and BlockError as ``stability`` does.
+    """
+    scenario = complete_gains(scenario)
+
+    def is_stable(changed: Scenario) -> bool:
+        with Linearizer(changed) as linearizer:
+            return linearizer.at(time).spectral_radius < 1.0
+
+    if not is_stable(scenario):
+        nan = float("nan")
+        return Boundaries(gains=nan, nominal_payload=nan, sample_time=nan, delay=nan)
+    return Boundaries(
+        gains=_largest_factor(lambda factor: is_stable(with_gains(scenario, factor)))
+        if any(gain.feedback for gain in declared_gains(scenario).values())
+        else float("inf"),
+        nominal_payload=_largest_factor(lambda factor: is_stable(with_nominal_payload(scenario, factor))),
+        sample_time=_largest_factor(lambda factor: is_stable(with_sample_time(scenario, factor))),
+        delay=next(
+            (
+                float(further)
+                for further in range(1, LARGEST_DELAY + 1)
+                if not is_stable(with_delay(scenario, scenario.sensing.delay + further))
+            ),
+            float("inf"),
+        ),
+    )
+
+
+def with_gains(scenario: Scenario, factor: float) -> Scenario:
+    """The scenario with every feedback gain of its controller times a factor. Its gains must be complete."""
+    declared = declared_gains(scenario)
+    key = controller_key(scenario.controller)
+
+    def scale(name: str, value: Any) -> Any:
+        if not declared[name].feedback or value is None:
+            return value
+        return {each: factor * number for each, number in value.items()}
+
+    gains = {name: scale(name, value) for name, value in scenario.controllers.get(key, {}).items()}
+    return dataclasses.replace(scenario, controllers={**scenario.controllers, key: gains})
+
+
+def with_nominal_payload(scenario: Scenario, factor: float) -> Scenario:
+    """The scenario with the nominal payload's mass and inertia times a factor."""
+    data = scenario_to_dict(scenario)
+    nominal = data["payload"]["nominal"]
+    nominal["mass"] *= factor
+    nominal["inertia"] = [factor * value for value in nominal["inertia"]]
+    return scenario_from_dict(data)
+
+
+def with_sample_time(scenario: Scenario, factor: float) -> Scenario:
+    """The scenario with its control period times a factor."""
+    return dataclasses.replace(scenario, sample_time=factor * scenario.sample_time)
+
+
+def with_delay(scenario: Scenario, delay: int) -> Scenario:
+    """The scenario with another delay of its sensors, control samples."""
+    return dataclasses.replace(scenario, sensing=dataclasses.replace(scenario.sensing, delay=delay))
+
+
+def _largest_factor(is_stable: Callable[[float], bool]) -> float:
+    """The largest factor from 1 up with which the loop is stable; infinite where there is no other up to the last."""
+    inside, outside = 1.0, _RATIO
+    while is_stable(outside):
+        inside, outside = outside, outside * _RATIO
+        if outside > LARGEST_FACTOR:
+            return float("inf")
+    while outside - inside > _ACCURACY * inside:
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if is_stable(middle) else (inside, middle)
+    return inside
