@@ -39,15 +39,17 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     """
     from ffsm_drake.common.files import check_writable, written_whole
     from ffsm_drake.control_design.stability import stability as find_margins
-    from ffsm_drake.show.tables import margins_data, margins_table
+    from ffsm_drake.control_design.stability.boundaries import find_boundaries
+    from ffsm_drake.show.tables import boundaries_table, margins_data, margins_table
 
     if out is not None:
         check_writable(out)
     margins = find_margins(scenario)
+    boundaries = find_boundaries(scenario, time=margins.worst.time)
     if as_json:
-        print_json(margins_data(margins))
+        print_json(margins_data(margins) | {"boundaries": dataclasses.asdict(boundaries)})
     else:
-        click.echo(margins_table(margins))
+        click.echo(f"{margins_table(margins)}\n\n{boundaries_table(boundaries, scenario)}\n\n{margins.verdict}")
     if out is not None:
         from ffsm_drake.show.figures.stability import plot_margins
 

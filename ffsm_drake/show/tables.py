@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.controllers import complete_gains
 
 if TYPE_CHECKING:  # slow to import
     from ffsm_drake.control_design.gains import Design
+    from ffsm_drake.control_design.stability.boundaries import Boundaries
     from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
     from ffsm_drake.control_design.stability.prediction import Prediction
 
@@ -101,9 +103,26 @@ def margins_table(margins: "Margins") -> str:
     if margins.axes is not None:
         plant = "explicit Euler at the control period" if margins.axes.sampling.euler else "exactly integrated"
         lines += ["", f"limits of each coordinate alone, plant {plant}:", *_axis_lines(margins.axes, data)]
-    return "\n".join(
-        [*lines, "", f"spectral radius {data['spectral_radius']:.5f} at the worst posture", margins.verdict]
-    )
+    return "\n".join([*lines, "", f"spectral radius {data['spectral_radius']:.5f} at the worst posture"])
+
+
+def boundaries_table(boundaries: "Boundaries", scenario: Scenario) -> str:
+    """Plain text: how far each thing can be changed, alone, before the loop is unstable."""
+
+    def factor(value: float, unit: str = "") -> str:
+        return f"x {value:.3g}{unit}" if math.isfinite(value) else "beyond what was looked at"
+
+    period = 1e3 * scenario.sample_time
+    if math.isnan(boundaries.delay):
+        return "no boundaries: the loop is unstable as it is"
+    delay = f"{boundaries.delay:.0f} sample{'s' if boundaries.delay > 1 else ''} ({boundaries.delay * period:.3g} ms)"
+    rows = [
+        ["feedback gains", factor(boundaries.gains)],
+        ["nominal payload", factor(boundaries.nominal_payload)],
+        ["sample time", factor(boundaries.sample_time, f" ({boundaries.sample_time * period:.3g} ms)")],
+        ["further sensor delay", delay if math.isfinite(boundaries.delay) else factor(boundaries.delay)],
+    ]
+    return "\n".join(["unstable from, each changed alone at that posture:", *aligned(rows)])
 
 
 def _axis_lines(axes: "AxisMargins", data: Mapping[str, Any]) -> list[str]:
