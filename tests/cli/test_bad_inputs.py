@@ -911,6 +911,7 @@ def check_kept(folder: Path, status: str) -> RunRecord:
     [
         ("-c mine_bad:NanForce", "the force on base_rotation_x is nan"),
         ("--set controllers.tde_aismc.k_d=1e20", "beyond divergence_speed = 10"),
+        ("--set payload.nominal.mass=1e5", "beyond divergence_speed = 10"),
         ("--set divergence_speed=1e-6", "beyond divergence_speed = 1e-06"),
         ("--set sensing.velocity_noise=1e20", "beyond divergence_speed = 10"),
         ("--set initial_posture.base_position=[1e20,0,0]", "beyond divergence_speed = 10"),

@@ -8,8 +8,10 @@ import weakref
 
 import numpy as np
 import pytest
+from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import ControlLaw, gain, load_scenario, simulate
+from ffsm_drake.common.errors import BlockError
 from ffsm_drake.control_design.stability import stability, stability_warning
 from ffsm_drake.control_design.stability.boundaries import (
     find_boundaries,
@@ -93,6 +95,46 @@ def test_modes_of_a_users_law_are_those_of_its_gains():
     assert mode.damping == pytest.approx(1.0, abs=1e-3)
     assert sum(mode.coordinates.values()) == pytest.approx(1.0)
     assert next(iter(mode.coordinates.values())) == max(mode.coordinates.values())
+
+
+class Lag(LeafSystem):
+    """Actuators with a lag of 50 ms: state that is continuous."""
+
+    def __init__(self, setup):
+        super().__init__()
+        size = len(setup.coordinates.names)
+        self.lag = 0.05
+        self.command = self.DeclareVectorInputPort("commanded_force", size)
+        state = self.DeclareContinuousState(size)
+        self.DeclareStateOutputPort("applied_force", state)
+
+    def DoCalcTimeDerivatives(self, context, derivatives):
+        force = context.get_continuous_state_vector().CopyToVector()
+        derivatives.SetFromVector((self.command.Eval(context) - force) / self.lag)
+
+
+class Fast(LeafSystem):
+    """Actuators that take the command over every millisecond."""
+
+    def __init__(self, setup):
+        super().__init__()
+        size = len(setup.coordinates.names)
+        self.command = self.DeclareVectorInputPort("commanded_force", size)
+        state = self.DeclareDiscreteState(size)
+        self.DeclareStateOutputPort("applied_force", state)
+        self.DeclarePeriodicDiscreteUpdateEvent(0.001, 0.0005, self.take)
+
+    def take(self, context, values):
+        values.set_value(0.5 * (context.get_discrete_state(0).value() + self.command.Eval(context)))
+
+
+@pytest.mark.parametrize(("actuators", "words"), [(Lag, "continuous or abstract state"), (Fast, "between two control")])
+def test_what_it_cannot_linearise_is_refused(actuators, words):
+    with (
+        pytest.raises(BlockError, match=words),
+        Linearizer(load_scenario("postcapture"), blocks={"actuation": actuators}) as linearizer,
+    ):
+        linearizer.at(0.0)
 
 
 def test_it_is_freed():

@@ -243,6 +243,7 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
     [
         (["stability", "paper", "--controller", "tdc"], 0, "plant explicit Euler"),
         (["stability", "--set", "payload.nominal.mass=125"], 3, "unstable: the sampled loop of tde_aismc"),
+        (["stability", "--set", "payload.nominal.mass=1e5"], 3, "spectral radius inf"),
         (["stability", "nowhere"], 2, "error: nowhere: no such scenario; choose one of"),
         (["stability", "--set", "controllers.tdc.kd=1"], 2, "controllers.tdc.kd: unknown gain; tdc has k_d"),
         (["stability", "--set", "controllers.tde_aismc.k_d.joint_9=1"], 2, "joint_9: unknown coordinate"),

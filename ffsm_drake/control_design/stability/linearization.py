@@ -1,9 +1,10 @@
 """The sampled loop as it is wired, linearised: the map from just before one control sample to just before the next.
 
 All state that feeds back is in it: the plant's (its attitude as a small rotation), the controller's and its
-estimator's, delays, actuators. Its columns are differences on a context of the closed loop, so every
-controller, block and plant is covered without a formula for any of them. What a law holds (``ControlLaw.held``: gains
-under adaptation, sign terms) is held. Noise is off; quantisation and limits, which have no derivative, are left out.
+estimator's, delays, actuators. Its columns are differences on a context of the closed loop, so every controller, plant,
+and block with discrete state of the control period is covered without a formula for any of them; a block with other
+state is refused. What a law holds (``ControlLaw.held``: gains under adaptation, sign terms) is held. Noise is off;
+quantisation and limits, which have no derivative, are left out.
 
 The update at the sample and the motion up to the next are differenced apart, which is several times faster: the motion
 depends only on the plant's state and on the few held values that reach it.
@@ -65,6 +66,8 @@ class LinearLoop:
     def modes(self, count: int = 6) -> list[Mode]:
         """The slowest modes, those that grow first."""
         names, found = self.coordinates.names, list[Mode]()
+        if not np.isfinite(self.poles).all():
+            return found
         for pole, vector in zip(self.poles.tolist(), self._eigen[1].T, strict=True):
             if pole.imag < 0.0 or abs(pole) < 1e-6 or len(found) == count:
                 continue
@@ -106,7 +109,10 @@ class Linearizer:
     """A closed loop that is built once and linearised at many instants, within a ``with`` block."""
 
     def __init__(self, scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None) -> None:
-        """Args: what to build; factories in place of its blocks. Errors as for ``add_closed_loop``."""
+        """Args: what to build; factories in place of its blocks.
+
+        Errors as for ``add_closed_loop``; BlockError for a block with continuous or abstract state.
+        """
         sensing = dataclasses.replace(scenario.sensing, position_quantization={}, velocity_quantization={})
         actuation = Actuation(delay=scenario.actuation.delay)
         self.scenario = dataclasses.replace(scenario, sensing=sensing, actuation=actuation)
@@ -125,6 +131,15 @@ class Linearizer:
         noise = [leaf for leaf in _leaves(diagram) if isinstance(leaf, RandomSource)]
         heard = {output[0] for output in diagram.connection_map().values()}  # the others only record
         leaves = [leaf for part in diagram.GetSystems() if part in heard for leaf in _leaves(part)]
+        for leaf in leaves:
+            if (
+                leaf is not self._plant
+                and leaf not in noise
+                and leaf.num_continuous_states() + leaf.num_abstract_states()
+            ):
+                raise BlockError(
+                    f"{leaf.get_name()}: its continuous or abstract state cannot be linearised; only discrete"
+                )
         held = {index for index, _ in self._held.values()}
         self._noise = _Memory(noise, self._context)
         self._memory = _Memory(
@@ -169,7 +184,7 @@ class Linearizer:
                 a = self._map(first + _WARM_UP)
         except FfsmError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # Drake refuses some numbers that are not finite by SystemExit
             if np.isfinite(self._plant_state()).all():
                 reason = f"{type(error).__name__}: {one_line(error)}"
                 raise BlockError(f"{self.scenario.controller}: the loop cannot be linearised: {reason}") from error
@@ -231,6 +246,8 @@ class Linearizer:
             return jacobian
 
         base = move(np.zeros(size))
+        if not np.array_equal(self._memory.read(), updated):
+            raise BlockError("a block updates between two control samples, which cannot be linearised")
         of_plant, of_memory = derivative(lambda x: _difference(move(x), base)), derivative(update)
         a = np.empty((size, size))
         a[: 2 * nv] = of_plant[:, 2 * nv :] @ of_memory
