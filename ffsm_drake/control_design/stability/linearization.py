@@ -130,22 +130,15 @@ class Linearizer:
         self._start_of_controller = controller.GetMyContextFromRoot(self._start)
         noise = [leaf for leaf in _leaves(diagram) if isinstance(leaf, RandomSource)]
         heard = {output[0] for output in diagram.connection_map().values()}  # the others only record
-        leaves = [leaf for part in diagram.GetSystems() if part in heard for leaf in _leaves(part)]
+        parts = [part for part in diagram.GetSystems() if part in heard]
+        leaves = [leaf for part in parts for leaf in _leaves(part) if leaf not in noise]
         for leaf in leaves:
-            if (
-                leaf is not self._plant
-                and leaf not in noise
-                and leaf.num_continuous_states() + leaf.num_abstract_states()
-            ):
-                raise BlockError(
-                    f"{leaf.get_name()}: its continuous or abstract state cannot be linearised; only discrete"
-                )
+            if leaf is not self._plant and leaf.num_continuous_states() + leaf.num_abstract_states():
+                raise BlockError(f"{leaf.get_name()}: continuous or abstract state cannot be linearised, only discrete")
         held = {index for index, _ in self._held.values()}
         self._noise = _Memory(noise, self._context)
         self._memory = _Memory(
-            [leaf for leaf in leaves if leaf not in noise],
-            self._context,
-            leave_out=lambda system, group: system is controller and group in held,
+            leaves, self._context, leave_out=lambda system, group: system is controller and group in held
         )
         self._motion = make_motion(self.scenario, self.loop.coordinates)
 
