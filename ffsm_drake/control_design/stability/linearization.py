@@ -3,15 +3,18 @@
 All state that feeds back is in it: the plant's (its attitude as a small rotation), the controller's and its
 estimator's, delays, actuators. Its columns are differences on a context of the closed loop, so every controller, plant,
 and block with discrete state of the control period is covered without a formula for any of them; a block with other
-state is refused. What a law holds (``ControlLaw.held``: gains under adaptation, sign terms) is held. Noise is off;
-quantisation and limits, which have no derivative, are left out.
+state is refused. What a law holds (``ControlLaw.held``: gains under adaptation, sign terms) is held. Noise is an input; limits,
+which have no derivative, are left out, and quantisation counts as white noise of its sawtooth's variance.
 
 The update at the sample and the motion up to the next are differenced apart, which is several times faster: the motion
-depends only on the plant's state and on the few held values that reach it.
+depends only on the plant's state and on the few held values that reach it. Where a block updates less often than the
+controller, the map is that of their common period, each kind of sample in it differenced once.
 """
 
+import contextlib
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Self
 
@@ -23,8 +26,9 @@ from pydrake.systems.primitives import RandomSource
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.loop.closed_loop import make_closed_loop
-from ffsm_drake.scenario import Actuation, PerCoordinate, Scenario
+from ffsm_drake.scenario import Actuation, PerCoordinate, Scenario, Sensing
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import Factory
 
@@ -38,30 +42,49 @@ _WARM_UP = 5
 class Mode:
     """A mode of the loop: a real pole, or a conjugate pair."""
 
-    pole: complex  # z, per control sample; of a pair the one with the positive imaginary part
+    pole: complex  # z, over the common period of all blocks; of a pair the one with the positive imaginary part
     frequency: float  # rad/s, natural
     damping: float  # ratio; negative where the mode grows
     coordinates: PerCoordinate  # coordinate -> share of the plant's motion in the mode, largest first
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class SampleMap:
+    """x+ = A x + B w, u = C x + D w over one control sample; for x, w and u see LinearLoop."""
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    d: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class LinearLoop:
-    """x+ = A x near one instant of the planned motion; x begins with the plant's e and its rate (2 nv)."""
+    """The loop near one instant of the planned motion.
+
+    Its state x begins with the plant's e and its rate (2 nv); u is the controller's force until the next sample (nv, N m
+    or N); w is the white noise of unit variance that a sample reads.
+    """
 
     coordinates: Coordinates
     time: float  # s
     sample_time: float  # s
-    a: np.ndarray
+    samples: tuple[SampleMap, ...]  # of one common period of all blocks
+
+    @functools.cached_property
+    def a(self) -> np.ndarray:
+        """The map of x over the common period."""
+        return functools.reduce(lambda product, sample: sample.a @ product, self.samples[1:], self.samples[0].a)
 
     @property
     def poles(self) -> np.ndarray:
-        """Poles of what feeds back, per control sample, the largest first; one infinite where A is not finite."""
+        """Poles of what feeds back, over the common period, the largest first; one infinite where A is not finite."""
         return self._eigen[0]
 
     @property
     def spectral_radius(self) -> float:
-        """Largest pole magnitude; the loop is stable below 1."""
-        return float(np.abs(self.poles[0]))
+        """Largest pole magnitude per control sample; the loop is stable below 1."""
+        return float(np.abs(self.poles[0]) ** (1.0 / len(self.samples)))
 
     def modes(self, count: int = 6) -> list[Mode]:
         """The slowest modes, those that grow first."""
@@ -71,7 +94,7 @@ class LinearLoop:
         for pole, vector in zip(self.poles.tolist(), self._eigen[1].T, strict=True):
             if pole.imag < 0.0 or abs(pole) < 1e-6 or len(found) == count:
                 continue
-            exponent = np.log(complex(pole)) / self.sample_time
+            exponent = np.log(complex(pole)) / (len(self.samples) * self.sample_time)
             weight = np.abs(vector[: len(names)])
             share = weight / weight.sum()
             found.append(
@@ -84,22 +107,46 @@ class LinearLoop:
             )
         return found
 
+    def noise_response(self, samples: int) -> dict[str, np.ndarray]:
+        """Standard deviations (nv) under the noise after a number of control samples from a start without error.
+
+        Keys ``error`` (rad, m), ``error_rate`` (per s) and ``force`` (N m, N). A power of two covers ``samples``; a loop
+        that contracts has reached its stationary values by then, what walks at random has not. All infinite where the
+        loop does not contract.
+        """
+        nv = len(self.coordinates.names)
+        if self.spectral_radius >= 1.0:
+            return {name: np.full(nv, np.inf) for name in ("error", "error_rate", "force")}
+        keep = self._matters(sum(np.abs(sample.b).sum(axis=1) for sample in self.samples) > 0.0)
+        maps = [(sample.a[np.ix_(keep, keep)], sample.b[keep], sample.c[:, keep], sample.d) for sample in self.samples]
+        power, covariance = np.eye(int(keep.sum())), np.zeros((keep.sum(),) * 2)
+        for a, b, _, _ in maps:
+            power, covariance = a @ power, a @ covariance @ a.T + b @ b.T
+        for _ in range(max(math.ceil(samples / len(maps)) - 1, 0).bit_length()):
+            covariance, power = covariance + power @ covariance @ power.T, power @ power
+        of_state, of_force = np.zeros(len(covariance)), np.zeros(nv)
+        for a, b, c, d in maps:
+            of_state += np.diagonal(covariance) / len(maps)
+            of_force += (np.einsum("ij,jk,ik->i", c, covariance, c) + (d**2).sum(axis=1)) / len(maps)
+            covariance = a @ covariance @ a.T + b @ b.T
+        deviation, force = np.sqrt(np.maximum(of_state, 0.0)), np.sqrt(np.maximum(of_force, 0.0))
+        return {"error": deviation[:nv], "error_rate": deviation[nv : 2 * nv], "force": force}
+
     @functools.cached_property
     def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
         """Poles, largest first, and right eigenvectors of the part of the loop that feeds back."""
         if not np.isfinite(self.a).all():
             return np.full(1, np.inf), np.ones((len(self.a), 1))
-        keep = self._feeds_back()
+        keep = self._matters(np.arange(len(self.a)) < 2 * len(self.coordinates.names))
         poles, vectors = np.linalg.eig(self.a[np.ix_(keep, keep)])
         order = np.argsort(-np.abs(poles), kind="stable")
         return poles[order], vectors[:, order]
 
-    def _feeds_back(self) -> np.ndarray:
-        """Mask of the entries of x that act on the plant and that the plant acts on."""
-        arrows = self.a != 0.0
-        acting = np.zeros(len(arrows), dtype=bool)
-        acting[: 2 * len(self.coordinates.names)] = True
-        driven = acting
+    def _matters(self, driven: np.ndarray) -> np.ndarray:
+        """Mask of the entries of x that act on the plant and that the plant, or ``driven`` (mask), acts on."""
+        arrows = sum(np.abs(sample.a) for sample in self.samples) > 0.0
+        plant = np.arange(len(arrows)) < 2 * len(self.coordinates.names)
+        acting, driven = plant, driven | plant
         for _ in range(len(arrows)):
             acting, driven = acting | (arrows[acting].any(axis=0)), driven | (arrows[:, driven].any(axis=1))
         return acting & driven
@@ -113,9 +160,8 @@ class Linearizer:
 
         Errors as for ``add_closed_loop``; BlockError for a block with continuous or abstract state.
         """
-        sensing = dataclasses.replace(scenario.sensing, position_quantization={}, velocity_quantization={})
         actuation = Actuation(delay=scenario.actuation.delay)
-        self.scenario = dataclasses.replace(scenario, sensing=sensing, actuation=actuation)
+        self.scenario = dataclasses.replace(scenario, sensing=_smooth_sensing(scenario), actuation=actuation)
         self.loop = make_closed_loop(self.scenario, blocks=blocks)
         diagram, self._plant = self.loop.diagram, self.loop.plant
         self._simulator = Simulator(diagram)
@@ -136,9 +182,13 @@ class Linearizer:
             if leaf is not self._plant and leaf.num_continuous_states() + leaf.num_abstract_states():
                 raise BlockError(f"{leaf.get_name()}: continuous or abstract state cannot be linearised, only discrete")
         held = {index for index, _ in self._held.values()}
-        self._noise = _Memory(noise, self._context)
+        self._force = controller.GetOutputPort("generalized_force")
+        self._noise = _Memory(noise, self._context, sample_time=scenario.sample_time)
         self._memory = _Memory(
-            leaves, self._context, leave_out=lambda system, group: system is controller and group in held
+            leaves,
+            self._context,
+            sample_time=scenario.sample_time,
+            leave_out=lambda system, group: system is controller and group in held,
         )
         self._motion = make_motion(self.scenario, self.loop.coordinates)
 
@@ -167,22 +217,42 @@ class Linearizer:
         for block in self.loop.blocks.values():
             if hasattr(block, "set_initial_state"):
                 block.set_initial_state(block.GetMyMutableContextFromRoot(self._context), state)
+        index = first + _WARM_UP
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                for index in range(first, first + _WARM_UP):
+                for earlier in range(first, index):
                     self._quiet(held)
-                    self._simulator.Initialize()
-                    self._simulator.AdvanceTo((index + 1) * period)
+                    self._memory.update(earlier)
+                    self._move(earlier)
                 self._quiet(held)
-                a = self._map(first + _WARM_UP)
+                samples = self._samples(index)
         except FfsmError:
             raise
         except (Exception, SystemExit) as error:  # Drake refuses some numbers that are not finite by SystemExit
             if np.isfinite(self._plant_state()).all():
                 reason = f"{type(error).__name__}: {one_line(error)}"
                 raise BlockError(f"{self.scenario.controller}: the loop cannot be linearised: {reason}") from error
-            a = np.full((2 * len(self.loop.coordinates.names),) * 2, np.nan)  # diverged within the warm-up
-        return LinearLoop(coordinates=self.loop.coordinates, time=(first + _WARM_UP) * period, sample_time=period, a=a)
+            unknown = np.full((2 * len(self.loop.coordinates.names),) * 2, np.nan)  # diverged within the warm-up
+            samples = (SampleMap(a=unknown, b=unknown, c=unknown, d=unknown),)
+        return LinearLoop(coordinates=self.loop.coordinates, time=index * period, sample_time=period, samples=samples)
+
+    def follow(self, *, held: Mapping[str, np.ndarray] | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """The run without noise: true error at the samples and force from each to the next (n, nv), NaN once it fails.
+
+        Args: as for ``at``.
+        """
+        count, nv = self.scenario.num_control_periods, len(self.loop.coordinates.names)
+        error, force = np.full((count, nv), np.nan), np.full((count, nv), np.nan)
+        desired = self._motion.rows(np.arange(count) * self.scenario.sample_time)[:, : 2 * nv + 1]
+        self._context.SetTimeStateAndParametersFrom(self._start)
+        with contextlib.suppress(Exception, SystemExit), np.errstate(over="ignore", invalid="ignore"):
+            for index in range(count):
+                error[index] = _difference(desired[index], self._plant_state())[:nv]
+                self._quiet(held or {})
+                self._memory.update(index)
+                force[index] = self._force.Eval(self._controller_context)
+                self._move(index)
+        return error, force
 
     def _quiet(self, held: Mapping[str, np.ndarray]) -> None:
         """No noise at the next sample, and the controller's held memory at its values."""
@@ -192,48 +262,68 @@ class Linearizer:
             given = starting if value is None else np.full_like(starting, value)
             self._controller_context.SetDiscreteState(group, held.get(name, given))
 
-    def _map(self, index: int) -> np.ndarray:
-        """A at the control sample ``index``, which the context stands just before."""
-        period, nv = self.scenario.sample_time, len(self.loop.coordinates.names)
+    def _move(self, index: int) -> None:
+        """From just after the update at the control sample ``index`` to just before the next."""
+        self._context.SetTime((index + 1e-9) * self.scenario.sample_time)  # past the update: it is not made again
+        self._simulator.Initialize()
+        self._simulator.AdvanceTo((index + 1) * self.scenario.sample_time)
+
+    def _samples(self, index: int) -> tuple[SampleMap, ...]:
+        """The maps of one common period from the control sample ``index`` on, which the context stands just before."""
+        before, kinds = self._context.Clone(), dict[tuple[bool, ...], SampleMap]()
+        updates = [self._memory.which(index + i) for i in range(self._memory.common_period)]
+        for i, kind in enumerate(updates):
+            if kind not in kinds:
+                self._context.SetTimeStateAndParametersFrom(before)
+                self._context.SetTime((index + i) * self.scenario.sample_time)
+                kinds[kind] = self._map(index + i)
+        return tuple(kinds[kind] for kind in updates)
+
+    def _map(self, index: int) -> SampleMap:
+        """The map of the control sample ``index``, which the context stands just before."""
+        nv = len(self.loop.coordinates.names)
         before, state = self._context.Clone(), self._plant_state()
         memory = self._memory.read()
         size = 2 * nv + memory.size
 
         def update(x: np.ndarray) -> np.ndarray:
-            """The memory after the sample's update."""
+            """The memory after the sample's update; x is followed by the noise."""
             self._context.SetTimeStateAndParametersFrom(before)
             self._plant.SetPositionsAndVelocities(self._plant_context, _moved(state, x[: 2 * nv]))
-            self._memory.write(memory + x[2 * nv :])
-            self._simulator.Initialize()
-            self._simulator.AdvancePendingEvents()
+            self._memory.write(memory + x[2 * nv : size])
+            self._noise.write(x[size:])
+            self._memory.update(index)
             return self._memory.read()
 
-        updated = update(np.zeros(size))
-        self._context.SetTime((index + 1e-9) * period)  # past the update, so that it is not made again
+        updated = update(np.zeros(size + self._noise.size))
         after = self._context.Clone()
 
         def move(x: np.ndarray) -> np.ndarray:
-            """[q; v] of the plant at the next sample."""
+            """[q; v] of the plant at the next sample, and the controller's force until then."""
             self._context.SetTimeStateAndParametersFrom(after)
             self._plant.SetPositionsAndVelocities(self._plant_context, _moved(state, x[: 2 * nv]))
             self._memory.write(updated + x[2 * nv :])
-            self._simulator.Initialize()
-            self._simulator.AdvanceTo((index + 1) * period)
-            return self._plant_state()
+            force = self._force.Eval(self._controller_context).copy()
+            self._move(index)
+            return np.concatenate([self._plant_state(), force])
 
-        steps = np.concatenate([np.full(2 * nv, _STEP), _STEP * np.maximum(1.0, np.abs(memory))])
-        groups = [slice(0, 2 * nv), *(slice(2 * nv + part.start, 2 * nv + part.stop) for part in self._memory.parts)]
+        memory_steps = _STEP * np.maximum(1.0, np.abs(memory))
+        steps = np.concatenate([np.full(2 * nv, _STEP), memory_steps, np.ones(self._noise.size)])
+        parts = [*self._memory.parts, *(slice(memory.size + p.start, memory.size + p.stop) for p in self._noise.parts)]
+        groups = [slice(0, 2 * nv), *(slice(2 * nv + part.start, 2 * nv + part.stop) for part in parts)]
 
-        def derivative(function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-            center = function(np.zeros(size))
-            jacobian = np.zeros((center.size, size))
+        def derivative(function: Callable[[np.ndarray], np.ndarray], number: int) -> np.ndarray:
+            center = function(np.zeros(number))
+            jacobian = np.zeros((center.size, number))
             for group in groups:
-                trial = np.zeros(size)
+                if group.stop > number:
+                    continue
+                trial = np.zeros(number)
                 trial[group] = steps[group] * np.linspace(1.0, 2.0, group.stop - group.start)
                 if np.array_equal(function(trial), center):
                     continue  # a group that does not matter to it
                 for i in range(group.start, group.stop):
-                    x = np.zeros(size)
+                    x = np.zeros(number)
                     x[i] = steps[i]
                     jacobian[:, i] = (function(x) - center) / steps[i]
             return jacobian
@@ -241,12 +331,18 @@ class Linearizer:
         base = move(np.zeros(size))
         if not np.array_equal(self._memory.read(), updated):
             raise BlockError("a block updates between two control samples, which cannot be linearised")
-        of_plant, of_memory = derivative(lambda x: _difference(move(x), base)), derivative(update)
-        a = np.empty((size, size))
-        a[: 2 * nv] = of_plant[:, 2 * nv :] @ of_memory
-        a[: 2 * nv, : 2 * nv] += of_plant[:, : 2 * nv]
-        a[2 * nv :] = of_memory
-        return a
+
+        def change(x: np.ndarray) -> np.ndarray:
+            reached = move(x)
+            return np.concatenate([_difference(reached[:-nv], base[:-nv]), reached[-nv:]])
+
+        motion, of_update = derivative(change, size), derivative(update, size + self._noise.size)
+        # From [x; w] to [x+; u], by way of the memory after the update.
+        whole = motion[:, 2 * nv :] @ of_update
+        whole[:, : 2 * nv] += motion[:, : 2 * nv]
+        both = np.vstack([whole[: 2 * nv], of_update])
+        force = whole[2 * nv :]
+        return SampleMap(a=both[:, :size], b=both[:, size:], c=force[:, :size], d=force[:, size:])
 
     def _plant_state(self) -> np.ndarray:
         state: np.ndarray = self._plant.GetPositionsAndVelocities(self._plant_context).copy()
@@ -261,10 +357,12 @@ class _Memory:
         systems: Sequence[System],
         root_context: Context,
         *,
+        sample_time: float,
         leave_out: Callable[[System, int], bool] = lambda system, group: False,
     ) -> None:
         self.size, self.parts = 0, list[slice]()
         self._groups: list[tuple[Context, int]] = []
+        self._updated: list[tuple[System, Context, float, float]] = []  # with period and offset in control samples
         for system in systems:
             context = system.GetMyMutableContextFromRoot(root_context)
             for group in range(context.num_discrete_state_groups()):
@@ -273,6 +371,27 @@ class _Memory:
                     self._groups.append((context, group))
                     self.parts.append(slice(self.size, self.size + width))
                     self.size += width
+            timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
+            if timing is not None:
+                period, offset = timing.period_sec() / sample_time, timing.offset_sec() / sample_time
+                self._updated.append((system, context, period, offset))
+        self.common_period = math.lcm(*(max(1, round(period)) for _, _, period, _ in self._updated))
+
+    def which(self, index: int) -> tuple[bool, ...]:
+        """Which systems update at a control sample."""
+        times = [(index - offset) / period for _, _, period, offset in self._updated]
+        return tuple(time > -1e-6 and abs(time - round(time)) < 1e-6 for time in times)
+
+    def update(self, index: int) -> None:
+        """Make the update of a control sample, all from the state before it."""
+        found = list[tuple[Context, list[np.ndarray]]]()
+        for (system, context, _, _), due in zip(self._updated, self.which(index), strict=True):
+            if due:
+                values = system.EvalUniquePeriodicDiscreteUpdate(context)
+                found.append((context, [values.get_vector(i).value().copy() for i in range(values.num_groups())]))
+        for context, groups in found:
+            for i, group in enumerate(groups):
+                context.SetDiscreteState(i, group)
 
     def read(self) -> np.ndarray:
         return np.concatenate([context.get_discrete_state(group).value() for context, group in self._groups] or [[]])
@@ -280,6 +399,29 @@ class _Memory:
     def write(self, values: np.ndarray) -> None:
         for (context, group), part in zip(self._groups, self.parts, strict=True):
             context.SetDiscreteState(group, values[part])
+
+
+def _smooth_sensing(scenario: Scenario) -> Sensing:
+    """The sensors without quantisation, which counts as noise: rounding to a step adds the variance of its sawtooth."""
+    sensing = scenario.sensing
+    if not sensing.position_quantization and not sensing.velocity_quantization:
+        return sensing
+    names = make_nominal_plant(scenario).coordinates
+
+    def noise(part: str) -> PerCoordinate:
+        sigma, step = (
+            names.vector(getattr(sensing, key), key=f"sensing.{key}", default=0.0)
+            for key in (f"{part}_noise", f"{part}_quantization")
+        )
+        return dict(zip(names.names, np.hypot(sigma, step / math.sqrt(12.0)).tolist(), strict=True))
+
+    return dataclasses.replace(
+        sensing,
+        position_noise=noise("position"),
+        velocity_noise=noise("velocity"),
+        position_quantization={},
+        velocity_quantization={},
+    )
 
 
 def _leaves(system: System) -> Iterator[System]:
