@@ -1,5 +1,6 @@
 """One case and controller -> one row. This runs in the workers."""
 
+import contextlib
 import functools
 import math
 import os
@@ -15,7 +16,7 @@ from typing import Any
 from ffsm_drake.campaign.cases import Case, scenario_of
 from ffsm_drake.campaign.prediction import predict_stability
 from ffsm_drake.campaign.spec import Spec, spec_from_json
-from ffsm_drake.common.errors import one_line
+from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog
 from ffsm_drake.scenario import Scenario
@@ -64,8 +65,8 @@ class Evaluator:
         try:
             scenario = scenario_of(self._spec, case, controller)
             row |= evaluate_run(self._spec, self._run(scenario))
-            if (radii := predict_stability(scenario)) is not None:
-                row |= dict(zip(PREDICTIONS, radii, strict=True))
+            with contextlib.suppress(BlockError):  # a user-supplied block that cannot be linearised: no prediction
+                row |= dict(zip(PREDICTIONS, predict_stability(scenario), strict=True))
         except Exception as error:
             row |= error_row(described(error))
         return row | {

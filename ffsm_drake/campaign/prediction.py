@@ -1,4 +1,4 @@
-"""Stability predicted from the linear sampled loop: of one case, cheap enough for every run, and over a map.
+"""Stability predicted from the closed loop as it is wired: of one case, cheap enough for every run, and over a map.
 
 A map is the predicted boundary over two of a campaign's values, the others at their medians.
 """
@@ -14,46 +14,42 @@ import numpy as np
 from ffsm_drake.campaign.cases import make_case, scenario_of
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.common.errors import CampaignError, FfsmError
-from ffsm_drake.control_design.stability.margins import forecast_reaching_gain, sampling_of
-from ffsm_drake.control_design.stability.sampled_loop import LoopGains, coupled_loop, law_gains
+from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.margins import POSTURES, expected_gains
+from ffsm_drake.control_design.stability.sampled_loop import inertia_ratios
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
-from ffsm_drake.systems.controllers import PAPER_LAWS
 from ffsm_drake.systems.reference import make_motion
 
-POSTURES = (0.0, 0.5, 1.0)  # fractions of the planned motion
 POINTS = 11  # along each axis
 REFINEMENT = 3  # finer by this near the boundary
 
 
-def predict_stability(scenario: Scenario) -> tuple[float, float] | None:
-    """Spectral radii of the coupled sampled loop, the worst over the postures looked at; below 1 it is stable.
+def predict_stability(scenario: Scenario, *, postures: int = 1) -> tuple[float, float]:
+    """Spectral radii of the closed loop as it is wired, the worst over the postures looked at; below 1 it is stable.
 
     The first is at the starting gains, the second with every K_s at the largest value that adaptation is expected to
-    reach. None for a controller that is not one of the paper's. Raises ModelError or ScenarioError where a value cannot
-    be used.
+    reach. The postures are those of the planned motion with the most over-estimated inertia, ``postures`` of five.
+    Raises ModelError, ScenarioError or BlockError where a value cannot be used or a block cannot be linearised.
     """
-    if scenario.controller not in PAPER_LAWS:
-        return None
+    times = _most_overestimated(scenario)[:postures]
+    with Linearizer(scenario) as linearizer:
+        starting = max(linearizer.at(time).spectral_radius for time in times)
+        held = expected_gains(scenario) if starting < 1.0 else {}
+        expected = max(linearizer.at(time, held=held).spectral_radius for time in times) if held else starting
+    return starting, expected
+
+
+def _most_overestimated(scenario: Scenario) -> list[float]:
+    """Times (s) of the postures, the one with the largest inertia ratio first."""
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
-    law = law_gains(scenario, nominal.coordinates)
-    sampling = sampling_of(scenario, nominal.coordinates)
     reference = make_motion(scenario, nominal.coordinates)
-    configurations = [reference.evaluate(part * scenario.reference.duration)[0] for part in POSTURES]
-    pairs = [(true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)) for q in configurations]
-
-    def radius(gains: LoopGains) -> float:
-        return max(
-            coupled_loop(gains, true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=sampling).spectral_radius
-            for h, h_hat in pairs
-        )
-
-    starting = radius(law.at())
-    if starting >= 1.0 or np.array_equal(law.k_s_max, law.k_s):  # adaptation has nothing to add
-        return starting, starting
-    _, k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal)
-    expected = radius(law.at(k_s.max(axis=0)))
-    return starting, expected if math.isfinite(expected) else math.inf
+    times = [part * scenario.reference.duration for part in POSTURES]
+    postures = {time: reference.evaluate(time)[0] for time in times}
+    ratio = {
+        time: inertia_ratios(true.calc_mass_matrix(q), nominal.calc_mass_matrix(q))[-1] for time, q in postures.items()
+    }
+    return sorted(times, key=lambda time: -ratio[time])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,8 +98,7 @@ def predict_map(
         drawn = {**fixed, axes[0]: float(x[j]), axes[1]: float(y[i])}
         try:
             case = make_case(spec, 0, {name: drawn[name] for name in spec.distributions})
-            radii = predict_stability(scenario_of(spec, case, controller))
-            return math.nan if radii is None else max(radii)
+            return max(predict_stability(scenario_of(spec, case, controller)))
         except (FfsmError, ArithmeticError, ValueError):
             return math.nan  # no boundary here
 

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import Scenario
-from ffsm_drake.systems.controllers import complete_gains
+from ffsm_drake.scenario import Scenario, controller_key
+from ffsm_drake.show.style import label_of
+from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 
 if TYPE_CHECKING:  # slow to import
-    from ffsm_drake.control_design.gains import Design
+    from ffsm_drake.control_design.gains import Design, DesignPoint
     from ffsm_drake.control_design.stability.boundaries import Boundaries
     from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
-    from ffsm_drake.control_design.stability.prediction import Prediction
 
 NONE = "–"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -175,50 +175,71 @@ def margins_data(margins: "Margins") -> dict[str, Any]:
 
 
 def design_table(found: "Design") -> str:
-    """Plain text: the chosen gains, what they promise beside the scenario's own, and over the payload range."""
-    chosen, reference = found.chosen, found.reference
-    before, after = reference.by_group(), chosen.prediction.by_group()
-    gains = [
-        ["group", "w", "walk q_N", "K_s", "rms error", "as it was"],
-        ["", "rad/s", "/s^2/rt(s)", "1/s", "rad or m", "rad or m"],
-        *(
-            [name, *(f"{x:.3g}" for x in (group.omega, group.walk, group.k_s, after[name], before[name]))]
-            for name, group in chosen.groups.items()
-        ),
+    """Plain text: the chosen gains, what they promise beside the given ones, what limits them."""
+    chosen, given = found.chosen, found.given
+    scenario, requirement = chosen.scenario, found.requirement
+    before, after = given.prediction.by_group(), chosen.prediction.by_group()
+    names = list(after)
+    rows = [
+        ["", *names],
+        ["rms error, rad or m", *(f"{after[name]:.3g}" for name in names)],
+        ["as it was", *(f"{before[name]:.3g}" for name in names)],
     ]
-    masses = [["true payload", "ISV", "spectral radius", ""]]
-    for mass, prediction in found.robustness.items():
-        fate = "" if prediction.spectral_radius < 1.0 else "unstable"
-        masses.append([f"{mass:.0f} kg", f"{prediction.isv:.1f}", f"{prediction.spectral_radius:.5f}", fate])
+    for name, gain in scenario.controllers.get(controller_key(scenario.controller), {}).items():
+        rows.append([name, *(_gain_cell(gain, name_of_group) for name_of_group in names)])
+    if scenario.estimator.kind == "kalman" and scenario.controller in PAPER_LAWS:
+        rows.append(["walk q_N", *(_gain_cell(scenario.estimator.walk, name) for name in names)])
+    estimate = f", estimator {scenario.estimator.kind}" if scenario.controller in PAPER_LAWS else ""
+    masses = [["true payload", "spectral radius", ""]]
+    for mass, radius in chosen.radius_by_mass.items():
+        masses.append([f"{mass:.0f} kg", f"{radius:.5f}", "" if radius < 1.0 else "unstable"])
     return "\n".join([
-        f"{chosen.scenario.description}: {chosen.scenario.controller} with the Kalman estimate",
+        f"{scenario.description}: {label_of(scenario.controller)}{estimate}",
         "",
-        *aligned(gains),
+        *aligned(rows),
         "",
-        f"effort ISV {chosen.prediction.isv:.1f} (budget {found.budget:.1f}, perfect tracking {found.ideal_isv:.1f}; "
-        f"as it was {reference.isv:.4g})",
+        f"effort ISV {chosen.prediction.isv:.1f} (budget {requirement.budget:.1f}, perfect tracking "
+        f"{found.ideal_isv:.1f}; as it was {given.prediction.isv:.4g})",
         *aligned(masses),
+        "",
+        *found.remarks,
     ])  # fmt: skip
+
+
+def _gain_cell(value: Any, group: str) -> str:
+    if not isinstance(value, Mapping):
+        return "unbounded" if value is None else f"{value:.3g}"
+    if group in value or "all" in value:
+        return f"{value.get(group, value.get('all')):.3g}"
+    return "by coordinate"
 
 
 def design_data(found: "Design") -> dict[str, Any]:
     """The table's figures as plain data."""
 
-    def figures(prediction: "Prediction") -> dict[str, Any]:
+    def figures(point: "DesignPoint") -> dict[str, Any]:
+        prediction = point.prediction
         return {
+            "mean_log_error": prediction.mean_log_error,
+            "requirement_not_met": found.requirement.violated(point),
             "spectral_radius": prediction.spectral_radius,
             "isv": prediction.isv,
             "rms_error": prediction.by_group(),
             "peak_effort": dict(zip(prediction.coordinates.names, prediction.peak_effort.tolist(), strict=True)),
+            "spectral_radius_by_payload_mass": {f"{mass:g}": radius for mass, radius in point.radius_by_mass.items()},
         }
 
     scenario = found.chosen.scenario
     return {
         "controller": scenario.controller,
-        "gains": complete_gains(scenario).controllers[scenario.controller],
-        "budget": found.budget,
+        "estimator": scenario.estimator.kind,
+        "gains": complete_gains(scenario).controllers.get(controller_key(scenario.controller), {}),
+        "kept": found.kept,
+        "held_back": found.held_back,
+        "distance_to_lqg": found.limit.distance,
+        "budget": found.requirement.budget,
         "ideal_isv": found.ideal_isv,
-        "chosen": figures(found.chosen.prediction),
-        "before": figures(found.reference),
-        "by_payload_mass": {f"{mass:g}": figures(prediction) for mass, prediction in found.robustness.items()},
+        "chosen": figures(found.chosen),
+        "before": figures(found.given),
+        "found": {kind: figures(point) for kind, point in found.found.items()},
     }

@@ -22,10 +22,9 @@ from ffsm_drake.control_design.stability.boundaries import (
 )
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.margins import sampling_of
-from ffsm_drake.control_design.stability.sampled_loop import coupled_loop, law_gains
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.control_design.stability.sampled_loop import LoopGains, axis_loop, law_gains
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
-from ffsm_drake.systems.reference import make_motion
 
 
 @pytest.mark.parametrize(
@@ -51,19 +50,19 @@ def test_spectral_radius(name, overrides, radius):
 @pytest.mark.parametrize("name", ["postcapture", "flight_sensors"])
 @pytest.mark.parametrize("controller", PAPER_LAWS)
 def test_poles_are_those_of_the_closed_form(name, controller):
-    """Half-way, where the plant moves: its velocity changes the poles by less than the tolerance."""
-    scenario = load_scenario(name, [f"controller={controller}"])
+    """With the true payload the axes do not meet; the plant's velocity half-way still changes the fast poles a little."""
+    same = ["payload.nominal.mass=100", "payload.nominal.inertia=[16.7, 16.7, 16.7]"]
+    scenario = load_scenario(name, [f"controller={controller}", *same])
     with Linearizer(scenario) as linearizer:
         found = linearizer.at(10.0)
-    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
-    q, _, _ = make_motion(scenario, nominal.coordinates).evaluate(found.time)
-    expected = coupled_loop(
-        law_gains(scenario, nominal.coordinates).at(),
-        true_mass_matrix=true.calc_mass_matrix(q),
-        nominal_mass_matrix=nominal.calc_mass_matrix(q),
-        sampling=sampling_of(scenario, nominal.coordinates),
+    sampling, gains = sampling_of(scenario, found.coordinates), law_gains(scenario, found.coordinates).at()
+    expected = max(
+        axis_loop(
+            LoopGains(**{key: values[i] for key, values in vars(gains).items()}), sampling=sampling.axis(i)
+        ).spectral_radius
+        for i in range(11)
     )
-    assert found.spectral_radius == pytest.approx(expected.spectral_radius, abs=2e-4)
+    assert found.spectral_radius == pytest.approx(expected, abs=2e-4 if expected > 0.9 else 5e-3)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

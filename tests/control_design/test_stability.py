@@ -10,16 +10,16 @@ from scipy.optimize import brentq
 from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
 from ffsm_drake.cli import main
 from ffsm_drake.control_design.stability import StabilityWarning, stability, stability_warning
+from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.sampled_loop import (
     LawGains,
     LoopGains,
     Sampling,
+    axis_loop,
     axis_poles,
-    coupled_loop,
     inertia_ratios,
     largest_sample_time,
     largest_stable_k_s,
-    law_gains,
     tolerated_eta,
 )
 from ffsm_drake.spacecraft.plant import configuration
@@ -48,8 +48,8 @@ def test_poles_at_eta_1(gains, expected):
 
 @pytest.mark.parametrize("estimator", ["one_sample", "kalman"])
 def test_poles_of_many_axes_are_those_of_each(estimator):
-    """Stacked gains, eta and sample times give what the coupled loop of one coordinate gives for each."""
-    sampling, one = SAMPLED, np.ones((1, 1))
+    """Stacked gains, eta and sample times give what the loop of one axis gives for each."""
+    sampling = SAMPLED
     if estimator == "kalman":
         gain = kalman_gain(position_noise=1e-5, velocity_noise=1e-4, walk=1e-2, sample_time=L)
         sampling = Sampling(sample_time=L, kalman_gain=gain[None])
@@ -61,7 +61,7 @@ def test_poles_of_many_axes_are_those_of_each(estimator):
     assert (np.abs(poles) > 1).any()
     for i, j, k in np.ndindex(6, 5, 2):
         each = dataclasses.replace(sampling, sample_time=steps[k])
-        loop = coupled_loop(law.at(k_s[i, 0, 0]), true_mass_matrix=one, nominal_mass_matrix=eta[j] * one, sampling=each)
+        loop = axis_loop(law.at(k_s[i, 0, 0]), eta=float(eta[j, 0]), sampling=each)
         assert np.abs(poles[i, j, k, 0]) == pytest.approx(loop.spectral_radius, abs=1e-9)
 
 
@@ -90,28 +90,15 @@ def test_other_limits_follow_from_the_pole_at_minus_one():
 
 
 def at_start(*overrides):
-    """Gains and mass matrices of a scenario in its initial posture."""
+    """Mass matrices of a scenario in its initial posture."""
     scenario = load_scenario("postcapture", overrides)
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     q = configuration(nominal.plant, scenario.initial_posture, key="initial_posture")
-    return scenario, law_gains(scenario, nominal.coordinates), true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
-
-
-def test_coupled_loop_without_coupling_is_the_axis_loop():
-    _, law, h, _ = at_start("controller=aismc")
-    coupled = coupled_loop(law.at(), true_mass_matrix=h, nominal_mass_matrix=0.8 * h, sampling=SAMPLED)
-    single = [
-        axis_poles(LoopGains(k_v=180.0, k_p=k_p + 8000.0, k_i=80.0 * k_p), eta=0.8, sampling=SAMPLED)
-        for k_p in (100, 200)
-    ]
-    expected = np.sort(np.abs(np.concatenate([single[0]] * 8 + [single[1]] * 3)))[::-1]
-    found = np.sort(np.abs(np.linalg.eigvals(coupled.a)))[::-1]
-    assert found[: expected.size] == pytest.approx(expected, abs=1e-6)
-    assert coupled.spectral_radius == pytest.approx(expected[0], abs=1e-9)
+    return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
 
 
 def test_inertia_ratios_are_free_of_units():
-    _, _, h, h_hat = at_start()
+    h, h_hat = at_start()
     eta = inertia_ratios(h, h_hat)
     assert eta == pytest.approx(np.sort(np.linalg.eigvals(np.linalg.solve(h, h_hat)).real), abs=1e-9)
     millimetres = np.diag([1.0] * 3 + [1e3] * 3 + [1.0] * 5)
@@ -140,13 +127,12 @@ def test_predicted_boundary_against_the_simulated_plant(belief):
         *HOLD,
         *payload,
     ]
-    _, law, h, h_hat = at_start(*frozen)
+    with Linearizer(load_scenario("postcapture", frozen)) as linearizer:
 
-    def excess(k_s):
-        loop = coupled_loop(law.at(k_s), true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=SAMPLED)
-        return loop.spectral_radius - 1.0
+        def excess(k_s):
+            return linearizer.at(0.0, held={"reaching_gain": np.full(11, k_s)}).spectral_radius - 1.0
 
-    boundary = brentq(excess, 30.0, 300.0)
+        boundary = brentq(excess, 30.0, 300.0, rtol=1e-4)
     growth = {}
     for factor in (0.97, 1.03):
         record = simulate(load_scenario("postcapture", [*frozen, f"controllers.aismc.k_s_initial={factor * boundary}"]))
@@ -166,10 +152,9 @@ def test_noise_amplification_against_the_simulated_plant(controller, noise, dura
     sigma = {"velocity": 1e-6, "position": 1e-8}[noise]
     overrides = [f"controller={controller}", *HOLD, f"duration={duration}", "disturbance.amplitude_scale=0",
                  "controllers.aismc.alpha=0", f"sensing.{noise}_noise={sigma}", f"sensing.{quiet}_noise=0"]  # fmt: skip
-    scenario, law, h, h_hat = at_start(*overrides)
-    loop = coupled_loop(law.at(), true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=SAMPLED)
-    level = {f"{name}_noise": np.full(11, sigma if name == noise else 0.0) for name in (noise, quiet)}
-    predicted = loop.noise_response(**level)
+    scenario = load_scenario("postcapture", overrides)
+    with Linearizer(scenario) as linearizer:
+        predicted = linearizer.at(0.0).noise_response(scenario.num_control_periods)
     data = simulate(scenario).dataset.isel(time=slice(500, -1))
     for name, variable in (("force", "generalized_force"), ("error", "error"), ("error_rate", "error_rate")):
         measured = np.sqrt((data[variable].values ** 2).mean(axis=0))
@@ -180,11 +165,11 @@ def test_noise_amplification_against_the_simulated_plant(controller, noise, dura
 
 def test_noise_figures_of_the_published_gains():
     """White velocity noise sigma costs an rms acceleration command of about 375 sigma (TDC), 1325 sigma (AISMC)."""
-    one = np.eye(1)
-    for gains, expected in ((LoopGains(k_v=100.0, k_p=100.0, k_i=0.0), 375), (PUBLISHED.at(), 1325)):
-        loop = coupled_loop(gains, true_mass_matrix=one, nominal_mass_matrix=one, sampling=SAMPLED)
-        response = loop.noise_response(position_noise=0 * ONE, velocity_noise=ONE)
-        assert response["force"][0] == pytest.approx(expected, rel=0.1)
+    published = LoopGains(k_v=180.0, k_p=8200.0, k_i=16000.0)
+    for gains, expected in ((LoopGains(k_v=100.0, k_p=100.0, k_i=0.0), 375), (published, 1325)):
+        loop = axis_loop(gains, sampling=SAMPLED)
+        covariance = loop.covariance(position_noise=0.0, velocity_noise=1.0)
+        assert np.sqrt(loop.force @ covariance @ loop.force) == pytest.approx(expected, rel=0.1)
 
 
 PUBLISHED_UNBOUNDED = ("controllers.tde_aismc.k_s_initial=80", "controllers.tde_aismc.k_s_max=null")

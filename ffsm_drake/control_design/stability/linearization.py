@@ -2,9 +2,9 @@
 
 All state that feeds back is in it: the plant's (its attitude as a small rotation), the controller's and its
 estimator's, delays, actuators. Its columns are differences on a context of the closed loop, so every controller, plant,
-and block with discrete state of the control period is covered without a formula for any of them; a block with other
-state is refused. What a law holds (``ControlLaw.held``: gains under adaptation, sign terms) is held. Noise is an input; limits,
-which have no derivative, are left out, and quantisation counts as white noise of its sawtooth's variance.
+and block with discrete state is covered without a formula for any of them; a block with other state is refused. What a
+law holds (``ControlLaw.held``: gains under adaptation, sign terms) is held. Noise is an input. Limits, which have no
+derivative, are left out, and quantisation counts as white noise of its sawtooth's variance.
 
 The update at the sample and the motion up to the next are differenced apart, which is several times faster: the motion
 depends only on the plant's state and on the few held values that reach it. Where a block updates less often than the
@@ -25,6 +25,7 @@ from pydrake.systems.primitives import RandomSource
 
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.lifetime import untie
+from ffsm_drake.control_design.stability.sampled_loop import covariance_after
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import Actuation, PerCoordinate, Scenario, Sensing
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
@@ -62,8 +63,8 @@ class SampleMap:
 class LinearLoop:
     """The loop near one instant of the planned motion.
 
-    Its state x begins with the plant's e and its rate (2 nv); u is the controller's force until the next sample (nv, N m
-    or N); w is the white noise of unit variance that a sample reads.
+    Its state x begins with the plant's e and its rate (2 nv); u is the controller's force until the next sample (nv,
+    N m or N); w is the white noise of unit variance that a sample reads.
     """
 
     coordinates: Coordinates
@@ -110,27 +111,52 @@ class LinearLoop:
     def noise_response(self, samples: int) -> dict[str, np.ndarray]:
         """Standard deviations (nv) under the noise after a number of control samples from a start without error.
 
-        Keys ``error`` (rad, m), ``error_rate`` (per s) and ``force`` (N m, N). A power of two covers ``samples``; a loop
-        that contracts has reached its stationary values by then, what walks at random has not. All infinite where the
-        loop does not contract.
+        Keys ``error`` (rad, m), ``error_rate`` (per s) and ``force`` (N m, N). A power of two covers ``samples``: a
+        loop that contracts has reached its stationary values by then; what walks at random or grows has come that far.
         """
         nv = len(self.coordinates.names)
-        if self.spectral_radius >= 1.0:
+        if not np.isfinite(self.poles).all():
             return {name: np.full(nv, np.inf) for name in ("error", "error_rate", "force")}
         keep = self._matters(sum(np.abs(sample.b).sum(axis=1) for sample in self.samples) > 0.0)
         maps = [(sample.a[np.ix_(keep, keep)], sample.b[keep], sample.c[:, keep], sample.d) for sample in self.samples]
-        power, covariance = np.eye(int(keep.sum())), np.zeros((keep.sum(),) * 2)
+        power, once = np.eye(int(keep.sum())), np.zeros((keep.sum(),) * 2)
         for a, b, _, _ in maps:
-            power, covariance = a @ power, a @ covariance @ a.T + b @ b.T
-        for _ in range(max(math.ceil(samples / len(maps)) - 1, 0).bit_length()):
-            covariance, power = covariance + power @ covariance @ power.T, power @ power
+            power, once = a @ power, a @ once @ a.T + b @ b.T
+        covariance = covariance_after(power, once, samples=math.ceil(samples / len(maps)))
         of_state, of_force = np.zeros(len(covariance)), np.zeros(nv)
         for a, b, c, d in maps:
             of_state += np.diagonal(covariance) / len(maps)
             of_force += (np.einsum("ij,jk,ik->i", c, covariance, c) + (d**2).sum(axis=1)) / len(maps)
             covariance = a @ covariance @ a.T + b @ b.T
-        deviation, force = np.sqrt(np.maximum(of_state, 0.0)), np.sqrt(np.maximum(of_force, 0.0))
-        return {"error": deviation[:nv], "error_rate": deviation[nv : 2 * nv], "force": force}
+        variances = {"error": of_state[:nv], "error_rate": of_state[nv : 2 * nv], "force": of_force}
+        return {
+            name: np.sqrt(np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf))
+            for name, values in variances.items()
+        }
+
+    def with_random_walk(self, walk: np.ndarray, mass_matrix: np.ndarray) -> Self:
+        """The loop under an acceleration d that walks at random, in addition; its force becomes what exceeds -H d.
+
+        Args:
+          walk: intensity (nv), its standard deviation after one second, rad/s^2 or m/s^2 per sqrt(s).
+          mass_matrix: H of the plant (nv, nv), by which the force would have to be -H d to keep d from acting.
+        """
+        nv, step = len(walk), self.sample_time
+        enter = np.zeros((len(self.a), nv))
+        enter[: 2 * nv] = np.vstack([0.5 * step**2 * np.eye(nv), step * np.eye(nv)])
+        samples = tuple(
+            SampleMap(
+                a=np.block([[sample.a, enter], [np.zeros((nv, len(self.a))), np.eye(nv)]]),
+                b=np.block([
+                    [sample.b, np.zeros((len(self.a), nv))],
+                    [np.zeros((nv, sample.b.shape[1])), np.diag(np.sqrt(step) * walk)],
+                ]),
+                c=np.hstack([sample.c, mass_matrix]),
+                d=np.hstack([sample.d, np.zeros((nv, nv))]),
+            )
+            for sample in self.samples
+        )  # fmt: skip
+        return dataclasses.replace(self, samples=samples)
 
     @functools.cached_property
     def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
@@ -161,7 +187,7 @@ class Linearizer:
         Errors as for ``add_closed_loop``; BlockError for a block with continuous or abstract state.
         """
         actuation = Actuation(delay=scenario.actuation.delay)
-        self.scenario = dataclasses.replace(scenario, sensing=_smooth_sensing(scenario), actuation=actuation)
+        self.scenario = dataclasses.replace(scenario, sensing=smooth_sensing(scenario), actuation=actuation)
         self.loop = make_closed_loop(self.scenario, blocks=blocks)
         diagram, self._plant = self.loop.diagram, self.loop.plant
         self._simulator = Simulator(diagram)
@@ -376,9 +402,13 @@ class _Memory:
                 period, offset = timing.period_sec() / sample_time, timing.offset_sec() / sample_time
                 self._updated.append((system, context, period, offset))
         self.common_period = math.lcm(*(max(1, round(period)) for _, _, period, _ in self._updated))
+        every_sample = all(abs(period - 1.0) + abs(offset) < 1e-6 for _, _, period, offset in self._updated)
+        self._always = (True,) * len(self._updated) if every_sample else ()
 
     def which(self, index: int) -> tuple[bool, ...]:
         """Which systems update at a control sample."""
+        if self._always:
+            return self._always
         times = [(index - offset) / period for _, _, period, offset in self._updated]
         return tuple(time > -1e-6 and abs(time - round(time)) < 1e-6 for time in times)
 
@@ -401,7 +431,7 @@ class _Memory:
             context.SetDiscreteState(group, values[part])
 
 
-def _smooth_sensing(scenario: Scenario) -> Sensing:
+def smooth_sensing(scenario: Scenario) -> Sensing:
     """The sensors without quantisation, which counts as noise: rounding to a step adds the variance of its sawtooth."""
     sensing = scenario.sensing
     if not sensing.position_quantization and not sensing.velocity_quantization:

@@ -9,8 +9,9 @@ import numpy as np
 from ffsm_drake.control_design.stability.linearization import Linearizer, LinearLoop
 from ffsm_drake.control_design.stability.sampled_loop import (
     LawGains,
+    LoopGains,
     Sampling,
-    coupled_loop,
+    axis_loop,
     inertia_ratios,
     largest_sample_time,
     largest_stable_k_s,
@@ -132,12 +133,12 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
     times = np.linspace(0.0, scenario.reference.duration, postures)
     eta = np.array([inertia_ratios(*_mass_matrices(true, nominal, motion, time)) for time in times])
     instants = [part * scenario.reference.duration for part in POSTURES]
-    axes = _axis_margins(scenario, true, nominal, eta) if _has_closed_form(scenario) else None
+    axes = _axis_margins(scenario, true, nominal, eta) if has_closed_form(scenario) else None
     with Linearizer(scenario) as linearizer:
         loops = expected = tuple(linearizer.at(time) for time in instants)
         if axes is not None and axes.forecast_k_s.max() > axes.law.k_s.max():
-            k_s = axes.forecast_k_s.max(axis=0)
-            expected = tuple(linearizer.at(time, held={"reaching_gain": k_s}) for time in instants)
+            held = {"reaching_gain": axes.forecast_k_s.max(axis=0)}
+            expected = tuple(linearizer.at(time, held=held) for time in instants)
     return Margins(
         scenario=scenario,
         coordinates=coordinates,
@@ -149,7 +150,7 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
     )
 
 
-def _has_closed_form(scenario: Scenario) -> bool:
+def has_closed_form(scenario: Scenario) -> bool:
     """Whether the one-axis loop is that of the scenario: one of the paper's laws, nothing late, no block replaced."""
     delays = scenario.sensing.delay or scenario.actuation.delay
     return scenario.controller in PAPER_LAWS and not delays and not block_choices(scenario)
@@ -200,7 +201,7 @@ def _warning(scenario: Scenario, linearizer: Linearizer) -> str:
     remedy = f"see 'ffsm stability' for the margins of {scenario.controller}"
     if radius >= 1.0:
         return f"the sampled loop is unstable at the starting gains (spectral radius {radius:.4f}); {remedy}"
-    if not _has_closed_form(scenario):
+    if not has_closed_form(scenario):
         return ""
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     law, sampling = law_gains(scenario, nominal.coordinates), sampling_of(scenario, nominal.coordinates)
@@ -214,6 +215,21 @@ def _warning(scenario: Scenario, linearizer: Linearizer) -> str:
     limit = largest_stable_k_s(law, axis, eta=eta, sampling=sampling)
     bound = "is not bounded" if unbounded.any() else f"may grow to {law.k_s_max.max():g} 1/s"
     return f"K_s {bound}, but the sampled loop is stable only below about {limit:.0f} 1/s; set k_s_max, or {remedy}"
+
+
+def expected_gains(scenario: Scenario) -> dict[str, np.ndarray]:
+    """What adaptation is expected to make of a law's held gains (``Linearizer.at``): every K_s at its largest.
+
+    Empty where nothing adapts or no forecast is known.
+    """
+    if not has_closed_form(scenario):
+        return {}
+    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    law, sampling = law_gains(scenario, nominal.coordinates), sampling_of(scenario, nominal.coordinates)
+    if np.array_equal(law.k_s_max, law.k_s):
+        return {}
+    _, k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal, points=51)
+    return {"reaching_gain": k_s.max(axis=0)}
 
 
 def forecast_reaching_gain(
@@ -247,7 +263,7 @@ def forecast_reaching_gain(
     square = scenario.controller == "aismc"
 
     # Per coordinate, the deviation of s and the sign term's amplitude against K_s, on a grid.
-    grid = np.linspace(1.0, 2.0 / scenario.sample_time, 80)
+    grid = np.linspace(1.0, 2.0 / scenario.sample_time, 30)
     response = _sliding_response(law, grid, noise, sampling)
 
     k_s = np.empty((points, law.k_s.size))
@@ -291,17 +307,14 @@ def _sliding_response(
     """
     names = ("deviation", "drift_gain", "sign_amplitude")
     result = {name: np.empty((grid.size, law.k_d.size)) for name in names}
-    one = np.ones(1)
 
     def at(k_s: float, i: int) -> tuple[float, float, float]:
         k_d, k_p, position, velocity = (float(values[i]) for values in (law.k_d, law.k_p, *noise))
-        single = LawGains(k_d=k_d * one, k_p=k_p * one, integral=True, k_s=one, k_s_max=one)
-        loop = coupled_loop(
-            single.at(k_s), true_mass_matrix=one[:, None], nominal_mass_matrix=one[:, None], sampling=sampling.axis(i)
-        )
+        gains = LoopGains(k_v=k_d + k_s, k_p=k_p + k_s * k_d, k_i=k_s * k_p)
+        loop = axis_loop(gains, sampling=sampling.axis(i))
         if loop.spectral_radius > 1.0 - 1e-9:
             return math.nan, math.nan, math.nan
-        covariance = loop.covariance(position_noise=position * one, velocity_noise=velocity * one)
+        covariance = loop.covariance(position_noise=position, velocity_noise=velocity)
         # s = v + K_D e + K_P I of what the law works on, and where a unit of u enters.
         step = sampling.sample_time
         enter = np.zeros(loop.a.shape[0])
@@ -314,7 +327,7 @@ def _sliding_response(
             direct = 0.0
         variance = float(read @ covariance @ read) + direct
         eye = np.eye(loop.a.shape[0])
-        ramp = np.linalg.solve(eye - loop.a, loop.f[:, 0] * step)
+        ramp = np.linalg.solve(eye - loop.a, loop.f * step)
         drift = float(read @ np.linalg.solve(eye - loop.a, ramp))
         alternating = float(read @ np.linalg.solve(-eye - loop.a, enter))
         return math.sqrt(max(variance, 0.0)), abs(drift), abs(alternating)

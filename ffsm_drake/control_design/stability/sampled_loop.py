@@ -7,10 +7,10 @@ from one control sample to the next contracts. Near a posture, with K_s constant
 
     a_k = (1 - eta) a_{k-1} - eta (k_v v + k_p e + k_i I),   e+ = e + L v + L^2 a / 2,   v+ = v + L a,   I+ = I + L e.
 
-Its pole at z = -1 sets the limit (K_D + K_s) L < 2 (2 - eta) / eta.
+Its pole at z = -1 sets the limit (K_D + K_s) L < 2 (2 - eta) / eta. With the measurement noise as input, the covariance
+of its response solves a discrete Lyapunov equation.
 
-*All coordinates.* The same with M = H^-1 Hhat in place of eta, which couples them, and with the measurement noise as
-input; the covariance of its response solves a discrete Lyapunov equation.
+This is the explanation, for the paper's laws; the loop of all coordinates is read from the wiring (``linearization``).
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.linalg import eigh, solve_discrete_lyapunov
+from scipy.linalg import eigh
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import Scenario
@@ -31,9 +31,9 @@ from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors
 class LoopGains:
     """u = a_d + k_v de/dt + k_p e + k_i int e: what a law is for constant K_s and G = 0. Floats or (nv) arrays."""
 
-    k_v: np.ndarray  # 1/s
-    k_p: np.ndarray  # 1/s^2
-    k_i: np.ndarray  # 1/s^3
+    k_v: np.ndarray | float  # 1/s
+    k_p: np.ndarray | float  # 1/s^2
+    k_i: np.ndarray | float  # 1/s^3
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -107,13 +107,8 @@ def axis_poles(
     if sampling.kalman_gain is None:
         matrices = _axis_matrices(flat, eta=ratio, step=period, euler=sampling.euler)
     else:
-        # Axes that do not meet: the coupled loop of as many coordinates, with a diagonal M.
-        update = _loop_update(
-            flat, lambda t: ratio * t, step=period, euler=sampling.euler, kalman_gain=sampling.kalman_gain
-        )
-        size, count = 7, ratio.size
-        columns = update(np.kron(np.eye(size), np.ones((count, 1))), np.zeros((2 * count, 1)), np.zeros((count, 1)))
-        matrices = columns.reshape(size, count, size).swapaxes(0, 1)
+        gain = sampling.kalman_gain
+        matrices = _input_output(flat, eta=ratio, step=period, euler=sampling.euler, kalman_gain=gain)[:, :, :7]
     if not k_i.any():  # the sum of errors is not fed back; its pole at 1 is not part of the loop
         matrices = np.delete(np.delete(matrices, 2, axis=1), 2, axis=2)
     poles = np.linalg.eigvals(matrices)
@@ -210,14 +205,14 @@ def inertia_ratios(true_mass_matrix: np.ndarray, nominal_mass_matrix: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class CoupledLoop:
-    """All coordinates near one posture, one control sample to the next:
+class AxisLoop:
+    """One axis near one posture, one control sample to the next:
 
-    x+ = A x + B [position noise; velocity noise] + F d,     tau_k - Hhat a_d = force @ x_{k+1}.
+    x+ = A x + B [position noise; velocity noise] + f d,     Hhat^-1 tau_k - a_d = force @ x_{k+1}.
 
-    x begins with the true error e and its rate v (nv each), the sum of errors and t = Hhat^-1 tau - a_d; the rest is
-    what the estimator remembers: the delayed measured rate, or [e, v, d] as estimated. The input d (nv) is what the
-    controller has to estimate, -N under perfect tracking, constant over the sample.
+    x begins with the true error e and its rate v, the sum of errors and t = Hhat^-1 tau - a_d; the rest is what the
+    estimator remembers: the delayed measured rate, or [e, v, d] as estimated. The input d is what the controller has to
+    estimate, -N under perfect tracking, constant over the sample.
     """
 
     a: np.ndarray
@@ -225,121 +220,83 @@ class CoupledLoop:
     f: np.ndarray
     force: np.ndarray
     scale: np.ndarray  # what each entry of x gains per unit of acceleration and sample
-    num_velocities: int
 
     @functools.cached_property
     def spectral_radius(self) -> float:
         """Largest pole magnitude; the loop is stable below 1."""
         return float(np.abs(np.linalg.eigvals(self.a)).max())
 
-    def covariance(self, *, position_noise: np.ndarray, velocity_noise: np.ndarray) -> np.ndarray:
-        """Stationary covariance of x under white noise of the given standard deviations (nv); a stable loop only."""
-        noise = np.concatenate([position_noise, velocity_noise])
+    def covariance(self, *, position_noise: float, velocity_noise: float) -> np.ndarray:
+        """Stationary covariance of x under white noise of the given standard deviations; a stable loop only."""
+        noise = np.array([position_noise, velocity_noise])
         # In units of acceleration every entry is of order one; in SI units the equation is too badly scaled to solve.
         size = self.scale
         largest = noise.max() or 1.0
         b = self.b * (noise / largest) / size[:, None]
         a = self.a * size / size[:, None]
-        covariance = solve_discrete_lyapunov(a, b @ b.T)
+        covariance = covariance_after(a, b @ b.T, samples=2**40)  # all but stationary
         return largest**2 * covariance * np.outer(size, size)
 
-    def noise_response(self, *, position_noise: np.ndarray, velocity_noise: np.ndarray) -> dict[str, np.ndarray]:
-        """Standard deviations (nv) of ``error`` (rad, m), ``error_rate`` and ``force`` (N m, N) under white noise.
 
-        Args: the noise's standard deviations (nv), rad or m, and per s. All NaN where the loop is unstable.
-        """
-        n = self.num_velocities
-        if self.spectral_radius >= 1.0:
-            return {name: np.full(n, np.nan) for name in ("error", "error_rate", "force")}
-        covariance = self.covariance(position_noise=position_noise, velocity_noise=velocity_noise)
-        rms = np.sqrt(np.clip(np.diagonal(covariance), 0.0, None))
-        force = np.sqrt(np.clip(np.einsum("ij,jk,ik->i", self.force, covariance, self.force), 0.0, None))
-        return {"error": rms[:n], "error_rate": rms[n : 2 * n], "force": force}
+def covariance_after(a: np.ndarray, noise: np.ndarray, *, samples: int) -> np.ndarray:
+    """Covariance of x from zero, x+ = A x + w, w of covariance ``noise``, after the next power of two of ``samples``.
 
-
-def _loop_update(
-    gains: LoopGains,
-    accelerate: Callable[[np.ndarray], np.ndarray],
-    *,
-    step: np.ndarray | float,
-    euler: bool,
-    kalman_gain: np.ndarray | None,
-) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
-    """One sample as a function of columns of states, noises and d; its matrices are its values on unit columns.
-
-    In error coordinates d^2e/dt^2 = -M (t - d), where tau = Hhat (a_d + t).
-
-    Args: gains (n, 1); ``accelerate``, the product with M; ``step``, float or (n, 1); ``kalman_gain`` (n or 1, 3, 2).
+    By doubling: the sum of A^k noise A^k' (a discrete Lyapunov equation where it converges). Not finite where it grows
+    beyond all numbers.
     """
-    k_v, k_p, k_i = gains.k_v, gains.k_p, gains.k_i
+    covariance, power = noise, a
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        for _ in range(max(samples - 1, 0).bit_length()):
+            covariance, power = covariance + power @ covariance @ power.T, power @ power
+    return covariance
+
+
+def _input_output(
+    gains: LoopGains, *, eta: np.ndarray, step: np.ndarray, euler: bool, kalman_gain: np.ndarray | None
+) -> np.ndarray:
+    """[A, B, f] (n, m, m + 3) of one axis for n choices of gains, eta and step (n, 1), ``kalman_gain`` (1, 3, 2).
+
+    One sample as a function of columns of states, noises and d; its matrices are its values on unit columns. In error
+    coordinates d^2e/dt^2 = -eta (t - d), where tau = Hhat (a_d + t).
+    """
+    size = 5 if kalman_gain is None else 7
+    unit = np.eye(size + 3)[:, None, :]
+    x, (e_noise, v_noise), d = unit[:size], unit[size : size + 2], unit[-1]
+    e, v, total, delayed_t = x[:4]
     half = 0.0 if euler else 0.5 * step**2
-
-    def one_sample(x: np.ndarray, noise: np.ndarray, d: np.ndarray) -> np.ndarray:
-        e, v, total, delayed_t, delayed_v = np.split(x, 5)
-        e_noise, v_noise = np.split(noise, 2)
-        e_m, v_m = e - e_noise, v - v_noise
-        u = k_v * v_m + k_p * e_m + k_i * total
+    e_m, v_m = e - e_noise, v - v_noise
+    if kalman_gain is None:
+        delayed_v = x[4]
         # N(t - L): the measured acceleration of the last period, less what the force of that period should have given.
-        t = u + (v_m - delayed_v) / step + delayed_t
-        a = accelerate(d - t)
-        return np.concatenate([e + step * v + half * a, v + step * a, total + step * e_m, t, v_m])
-
-    def kalman(x: np.ndarray, noise: np.ndarray, d: np.ndarray) -> np.ndarray:
-        assert kalman_gain is not None
-        e, v, total, delayed_t, e_hat, v_hat, d_hat = np.split(x, 7)
-        e_noise, v_noise = np.split(noise, 2)
+        t = gains.k_v * v_m + gains.k_p * e_m + gains.k_i * total + (v_m - delayed_v) / step + delayed_t
+        summed, estimator = e_m, [v_m]
+    else:
+        e_hat, v_hat, d_hat = x[4:]
         known = d_hat - delayed_t
         e_hat, v_hat = e_hat + step * v_hat + 0.5 * step**2 * known, v_hat + step * known
-        r = (e - e_noise - e_hat, v - v_noise - v_hat)
+        r_e, r_v = e_m - e_hat, v_m - v_hat
         e_hat, v_hat, d_hat = (
-            old + kalman_gain[:, i, :1] * r[0] + kalman_gain[:, i, 1:] * r[1]
-            for i, old in enumerate((e_hat, v_hat, d_hat))
+            old + kalman_gain[0, i, 0] * r_e + kalman_gain[0, i, 1] * r_v for i, old in enumerate((e_hat, v_hat, d_hat))
         )
-        t = k_v * v_hat + k_p * e_hat + k_i * total + d_hat
-        a = accelerate(d - t)
-        return np.concatenate([e + step * v + half * a, v + step * a, total + step * e_hat, t, e_hat, v_hat, d_hat])
+        t = gains.k_v * v_hat + gains.k_p * e_hat + gains.k_i * total + d_hat
+        summed, estimator = e_hat, [e_hat, v_hat, d_hat]
+    a = eta * (d - t)
+    rows = [e + step * v + half * a, v + step * a, total + step * summed, t, *estimator]
+    return np.stack(np.broadcast_arrays(*rows), axis=1)
 
-    return one_sample if kalman_gain is None else kalman
 
-
-def coupled_loop(
-    gains: LoopGains,
-    *,
-    true_mass_matrix: np.ndarray,
-    nominal_mass_matrix: np.ndarray,
-    sampling: Sampling,
-) -> CoupledLoop:
-    """The linear loop of all coordinates at rest in one posture.
-
-    Args:
-      gains: of the law, floats or (nv).
-      true_mass_matrix, nominal_mass_matrix: H and Hhat (nv, nv) in that posture.
-      sampling: period, plant and estimator.
-    """
-    n, step, kalman_gain = true_mass_matrix.shape[0], sampling.sample_time, sampling.kalman_gain
-    m = np.linalg.solve(true_mass_matrix, nominal_mass_matrix)
-    k_v, k_p, k_i = ((k * np.ones(n))[:, None] for k in (gains.k_v, gains.k_p, gains.k_i))
+def axis_loop(gains: LoopGains, *, sampling: Sampling, eta: float = 1.0) -> AxisLoop:
+    """The linear loop of one axis: its law's gains (floats), period, plant and estimator (of one axis), eta."""
+    k_v, k_p, k_i, ratio, step = (
+        np.array([[value]], dtype=float) for value in (gains.k_v, gains.k_p, gains.k_i, eta, sampling.sample_time)
+    )
     columns = LoopGains(k_v=k_v, k_p=k_p, k_i=k_i)
-    update = _loop_update(columns, lambda t: m @ t, step=step, euler=sampling.euler, kalman_gain=kalman_gain)
-    blocks = 5 if kalman_gain is None else 7
-    size = blocks * n
-    sizes = (size, 2 * n, n)
-    a, b, f = (
-        update(*(np.eye(rows) if i == j else np.zeros((rows, sizes[j])) for i, rows in enumerate(sizes)))
-        for j in range(3)
-    )
-    keep = np.ones(size, dtype=bool)
+    kalman_gain = sampling.kalman_gain
+    found = _input_output(columns, eta=ratio, step=step, euler=sampling.euler, kalman_gain=kalman_gain)[0]
+    size, period = len(found), sampling.sample_time
     # Where the sum of errors is not fed back, its pole at 1 is not part of the loop.
-    keep[2 * n : 3 * n] = k_i[:, 0] > 0.0
-    scale = np.repeat([step**2, step, 0.0, 1.0, *((step,) if blocks == 5 else (step**2, step, 1.0))], n)
-    scale[2 * n : 3 * n] = 1.0 / np.where(k_i[:, 0] > 0.0, k_i[:, 0], 1.0)
-    force = np.zeros((n, size))
-    force[:, 3 * n : 4 * n] = nominal_mass_matrix
-    return CoupledLoop(
-        a=a[np.ix_(keep, keep)],
-        b=b[keep],
-        f=f[keep],
-        force=force[:, keep],
-        scale=scale[keep],
-        num_velocities=n,
-    )
+    keep = np.array([i != 2 or gains.k_i > 0.0 for i in range(size)])
+    scale = np.array([period**2, period, 0.0, 1.0, *((period,) if size == 5 else (period**2, period, 1.0))])
+    scale[2] = 1.0 / gains.k_i if gains.k_i > 0.0 else 1.0
+    a, b, f = found[:, :size], found[:, size:-1], found[:, -1]
+    return AxisLoop(a=a[np.ix_(keep, keep)], b=b[keep], f=f[keep], force=np.eye(size)[3][keep], scale=scale[keep])

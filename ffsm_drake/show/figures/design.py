@@ -9,28 +9,32 @@ from ffsm_drake.show.style import BLUE, GREEN, GREY, GROUP_TITLES, VERMILION, la
 
 
 def plot_design(found: Design) -> Figure:
-    """The front of accuracy against effort, with the scenario's own gains and the published ones on it."""
+    """The front of accuracy against effort, the least possible, and the given and the published gains."""
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     scenario = found.chosen.scenario
     figure.suptitle(
         f"Predicted accuracy against effort: {label_of(scenario.controller)}, {scenario.description}", fontsize=11
     )
-    panels = figure.subplots(1, len(found.chosen.groups), squeeze=False)[0]
-    for axes, name in zip(panels, found.chosen.groups, strict=True):
-        extra = [point.prediction.isv - found.ideal_isv for point in found.front]
-        errors = [point.prediction.by_group()[name] for point in found.front]
-        axes.loglog(extra, errors, "o-", color=BLUE, label="front")
-        for label, prediction, marker, color in (
-            ("chosen", found.chosen.prediction, "*", VERMILION),
-            ("scenario as it was", found.reference, "s", GREEN),
-            ("published gains and estimate", found.published, "X", GREY),
-        ):
+    names, coordinates = list(found.chosen.prediction.by_group()), found.chosen.prediction.coordinates
+    panels = figure.subplots(1, len(names), squeeze=False)[0]
+    points = [("chosen", found.chosen.prediction, "*", VERMILION), ("as it was", found.given.prediction, "s", GREEN)]
+    if found.published is not None:
+        points.append(("published gains and estimate", found.published, "X", GREY))
+    for axes, name in zip(panels, names, strict=True):
+        least = np.sqrt(np.mean(found.limit.front_error[:, coordinates.groups[name]] ** 2, axis=1))
+        axes.loglog(found.limit.front_excess, least, "-", color="black", label="least possible (LQG)")
+        if found.front:
+            extra = [point.isv - found.ideal_isv for point in found.front]
+            axes.loglog(extra, [point.rms_error[name] for point in found.front], "o-", color=BLUE, label="front")
+        for label, prediction, marker, color in points:
             if np.isfinite(prediction.isv):
                 axes.loglog(
                     max(prediction.isv - found.ideal_isv, 1e-3), prediction.by_group()[name], marker, color=color,
                     markersize=13 if marker == "*" else 8, linestyle="none", label=label,
                 )  # fmt: skip
-        axes.axvline(max(found.budget - found.ideal_isv, 1e-3), color="black", linestyle="--", linewidth=0.8)
+        axes.axvline(
+            max(found.requirement.budget - found.ideal_isv, 1e-3), color="black", linestyle="--", linewidth=0.8
+        )
         axes.set(title=GROUP_TITLES[name], xlabel="ISV above perfect tracking")
         tidy(axes)
         axes.margins(0.08)

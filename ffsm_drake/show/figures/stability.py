@@ -44,7 +44,7 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins)
     vertical = np.linspace(top / 200, top, 90)
     gains = law.at(vertical[:, None]) if adapts else law.at()
     poles = axis_poles(
-        LoopGains(k_v=gains.k_v[..., :1], k_p=gains.k_p[..., :1], k_i=gains.k_i[..., :1]),
+        LoopGains(**{name: np.asarray(values)[..., :1] for name, values in vars(gains).items()}),
         eta=eta,
         sampling=limits.sampling.axis(0),
         sample_time=None if adapts else 1e-3 * vertical[:, None],

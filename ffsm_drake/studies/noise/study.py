@@ -4,18 +4,13 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ffsm_drake.common.workers import map_tasks
 from ffsm_drake.runs.simulate import simulate
-from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.studies.noise.cases import CONTROLLERS, GAINS_OF, SIGMAS, NoiseCase, study_cases
-
-if TYPE_CHECKING:
-    from ffsm_drake.control_design.stability.prediction import Plan
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -105,10 +100,12 @@ def study_noise(
       ScenarioError: an argument cannot be used.
       KeyboardInterrupt: the user stopped the runs.
     """
+    from ffsm_drake.control_design.stability.prediction import make_demand  # SciPy is slow to import
+
     cases = study_cases(seeds=seeds, sigmas=sigmas, duration=duration, controllers=controllers)
     return NoiseStudy(
         rows=tuple(map_tasks(run_case, cases, workers=workers, progress=progress)),
-        ideal_isv=_plan(cases[0]).ideal_isv,
+        ideal_isv=make_demand(cases[0].scenario()).ideal_isv,
         sample_time=cases[0].scenario().sample_time,
         noise_gain={controller: _noise_gain(controller) for controller in controllers},
     )
@@ -129,7 +126,7 @@ def run_case(case: NoiseCase) -> NoiseRow:
         outcome="completed" if completed else f"diverged at {record.outcome.time:.2f} s",
         itae=counts * float(metrics["itae"]),
         isv=counts * float(metrics["isv"]),
-        isv_predicted=_predicted_isv(case, scenario),
+        isv_predicted=_predicted_isv(dataclasses.replace(case, seed=0)),
         rms_error={
             name: float(np.sqrt(np.mean(error[:, group == name] ** 2))) if completed else math.nan for name in GROUPS
         },
@@ -142,43 +139,21 @@ def settled_after(duration: float) -> float:
     return min(5.0, 0.25 * duration)
 
 
-def _plan(case: NoiseCase) -> "Plan":
-    """What a case's mission asks of any controller."""
-    plan = _mission(case.duration, None if case.sigma is None else 1.0)
-    if case.sigma is None:
-        return plan
-    return dataclasses.replace(plan, velocity_noise=np.full_like(plan.velocity_noise, case.sigma))
+@functools.cache  # expensive, and the same for every seed
+def _predicted_isv(case: NoiseCase) -> float:
+    from ffsm_drake.control_design.stability.prediction import predict  # SciPy is slow to import
 
-
-@functools.cache  # expensive, and the same for the whole sweep but for the noise
-def _mission(duration: float, sigma: float | None) -> "Plan":
-    from ffsm_drake.control_design.stability.prediction import make_plan  # SciPy is slow to import
-
-    case = NoiseCase(controller="tdc", estimator="one_sample", gains="published", sigma=sigma, duration=duration)
-    return make_plan(case.scenario())
-
-
-def _predicted_isv(case: NoiseCase, scenario: Scenario) -> float:
-    """ISV of the linear loop, with K_s at its bound where there is one and at its start otherwise; G left out."""
-    from ffsm_drake.control_design.stability.margins import sampling_of
-    from ffsm_drake.control_design.stability.prediction import predict
-    from ffsm_drake.control_design.stability.sampled_loop import law_gains
-
-    plan = _plan(case)
-    law = law_gains(scenario, plan.coordinates)
-    gains = law.at(np.where(np.isfinite(law.k_s_max), law.k_s_max, law.k_s))
-    sampling = sampling_of(scenario, plan.coordinates)
-    return predict(plan, gains, sampling, settled_after=settled_after(case.duration)).isv
+    return predict(case.scenario(), settled_after=settled_after(case.duration)).isv
 
 
 def _noise_gain(controller: str) -> float:
     """Rms of Hhat^-1 tau on a base attitude axis per unit of velocity noise, published gains, 1/s, for H = Hhat."""
-    from ffsm_drake.control_design.stability.sampled_loop import LoopGains, Sampling, coupled_loop, law_gains
+    from ffsm_drake.control_design.stability.sampled_loop import LoopGains, Sampling, axis_loop, law_gains
     from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
     scenario = NoiseCase(controller=controller, estimator="one_sample", gains="published", sigma=1.0).scenario()
     gains = law_gains(scenario, make_nominal_plant(scenario).coordinates).at()
-    one_axis = LoopGains(k_v=gains.k_v[:1], k_p=gains.k_p[:1], k_i=gains.k_i[:1])
-    one, sampling = np.ones((1, 1)), Sampling(sample_time=scenario.sample_time)
-    loop = coupled_loop(one_axis, true_mass_matrix=one, nominal_mass_matrix=one, sampling=sampling)
-    return float(loop.noise_response(position_noise=np.zeros(1), velocity_noise=np.ones(1))["force"][0])
+    one_axis = LoopGains(**{name: np.asarray(values)[0] for name, values in vars(gains).items()})
+    loop = axis_loop(one_axis, sampling=Sampling(sample_time=scenario.sample_time))
+    covariance = loop.covariance(position_noise=0.0, velocity_noise=1.0)
+    return float(np.sqrt(loop.force @ covariance @ loop.force))

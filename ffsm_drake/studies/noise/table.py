@@ -46,8 +46,8 @@ def study_markdown(study: NoiseStudy) -> str:
         points = [point for _, kind, points in study.curves() if kind == estimator for point in points]
         parts += [f"## {title}", _table(header, [_point_cells(point) for point in points])]
     parts.append(
-        "Predicted: by the linear loop without simulating it, G left out, K_s at its bound or, without one, at its "
-        "start (AISMC). Peaks are over the whole run."
+        "Predicted: the run without noise, and the noise's part in the linearised loop; G left out, K_s where "
+        "adaptation is expected to take it. Peaks are over the whole run."
     )
     return "\n\n".join(parts) + "\n"
 
