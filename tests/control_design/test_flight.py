@@ -81,7 +81,7 @@ def test_prediction_against_three_seeds(run, controller):
     for name, value in predicted.by_group().items():
         assert value == pytest.approx(np.sqrt(square[groups[name]].mean()), rel=0.1), name
     efforts = np.array([record.dataset["generalized_force"].values[:-1] for record in runs])
-    assert predicted.isv_by_coordinate == pytest.approx((efforts**2).sum(axis=1).mean(axis=0) * 0.01, rel=0.1)
+    assert predicted.isv_by_coordinate == pytest.approx((efforts**2).sum(axis=1).mean(axis=0) * 0.01, rel=0.15)
     peaks = np.abs(efforts).max(axis=1).mean(axis=0)
     assert predicted.peak_effort == pytest.approx(peaks, rel=0.3)
 

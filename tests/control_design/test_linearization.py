@@ -50,7 +50,7 @@ def test_spectral_radius(name, overrides, radius):
 @pytest.mark.parametrize("name", ["postcapture", "flight_sensors"])
 @pytest.mark.parametrize("controller", PAPER_LAWS)
 def test_poles_are_those_of_the_closed_form(name, controller):
-    """With the true payload the axes do not meet; the plant's velocity half-way still changes the fast poles a little."""
+    """With the true payload the axes do not meet; the plant's velocity half-way changes fast poles a little."""
     same = ["payload.nominal.mass=100", "payload.nominal.inertia=[16.7, 16.7, 16.7]"]
     scenario = load_scenario(name, [f"controller={controller}", *same])
     with Linearizer(scenario) as linearizer:
