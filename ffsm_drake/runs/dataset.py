@@ -6,7 +6,7 @@ import numpy as np
 
 from ffsm_drake.runs.rollout import RunLog
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.coordinates import error_rates
+from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 from ffsm_drake.spacecraft.plant import find_frame
 
@@ -41,7 +41,8 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
         ),
         "error": (by_coordinate, log.error, "true tracking error e = q_d - q (rotation vector in world)", unit),
         "error_rate": (
-            by_coordinate, error_rates(log.error, desired_velocity, velocity), "true error rate", f"{unit} per s",
+            by_coordinate, np.array(list(map(error_rate, log.error, desired_velocity, velocity))), "true error rate",
+            f"{unit} per s",
         ),
         "generalized_force": (
             by_coordinate, series["generalized_force"], "control tau, held from this sample to the next", force,

@@ -133,6 +133,13 @@ def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
     return error
 
 
+def error_rate(error: np.ndarray, v_d: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Rate (nv) of a tracking error, for velocities v_d and v (nv): ``rotation_error_rate``, then differences."""
+    rate = v_d - v
+    rate[:3] = rotation_error_rate(tuple(error[:3].tolist()), v_d[:3], v[:3])
+    return rate
+
+
 def position_errors(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
     """``position_error`` of many configurations at once: (n, nq) each -> (n, nv)."""
     dw, dx, dy, dz = q_d[:, :4].T
@@ -151,11 +158,3 @@ def position_errors(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
     angle = np.where(ew < 0.0, -2.0, 2.0) * np.arctan2(sine, np.abs(ew))
     factor = np.divide(angle, sine, out=np.zeros_like(sine), where=sine > 0.0)
     return np.hstack([factor[:, None] * axis, q_d[:, 4:] - q[:, 4:]])
-
-
-def error_rates(error: np.ndarray, v_d: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Rates of tracking errors, for velocities v_d and v, all (n, nv): ``rotation_error_rate``, then differences."""
-    rates = v_d - v
-    for rate, e, w_d, w in zip(rates, error[:, :3].tolist(), v_d[:, :3], v[:, :3], strict=True):
-        rate[:3] = rotation_error_rate(e, w_d, w)
-    return rates

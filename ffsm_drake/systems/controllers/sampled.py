@@ -74,7 +74,7 @@ class SampledController(LeafSystem):
         estimated = self._estimated_state.Eval(context)
         desired = self._desired_state.Eval(context)
         split = self._num_positions
-        # As coordinates.position_error and error_rates, in one step.
+        # As coordinates.position_error and error_rate, in one step.
         difference = desired - estimated
         e, e_dot = difference[1:split], difference[split:]
         e[:3] = rotation = rotation_error(desired[:4], estimated[:4])
