@@ -29,7 +29,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from ffsm_drake.runs.rollout import Rollout, RunLog
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import MassProperties, Scenario, load_scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error_rate
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import configuration, make_plant
 from ffsm_drake.systems.controllers import gain_vectors
@@ -183,6 +183,7 @@ class MujocoLoop:
             e[:3], e[3:6], e[6:] = rotation, plan[k, 4:7] - qpos[:3], plan[k, 7 : nv + 1] - qpos[7:]
             measured = v + noise[k]
             e_dot = plan[k, nv + 1 :] - measured
+            e_dot[:3] = rotation_error_rate(tuple(rotation.tolist()), plan[k, nv + 1 : nv + 4], measured[:3])
             s = e_dot + k_d * e + k_p * integral
             u = plan_acceleration[k] + k_d * e_dot + k_p * e + k_s * s + g * np.sign(s)
             positions[k], velocities[k], errors[k] = qpos, v, e

@@ -5,6 +5,8 @@ import mujoco_oracle as oracle
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from pydrake.geometry import Box, GeometryInstance, ProximityProperties, Role
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
@@ -18,6 +20,7 @@ from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, coordinates_of
 from ffsm_drake.systems.controllers import PAPER_LAWS
+from ffsm_drake.systems.reference import make_motion
 
 JOINTS = (
     "shoulder_roll", "shoulder_yaw", "shoulder_pitch", "elbow_pitch", "wrist_pitch", "wrist_yaw", "wrist_roll",
@@ -179,6 +182,46 @@ def body_places(plant: MultibodyPlant, scenario):
         plant.SetPositions(context, configuration(plant, getattr(scenario, key), key=key))
         for k in range(1, plant.num_bodies()):
             yield plant.get_body(BodyIndex(k)).EvalPoseInWorld(context).translation()
+
+
+def test_clearances_are_those_of_the_documentation():
+    """Bodies as drawn keep apart; cubes of the base's and the debris's inertias would overlap."""
+    scenario = load_scenario("seven_joint")
+    builder = DiagramBuilder()
+    plant = add_combined_plant(builder, scenario.model)
+    scene_graph = builder.GetSubsystemByName("scene_graph")
+    inspector, source = scene_graph.model_inspector(), plant.get_source_id()
+    drawn, cube = {}, {}
+    for name, size in (("base", 2.0), ("debris", 1.0)):
+        frame = plant.GetBodyFrameIdOrThrow(plant.GetBodyByName(name).index())
+        drawn[name] = inspector.GetGeometries(frame, Role.kIllustration)
+        for geometry in drawn[name]:
+            scene_graph.AssignRole(source, geometry, ProximityProperties())
+        instance = GeometryInstance(RigidTransform(), Box(size, size, size), f"cube of {name}")
+        instance.set_proximity_properties(ProximityProperties())
+        cube[name] = scene_graph.RegisterGeometry(source, frame, instance)
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    motion = make_motion(scenario, make_true_plant(scenario).coordinates)
+
+    def query(time):
+        plant.SetPositions(plant.GetMyMutableContextFromRoot(context), motion.evaluate(time)[0])
+        return scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
+
+    def between_cubes(time):
+        return query(time).ComputeSignedDistancePairClosestPoints(cube["base"], cube["debris"]).distance
+
+    assert between_cubes(14.7) > 0.0 > between_cubes(14.9)
+    assert between_cubes(20.0) == pytest.approx(-0.41, abs=5e-3)
+    at_end = query(20.0)
+    distances = [
+        at_end.ComputeSignedDistancePairClosestPoints(a, b).distance for a in drawn["base"] for b in drawn["debris"]
+    ]
+    assert min(distances) == pytest.approx(0.2525, abs=1e-4)
+    upper, lower = (plant.GetFrameByName(name) for name in ("upper_boom", "lower_boom"))
+    elbow = plant.CalcRelativeTransform(plant.GetMyContextFromRoot(context), upper, lower)
+    assert abs(elbow.translation()[1]) == pytest.approx(0.119, abs=5e-4)  # along the axis that the booms fold about
+    assert elbow.rotation().col(1) == pytest.approx([0, 1, 0], abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ["seven_joint", "postcapture"])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     import xarray as xr
 
-Verdict = Literal["holds", "does not hold", "not applicable", "measured"]
+Verdict = Literal["holds", "does not hold", "not tested", "not applicable", "measured"]
 Numbers = Mapping[str, float | str]
 
 # Key -> title of every finding, in the order of ``Analysis.findings``.
@@ -37,7 +37,9 @@ class Finding:
     key: str  # a key of TITLES
     title: str
     statement: str  # one sentence with the main figures
-    verdict: Verdict  # "measured" for a figure of merit
+    verdict: (
+        Verdict  # "measured" for a figure of merit, "not tested" where no sample is of the kind that the claim is about
+    )
     numbers: Numbers  # all figures; ``name.part`` belongs to a group or coordinate, NaN is undefined in this run
 
     @property

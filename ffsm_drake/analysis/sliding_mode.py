@@ -1,10 +1,11 @@
-"""The reaching law (7) and bounds on s and G, for any sliding-mode law that records s."""
+"""The reaching law (7) and the bound on s that follows from it, for the paper's laws; the bound on G for any law."""
 
 import numpy as np
 
 from ffsm_drake.analysis.estimation import start_up_time
 from ffsm_drake.analysis.evidence import Evidence, largest, ratio, rms
 from ffsm_drake.analysis.findings import Finding, Numbers, finding, not_applicable
+from ffsm_drake.systems.controllers import PAPER_LAWS
 
 
 def reaching_law_remainder(
@@ -40,8 +41,12 @@ def findings(run: Evidence) -> list[Finding]:
     if run.too_short:
         return not_applicable(run.too_short, *keys)
     s, (k_s, g) = run.values("sliding_variable"), run.gains
+    run.add(sliding_variable=s, reaching_gain=k_s, switching_gain=g)
+    if run.scenario.controller not in PAPER_LAWS:
+        reason = f"(7) follows from the injected dynamics of the paper's laws, and {run.scenario.controller} is not one"
+        return [*not_applicable(reason, "reaching_law", "direct_bound"), *_switching_gain(run)]
     remainder = reaching_law_remainder(s=s, k_s=k_s, g=g, tde_error=run.tde_error, period=run.period)
-    run.add(sliding_variable=s, reaching_gain=k_s, switching_gain=g, reaching_law_remainder=remainder)
+    run.add(reaching_law_remainder=remainder)
     return [_reaching_law(run, remainder), _direct_bound(run, remainder), *_switching_gain(run)]
 
 
@@ -53,14 +58,13 @@ def _reaching_law(run: Evidence, remainder: np.ndarray) -> Finding:
         "remainder_late": float(largest(remainder[late]).max()),
         "rms_ratio": ratio(rms(remainder), rms(run.tde_error)),
         "rms_ratio_late": ratio(rms(remainder[late]), rms(run.tde_error[late])),
-        "largest_k_d_l": float(np.max(run.constants.get("k_d", np.nan)) * run.period),
+        "largest_k_d_l": float(np.max(run.constants["k_d"]) * run.period),
         "largest_k_s_l": float(run.gains[0].max() * run.period),
         **run.grouped("remainder", largest(remainder)),
     }
     statement = (
         "Over a period, ds/dt differs from -Ntilde - K_s s - G sgn s by up to {remainder:.3g} rad/s^2 or m/s^2, in "
-        "root mean square {rms_ratio:.3g} times Ntilde; K_s L = {largest_k_s_l:.3g}"
-        + (", K_D L = {largest_k_d_l:.3g}." if "k_d" in run.constants else ".")
+        "root mean square {rms_ratio:.3g} times Ntilde; K_s L = {largest_k_s_l:.3g}, K_D L = {largest_k_d_l:.3g}."
     )
     return finding("reaching_law", statement, numbers)
 

@@ -17,7 +17,6 @@ from ffsm_drake.campaign.store import Store
 
 CONFIDENCE = 0.95
 BINS = 10  # equally filled, for the share of variance that a value explains
-_RESAMPLES = 2000
 _PERMUTATIONS = 500
 _COMPARED = 10  # fewest pairs for a confidence interval
 
@@ -101,14 +100,14 @@ class Difference:
     ratios: np.ndarray  # (both,)
 
 
-def paired_differences(table: Table, *, seed: int) -> list[Difference]:
-    """Every pair of controllers; intervals by a seeded bootstrap over cases."""
-    return [_difference(first, second, seed=seed) for first, second in itertools.combinations(table.runs.values(), 2)]
+def paired_differences(table: Table) -> list[Difference]:
+    """Every pair of controllers."""
+    return [_difference(first, second) for first, second in itertools.combinations(table.runs.values(), 2)]
 
 
-def _difference(first: Runs, second: Runs, *, seed: int) -> Difference:
+def _difference(first: Runs, second: Runs) -> Difference:
     _, i, j = np.intersect1d(first.case, second.case, assume_unique=True, return_indices=True)
-    settled = first.settled[i].astype(float) - second.settled[j]
+    settled = first.settled[i].astype(int) - second.settled[j]
     both = first.settled[i] & second.settled[j]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = (first.metrics["itae"][i] / second.metrics["itae"][j])[both]
@@ -117,21 +116,31 @@ def _difference(first: Runs, second: Runs, *, seed: int) -> Difference:
         first=first.controller,
         second=second.controller,
         cases=int(i.size),
-        success=_bootstrap(settled, np.mean, seed=seed),
+        success=_paired_proportions(int((settled > 0).sum()), int((settled < 0).sum()), int(i.size)),
+        itae_ratio=_median(ratios) if ratios.size >= _COMPARED else None,
         both=int(both.sum()),
-        itae_ratio=_bootstrap(ratios, np.median, seed=seed) if ratios.size >= _COMPARED else None,
         ratios=ratios,
     )
 
 
-def _bootstrap(sample: np.ndarray, statistic: Callable[..., Any], *, seed: int) -> Interval:
-    if sample.size < 2:
-        return Interval(value=float(statistic(sample)) if sample.size else math.nan, low=math.nan, high=math.nan)
-    interval = stats.bootstrap(
-        (sample,), statistic, n_resamples=_RESAMPLES, batch=50, confidence_level=CONFIDENCE, method="percentile",
-        vectorized=True, random_state=np.random.default_rng(seed),
-    ).confidence_interval  # fmt: skip
-    return Interval(value=float(statistic(sample)), low=float(interval.low), high=float(interval.high))
+def _paired_proportions(first: int, second: int, cases: int) -> Interval:
+    """Difference of two success rates on the same cases, ``first`` and ``second`` of which only one controller settled.
+
+    The interval is Bonett and Price's (2012, "Adjusted Wald confidence interval for a difference of binomial
+    proportions based on paired data"), Wald's after one more discordant case either way: it keeps its width where all
+    cases agree.
+    """
+    if cases == 0:
+        return Interval(value=math.nan, low=-1.0, high=1.0)
+    p, q = (first + 1) / (cases + 2), (second + 1) / (cases + 2)
+    half = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) * math.sqrt((p + q - (p - q) ** 2) / (cases + 2))
+    return Interval(value=(first - second) / cases, low=max(p - q - half, -1.0), high=min(p - q + half, 1.0))
+
+
+def _median(sample: np.ndarray) -> Interval:
+    """The median, with the interval between order statistics, which no distribution is assumed for."""
+    found: Any = stats.quantile_test(sample, p=0.5).confidence_interval(CONFIDENCE)  # typed wrongly in SciPy's stubs
+    return Interval(value=float(np.median(sample)), low=float(found.low), high=float(found.high))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -274,7 +283,7 @@ def find(
         spec=spec,
         table=table,
         success={name: success_rate(runs) for name, runs in table.runs.items()},
-        differences=paired_differences(table, seed=spec.seed),
+        differences=paired_differences(table),
         sensitivities=found,
         influential=influential,
         agreement=[agreement(runs) for runs in table.runs.values()],

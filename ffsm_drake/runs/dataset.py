@@ -6,6 +6,7 @@ import numpy as np
 
 from ffsm_drake.runs.rollout import RunLog
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 from ffsm_drake.spacecraft.plant import find_frame
 
@@ -39,7 +40,10 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
             by_coordinate, series["desired_acceleration"], "reference acceleration", f"{unit} per s^2",
         ),
         "error": (by_coordinate, log.error, "true tracking error e = q_d - q (rotation vector in world)", unit),
-        "error_rate": (by_coordinate, desired_velocity - velocity, "true error rate v_d - v", f"{unit} per s"),
+        "error_rate": (
+            by_coordinate, np.array(list(map(error_rate, log.error, desired_velocity, velocity))), "true error rate",
+            f"{unit} per s",
+        ),
         "generalized_force": (
             by_coordinate, series["generalized_force"], "control tau, held from this sample to the next", force,
         ),

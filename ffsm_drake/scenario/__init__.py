@@ -16,6 +16,7 @@ from ffsm_drake.scenario.loading import (
 )
 from ffsm_drake.scenario.resolving import schema_fields
 from ffsm_drake.scenario.schema import (
+    BASE_ROTATIONS,
     ESTIMATOR_KINDS,
     Actuation,
     Block,
@@ -39,6 +40,7 @@ __all__ = [
     "MANIFEST_FILE",
     "anchor_paths",
     "relate_paths",
+    "BASE_ROTATIONS",
     "ESTIMATOR_KINDS",
     "Actuation",
     "Block",

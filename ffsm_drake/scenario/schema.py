@@ -13,6 +13,7 @@ import numpy as np
 from pydrake.systems.analysis import SimulatorConfig
 
 PerCoordinate = dict[str, float]
+BASE_ROTATIONS = ("eigenaxis", "rpy")
 ESTIMATOR_KINDS = ("one_sample", "kalman")
 
 
@@ -72,6 +73,9 @@ class Reference:
     """The planned motion: a fifth-order polynomial from the initial to the target posture."""
 
     duration: float = 20.0  # s; the target posture is held afterwards
+    # how the base turns: "eigenaxis", the shorter way about one fixed axis, or "rpy", roll, pitch and yaw each a
+    # polynomial, as in the paper
+    base_rotation: str = "eigenaxis"
 
 
 @dataclasses.dataclass

@@ -7,7 +7,7 @@ from pydrake.systems.analysis import GetIntegrationSchemes
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.scenario.resolving import shown
-from ffsm_drake.scenario.schema import ESTIMATOR_KINDS, MassProperties, Scenario, inertia_matrix
+from ffsm_drake.scenario.schema import BASE_ROTATIONS, ESTIMATOR_KINDS, MassProperties, Scenario, inertia_matrix
 
 _NAME = re.compile(r"[^\W\d]\w*|[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")  # or module:attribute
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # without an error estimate
@@ -41,12 +41,11 @@ def validate(scenario: Scenario) -> None:
             require(bool(_NAME.fullmatch(block.system)), f"blocks.{name}.system", _form(block.system))
     for name in blocks.forces:
         require(name.isidentifier(), f"blocks.forces.{name}", "a force's name must be letters, digits and underscores")
-    require(
-        scenario.estimator.kind in ESTIMATOR_KINDS,
-        "estimator.kind",
-        f"'{scenario.estimator.kind}' is unknown; choose one of {', '.join(ESTIMATOR_KINDS)}"
-        + did_you_mean(scenario.estimator.kind, ESTIMATOR_KINDS),
-    )
+    for key, kind, kinds in (
+        ("reference.base_rotation", scenario.reference.base_rotation, BASE_ROTATIONS),
+        ("estimator.kind", scenario.estimator.kind, ESTIMATOR_KINDS),
+    ):
+        require(kind in kinds, key, f"'{kind}' is unknown; choose one of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
     for key, number in scenario.estimator.walk.items():
         require(number > 0, f"estimator.walk.{key}", f"must be > 0, not {number}")
     for name in ("position_noise", "velocity_noise"):

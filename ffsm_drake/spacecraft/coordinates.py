@@ -98,15 +98,46 @@ def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[fl
     return factor * ex, factor * ey, factor * ez
 
 
-def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Tracking error e (nv) from configuration q to q_d: rotation vector (world), then differences.
+def rotation_error_rate(
+    error: tuple[float, float, float], w_d: np.ndarray, w: np.ndarray
+) -> tuple[float, float, float]:
+    """Rate of ``rotation_error``, rad/s, for an error e and angular velocities w_d and w (3,), all in the world frame.
 
-    Its rate is v_d - v to first order in the rotation error, exactly for every other coordinate.
+    e' = J_l(e)^-1 w_d - J_r(e)^-1 w = (w_d - w) - 1/2 e x (w_d + w) + c e x (e x (w_d - w)), with the left and right
+    Jacobians of SO(3) and c = (1 - a/2 cot a/2) / a^2, a = |e| (Sola et al. 2018, "A micro Lie theory for state
+    estimation in robotics", equations (146) and (147)). Plain floats, as in ``rotation_error``.
     """
+    ex, ey, ez = error
+    dx, dy, dz = w_d.tolist()
+    x, y, z = w.tolist()
+    sx, sy, sz = 0.5 * (dx + x), 0.5 * (dy + y), 0.5 * (dz + z)
+    dx, dy, dz = dx - x, dy - y, dz - z
+    square = ex * ex + ey * ey + ez * ez
+    if square < 1e-2:  # the next term of the series is below 1e-12
+        c = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
+    else:
+        half = 0.5 * math.sqrt(square)
+        c = (1.0 - half / math.tan(half)) / square
+    # e x (c e x (w_d - w) - 1/2 (w_d + w))
+    cx = c * (ey * dz - ez * dy) - sx
+    cy = c * (ez * dx - ex * dz) - sy
+    cz = c * (ex * dy - ey * dx) - sz
+    return dx + ey * cz - ez * cy, dy + ez * cx - ex * cz, dz + ex * cy - ey * cx
+
+
+def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Tracking error e (nv) from configuration q to q_d: rotation vector (world), then differences."""
     error = np.empty(q.size - 1)
     error[:3] = rotation_error(q_d[:4], q[:4])
     np.subtract(q_d[4:], q[4:], out=error[3:])
     return error
+
+
+def error_rate(error: np.ndarray, v_d: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Rate (nv) of a tracking error, for velocities v_d and v (nv): ``rotation_error_rate``, then differences."""
+    rate = v_d - v
+    rate[:3] = rotation_error_rate(tuple(error[:3].tolist()), v_d[:3], v[:3])
+    return rate
 
 
 def position_errors(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -1,17 +1,20 @@
 """The planned motion: a fifth-order polynomial from one posture to another, with exact rates and accelerations.
 
-Position and joints follow q(t) = q_0 + (q_T - q_0) s(t/T); the base's roll, pitch and yaw do the same, and its angular
-velocity and acceleration follow from them exactly. With zero boundary rates and accelerations the blend is
-s(x) = 10 x^3 - 15 x^4 + 6 x^5 (Section 4 of the paper; peak speed 1.875 D/T, peak acceleration 5.7735 D/T^2).
+Position and joints follow q(t) = q_0 + (q_T - q_0) s(t/T). The base turns about the eigenaxis, the fixed axis of the
+rotation from its first to its last attitude, by an angle that follows the same blend; or, as in the paper, its roll,
+pitch and yaw follow it. Angular velocity and acceleration are exact either way. With zero boundary rates and
+accelerations the blend is s(x) = 10 x^3 - 15 x^4 + 6 x^5 (Section 4 of the paper; peak speed 1.875 D/T, peak
+acceleration 5.7735 D/T^2).
 """
 
 import numpy as np
+from pydrake.math import RollPitchYaw
 from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.scenario import Posture, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.scenario import Posture, Reference, Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
 
 _BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
 
@@ -24,6 +27,24 @@ def quintic_blend(time: np.ndarray | float, duration: float) -> tuple[np.ndarray
         30.0 * x * x * (1.0 + x * (x - 2.0)) / duration,
         60.0 * x * (1.0 + x * (2.0 * x - 3.0)) / (duration * duration),
     )
+
+
+def eigenaxis_motion(
+    first: np.ndarray, rotation: np.ndarray, blend: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations alpha_WB_W (n, 3).
+
+    Args:
+      first: quaternion (4,) of the first attitude.
+      rotation: rotation vector (3,) from the first attitude to the last, in the world frame, rad.
+      blend: s, its first and its second derivative, (n, 1) each.
+    """
+    s, ds, dds = blend
+    half = 0.5 * float(np.linalg.norm(rotation)) * s
+    w, v = np.cos(half), 0.5 * s * np.sinc(half / np.pi) * rotation  # of the rotation made so far
+    scalar = w * first[0] - (v * first[1:]).sum(axis=1, keepdims=True)
+    vector = w * first[1:] + first[0] * v + np.cross(v, first[1:])
+    return np.hstack([scalar, vector]), ds * rotation, dds * rotation
 
 
 def rpy_motion(
@@ -61,14 +82,24 @@ class QuinticMotion:
     """The planned motion as a function of time."""
 
     def __init__(
-        self, *, coordinates: Coordinates, start: Posture, target: Posture, duration: float, sample_time: float
+        self,
+        *,
+        coordinates: Coordinates,
+        start: Posture,
+        target: Posture,
+        reference: Reference,
+        sample_time: float,
     ) -> None:
-        """Args: start and target posture (SI units), duration in s; the target is held afterwards.
+        """Args: start and target posture (SI units), how to move between them; the target is held afterwards.
 
         At multiples of ``sample_time`` (s) the motion is read from a precomputed block.
         """
         self.coordinates = coordinates
-        self._duration, self._sample_time = duration, sample_time
+        self._duration, self._sample_time = reference.duration, sample_time
+        self._eigenaxis: tuple[np.ndarray, np.ndarray] | None = None  # first attitude, rotation vector to the last
+        if reference.base_rotation == "eigenaxis":
+            base, end = (RollPitchYaw(posture.base_rpy).ToQuaternion().wxyz() for posture in (start, target))
+            self._eigenaxis = base, np.array(rotation_error(end, base))
         # Roll, pitch, yaw, position, joints.
         first, last = (
             np.concatenate(
@@ -95,7 +126,10 @@ class QuinticMotion:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
         s, ds, dds = (column[:, None] for column in quintic_blend(times, self._duration))
         value, rate, acceleration = self._start + s * self._change, ds * self._change, dds * self._change
-        quaternion, omega, alpha = rpy_motion(value[:, :3], rate[:, :3], acceleration[:, :3])
+        if self._eigenaxis is None:
+            quaternion, omega, alpha = rpy_motion(value[:, :3], rate[:, :3], acceleration[:, :3])
+        else:
+            quaternion, omega, alpha = eigenaxis_motion(*self._eigenaxis, (s, ds, dds))
         return np.hstack([quaternion, value[:, 3:], omega, rate[:, 3:], alpha, acceleration[:, 3:]])
 
     def row(self, time: float) -> np.ndarray:
@@ -129,7 +163,7 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> QuinticMotion:
         coordinates=coordinates,
         start=scenario.initial_posture,
         target=scenario.target_posture,
-        duration=scenario.reference.duration,
+        reference=scenario.reference,
         sample_time=scenario.sample_time,
     )
 

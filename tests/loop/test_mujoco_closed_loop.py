@@ -91,6 +91,13 @@ def attitude(configuration: np.ndarray) -> Rotation:
     return Rotation.from_quat([x, y, z, w])
 
 
+def rotation_vector_rate(e: np.ndarray, w_d: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """de/dt of e = log(R_d R^T): R_d R^T turns with w_d - exp(e) w, which is the left Jacobian of e times de/dt."""
+    cross = np.cross(np.eye(3), e)
+    jacobian = np.eye(3) + cross / 2 + cross @ cross / 6 + cross @ cross @ cross / 24  # e is small
+    return np.linalg.solve(jacobian, w_d - Rotation.from_rotvec(e).apply(w))
+
+
 class Law(abc.ABC):
     """The injected dynamics u of a controller; subclasses hold K_s, G and the error's integral."""
 
@@ -240,7 +247,9 @@ def run_on_mujoco(scenario: Scenario, *, substeps: int = 1) -> Series:
         )
         gains = [np.array(getattr(law, name, np.full(11, np.nan))) for name in ("K_s", "G")]
         acceleration = np.zeros(11) if previous_rates is None else (rates - previous_rates) / PERIOD
-        u = law.u(e, rates_d - rates, acceleration_d)
+        e_dot = rates_d - rates
+        e_dot[3:6] = rotation_vector_rate(e[3:6], rates_d[3:6], rates[3:6])
+        u = law.u(e, e_dot, acceleration_d)
         tau = tau + nominal.mass_matrix(configuration) @ (u - acceleration)
         previous_rates = rates
         samples.append([e, tau, *gains])

@@ -17,7 +17,7 @@ from ffsm_drake import (
     override_scenario,
     simulate,
 )
-from ffsm_drake.spacecraft.coordinates import position_error
+from ffsm_drake.spacecraft.coordinates import error_rate, position_error
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import base_rpy, make_plant
 
@@ -57,7 +57,8 @@ def test_every_sample_satisfies_the_control_law(run, controller):
             if name in state:
                 assert data[name].values[k] == pytest.approx(state[name], rel=1e-9), (name, k)
         e = position_error(data["desired_position"].values[k], q[k])
-        u, state = law.step(e, data["desired_velocity"].values[k] - v[k], data["desired_acceleration"].values[k], state)
+        e_dot = error_rate(e, data["desired_velocity"].values[k], v[k])
+        u, state = law.step(e, e_dot, data["desired_acceleration"].values[k], state)
         if "sliding_variable" in state:
             assert data["sliding_variable"].values[k] == pytest.approx(state["sliding_variable"], abs=1e-12)
         previous = tau[k - 1] - nominal.calc_mass_matrix(q[k]) @ ((v[k] - v[k - 1]) / 0.01) if k else np.zeros(11)

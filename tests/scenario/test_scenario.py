@@ -132,6 +132,7 @@ directives:
         ("disturbance.frequency_scale=-1", "override: disturbance.frequency_scale: must be >= 0"),
         ("disturbance.harmonics.joint_1.amp=1", "unknown key; valid here: amplitude, frequency, phase, bias"),
         ("reference.duration=0", "override: reference.duration: must be > 0 s"),
+        ("reference.base_rotation=eigen", "reference.base_rotation: 'eigen' is unknown; choose one of eigenaxis, rpy"),
         ("divergence_speed=0", "override: divergence_speed: must be > 0"),
     ],
 )

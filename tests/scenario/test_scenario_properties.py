@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.scenario import (
+    BASE_ROTATIONS,
     ESTIMATOR_KINDS,
     Block,
     Scenario,
@@ -61,6 +62,7 @@ SPECIAL = {
     "system": st.sampled_from(("mine", "mine:Block", "a.b:c.d")),
     "forces": st.dictionaries(st.sampled_from(("drag", "wind_2")), st.just("mine:Block"), max_size=2),
     "kind": st.sampled_from(ESTIMATOR_KINDS),
+    "base_rotation": st.sampled_from(BASE_ROTATIONS),
     "inertia": moments(),
     "delay": st.integers(0, 1000),
     "model": st.fixed_dictionaries(

@@ -5,7 +5,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.spacecraft.coordinates import Coordinates, position_error, position_errors, rotation_error
+from ffsm_drake.spacecraft.coordinates import (
+    Coordinates,
+    error_rate,
+    position_error,
+    position_errors,
+    rotation_error,
+    rotation_error_rate,
+)
 
 COORDINATES = Coordinates(("joint_1", "slider"), ("rad", "m"))
 
@@ -44,6 +51,31 @@ def test_tiny_rotations_keep_their_precision():
     desired = Rotation.from_rotvec([1e-9, -2e-9, 3e-9]).as_quat(scalar_first=True)
     assert rotation_error(desired, np.array([1.0, 0, 0, 0])) == pytest.approx((1e-9, -2e-9, 3e-9), rel=1e-9)
     assert rotation_error(desired, desired) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.0999, 0.1001, 1.0, 3.0, 3.14])
+def test_rate_of_the_rotation_error_is_its_derivative(angle):
+    """By central differences, both attitudes turning at constant angular velocities in the world frame."""
+    rng, h = np.random.default_rng(7), 1e-5
+    for _ in range(20):
+        actual, (axis, w_d, w) = Rotation.random(rng=rng), rng.normal(size=(3, 3))
+        w_d, w = 1e-3 * w_d, 1e-3 * w  # so slow that the difference's own error is small up to angles near pi
+        desired = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)) * actual
+
+        def error(t, desired=desired, actual=actual, w_d=w_d, w=w):
+            moved = (Rotation.from_rotvec(t * w_d) * desired, Rotation.from_rotvec(t * w) * actual)
+            return np.array(rotation_error(*(each.as_quat(scalar_first=True) for each in moved)))
+
+        rate = rotation_error_rate(tuple(error(0.0)), w_d, w)
+        assert rate == pytest.approx((error(h / 1e-3) - error(-h / 1e-3)) / (2 * h / 1e-3), abs=1e-9)
+        assert np.dot(rate, error(0.0)) == pytest.approx(np.dot(w_d - w, error(0.0)), abs=1e-15)  # the angle's own rate
+
+
+def test_rate_of_an_error_is_a_difference_but_for_the_rotation():
+    error, v_d, v = np.random.default_rng(8).normal(size=(3, 8))
+    rate = error_rate(error, v_d, v)
+    assert rate[3:].tolist() == (v_d - v)[3:].tolist()
+    assert rate[:3].tolist() == list(rotation_error_rate(tuple(error[:3]), v_d[:3], v[:3]))
 
 
 def test_position_error_is_desired_minus_actual():

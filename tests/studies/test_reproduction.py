@@ -15,7 +15,7 @@ import pytest
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, simulate
 from ffsm_drake.runs.record import Outcome
 from ffsm_drake.show import block_diagram
-from ffsm_drake.studies.paper import PARTS, accuracy, figures, page, reproduce, robustness, runs, schemes, table
+from ffsm_drake.studies.paper import PARTS, accuracy, effort, figures, page, reproduce, robustness, runs, schemes, table
 from ffsm_drake.studies.paper.claims import CLAIMS, by_topic, counts, evaluate
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS
 
@@ -101,6 +101,48 @@ def test_mean_and_spread_over_the_seeds():
     cell = row_of(table.make_table(of_seeds), "euler", "tau_d1", "tdc").itae
     assert cell.mean == pytest.approx(np.mean(values))
     assert cell.spread == pytest.approx(np.std(values, ddof=1))
+
+
+def test_a_single_seed_has_no_spread(results):
+    rows = table.make_table(results)
+    assert all(np.isnan(cell.spread) for row in rows for cell in (row.itae, row.isv))
+    assert not any("±" in cell for line in table.markdown_rows(rows) for cell in line)
+    assert table.shown_ours("itae", dataclasses.replace(rows[0].itae, spread=1e-9)).startswith("(")
+    line = next(csv.DictReader(io.StringIO(table.table_csv(rows))))
+    assert (line["itae_spread"], float(line["itae_mean"])) == ("", pytest.approx(rows[0].itae.mean))
+
+
+def test_the_differences_of_effort_are_told(results):
+    measured = effort.values_of_isv(results).measured
+    assert "the paper has proposed +16.7 to +16.9, AISMC +10.0, ASMC +0.4; ours: with explicit Euler " in measured
+    isv = {name: results.run("euler", name).isv for name in ("asmc", "tdc")}
+    assert f"{isv['asmc'] - isv['tdc']:+.1f}" in measured
+
+
+def test_high_precision_depends_on_what_was_simulated(results, unstable):
+    """The same runs, those of the published gains on the exact plant taken from where they diverge."""
+
+    def accurate(run):
+        return dataclasses.replace(
+            run, metrics={**run.metrics, "final_error": dict.fromkeys(run.metrics["final_error"], 0.0)}
+        )
+
+    settled = dataclasses.replace(results, runs={case: accurate(run) for case, run in results.runs.items()})
+    claim = accuracy.target_is_reached_with_high_precision
+    assert claim(settled).verdict == "holds"
+    assert "0 of 3 runs diverge." in claim(settled).measured
+    diverging = {
+        case: run for case, run in unstable.runs.items() if (case.setting, case.controller) == ("exact", PROPOSED)
+    }
+    mixed = claim(dataclasses.replace(settled, runs={**settled.runs, **diverging}))
+    assert mixed.verdict == "holds only under explicit Euler integration, or with K_s bounded"
+    assert re.search(r"3 of 3 runs diverge, at 0\.\d+", mixed.measured)
+
+
+def test_a_claim_without_samples_is_not_tested(verdicts):
+    (found,) = [one for one in verdicts if one.claim.startswith("The Lyapunov function decreases")]
+    assert found.verdict == "not tested"
+    assert found.measured.count("in 0 of the 0 samples with all") == 2
 
 
 def test_a_diverged_run_is_shown_as_such(unstable):

@@ -9,7 +9,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant, simulate
 from ffsm_drake.runs.metrics import momentum_residual
-from ffsm_drake.spacecraft.coordinates import position_error
+from ffsm_drake.spacecraft.coordinates import error_rate, position_error
 from ffsm_drake.systems.controllers import Sample, SampledController, gain_vectors
 from ffsm_drake.systems.controllers.estimators import make_estimator
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
@@ -137,7 +137,7 @@ def replay(record, *, applied):
     for k, (q, v, q_d, v_d, a_d) in enumerate(zip(*(data[name].values for name in names), strict=True)):
         mass_matrix = nominal.calc_mass_matrix(q)
         e, before = position_error(q_d, q), applied[k - 1] if k else np.zeros(v.size)
-        sample = Sample(q, v, q_d, v_d, a_d, e, v_d - v, before, k == 0)
+        sample = Sample(q, v, q_d, v_d, a_d, e, error_rate(e, v_d, v), before, k == 0)
         estimate, state = estimator.step(sample, mass_matrix, state)
         n.append(estimate.base_acceleration - np.linalg.solve(mass_matrix, estimate.base_force))
         u = a_d + gains["k_d"] * estimate.e_dot + gains["k_p"] * estimate.e

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, make_closed_loop, make_nominal_plant
-from ffsm_drake.spacecraft.coordinates import position_error
+from ffsm_drake.spacecraft.coordinates import error_rate, position_error
 from ffsm_drake.systems.controllers import PAPER_LAWS, make_controller, make_law
 from ffsm_drake.systems.controllers.laws import aismc, asmc, tde_aismc
 from ffsm_drake.systems.controllers.laws.aismc import Aismc
@@ -321,7 +321,8 @@ def test_first_update_takes_no_acceleration_and_no_previous_force():
     updated = controller.EvalUniquePeriodicDiscreteUpdate(context)
     nominal = make_nominal_plant(scenario)
     k_p = coordinates.vector({"all": 100.0, "base_position": 200.0}, key="")
-    u = a_d + 100.0 * (v_d - v) + k_p * position_error(q_d, q)
+    e = position_error(q_d, q)
+    u = a_d + 100.0 * error_rate(e, v_d, v) + k_p * e
     first = np.array(updated.value(0))
     assert first == pytest.approx(nominal.calc_mass_matrix(q) @ u)
     # The second update, everything unchanged, sees zero acceleration and adds the same again.

@@ -1,10 +1,14 @@
 """The quintic reference: closed-form figures, exact rates, and holding the target."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, make_closed_loop
+from ffsm_drake.scenario import Reference
+from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.reference import make_motion, quintic_blend
 
 DURATION = 20.0
@@ -15,9 +19,21 @@ def loop():
     return make_closed_loop(load_scenario("postcapture"))
 
 
-@pytest.fixture(scope="module")
-def motion(loop):
-    return make_motion(loop.scenario, loop.coordinates)
+@pytest.fixture(scope="module", params=["rpy", "eigenaxis"])
+def motion(loop, request):
+    reference = Reference(duration=DURATION, base_rotation=request.param)
+    return make_motion(dataclasses.replace(loop.scenario, reference=reference), loop.coordinates)
+
+
+def slew(loop, start, target, base_rotation):
+    """The motion of ``postcapture`` with other attitudes, roll, pitch, yaw in rad."""
+    scenario = dataclasses.replace(
+        loop.scenario,
+        initial_posture=dataclasses.replace(loop.scenario.initial_posture, base_rpy=start),
+        target_posture=dataclasses.replace(loop.scenario.target_posture, base_rpy=target),
+        reference=Reference(duration=DURATION, base_rotation=base_rotation),
+    )
+    return make_motion(scenario, loop.coordinates)
 
 
 def test_blend_has_the_quintic_peaks():
@@ -49,8 +65,11 @@ def test_peak_speed_of_a_joint_and_of_the_base(motion):
 
 
 @pytest.mark.parametrize("time", [2.0, 7.3, 11.0, 18.5])
-def test_rates_are_the_derivatives_of_the_motion(motion, time):
+@pytest.mark.parametrize("angles", [None, ([-0.5, 0.3, -0.4], [1.2, 2.0, 2.6]), ([0.1] * 3, [0.1] * 3)])
+def test_rates_are_the_derivatives_of_the_motion(loop, motion, angles, time):
     h = 1e-4
+    if angles:
+        motion = slew(loop, *angles, "eigenaxis")
 
     def rotation(t):
         return Rotation.from_quat(motion.evaluate(t)[0][:4], scalar_first=True)
@@ -63,8 +82,9 @@ def test_rates_are_the_derivatives_of_the_motion(motion, time):
     assert a == pytest.approx((after[1] - before[1]) / (2 * h), abs=1e-9)
 
 
-def test_attitude_follows_the_planned_angles(loop, motion):
-    scenario = loop.scenario
+def test_attitude_follows_the_planned_angles(loop):
+    """As the scenario says, which follows the paper."""
+    scenario, motion = loop.scenario, make_motion(loop.scenario, loop.coordinates)
     for time in (3.0, 9.0, 16.0):
         s, _, _ = quintic_blend(time, DURATION)
         q, _, _ = motion.evaluate(time)
@@ -72,9 +92,44 @@ def test_attitude_follows_the_planned_angles(loop, motion):
         assert angles == pytest.approx((1 - s) * np.array(scenario.initial_posture.base_rpy), abs=1e-13)
 
 
-def test_ports_give_the_same_motion(loop, motion):
+@pytest.mark.parametrize("target", [[1.2, 2.0, 2.6], [np.pi - 0.5, 0.3, -0.4], [0.2, 0.0, 0.0]])
+def test_attitude_turns_about_the_eigenaxis(loop, target):
+    """The angle from the start follows the blend, up to half a turn, and angular velocity stays along one axis."""
+    start = [-0.5, 0.3, -0.4]
+    motion = slew(loop, start, target, "eigenaxis")
+    first, last = (Rotation.from_euler("xyz", angles) for angles in (start, target))
+    whole = (last * first.inv()).as_rotvec()
+    for time in (0.0, 3.0, 10.0, 16.0, 20.0, 30.0):
+        s, rate, acceleration = quintic_blend(time, DURATION)
+        q, v, a = motion.evaluate(time)
+        turned = (Rotation.from_quat(q[:4], scalar_first=True) * first.inv()).as_rotvec()
+        assert np.linalg.norm(q[:4]) == pytest.approx(1.0, abs=1e-15)
+        sign = (
+            np.sign(turned @ whole) if abs(np.linalg.norm(whole) - np.pi) < 1e-9 and s > 0 else 1.0
+        )  # either way round
+        assert sign * turned == pytest.approx(s * whole, abs=1e-12)
+        assert sign * v[:3] == pytest.approx(rate * whole, abs=1e-12)
+        assert sign * a[:3] == pytest.approx(acceleration * whole, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("start", "target", "rpy", "eigenaxis", "peak"),
+    [([-0.5, 0.3, -0.4], [1.2, 2.0, 2.6], 19051, 2746, 13.2), ([0.0] * 3, [2.6] * 3, 55494, 2018, 10.7)],
+)
+def test_effort_of_large_slews(loop, start, target, rpy, eigenaxis, peak):
+    """Of perfect tracking: ISV of either motion, and the largest base torque about the eigenaxis, N m."""
+    true = make_true_plant(loop.scenario)
+    for kind, expected in (("rpy", rpy), ("eigenaxis", eigenaxis)):
+        motion = slew(loop, start, target, kind)
+        samples = map(motion.evaluate, np.arange(0.0, DURATION, 0.1))
+        forces = np.array([true.calc_mass_matrix(q) @ a + true.calc_bias(q, v) for q, v, a in samples])
+        assert np.sum(forces**2) * 0.1 == pytest.approx(expected, rel=2e-3)
+    assert np.abs(forces[:, :3]).max() == pytest.approx(peak, abs=0.1)
+
+
+def test_ports_give_the_same_motion(loop):
     """At control samples and between them, forwards and backwards, within the plan and beyond."""
-    reference = loop.blocks["reference"]
+    reference, motion = loop.blocks["reference"], make_motion(loop.scenario, loop.coordinates)
     context = reference.CreateDefaultContext()
     for time in (4.2, 4.21, 0.0, 4.213, 4.22, 19.99, 20.0, 35.0, 2.56, 2.55):
         context.SetTime(time)

@@ -25,7 +25,7 @@ from ffsm_drake.show.style import (
     VERMILION,
 )
 
-_VERDICT_COLORS = {"does not hold": BAD, "holds": GOOD, "not applicable": MUTE}
+_VERDICT_COLORS = {"does not hold": BAD, "holds": GOOD, "not tested": MUTE, "not applicable": MUTE}
 _DASHED: Any = (0, (5, 3))
 _LIMIT: Any = {"linewidth": 1.1, "linestyle": _DASHED}
 # Noisy magnitudes are drawn as the largest of each stretch of time: what a bound is about, and legible.
@@ -114,7 +114,8 @@ def _plot_sliding_variable(part: SubFigure, analysis: Analysis) -> Axes:
     axes = _axes(part, "largest |s$_i$| [rad/s, m/s]")
     _plot_groups(axes, analysis, "sliding_variable", "time")
     axes.set_yscale("log")
-    _plot_bounds(axes, analysis, "direct_bound", "bound from (7), by group")
+    if "direct_bound" in analysis.series:
+        _plot_bounds(axes, analysis, "direct_bound", "bound from (7), by group")
     lines = {
         "(16): ‖s‖$_2$ ≤ {:.3g}": analysis.finding("ultimate_bound").numbers.get("ultimate_bound"),
         "ε = {:.3g}": analysis.finding("lyapunov_derivative").numbers.get("epsilon"),

@@ -22,7 +22,9 @@ from ffsm_drake.show.tables import NONE, margins_data, number
 
 _STATUS_TONES = {"settled": "good", "unsettled": "warn", "interrupted": "warn", "diverged": "bad"}
 _STATUS_WORDS = {status: "not settled" if status == "unsettled" else status for status in _STATUS_TONES}
-_FINDING_TONES = {"holds": "good", "does not hold": "bad", "measured": "mute", "not applicable": "mute"}
+_FINDING_TONES = {
+    "holds": "good", "does not hold": "bad", "measured": "mute", "not tested": "mute", "not applicable": "mute",
+}  # fmt: skip
 # Section key -> title, text, and the sentence that stands where the records have nothing to draw.
 _SECTIONS = {
     "motion": (

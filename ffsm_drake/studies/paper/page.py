@@ -24,7 +24,7 @@ from ffsm_drake.systems.controllers import complete_gains
 TITLE = "How far the paper holds"
 _TALLY: dict[Kind, str] = {
     "holds": "hold", "holds only": "hold only under a condition", "does not hold": "do not hold",
-    "not reproduced": "not reproduced",
+    "not reproduced": "not reproduced", "not tested": "not tested",
 }  # fmt: skip
 _PIXELS = ("fig4", "fig5")  # embedded as such; the other figures are small as vectors
 

@@ -21,7 +21,7 @@ class Cell:
     """One metric of one controller under one disturbance; mean, spread and ratio are NaN where runs diverged."""
 
     mean: float  # over the seeds
-    spread: float  # standard deviation over the seeds (of a sample); 0 for a single one
+    spread: float  # standard deviation over the seeds (of a sample); NaN for a single one
     paper: float
     ratio: float  # mean / paper
     rank: int  # among the four controllers, 1 the smallest; diverged ones last
@@ -65,7 +65,7 @@ def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[st
     for name, mean in means.items():
         values = [getattr(run, metric) for run in runs[name]]
         finite = math.isfinite(mean)
-        spread = math.nan if not finite else statistics.stdev(values) if len(values) > 1 else 0.0
+        spread = statistics.stdev(values) if finite and len(values) > 1 else math.nan
         rank = 1 + sum(other < mean for other in means.values())
         paper_rank = 1 + sum(other < printed[name] for other in printed.values())
         correction = paper.CORRECTIONS.get((metric, disturbance, name), "")
@@ -95,7 +95,9 @@ def shown(metric: str, value: float) -> str:
 
 
 def shown_ours(metric: str, cell: Cell) -> str:
-    """Mean and spread over the seeds, with the spread in the mean's exponent."""
+    """Mean over the seeds and, of several, spread in the mean's exponent."""
+    if math.isnan(cell.spread):
+        return f"{cell.mean:.2f}" if metric == "isv" else scientific(cell.mean, 4)
     if metric == "isv":
         return f"{cell.mean:.2f} ± {cell.spread:.2f}"
     mantissa, exponent = f"{cell.mean:.3e}".split("e")
@@ -131,8 +133,8 @@ HEADER = [
 def table_notes() -> list[str]:
     """What the reader of the table must know."""
     return [
-        "Ours: mean ± standard deviation over the noise seeds. Ratio: ours over the paper's. Rank: ours among the four "
-        "controllers, 1 for the smallest value, diverged runs last; in brackets the paper's.",
+        "Ours: mean over the noise seeds, of several ± their standard deviation. Ratio: ours over the paper's. "
+        "Rank: ours among the four controllers, 1 for the smallest value, diverged runs last; in brackets the paper's.",
         *[
             f"† {METRICS[metric]}, {DISTURBANCE_NAMES[disturbance]}, {NAMES[controller]}: {why}."
             for (metric, disturbance, controller), why in paper.CORRECTIONS.items()

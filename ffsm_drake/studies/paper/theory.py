@@ -67,6 +67,8 @@ def _finding(key: str, text: str, place: str) -> Claim:
     def evaluate(results: Results) -> Evaluated:
         found = {setting: _analysis(results.record(setting, PROPOSED)).finding(key) for setting in ("euler", "bounded")}
         measured = " ".join(f"{SETTINGS[setting].title}: {finding.statement}" for setting, finding in found.items())
+        if all(finding.verdict == "not tested" for finding in found.values()):
+            return measured, ("not tested", "")
         return measured, in_both(*(finding.verdict == "holds" for finding in found.values()))
 
     return Claim("Theory", text, place, evaluate)

@@ -12,7 +12,7 @@ from typing import Generic, Literal, TypeVar
 from ffsm_drake.studies.paper.runs import Results, Side
 from ffsm_drake.studies.paper.table import Row, make_table
 
-Kind = Literal["holds", "holds only", "does not hold", "not reproduced"]
+Kind = Literal["holds", "holds only", "does not hold", "not reproduced", "not tested"]
 Topic = Literal["Accuracy", "Effort and chattering", "Comparison of the schemes", "Stability and robustness", "Theory"]
 T = TypeVar("T")
 

@@ -40,15 +40,16 @@ def times(value: float) -> str:
 
 def span(values: Iterable[float], digits: int = 3) -> str:
     """'smallest to largest', or the one value that all of them show."""
-    return _between(values, lambda value: fixed(value, digits))
+    return between(values, lambda value: fixed(value, digits))
 
 
 def times_span(values: Iterable[float]) -> str:
     """As ``span``, of ratios."""
-    return _between(values, times)
+    return between(values, times)
 
 
-def _between(values: Iterable[float], write: Callable[[float], str]) -> str:
+def between(values: Iterable[float], write: Callable[[float], str]) -> str:
+    """'smallest to largest' in the words of ``write``."""
     everything = list(values)
     finite = sorted(value for value in everything if math.isfinite(value))
     if not finite:

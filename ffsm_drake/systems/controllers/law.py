@@ -37,7 +37,7 @@ class Sample(NamedTuple):  # made in every control update: a frozen dataclass ta
     v_d: np.ndarray  # (..., nv)
     a_d: np.ndarray  # (..., nv)
     e: np.ndarray  # (..., nv) q_d - q, the base's attitude as a rotation vector
-    e_dot: np.ndarray  # (..., nv) v_d - v
+    e_dot: np.ndarray  # (..., nv) rate of e: v_d - v but for the attitude, see coordinates.error_rate
     applied_force: np.ndarray  # (..., nv) what acted over the last period; zero at the first sample
     is_first: bool  # whether there was no sample before
 

@@ -7,7 +7,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
+from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error, rotation_error_rate
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample
 
 # What of a law's memory is an output, and recorded, (nv) each.
@@ -74,10 +74,11 @@ class SampledController(LeafSystem):
         estimated = self._estimated_state.Eval(context)
         desired = self._desired_state.Eval(context)
         split = self._num_positions
-        # As coordinates.position_error, and the rate in the same step.
+        # As coordinates.position_error and error_rate, in one step.
         difference = desired - estimated
         e, e_dot = difference[1:split], difference[split:]
-        e[:3] = rotation_error(desired[:4], estimated[:4])
+        e[:3] = rotation = rotation_error(desired[:4], estimated[:4])
+        e_dot[:3] = rotation_error_rate(rotation, desired[split : split + 3], estimated[split : split + 3])
         value = context.get_discrete_state().value
         is_first = not value(self._has_previous).item()
         sample = Sample(
