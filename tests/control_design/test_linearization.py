@@ -149,10 +149,10 @@ def test_it_is_freed():
     ("name", "overrides", "stable"),
     [
         ("postcapture", ["sensing.delay=1"], False),
-        ("postcapture", ["controller=computed_torque", "sensing.delay=1"], True),
+        ("postcapture", ["controller=computed_torque", "sensing.delay=1", "duration=8"], True),
         ("flight_sensors", ["sensing.delay=3", "duration=8"], True),
         ("flight_sensors", ["sensing.delay=4"], False),
-        ("flight_sensors", ["actuation.delay=4", "controller=pd_plus"], True),
+        ("flight_sensors", ["actuation.delay=4", "controller=pd_plus", "duration=8"], True),
     ],
 )
 def test_delays_against_simulation(name, overrides, stable):
@@ -165,6 +165,7 @@ def test_delays_against_simulation(name, overrides, stable):
 
 CHANGES = {"gains": with_gains, "nominal_payload": with_nominal_payload, "sample_time": with_sample_time}
 HELD = [
+    "duration=6",
     "sensing.velocity_noise=0",
     "disturbance.amplitude_scale=0",
     "initial_velocity={joint_1: 1e-6, base_rotation_x: 1e-6}",

@@ -149,7 +149,8 @@ def test_predicted_boundary_against_the_simulated_plant(belief):
     boundary = brentq(excess, 30.0, 300.0)
     growth = {}
     for factor in (0.97, 1.03):
-        record = simulate(load_scenario("postcapture", [*frozen, f"controllers.aismc.k_s_initial={factor * boundary}"]))
+        scenario = load_scenario("postcapture", [*frozen, f"controllers.aismc.k_s_initial={factor * boundary}"])
+        record = simulate(scenario, check_stability=False)
         rate = np.abs(record.dataset["error_rate"].values).max(axis=1)
         early = rate[10:60].max()
         growth[factor] = (np.inf if not record.outcome.completed else rate[-100:].max()) / early
@@ -159,7 +160,7 @@ def test_predicted_boundary_against_the_simulated_plant(belief):
 
 @pytest.mark.parametrize(
     ("controller", "noise", "duration"),
-    [("tdc", "velocity", 60), ("aismc", "velocity", 20), ("aismc", "position", 20)],  # TDC has the slowest pole
+    [("tdc", "velocity", 40), ("aismc", "velocity", 20), ("aismc", "position", 20)],  # TDC has the slowest pole
 )
 def test_noise_amplification_against_the_simulated_plant(controller, noise, duration):
     quiet = {"velocity": "position", "position": "velocity"}[noise]
@@ -170,7 +171,7 @@ def test_noise_amplification_against_the_simulated_plant(controller, noise, dura
     loop = coupled_loop(law.at(), true_mass_matrix=h, nominal_mass_matrix=h_hat, sampling=SAMPLED)
     level = {f"{name}_noise": np.full(11, sigma if name == noise else 0.0) for name in (noise, quiet)}
     predicted = loop.noise_response(**level)
-    data = simulate(scenario).dataset.isel(time=slice(500, -1))
+    data = simulate(scenario, check_stability=False).dataset.isel(time=slice(500, -1))
     for name, variable in (("force", "generalized_force"), ("error", "error"), ("error_rate", "error_rate")):
         measured = np.sqrt((data[variable].values ** 2).mean(axis=0))
         for group in (slice(0, 3), slice(3, 6), slice(6, 11)):
