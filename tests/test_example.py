@@ -137,15 +137,15 @@ def test_recording_shows_the_spacecraft_in_a_browser(recording, tmp_path):
             CHROMIUM, "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-sync",
             "--disable-background-networking", "--disable-component-update", "--use-gl=angle",
             "--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'profile'}",
-            "--window-size=800,600", "--virtual-time-budget=3000", f"--screenshot={picture}", recording.as_uri(),
+            "--window-size=400,300", "--virtual-time-budget=3000", f"--screenshot={picture}", recording.as_uri(),
         ],
         capture_output=True, timeout=120, check=True,
     )  # fmt: skip
     pixels = image.imread(picture)[..., :3]
     gold = (pixels[..., 0] > 0.45) & (pixels[..., 1] > 0.3) & (pixels[..., 2] < 0.35)
     panels = (pixels[..., 2] > 0.4) & (pixels[..., 0] < 0.25)
-    assert gold.sum() > 1000  # the bus
-    assert panels.sum() > 1000  # the solar cells
+    assert gold.sum() > 250  # the bus
+    assert panels.sum() > 250  # the solar cells
 
 
 def test_meshcat_serves_this_machine_only():

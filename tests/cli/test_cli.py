@@ -1,5 +1,7 @@
 """The command line: what it prints, writes and answers with."""
 
+import dataclasses
+import inspect
 import json
 import re
 import subprocess
@@ -10,7 +12,7 @@ from click.testing import CliRunner
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from ffsm_drake import RunRecord
+from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.cli import main
 from ffsm_drake.control_design.stability import boundaries
 from ffsm_drake.control_design.stability.boundaries import Boundaries
@@ -18,6 +20,10 @@ from ffsm_drake.scenario import shipped_scenarios
 from ffsm_drake.studies.paper import reproduce
 
 SHORT = ["--set", "duration=0.3"]
+
+
+def absent(_):
+    raise FfsmError("left out")
 
 
 def ffsm(*arguments):
@@ -74,7 +80,8 @@ def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
     assert RunRecord.load(tmp_path).outcome.status == "diverged"
 
 
-def test_compare_overlays_and_ranks(tmp_path):
+def test_compare_overlays_and_ranks(tmp_path, monkeypatch):
+    monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)  # of one run: the report of ``run`` above
     result = ffsm("compare", *SHORT, "--seed", 2, "--out", tmp_path)
     assert result.exit_code == 0, result.output
     for name in ("tdc", "asmc", "aismc", "tde_aismc"):
@@ -129,8 +136,10 @@ def test_analyze_needs_a_record(tmp_path):
 
 
 def test_plot_overlays_runs(run, tmp_path):
+    """Of two runs with the fewest samples that there are; a whole run's are drawn by ``test_the_main_job``."""
+    record = run("postcapture", "duration=0.5")
     for name in ("one", "two"):
-        run("postcapture", "duration=0.5").save(tmp_path / name)
+        dataclasses.replace(record, dataset=record.dataset.isel(time=slice(0, 1))).save(tmp_path / name)
     result = ffsm("plot", tmp_path / "one", tmp_path / "two", "--out", tmp_path / "figures")
     assert result.exit_code == 0, result.output
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {
@@ -212,17 +221,18 @@ def test_completion_knows_scenarios_and_controllers(monkeypatch):
 def test_reproduce_a_figure(tmp_path, monkeypatch):
     asked = {}
 
-    def short(what, directory, **options):  # the same in this process, and not all of the 20 s
-        asked.update(options)
-        return reproduce(what, directory, **options | {"workers": 1, "overrides": ["duration=0.2"]})
+    def asking(what, directory, **options):  # the figure itself: ``studies/test_reproduction.py``
+        inspect.signature(reproduce).bind(what, directory, **options)
+        asked.update(options, what=what)
+        options["progress"](2, 2, "tables, figures, page")
+        return directory / "figure.png"
 
-    monkeypatch.setattr("ffsm_drake.studies.paper.reproduce", short)
-    monkeypatch.setattr("ffsm_drake.studies.paper.figures.DRAWN", {"euler": "explicit Euler"})
+    monkeypatch.setattr("ffsm_drake.studies.paper.reproduce", asking)
     result = ffsm("reproduce", "fig3", "--seeds", 2, "--out", tmp_path / "new")
     assert result.exit_code == 0, result.output
-    assert (asked["seeds"], asked["workers"]) == (2, 2)
-    assert "1 of 1 runs: tables, figures, page" in result.output  # not those of other figures
-    assert (tmp_path / "new" / "figures" / "fig3_euler.png").stat().st_size > 50_000
+    assert (asked["what"], asked["seeds"], asked["workers"]) == ("fig3", 2, 2)
+    assert "2 of 2 runs: tables, figures, page" in result.output
+    assert f"open {tmp_path / 'new' / 'figure.png'}" in " ".join(result.output.split())
 
 
 def test_reproduce_refuses_what_the_paper_has_not(tmp_path):
