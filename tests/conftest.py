@@ -20,8 +20,8 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(items):
-    # The module that takes longest starts first, so that no worker ends alone with it.
-    items.sort(key=lambda item: item.path.name != "test_example.py")
+    # The modules that take longest start first, so that no worker ends alone with one.
+    items.sort(key=lambda item: item.path.name not in ("test_example.py", "test_reproduction.py", "test_report.py"))
 
 
 @functools.cache

@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from ffsm_drake import simulate
+from ffsm_drake import FfsmError, simulate
 from ffsm_drake.cli import main
+from ffsm_drake.control_design.gains import PRICES
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,
@@ -120,11 +121,19 @@ def test_commands_exist_with_their_options(page, words, capsys, monkeypatch):
         assert capsys.readouterr().out.strip()
 
 
+def absent(_):
+    raise FfsmError("left out")
+
+
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.name)
 def test_python_examples_run(page, tmp_path, monkeypatch):
     """All python blocks of a page: those that begin with the name of a file as modules, together with the tests in
-    them, the others one after another in one namespace."""
+    them, the others one after another in one namespace. Figures, the report's stability section and most prices of a
+    design cost seconds and have tests of their own."""
+    monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
+    monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
+    monkeypatch.setattr("ffsm_drake.control_design.gains.PRICES", PRICES[:1])
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     found = [(MODULE.match(block), block) for block in blocks(page, "python")]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ffsm_drake import RunRecord
+from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.show.meshcat import start_meshcat, write_recording
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -18,27 +18,37 @@ OTHERS = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name not in 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
-def example(name, *arguments, directory):
-    return subprocess.run(
-        [sys.executable, EXAMPLES / name, *arguments], cwd=directory, capture_output=True, text=True, check=False
-    )
-
-
-def test_the_main_job(tmp_path):
-    done = example("postcapture.py", directory=tmp_path)
-    assert done.returncode == 0, done.stderr
+def test_the_main_job(tmp_path, monkeypatch, capfd):
+    """As a script, in this process: the longest of the examples loads nearly all there is."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["postcapture.py"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(EXAMPLES / "postcapture.py"), run_name="__main__")
+    assert ended.value.code == 0
+    out, err = capfd.readouterr()
     written = {path.name for path in (tmp_path / "out" / "postcapture").iterdir()}
     assert written >= {
         "record.nc", "metrics.json", "manifest.json", "report.html", "recording.html", "trajectories.png", "errors.png",
         "efforts.png", "gains.png", "block_diagram.dot",
     }  # fmt: skip
     metrics = json.loads((tmp_path / "out/postcapture/metrics.json").read_text())
-    row = next(line for line in done.stdout.splitlines() if line.startswith("tde_aismc  "))
+    row = next(line for line in out.splitlines() if line.startswith("tde_aismc  "))
     assert f"{metrics['itae']:.4g}" in row
     assert f"{metrics['isv']:.5g}" in row
-    assert "   5 of 20 s" in done.stdout
-    assert re.search(r"completed 20 s; \d+ times real time", done.stdout)
-    assert "Traceback" not in done.stderr
+    assert "   5 of 20 s" in out
+    assert re.search(r"completed 20 s; \d+ times real time", out)
+    assert "Traceback" not in err
+
+
+def absent(_):
+    raise FfsmError("left out")
+
+
+@pytest.fixture
+def cheap(monkeypatch):
+    """Without the figures and the report's stability section, which cost seconds and have tests of their own."""
+    monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
+    monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
 
 
 @pytest.fixture
@@ -49,6 +59,7 @@ def main(monkeypatch, tmp_path):
 
 
 @pytest.mark.filterwarnings("default")
+@pytest.mark.usefixtures("cheap")
 def test_a_diverging_run_of_another_scenario_says_so_and_keeps_its_record(main, capfd):
     scenario = ["--scenario", "paper", "--set", "controller=aismc", "--set", "divergence_speed=1e-3"]
     unstable = ["--set", "controllers.aismc.k_s_initial=250", "--set", "controllers.aismc.k_s_max=null"]
@@ -72,13 +83,15 @@ def test_bad_input_gets_one_line(main, capfd):
 
 def test_the_campaign(tmp_path):
     """In a process of its own, since its workers import the file."""
-    done = example("small_campaign.py", directory=tmp_path)
+    command = [sys.executable, EXAMPLES / "small_campaign.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
     assert "tdc: 8 settled" in done.stdout
     assert len((tmp_path / "out/small_campaign/runs.csv").read_text().splitlines()) == 17
 
 
+@pytest.mark.usefixtures("cheap")
 @pytest.mark.parametrize("name", OTHERS)
 def test_the_other_examples(name, tmp_path, monkeypatch):
     """As scripts, in this process: as __main__, and with their folder among those that modules come from."""
@@ -124,15 +137,15 @@ def test_recording_shows_the_spacecraft_in_a_browser(recording, tmp_path):
             CHROMIUM, "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-sync",
             "--disable-background-networking", "--disable-component-update", "--use-gl=angle",
             "--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'profile'}",
-            "--window-size=800,600", "--virtual-time-budget=3000", f"--screenshot={picture}", recording.as_uri(),
+            "--window-size=400,300", "--virtual-time-budget=3000", f"--screenshot={picture}", recording.as_uri(),
         ],
         capture_output=True, timeout=120, check=True,
     )  # fmt: skip
     pixels = image.imread(picture)[..., :3]
     gold = (pixels[..., 0] > 0.45) & (pixels[..., 1] > 0.3) & (pixels[..., 2] < 0.35)
     panels = (pixels[..., 2] > 0.4) & (pixels[..., 0] < 0.25)
-    assert gold.sum() > 1000  # the bus
-    assert panels.sum() > 1000  # the solar cells
+    assert gold.sum() > 250  # the bus
+    assert panels.sum() > 250  # the solar cells
 
 
 def test_meshcat_serves_this_machine_only():

@@ -119,8 +119,12 @@ def module_file(address: str) -> Path | None:
     file = getattr(sys.modules.get(address.partition(":")[0]), "__file__", None)
     if ":" not in address or file is None:
         return None
-    installed = [Path(folder) for folder in {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}]
-    return None if any(Path(file).is_relative_to(folder) for folder in installed) else Path(file)
+    return None if any(Path(file).is_relative_to(folder) for folder in _installed_folders()) else Path(file)
+
+
+@functools.cache  # finding them costs a millisecond, and every block of every loop asks
+def _installed_folders() -> tuple[Path, ...]:
+    return tuple({Path(sysconfig.get_path(name)) for name in ("purelib", "platlib")})
 
 
 def module_folder(address: str) -> Path | None:

@@ -868,20 +868,21 @@ def test_full_disk_keeps_the_old_record_whole(tmp_path, good_run, run, monkeypat
     assert {path: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
 
 
-def test_full_disk_under_the_netcdf_library(tmp_path):
+def test_full_disk_under_the_netcdf_library(tmp_path, monkeypatch):
     """Files may not grow beyond a limit, as on a full disk: the netCDF library meets it in its own code."""
+    monkeypatch.chdir(tmp_path)
     command = shlex.split("run --no-report --set duration=1 --out new")
-
-    def limited() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))
-
-    finished = ffsm(*command, cwd=tmp_path, preexec_fn=limited)
-    assert finished.returncode == 2, finished.stderr
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, limits[1]))  # Python ignores the signal that goes with it
+    try:
+        finished = CliRunner().invoke(main, command)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert finished.exit_code == 2, finished.stderr
     errors = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
     assert len(errors) == 1
     assert "cannot be written" in errors[0]
-    assert "Traceback" not in finished.stderr
+    assert "Traceback" not in finished.output
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
@@ -931,9 +932,6 @@ def test_divergence_exits_with_3_and_keeps_the_record(tmp_path, monkeypatch, wor
     kept = check_kept(tmp_path / "new", "diverged")
     assert message in kept.outcome.message
     analyze(kept)  # what is kept can be looked at
-    if kept.dataset.sizes["time"] == 1:  # the shortest there is
-        looked = CliRunner().invoke(main, ["plot", "new"])
-        assert looked.exit_code == 0, looked.output
 
 
 def _started(process: subprocess.Popen) -> None:

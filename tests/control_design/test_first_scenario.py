@@ -28,6 +28,14 @@ from ffsm_drake.systems.controllers import controller_names
 LARGEST_ERROR = {"computed_torque": 2e-4, "pd_plus": 1e-3}
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_postures():
+    """Two postures of the motion instead of five: what is made here is simulated as well."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ffsm_drake.control_design.stability.margins.POSTURES", (0.0, 0.5))
+        yield
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """made(name) -> NewScenario of one of OUTSIDE, written once."""

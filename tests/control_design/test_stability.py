@@ -135,7 +135,8 @@ def test_predicted_boundary_against_the_simulated_plant(belief):
         boundary = brentq(excess, 30.0, 300.0, rtol=1e-4)
     growth = {}
     for factor in (0.97, 1.03):
-        record = simulate(load_scenario("postcapture", [*frozen, f"controllers.aismc.k_s_initial={factor * boundary}"]))
+        scenario = load_scenario("postcapture", [*frozen, f"controllers.aismc.k_s_initial={factor * boundary}"])
+        record = simulate(scenario, check_stability=False)
         rate = np.abs(record.dataset["error_rate"].values).max(axis=1)
         early = rate[10:60].max()
         growth[factor] = (np.inf if not record.outcome.completed else rate[-100:].max()) / early
@@ -145,7 +146,7 @@ def test_predicted_boundary_against_the_simulated_plant(belief):
 
 @pytest.mark.parametrize(
     ("controller", "noise", "duration"),
-    [("tdc", "velocity", 60), ("aismc", "velocity", 20), ("aismc", "position", 20)],  # TDC has the slowest pole
+    [("tdc", "velocity", 40), ("aismc", "velocity", 20), ("aismc", "position", 20)],  # TDC has the slowest pole
 )
 def test_noise_amplification_against_the_simulated_plant(controller, noise, duration):
     quiet = {"velocity": "position", "position": "velocity"}[noise]
@@ -155,7 +156,7 @@ def test_noise_amplification_against_the_simulated_plant(controller, noise, dura
     scenario = load_scenario("postcapture", overrides)
     with Linearizer(scenario) as linearizer:
         predicted = linearizer.at(0.0).noise_response(scenario.num_control_periods)
-    data = simulate(scenario).dataset.isel(time=slice(500, -1))
+    data = simulate(scenario, check_stability=False).dataset.isel(time=slice(500, -1))
     for name, variable in (("force", "generalized_force"), ("error", "error"), ("error_rate", "error_rate")):
         measured = np.sqrt((data[variable].values ** 2).mean(axis=0))
         for group in (slice(0, 3), slice(3, 6), slice(6, 11)):

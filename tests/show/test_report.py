@@ -397,8 +397,8 @@ def test_draws_in_a_browser_without_complaint(short, tmp_path):
             CHROMIUM, "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
             "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-background-networking",
             "--disable-component-update", "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}",
-            "--enable-logging=stderr", "--window-size=1400,9000", "--virtual-time-budget=30000", "--dump-dom",
-            path.as_uri(),
+            "--enable-logging=stderr", "--window-size=1400,9000", "--force-device-scale-factor=0.25",
+            "--virtual-time-budget=30000", "--dump-dom", path.as_uri(),
         ],
         capture_output=True, text=True, timeout=180, check=False,
     )  # fmt: skip
