@@ -1,6 +1,7 @@
 """Commands that simulate: run, compare."""
 
 import itertools
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -136,7 +137,21 @@ def compare(
         records.append(record)
         if record.outcome.status == "interrupted":
             break
-    sys.exit(_finish(records, directory, as_json=as_json, report=report))
+    sys.exit(_finish(records, directory, as_json=as_json, report=report, distances=_distances(records)))
+
+
+def _distances(records: Sequence["RunRecord"]) -> list[float]:
+    """Of each run's controller to the LQG limit; NaN where it cannot be told."""
+    from ffsm_drake.common.errors import FfsmError
+    from ffsm_drake.control_design.limit import find_limit
+
+    distances = []
+    for record in records:
+        try:
+            distances.append(find_limit(record.scenario).distance)
+        except FfsmError:  # a user-supplied block that cannot be linearised
+            distances.append(math.nan)
+    return distances
 
 
 def _simulate(scenario: "Scenario") -> "RunRecord":
@@ -148,17 +163,24 @@ def _simulate(scenario: "Scenario") -> "RunRecord":
     return record
 
 
-def _finish(records: Sequence["RunRecord"], directory: Path, *, as_json: bool, report: bool) -> int:
+def _finish(
+    records: Sequence["RunRecord"],
+    directory: Path,
+    *,
+    as_json: bool,
+    report: bool,
+    distances: Sequence[float] | None = None,
+) -> int:
     """Report, table and exit code of finished runs."""
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.tables import results_data, results_table
 
     if not as_json:
-        click.echo(results_table(records))
+        click.echo(results_table(records, distances))
     if report:
-        write_outputs(records, directory, figures=False, recording=False)
+        write_outputs(records, directory, figures=False, recording=False, distances=distances)
     if as_json:
-        print_json({"directory": str(directory), "runs": results_data(records)})
+        print_json({"directory": str(directory), "runs": results_data(records, distances)})
     else:
         click.echo(f"\nWritten to {directory}" + (f"; open {directory / 'report.html'}" if report else ""))
     statuses = {record.outcome.status for record in records}

@@ -11,11 +11,22 @@ RECORDING_FILE = "recording.html"
 
 
 def write_outputs(
-    records: Sequence[RunRecord], directory: str | Path, *, figures: bool = True, recording: bool = True
+    records: Sequence[RunRecord],
+    directory: str | Path,
+    *,
+    figures: bool = True,
+    recording: bool = True,
+    distances: Sequence[float] | None = None,
 ) -> list[Path]:
     """Write report.html of one run or several overlaid; with it figures (PNG, SVG) and recording.html.
 
     The recording shows the first run. Returns the files.
+
+    Args:
+      records: the runs.
+      directory: where the files go.
+      figures, recording: whether to write these, too.
+      distances: each run's controller's distance to the LQG limit (``control_design.limit``), to be shown.
 
     Raises:
       RecordError: a file cannot be written.
@@ -27,7 +38,7 @@ def write_outputs(
 
     directory = Path(directory)
     shown = recording_html(records[0], forces=True)
-    written = [write_report(records, directory / REPORT_FILE, recording=shown)]
+    written = [write_report(records, directory / REPORT_FILE, recording=shown, distances=distances)]
     if recording:
         write_text(directory / RECORDING_FILE, shown)
         written.append(directory / RECORDING_FILE)

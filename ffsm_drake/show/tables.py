@@ -52,8 +52,8 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     return [line(*row) for row in rows]
 
 
-def results_table(records: Sequence[RunRecord]) -> str:
-    """The figures of merit as plain text, a line per run."""
+def results_table(records: Sequence[RunRecord], distances: Sequence[float] | None = None) -> str:
+    """The figures of merit as plain text, a line per run; ``distances`` to the LQG limit, if known."""
     rows = [
         ["controller", "ITAE", "ISV", *["peak error"] * 2, *["final error"] * 2, "peak force", *["peak torque"] * 2],
         ["", "", "", "rad", "m", "rad", "m", "base, N", "base, N m", "joints"],
@@ -64,6 +64,9 @@ def results_table(records: Sequence[RunRecord]) -> str:
         figures = [value for e in errors for value in (max(e["base_rotation"], e["joints"]), e["base_position"])]
         figures += [m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")]
         rows.append([record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *(f"{x:.3g}" for x in figures)])
+    if distances is not None:
+        for row, cell in zip(rows, ("over LQG", "", *(number(distance, 3) for distance in distances)), strict=True):
+            row.append(cell)
     lines = aligned(rows)
     for k, record in enumerate(records, start=2):
         if not record.outcome.completed:
@@ -71,8 +74,9 @@ def results_table(records: Sequence[RunRecord]) -> str:
     return "\n".join(lines)
 
 
-def results_data(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
+def results_data(records: Sequence[RunRecord], distances: Sequence[float] | None = None) -> list[dict[str, Any]]:
     """The same as plain data."""
+    of_each = [{}] * len(records) if distances is None else [{"distance_to_lqg": distance} for distance in distances]
     return [
         {
             "controller": record.scenario.controller,
@@ -80,8 +84,9 @@ def results_data(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
             "time": record.outcome.time,
             "message": record.outcome.message,
             "metrics": record.metrics,
+            **distance,
         }
-        for record in records
+        for record, distance in zip(records, of_each, strict=True)
     ]
 
 

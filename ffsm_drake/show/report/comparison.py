@@ -32,12 +32,14 @@ class Row:
     head: str = ""  # a heading above the line
 
 
-def table(results: Sequence[Result]) -> list[Row]:
-    """The figures of merit, magnitudes and times, a column for each run."""
+def table(results: Sequence[Result], distances: Sequence[float] | None = None) -> list[Row]:
+    """The figures of merit, magnitudes and times, a column for each run; ``distances`` to the LQG limit, if known."""
     rows = [
         Row("Accuracy, ITAE", _compared(results, operator.attrgetter("itae"), digits=4)),
         Row("Effort, ISV", _compared(results, operator.attrgetter("isv"), digits=5)),
     ]
+    if distances is not None:
+        rows.append(Row("Error over the least possible", [Cell(number(distance, 3)) for distance in distances]))
     kinds = list(dict.fromkeys((part.group, part.unit) for result in results for part in result.magnitudes))
     groups = [group for group, _ in kinds]
     for field, head in _MAGNITUDES.items():
@@ -71,9 +73,14 @@ def _placed(result: Result, figure: Callable[[Result], float]) -> bool:
     return result.comparable and math.isfinite(figure(result))
 
 
-def table_notes(results: Sequence[Result]) -> list[str]:
+def table_notes(results: Sequence[Result], distances: Sequence[float] | None = None) -> list[str]:
     """What the table's sums mean, and which of them do not compare."""
     notes = ["ITAE is the sum of t |e|₁ L, ISV the sum of |τ|₂² L over the control samples; less is better."]
+    if distances is not None:
+        notes.append(
+            "Error over the least possible: against the LQG controller of the same effort, which no linear controller "
+            "beats, for the same noise and a demand that walks at random; a dash where the loop is unstable."
+        )
     if not all(result.comparable for result in results):
         notes.append(
             "In italics: sums over a run that ended early, up to its end only. They do not compare with those of "

@@ -55,7 +55,12 @@ Json = dict[str, Any]
 
 
 def write_report(
-    records: Sequence[RunRecord], path: Path, *, title: str | None = None, recording: str | None = None
+    records: Sequence[RunRecord],
+    path: Path,
+    *,
+    title: str | None = None,
+    recording: str | None = None,
+    distances: Sequence[float] | None = None,
 ) -> Path:
     """Write one self-contained HTML page about one or several runs; it opens from disk, without a network.
 
@@ -66,6 +71,7 @@ def write_report(
       path: the file to write.
       title: the page's heading; default: the scenario's description.
       recording: the text of a self-contained Meshcat page, to be played within this one.
+      distances: each run's controller's distance to the LQG limit (``control_design.limit``), for the table.
 
     Raises:
       RecordError: there is no record, or the file cannot be written.
@@ -73,12 +79,18 @@ def write_report(
     path = Path(path)
     if not records:
         raise RecordError(f"{path}: a report needs at least one record, none was given")
-    write_text(path, render_report(records, folder=path.parent, title=title, recording=recording))
+    page = render_report(records, folder=path.parent, title=title, recording=recording, distances=distances)
+    write_text(path, page)
     return path
 
 
 def render_report(
-    records: Sequence[RunRecord], *, folder: Path = Path(), title: str | None = None, recording: str | None = None
+    records: Sequence[RunRecord],
+    *,
+    folder: Path = Path(),
+    title: str | None = None,
+    recording: str | None = None,
+    distances: Sequence[float] | None = None,
 ) -> str:
     """The page of ``write_report`` as text; ``records`` holds at least one, and paths start at ``folder``."""
     results = results_of(records)
@@ -94,8 +106,8 @@ def render_report(
         "results": results,
         "summary": _summary(results),
         "settled_rule": f"Settled means: over the last {SETTLED_OVER:g} s every error stays within {settled}.",
-        "table": table(results),
-        "table_notes": table_notes(results),
+        "table": table(results, distances),
+        "table_notes": table_notes(results, distances),
         "rankings": rankings(results) if len(results) > 1 else [],
         "recording": recording,
         "sections": [
