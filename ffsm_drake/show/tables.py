@@ -108,7 +108,10 @@ def margins_table(margins: "Margins") -> str:
     if margins.axes is not None:
         plant = "explicit Euler at the control period" if margins.axes.sampling.euler else "exactly integrated"
         lines += ["", f"limits of each coordinate alone, plant {plant}:", *_axis_lines(margins.axes, data)]
-    return "\n".join([*lines, "", f"spectral radius {data['spectral_radius']:.5f} at the worst posture"])
+    radii = [("", "spectral_radius"), (" where adaptation is expected to take K_s", "spectral_radius_expected")]
+    radii.append((" with every K_s at its bound", "spectral_radius_at_bounds"))
+    told = "; ".join(f"{data[key]:.5f}{where}" for where, key in radii if not math.isnan(data[key]))
+    return "\n".join([*lines, "", f"spectral radius at the worst posture: {told}"])
 
 
 def boundaries_table(boundaries: "Boundaries", scenario: Scenario) -> str:
@@ -165,6 +168,10 @@ def margins_data(margins: "Margins") -> dict[str, Any]:
         "verdict": margins.verdict,
         "stable": margins.is_stable,
         "spectral_radius": margins.worst.spectral_radius,
+        "spectral_radius_expected": max(loop.spectral_radius for loop in margins.loops_expected)
+        if margins.loops_expected is not margins.loops
+        else math.nan,
+        "spectral_radius_at_bounds": margins.radius_at_bounds,
         "eta": [float(margins.eta.min()), float(margins.eta.max())],
         "modes": [
             {

@@ -108,7 +108,7 @@ def test_stability(tmp_path, monkeypatch):
     monkeypatch.setattr(boundaries, "find_boundaries", lambda scenario, *, time: found)
     other = ffsm("stability", "-c", "pd_plus", "--out", tmp_path / "other")
     assert other.exit_code == 0
-    assert "spectral radius 0.9996" in other.stdout
+    assert "worst posture: 0.9996" in other.stdout
     assert (tmp_path / "other" / "stability.png").is_file()
 
 

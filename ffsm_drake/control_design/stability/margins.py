@@ -72,6 +72,7 @@ class Margins:
     eta: np.ndarray  # (m, nv) eigenvalues of H^-1 Hhat there
     loops: tuple[LinearLoop, ...]  # the loop as it is wired, at some of them, at the starting gains
     loops_expected: tuple[LinearLoop, ...]  # the same with every K_s at its largest expected value
+    radius_at_bounds: float  # spectral radius at the worst of these with every K_s at its bound; NaN without bounds
     axes: AxisMargins | None  # None for a controller that is not the paper's, and where something delays
 
     @property
@@ -139,6 +140,10 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
         if axes is not None and axes.forecast_k_s.max() > axes.law.k_s.max():
             held = {"reaching_gain": axes.forecast_k_s.max(axis=0)}
             expected = tuple(linearizer.at(time, held=held) for time in instants)
+        at_bounds, bounds = float("nan"), gain_vectors(scenario, coordinates).get("k_s_max")
+        if bounds is not None and np.isfinite(bounds).all():
+            worst = max(instants, key=lambda time: expected[instants.index(time)].spectral_radius)
+            at_bounds = linearizer.at(worst, held={"reaching_gain": bounds}).spectral_radius
     return Margins(
         scenario=scenario,
         coordinates=coordinates,
@@ -146,6 +151,7 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
         eta=eta,
         loops=loops,
         loops_expected=expected,
+        radius_at_bounds=at_bounds,
         axes=axes,
     )
 
