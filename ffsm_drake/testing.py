@@ -224,6 +224,7 @@ def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
                 "desired_state": np.concatenate([q_d, v_d]),
                 "desired_acceleration": a_d,
                 "applied_force": noise[2],
+                "measurement_is_new": np.ones(q.size + v.size),
             }
         )
     return samples

@@ -42,10 +42,15 @@ class Ports:
 
 BLOCKS: dict[str, Ports] = {
     "reference": Ports(outputs={"desired_state": STATE, "desired_acceleration": VELOCITY}),
-    "sensing": Ports(inputs={"state": STATE}, outputs={"estimated_state": STATE}),
+    "sensing": Ports(
+        inputs={"state": STATE},
+        outputs={"estimated_state": STATE},
+        # 1: this control sample brings a new measurement, 0: an earlier one is repeated. Without it all are new.
+        optional_outputs={"measurement_is_new": STATE},
+    ),
     "controller": Ports(
         inputs={"estimated_state": STATE, "desired_state": STATE, "desired_acceleration": VELOCITY},
-        optional_inputs={"applied_force": VELOCITY},
+        optional_inputs={"applied_force": VELOCITY, "measurement_is_new": STATE},
         outputs={"generalized_force": VELOCITY},
         optional_outputs=dict.fromkeys(OPTIONAL_OUTPUTS, VELOCITY),
         held=True,

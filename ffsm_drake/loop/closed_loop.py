@@ -121,6 +121,8 @@ def add_closed_loop(
     builder.AddNamedSystem("measurement", measurement)
     builder.Connect(sensing.GetOutputPort("estimated_state"), measurement.get_input_port())
     builder.Connect(sensing.GetOutputPort("estimated_state"), controller.GetInputPort("estimated_state"))
+    if sensing.HasOutputPort("measurement_is_new") and controller.HasInputPort("measurement_is_new"):
+        builder.Connect(sensing.GetOutputPort("measurement_is_new"), controller.GetInputPort("measurement_is_new"))
     for name in ("desired_state", "desired_acceleration"):
         builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
     applied = (controller, "generalized_force")

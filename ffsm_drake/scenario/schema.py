@@ -89,6 +89,11 @@ class Estimator:
     position_noise: PerCoordinate | None = None
     # rad/s or m/s; kalman only: standard deviation that it assumes of the velocities; null: that of ``sensing``
     velocity_noise: PerCoordinate | None = None
+    # rad/s or m/s per sqrt(s); kalman only: random walk of a bias of the velocities that it estimates with N, its
+    # standard deviation after one second; 0: no bias is estimated
+    velocity_bias_walk: PerCoordinate = _published(all=0.0)
+    # control samples; kalman only: age that it assumes of all measurements; null: that of ``sensing``
+    delay: int | None = None
 
 
 @dataclasses.dataclass
@@ -112,7 +117,7 @@ class Disturbance:
 
 @dataclasses.dataclass
 class Sensing:
-    """Errors that the sensors add to the true state: bias, white noise, quantisation, delay, in that order."""
+    """What the sensors make of the true state: bias, noise, quantisation, sampling and delay, in that order."""
 
     # rad/s or m/s; standard deviation of the velocities' noise, independent for each coordinate and control sample
     velocity_noise: PerCoordinate = _published(all=1e-6)
@@ -121,10 +126,24 @@ class Sensing:
     velocity_bias: PerCoordinate = _published(all=0.0)  # rad/s or m/s; constant error of the velocities
     # rad or m; constant error of the positions; base rotations: a rotation vector in the world frame
     position_bias: PerCoordinate = _published(all=0.0)
+    # rad/s or m/s per sqrt(s); random walk of the velocities' bias (a gyro's rate random walk), its standard deviation
+    # after one second
+    velocity_bias_walk: PerCoordinate = _published(all=0.0)
+    # rad/s or m/s; standard deviation of noise of the velocities that is correlated in time, beside the white noise
+    velocity_correlated_noise: PerCoordinate = _published(all=0.0)
+    # rad or m; likewise of the positions; the same for the three base rotations
+    position_correlated_noise: PerCoordinate = _published(all=0.0)
+    correlation_time: PerCoordinate = _published(all=1.0)  # s; time constant of the correlated noise, first order
     velocity_quantization: PerCoordinate = _published(all=0.0)  # rad/s or m/s; step of the velocities; 0: none
     # rad or m; step of the positions, not for base rotations; 0: none
     position_quantization: PerCoordinate = _published(all=0.0)
-    delay: int = 0  # control samples; age of a measurement when the controller reads it
+    velocity_period: PerCoordinate = _published(all=1.0)  # control samples; between two measurements of the velocities
+    # control samples; between two measurements of the positions; the same for the three base rotations
+    position_period: PerCoordinate = _published(all=1.0)
+    delay: int = 0  # control samples; age of a measurement when the controller first reads it
+    velocity_delay: PerCoordinate = _published(all=0.0)  # control samples; further age of the velocities, beyond delay
+    # control samples; further age of the positions, beyond delay; the same for the three base rotations
+    position_delay: PerCoordinate = _published(all=0.0)
 
 
 @dataclasses.dataclass
@@ -173,6 +192,8 @@ class Scenario:
     sample_time: float = 0.01  # s; L, the controller's period and delay
     # rad/s or m/s; the run is stopped as diverging when a generalized velocity exceeds this
     divergence_speed: float = 10.0
+    # rad or m; a run has settled when over its last second every error stays within this
+    tolerance: PerCoordinate = _published(all=1e-3)
     simulator_config: SimulatorConfig = dataclasses.field(default_factory=_default_simulator_config)
     model: Model = dataclasses.field(default_factory=Model)
     payload: Payload = dataclasses.field(default_factory=Payload)

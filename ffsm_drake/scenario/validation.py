@@ -12,6 +12,7 @@ from ffsm_drake.scenario.schema import BASE_ROTATIONS, ESTIMATOR_KINDS, MassProp
 _NAME = re.compile(r"[^\W\d]\w*|[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")  # or module:attribute
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # without an error estimate
 MAX_SAMPLES = 10_000_000
+MAX_DELAY = 1000  # control samples
 MAX_STEPS = 1_000_000_000  # of the integrator; hours
 _BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
 
@@ -48,9 +49,11 @@ def validate(scenario: Scenario) -> None:
         require(kind in kinds, key, f"'{kind}' is unknown; choose one of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
     for key, number in scenario.estimator.walk.items():
         require(number > 0, f"estimator.walk.{key}", f"must be > 0, not {number}")
-    for name in ("position_noise", "velocity_noise"):
+    for name in ("position_noise", "velocity_noise", "velocity_bias_walk"):
         for key, number in (getattr(scenario.estimator, name) or {}).items():
             require(number >= 0, f"estimator.{name}.{key}", f"a standard deviation must be >= 0, not {number}")
+    for key, number in scenario.tolerance.items():
+        require(number > 0, f"tolerance.{key}", f"must be > 0, not {number}")
     _validate_simulator_config(scenario)
     for name in ("truth", "nominal"):
         _validate_mass_properties(getattr(scenario.payload, name), f"payload.{name}")
@@ -65,18 +68,30 @@ def validate(scenario: Scenario) -> None:
             f"must be within divergence_speed ({scenario.divergence_speed:g}), not {number}",
         )
     require(scenario.disturbance.frequency_scale >= 0, "disturbance.frequency_scale", "must be >= 0")
-    for name in ("velocity_noise", "position_noise"):
-        for key, number in getattr(scenario.sensing, name).items():
+    sensing = scenario.sensing
+    for name in (
+        "velocity_noise", "position_noise", "velocity_correlated_noise", "position_correlated_noise",
+        "velocity_bias_walk",
+    ):  # fmt: skip
+        for key, number in getattr(sensing, name).items():
             require(number >= 0, f"sensing.{name}.{key}", f"a standard deviation must be >= 0, not {number}")
+    for key, number in sensing.correlation_time.items():
+        require(number > 0, f"sensing.correlation_time.{key}", f"must be > 0 s, not {number}")
+    for name, least in (("velocity_period", 1), ("position_period", 1), ("velocity_delay", 0), ("position_delay", 0)):
+        for key, number in getattr(sensing, name).items():
+            whole = f"must be a whole number of control samples from {least} to {MAX_DELAY}, not {number:g}"
+            require(least <= number <= MAX_DELAY and number == round(number), f"sensing.{name}.{key}", whole)
     for name in ("velocity_quantization", "position_quantization"):
-        for key, number in getattr(scenario.sensing, name).items():
+        for key, number in getattr(sensing, name).items():
             require(number >= 0, f"sensing.{name}.{key}", f"must be >= 0 (0: none), not {number}")
     for key, number in (scenario.actuation.limit or {}).items():
         require(number > 0, f"actuation.limit.{key}", f"must be > 0, not {number}")
     for key, number in scenario.actuation.quantization.items():
         require(number >= 0, f"actuation.quantization.{key}", f"must be >= 0 (0: none), not {number}")
-    for place, delay in (("sensing", scenario.sensing.delay), ("actuation", scenario.actuation.delay)):
-        require(0 <= delay <= 1000, f"{place}.delay", f"must be from 0 to 1000 control samples, not {delay}")
+    for place in ("sensing", "actuation", "estimator"):
+        delay = getattr(scenario, place).delay or 0
+        problem = f"must be from 0 to {MAX_DELAY} control samples, not {delay}"
+        require(0 <= delay <= MAX_DELAY, f"{place}.delay", problem)
 
 
 def _form(name: str) -> str:

@@ -37,8 +37,8 @@ from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
         ("postcapture", ["controller=pd_plus"], 0.99964),
         ("postcapture", ["controller=computed_torque"], 0.96266),
         ("flight_sensors", [], 0.99950),
-        ("flight_sensors", ["sensing.delay=4"], 1.0246),
-        ("flight_sensors", ["sensing.delay=5"], 1.0435),
+        ("flight_sensors", ["sensing.delay=4", "estimator.delay=0"], 1.0246),
+        ("flight_sensors", ["sensing.delay=5", "estimator.delay=0"], 1.0435),
     ],
 )
 def test_spectral_radius(name, overrides, radius):
@@ -149,8 +149,8 @@ def test_it_is_freed():
     [
         ("postcapture", ["sensing.delay=1"], False),
         ("postcapture", ["controller=computed_torque", "sensing.delay=1", "duration=8"], True),
-        ("flight_sensors", ["sensing.delay=3", "duration=8"], True),
-        ("flight_sensors", ["sensing.delay=4"], False),
+        ("flight_sensors", ["sensing.delay=4", "estimator.delay=0"], False),
+        ("flight_sensors", ["sensing.delay=6", "duration=6"], True),
         ("flight_sensors", ["actuation.delay=4", "controller=pd_plus", "duration=8"], True),
     ],
 )

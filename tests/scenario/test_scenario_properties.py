@@ -47,6 +47,8 @@ def moments(draw):
     return [a, b, abs(a - b) + fraction * (a + b - abs(a - b))]
 
 
+WHOLE = st.integers(1, 1000).map(float)
+
 # Where a type alone does not make a value valid, by the end of the key.
 SPECIAL = {
     "description": TEXT,
@@ -65,6 +67,10 @@ SPECIAL = {
     "base_rotation": st.sampled_from(BASE_ROTATIONS),
     "inertia": moments(),
     "delay": st.integers(0, 1000),
+    **dict.fromkeys(
+        ("velocity_period", "position_period", "velocity_delay", "position_delay"),
+        WHOLE | st.dictionaries(COORDINATES, WHOLE, max_size=3),
+    ),
     "model": st.fixed_dictionaries(
         {}, optional={"directives": NAME, "end_effector": TEXT, "packages": st.dictionaries(NAME, NAME, max_size=2)}
     )

@@ -40,6 +40,8 @@ class Sample(NamedTuple):  # made in every control update: a frozen dataclass ta
     e_dot: np.ndarray  # (..., nv) rate of e: v_d - v but for the attitude, see coordinates.error_rate
     applied_force: np.ndarray  # (..., nv) what acted over the last period; zero at the first sample
     is_first: bool  # whether there was no sample before
+    # (..., 2 nv) whether this sample brings a new measurement of each position, then of each velocity; None: of all
+    is_new: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,7 @@ class SampledController(LeafSystem):
       desired_acceleration: (nv).
       applied_force: optional (nv), the force that acted over the last period (saturated, quantised); without it
         the commanded force is taken to have acted.
+      measurement_is_new: optional (nq + nv), 1 where the sample brings a new measurement; without it all are new.
     Outputs, read from the state so that no integrator stage runs Python:
       generalized_force: tau (nv), held over the period: base torque and force in world axes, joint torques.
       sliding_variable, reaching_gain, switching_gain: where the law's memory has them, (nv).
@@ -43,6 +44,7 @@ class SampledController(LeafSystem):
         self._desired_state = self.DeclareVectorInputPort("desired_state", num_states)
         self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", num_velocities)
         self._applied_force = self.DeclareVectorInputPort("applied_force", num_velocities)
+        self._is_new = self.DeclareVectorInputPort("measurement_is_new", num_states)
         memory = law.initial_state()
         if not isinstance(memory, Mapping) or {"generalized_force", "has_previous"} & set(memory):
             raise BlockError(
@@ -91,6 +93,8 @@ class SampledController(LeafSystem):
             e_dot,
             self._applied_force.Eval(context) if self._applied_force.HasValue(context) else value(self._force),
             is_first,
+            # The quaternion has one entry more than the rotation.
+            self._is_new.Eval(context)[1:] != 0.0 if self._is_new.HasValue(context) else None,
         )
         state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
         if is_first:
