@@ -92,7 +92,7 @@ class Estimator:
     # rad/s or m/s per sqrt(s); kalman only: random walk of a bias of the velocities that it estimates with N, its
     # standard deviation after one second; 0: no bias is estimated
     velocity_bias_walk: PerCoordinate = _published(all=0.0)
-    # control samples; kalman only: age that it assumes of all measurements; null: that of ``sensing``
+    # control samples; kalman only: age of the measurements that it assumes in place of ``sensing.delay``; null: that
     delay: int | None = None
 
 

@@ -88,6 +88,18 @@ class Sampling(LeafSystem):
             kept = context.get_discrete_state(index).size() // entries.size
             context.SetDiscreteState(index, np.tile(state[entries], kept))
 
+    @property
+    def phase_period(self) -> int:
+        """Control samples after which ``phase`` repeats."""
+        return math.lcm(*(p for p, *_ in self._sensors))
+
+    def phase(self, sample: int) -> tuple[tuple[bool, bool, int], ...]:
+        """What happens at a control sample: of each sensor whether it measures, brings something new, and its age."""
+        return tuple(
+            (sample % p == 0, (sample - d) % p == 0, (sample - 1) // p - (sample - d) // p)
+            for p, d, *_ in self._sensors
+        )
+
     def _sample(self, context: Context) -> int:
         return round(context.get_time() / self._sample_time)
 

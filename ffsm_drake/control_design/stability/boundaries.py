@@ -24,7 +24,7 @@ class Boundaries:
     gains: float  # factor on all feedback gains of the controller; infinite, too, where it declares none
     nominal_payload: float  # factor on the nominal payload's mass and inertia
     sample_time: float  # factor on the control period
-    delay: float  # further delay of the sensors, control samples: the first number that is unstable
+    delay: float  # further delay of the sensors, unknown to the estimator; the first number of samples that is unstable
 
 
 def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
@@ -91,8 +91,13 @@ def with_sample_time(scenario: Scenario, factor: float) -> Scenario:
 
 
 def with_delay(scenario: Scenario, delay: int) -> Scenario:
-    """The scenario with another delay of its sensors, control samples."""
-    return dataclasses.replace(scenario, sensing=dataclasses.replace(scenario.sensing, delay=delay))
+    """The scenario with another delay of its sensors, control samples, that its estimator does not know of."""
+    known = scenario.sensing.delay if scenario.estimator.delay is None else scenario.estimator.delay
+    return dataclasses.replace(
+        scenario,
+        sensing=dataclasses.replace(scenario.sensing, delay=delay),
+        estimator=dataclasses.replace(scenario.estimator, delay=known),
+    )
 
 
 def _largest_factor(is_stable: Callable[[float], bool]) -> float:

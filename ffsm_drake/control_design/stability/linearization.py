@@ -15,7 +15,7 @@ import contextlib
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from typing import Self
 
 import numpy as np
@@ -27,7 +27,7 @@ from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.control_design.stability.sampled_loop import covariance_after
 from ffsm_drake.loop.closed_loop import make_closed_loop
-from ffsm_drake.scenario import Actuation, PerCoordinate, Scenario, Sensing
+from ffsm_drake.scenario import Actuation, Estimator, PerCoordinate, Scenario, Sensing
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.reference import make_motion
@@ -186,16 +186,24 @@ class Linearizer:
 
         Errors as for ``add_closed_loop``; BlockError for a block with continuous or abstract state.
         """
-        actuation = Actuation(delay=scenario.actuation.delay)
-        self.scenario = dataclasses.replace(scenario, sensing=smooth_sensing(scenario), actuation=actuation)
+        self.scenario = dataclasses.replace(
+            scenario,
+            sensing=smooth_sensing(scenario),
+            estimator=_with_assumptions(scenario),
+            actuation=Actuation(delay=scenario.actuation.delay),
+        )
         self.loop = make_closed_loop(self.scenario, blocks=blocks)
         diagram, self._plant = self.loop.diagram, self.loop.plant
         self._simulator = Simulator(diagram)
         ApplySimulatorConfig(self.scenario.simulator_config, self._simulator)
         self._context = self._simulator.get_mutable_context()
         self.loop.initialize(diagram, self._context)
-        self._start = self._context.Clone()
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._context)
+        for leaf in _leaves(diagram):  # what starts at random starts without noise
+            if leaf is not self._plant:
+                leaf.SetDefaultContext(leaf.GetMyMutableContextFromRoot(self._context))
+        self._set_initial_state(self._plant_state())
+        self._start = self._context.Clone()
         controller = self.loop.blocks["controller"]
         self._held: Mapping[str, tuple[int, float | None]] = getattr(controller, "held_groups", dict)()
         self._controller_context = controller.GetMyMutableContextFromRoot(self._context)
@@ -240,9 +248,7 @@ class Linearizer:
         q_d, v_d, _ = self._motion.evaluate(first * period)
         state = np.concatenate([q_d, v_d])
         self._plant.SetPositionsAndVelocities(self._plant_context, state)
-        for block in self.loop.blocks.values():
-            if hasattr(block, "set_initial_state"):
-                block.set_initial_state(block.GetMyMutableContextFromRoot(self._context), state)
+        self._set_initial_state(state)
         index = first + _WARM_UP
         try:
             with np.errstate(over="ignore", invalid="ignore"):
@@ -280,6 +286,11 @@ class Linearizer:
                 self._move(index)
         return error, force
 
+    def _set_initial_state(self, state: np.ndarray) -> None:
+        for block in self.loop.blocks.values():
+            if hasattr(block, "set_initial_state"):
+                block.set_initial_state(block.GetMyMutableContextFromRoot(self._context), state)
+
     def _quiet(self, held: Mapping[str, np.ndarray]) -> None:
         """No noise at the next sample, and the controller's held memory at its values."""
         self._noise.write(np.zeros(self._noise.size))
@@ -296,8 +307,8 @@ class Linearizer:
 
     def _samples(self, index: int) -> tuple[SampleMap, ...]:
         """The maps of one common period from the control sample ``index`` on, which the context stands just before."""
-        before, kinds = self._context.Clone(), dict[tuple[bool, ...], SampleMap]()
-        updates = [self._memory.which(index + i) for i in range(self._memory.common_period)]
+        before, kinds = self._context.Clone(), dict[Hashable, SampleMap]()
+        updates = [self._memory.kind(index + i) for i in range(self._memory.common_period)]
         for i, kind in enumerate(updates):
             if kind not in kinds:
                 self._context.SetTimeStateAndParametersFrom(before)
@@ -389,6 +400,8 @@ class _Memory:
         self.size, self.parts = 0, list[slice]()
         self._groups: list[tuple[Context, int]] = []
         self._updated: list[tuple[System, Context, float, float]] = []  # with period and offset in control samples
+        # A system may behave differently from sample to sample: it says how by ``phase`` and ``phase_period``.
+        self._phased = [system for system in systems if hasattr(system, "phase_period")]
         for system in systems:
             context = system.GetMyMutableContextFromRoot(root_context)
             for group in range(context.num_discrete_state_groups()):
@@ -401,9 +414,14 @@ class _Memory:
             if timing is not None:
                 period, offset = timing.period_sec() / sample_time, timing.offset_sec() / sample_time
                 self._updated.append((system, context, period, offset))
-        self.common_period = math.lcm(*(max(1, round(period)) for _, _, period, _ in self._updated))
+        periods = [max(1, round(period)) for _, _, period, _ in self._updated]
+        self.common_period = math.lcm(*periods, *(system.phase_period for system in self._phased))
         every_sample = all(abs(period - 1.0) + abs(offset) < 1e-6 for _, _, period, offset in self._updated)
         self._always = (True,) * len(self._updated) if every_sample else ()
+
+    def kind(self, index: int) -> Hashable:
+        """Equal for control samples that do the same."""
+        return self.which(index), tuple(system.phase(index) for system in self._phased)
 
     def which(self, index: int) -> tuple[bool, ...]:
         """Which systems update at a control sample."""
@@ -451,6 +469,16 @@ def smooth_sensing(scenario: Scenario) -> Sensing:
         velocity_noise=noise("velocity"),
         position_quantization={},
         velocity_quantization={},
+    )
+
+
+def _with_assumptions(scenario: Scenario) -> Estimator:
+    """The estimator with the noises written out that it takes from the sensors."""
+    given, sensing = scenario.estimator, scenario.sensing
+    return dataclasses.replace(
+        given,
+        position_noise=sensing.position_noise if given.position_noise is None else given.position_noise,
+        velocity_noise=sensing.velocity_noise if given.velocity_noise is None else given.velocity_noise,
     )
 
 

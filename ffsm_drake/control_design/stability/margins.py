@@ -157,9 +157,18 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
 
 
 def has_closed_form(scenario: Scenario) -> bool:
-    """Whether the one-axis loop is that of the scenario: one of the paper's laws, nothing late, no block replaced."""
-    delays = scenario.sensing.delay or scenario.actuation.delay
-    return scenario.controller in PAPER_LAWS and not delays and not block_choices(scenario)
+    """Whether the one-axis loop is that of the scenario: one of the paper's laws, nothing late, slow or replaced."""
+    if scenario.controller not in PAPER_LAWS or scenario.actuation.delay or block_choices(scenario):
+        return False
+    sensing, estimator = scenario.sensing, scenario.estimator
+    late = (sensing.position_delay, sensing.velocity_delay, estimator.velocity_bias_walk)
+    slow = (sensing.position_period, sensing.velocity_period)
+    return not (
+        sensing.delay
+        or estimator.delay
+        or any(value for values in late for value in values.values())
+        or any(value > 1 for values in slow for value in values.values())
+    )
 
 
 def _axis_margins(scenario: Scenario, true: PlantModel, nominal: PlantModel, eta: np.ndarray) -> AxisMargins:

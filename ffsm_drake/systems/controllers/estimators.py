@@ -326,7 +326,7 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
     bias_walk = coordinates.vector(settings.velocity_bias_walk, key="estimator.velocity_bias_walk", default=0.0)
     period, delay = measurement_times(scenario.sensing, coordinates)
     if settings.delay is not None:
-        delay = np.full_like(delay, settings.delay)
+        delay = delay - scenario.sensing.delay + settings.delay
     nv = len(coordinates.names)
     plain = not (bias_walk.any() or (period > 1).any() or delay.any())
     axes = [
