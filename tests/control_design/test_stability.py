@@ -9,7 +9,8 @@ from scipy.optimize import brentq
 
 from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
 from ffsm_drake.cli import main
-from ffsm_drake.control_design.stability import StabilityWarning, stability, stability_warning
+from ffsm_drake.control_design.stability import StabilityWarning, boundaries, stability, stability_warning
+from ffsm_drake.control_design.stability.boundaries import Boundaries
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.sampled_loop import (
     LawGains,
@@ -236,7 +237,11 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
         (["stability", "--controller", "pid"], 2, "controller: 'pid' is unknown"),
     ],
 )
-def test_command_line(arguments, code, words):
+def test_command_line(arguments, code, words, monkeypatch):
+    """The boundaries of a stable loop: ``test_table_and_picture``."""
+    if code == 0:
+        found = Boundaries(gains=1.25, nominal_payload=float("inf"), sample_time=1.25, delay=3.0)
+        monkeypatch.setattr(boundaries, "find_boundaries", lambda scenario, *, time: found)
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == code, result.output
     assert words in " ".join(result.output.split())
