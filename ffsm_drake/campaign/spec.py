@@ -23,7 +23,7 @@ from ffsm_drake.campaign.dispersion import (
     parse_rule,
 )
 from ffsm_drake.common.errors import CampaignError, ScenarioError, one_line
-from ffsm_drake.scenario import anchor_paths, load_scenario, relate_paths, scenario_to_dict, shipped_scenarios
+from ffsm_drake.scenario import Scenario, anchor_paths, load_scenario, relate_paths, scenario_to_dict, shipped_scenarios
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.registry import find_factory, module_folder
 
@@ -195,25 +195,33 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
         parameters=parameters,
         factors=factors,
         derive=derive,
-        settled=parse_settled(data.get("settled", {}), place="settled"),
+        settled=parse_settled(
+            data.get("settled", {}), place="settled", base=Scenario(tolerance=data["base"]["tolerance"])
+        ),
     )
     _check_names(spec)
     return spec
 
 
-def parse_settled(data: Any, *, place: str) -> Settled:
-    """The criterion of a specification. Raises CampaignError for an unknown key or a value out of range."""
+def parse_settled(data: Any, *, place: str, base: Scenario | None = None) -> Settled:
+    """The criterion of a specification; what it does not say is the tolerance of the scenario ``base``.
+
+    Raises CampaignError for an unknown key or a value out of range.
+    """
     if not isinstance(data, Mapping):
         raise CampaignError(f"{place}: must be a mapping with hold and tolerance")
     check_keys(data, ("hold", "tolerance"), place=place)
     hold = number(data.get("hold", 2.0), place=f"{place}.hold")
     if hold < 0.0:
         raise CampaignError(f"{place}.hold: must be >= 0 s, not {hold:g}")
-    given = data.get("tolerance", {})
+    base, given = base or Scenario(), data.get("tolerance", {})
     if not isinstance(given, Mapping):
         raise CampaignError(f"{place}.tolerance: must be a mapping by group: {', '.join(GROUPS)}")
     check_keys(given, GROUPS, place=f"{place}.tolerance")
-    tolerance = {group: number(given.get(group, 1e-3), place=f"{place}.tolerance.{group}") for group in GROUPS}
+    tolerance = {
+        group: number(given.get(group, base.tolerance_of(group)), place=f"{place}.tolerance.{group}")
+        for group in GROUPS
+    }
     for group, value in tolerance.items():
         if value <= 0.0:
             raise CampaignError(f"{place}.tolerance.{group}: must be > 0, not {value:g}")

@@ -107,7 +107,8 @@ def add_closed_loop(
     coordinates = coordinates_of(plant)
     for name in ("initial_posture", "target_posture"):
         configuration(plant, getattr(scenario, name), key=name)
-    coordinates.check_names(scenario.initial_velocity, key="initial_velocity")
+    for name in ("initial_velocity", "tolerance"):
+        coordinates.check_names(getattr(scenario, name), key=name)
     parts = make_blocks(scenario, make_nominal_plant(scenario), blocks)
     for system in parts.values():
         builder.AddSystem(system)

@@ -192,7 +192,7 @@ class Scenario:
     sample_time: float = 0.01  # s; L, the controller's period and delay
     # rad/s or m/s; the run is stopped as diverging when a generalized velocity exceeds this
     divergence_speed: float = 10.0
-    # rad or m; a run has settled when over its last second every error stays within this
+    # rad or m; a run has settled when over its last second every error stays within this; 1e-3 where it says nothing
     tolerance: PerCoordinate = _published(all=1e-3)
     simulator_config: SimulatorConfig = dataclasses.field(default_factory=_default_simulator_config)
     model: Model = dataclasses.field(default_factory=Model)
@@ -221,6 +221,10 @@ class Scenario:
     def num_control_periods(self) -> int:
         """Number of whole control periods within the duration."""
         return math.floor(self.duration / self.sample_time + 1e-9)
+
+    def tolerance_of(self, *names: str) -> float:
+        """The tolerance of what goes by several names (a coordinate's own, its group's): that of the first known."""
+        return next((self.tolerance[name] for name in (*names, "all") if name in self.tolerance), 1e-3)
 
 
 def controller_key(controller: str) -> str:

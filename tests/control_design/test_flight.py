@@ -12,6 +12,7 @@ from ffsm_drake.control_design.gains import design
 from ffsm_drake.control_design.limit import find_limit
 from ffsm_drake.control_design.stability import stability
 from ffsm_drake.control_design.stability.prediction import make_demand, predict
+from ffsm_drake.show.report.results import results_of
 
 
 def rms_after(record, seconds=5.0):
@@ -34,6 +35,28 @@ def test_it_flies(run, controller, seed):
     assert rms["base_rotation"] <= 4e-6
     assert rms["joints"] <= 1.2e-5
     assert rms["base_position"] <= 2e-4
+
+
+def test_a_known_delay_costs_little(run):
+    """Six samples, 60 ms: with the estimate that does not know of them, four diverge."""
+    record = run("flight_sensors", "sensing.delay=6", "duration=10")
+    rms = rms_after(record)
+    assert rms["base_rotation"] <= 4e-6
+    assert rms["joints"] <= 1.3e-5
+    assert rms["base_position"] <= 2e-4
+
+
+@pytest.mark.parametrize("controller", ["tde_aismc", "tdc"])
+def test_slow_late_navigation_and_a_biased_gyro(run, controller):
+    """Within the scenario's tolerance over the last second, at little more effort than perfect tracking's 366."""
+    record = run("slow_navigation", f"controller={controller}")
+    assert record.scenario.tolerance_of("base_position") == 5e-3
+    assert record.scenario.tolerance_of("base_rotation") == record.scenario.tolerance_of("joints") == 1e-3
+    (result,) = results_of([record])
+    assert result.status == "settled"
+    assert record.metrics["isv"] < 460
+    assert rms_after(record)["base_rotation"] <= 5e-6
+    assert rms_after(record)["joints"] <= 1.2e-5
 
 
 @pytest.mark.parametrize("controller", ["tde_aismc", "tdc"])

@@ -8,14 +8,22 @@ from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nomi
 from ffsm_drake.systems.controllers import Sample, gain_vectors
 from ffsm_drake.systems.controllers.estimators import (
     KalmanEstimator,
+    LateAxis,
+    LateKalmanEstimator,
     OneSampleEstimator,
     kalman_gain,
+    late_gains,
     make_estimator,
 )
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
 
 PERIOD = 0.01
 SIZE = 11
+PARTS = ("position", "velocity")
+NAMES = (
+    *(f"base_{part}_{axis}" for part in ("rotation", "position") for axis in "xyz"),
+    *(f"joint_{i}" for i in range(1, 6)),
+)
 # Velocities exact, positions useless and the walk fast, each beside the others; with these the gain is within 1e-7.
 LIMIT = {"position_noise": 10.0, "velocity_noise": 1e-4, "walk": 1e4, "sample_time": PERIOD}
 # In units of acceleration all six entries are of order one.
@@ -145,6 +153,131 @@ def test_each_coordinate_has_the_gain_of_its_own_noise():
         assert np.array_equal(estimator.gain[coordinates.names.index(name)], expected), name
 
 
+def late_sample(k, *, v_d, e, e_dot, force, delay, is_new=None):
+    """What the controller reads at sample k when each coordinate's measurement is ``delay`` (SIZE) old."""
+    position = np.vstack([np.zeros(SIZE), np.cumsum(0.5 * PERIOD * (v_d[1:] + v_d[:-1]), axis=0)])
+    then, axis = np.maximum(k - delay, 0), np.arange(SIZE)
+    return Sample(
+        q=None,
+        v=None,
+        q_d=None,
+        v_d=v_d[k],
+        a_d=None,
+        e=e[then, axis] + position[k] - position[then, axis],
+        e_dot=e_dot[then, axis] + v_d[k] - v_d[then, axis],
+        applied_force=force[k - 1] if k else np.zeros(SIZE),
+        is_first=k == 0,
+        is_new=is_new,
+    )
+
+
+def test_late_measurements_are_filtered_at_their_time_and_predicted():
+    """The filter runs at t - d, then predicts d samples with the force that acted; alone and two runs at once."""
+    rng = np.random.default_rng(0)
+    delay = np.array([0, 0, 1, 1, 2, 3, 5, 5, 5, 8, 8])
+    mass_matrix = np.diag(rng.uniform(5.0, 50.0, SIZE))
+    noise = {"position_noise": 1e-3, "velocity_noise": 1e-3, "walk": 1e-1}
+    plain = KalmanEstimator(sample_time=PERIOD, gain=np.tile(kalman_gain(**noise, sample_time=PERIOD), (SIZE, 1, 1)))
+    prediction = KalmanEstimator(sample_time=PERIOD, gain=np.zeros((SIZE, 3, 2)))
+    settings, late = (
+        [f"estimator.{name}={value}" for name, value in noise.items()],
+        dict(zip(NAMES, delay, strict=True)),
+    )
+    settings += [f"sensing.{part}_delay={{{', '.join(f'{n}: {d}' for n, d in late.items())}}}" for part in PARTS]
+    scenario = load_scenario("postcapture", ["estimator.kind=kalman", *settings])
+    late = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+    assert isinstance(late, LateKalmanEstimator)
+    _, v_d, e, e_dot, force = smooth_motion(rng, 120)
+    at_its_time, given = [dict(plain.initial_state())], {"v_d": v_d, "e": e, "e_dot": e_dot, "force": force}
+    none = np.zeros(SIZE, dtype=int)
+    for k in range(120):
+        at_its_time.append(plain.step(late_sample(k, **given, delay=none), mass_matrix, at_its_time[-1])[1])
+    alone = dict(late.initial_state())
+    together = {name: np.stack([value, value]) for name, value in alone.items()}
+    for k in range(120):
+        sample = late_sample(k, **given, delay=delay)
+        estimate, alone = late.step(sample, mass_matrix, alone)
+        both = Sample(*(np.stack([value, value]) if isinstance(value, np.ndarray) else value for value in sample))
+        estimates, together = late.step(both, np.stack([mass_matrix, mass_matrix]), together)
+        assert np.array_equal(estimates.e, np.stack([estimate.e, estimate.e]))
+        if k < delay.max():
+            continue
+        for d in set(delay.tolist()):
+            state = at_its_time[k - d + 1]
+            for later in range(k - d + 1, k + 1):
+                _, state = prediction.step(late_sample(later, **given, delay=none), mass_matrix, state)
+            axes = delay == d
+            for name in ("estimated_error", "estimated_error_rate", "estimated_negative_n"):
+                scale = np.abs(state[name]).max()
+                assert alone[name][axes] == pytest.approx(state[name][axes], abs=1e-9 * scale), (k, d, name)
+
+
+@pytest.mark.parametrize(
+    ("period", "delay"), [((1, 1), (0, 0)), ((1, 1), (5, 2)), ((4, 4), (3, 3)), ((1, 6), (0, 4)), ((3, 2), (1, 5))]
+)
+def test_late_gains_are_those_of_the_whole_filter(period, delay):
+    """Of the time-varying filter for [e, e', d, b] and everything that was, in SI; the mean by what is new."""
+    axis = LateAxis(position_noise=1e-3, velocity_noise=2e-3, walk=0.3, bias_walk=0.1, period=period, delay=delay)
+    size = 4 + sum(delay)
+    transition = np.zeros((size, size))
+    transition[:4, :4] = [[1, PERIOD, PERIOD**2 / 2, 0], [0, 1, PERIOD, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    output, first = np.zeros((2, size)), 4
+    for entry, lag in enumerate(delay):
+        for j in range(lag):
+            transition[first + j, entry if j == 0 else first + j - 1] = 1.0
+        output[entry, first + lag - 1 if lag else entry] = 1.0
+        first += lag
+    output[1, 3] = -1.0
+    process = np.zeros((size, size))
+    process[2, 2], process[3, 3] = 0.3**2 * PERIOD, 0.1**2 * PERIOD
+    noise, covariance, found = np.array([1e-3, 2e-3]) ** 2, 1e-3 * np.eye(size), [[], [], [], []]
+    for k in range(1800):
+        new = [i for i in range(2) if (k - delay[i]) % period[i] == 0]
+        of, gain = output[new], np.zeros((size, 2))
+        gain[:, new] = np.linalg.solve(of @ covariance @ of.T + np.diag(noise[new]), of @ covariance).T
+        covariance = covariance - gain[:, new] @ of @ covariance
+        covariance = transition @ covariance @ transition.T + process
+        if k >= 1800 - np.lcm(*period):
+            found[sum(2 - i for i in new)].append(gain)
+    gains = late_gains(axis, sample_time=PERIOD)
+    for kind, expected in enumerate(found):
+        if expected:
+            scale = np.abs(np.mean(expected, axis=0)).max()
+            assert gains[kind] == pytest.approx(np.mean(expected, axis=0), abs=1e-6 * scale, rel=1e-5), kind
+    assert not gains[0].any()
+
+
+def test_what_is_not_new_is_not_looked_at():
+    scenario = load_scenario("slow_navigation")
+    estimator = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+    rng = np.random.default_rng(0)
+    state = {name: rng.normal(size=value.shape) for name, value in estimator.initial_state().items()}
+    v_d, e, e_dot, force, wrong = rng.normal(size=(5, SIZE))
+    is_new = np.ones(2 * SIZE, dtype=bool)
+    is_new[[3, 4, 5, SIZE + 3, SIZE + 4, SIZE + 5]] = False
+    position = np.isin(np.arange(SIZE), (3, 4, 5))
+    given = {"q": None, "v": None, "q_d": None, "v_d": v_d, "a_d": None, "applied_force": force, "is_first": False}
+    results = [
+        estimator.step(Sample(**given, e=e + error, e_dot=e_dot + error, is_new=new), np.eye(SIZE), state)[0]
+        for error, new in ((0.0, is_new), (wrong * position, is_new), (wrong * position, None))
+    ]
+    assert np.array_equal(results[0].e, results[1].e)
+    assert np.array_equal(results[0].base_acceleration, results[1].base_acceleration)
+    assert not np.allclose(results[0].e[position], results[2].e[position])
+
+
+def test_a_gyros_bias_is_found(run):
+    """Without a state of its own it becomes an error of attitude, or position."""
+    bias = ("sensing.velocity_bias={base_rotation_x: 1e-4, base_position_z: 2e-3}", *NO_NOISE, "duration=10")
+    walk = "estimator.velocity_bias_walk={base_rotation_x: 1e-4, base_position_z: 3e-3}"
+    without, estimated = (run(*FLIGHT, *bias, *more) for more in ((), (walk,)))
+    for name in ("base_rotation_x", "base_position_z"):
+        before, after = (
+            np.abs(record.dataset["error"].sel(coordinate=name).values[-1]) for record in (without, estimated)
+        )
+        assert after < 0.03 * before, name
+
+
 def test_an_unknown_constant_disturbance_leaves_no_error(run):
     """At rest the force cancels tau_d, and what is left of the error is nothing beside that of the law alone."""
     record = run(*FLIGHT, "reference.duration=8", "duration=25", "disturbance.frequency_scale=0", *NO_NOISE)
@@ -225,6 +358,9 @@ def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
         ("estimator.walk={base_rotation: 1, joints: 1}", "estimator.walk: gives no value for base_position_x"),
         ("estimator.walk.elbow=1", "estimator.walk.elbow: unknown coordinate; valid here: all"),
         ("estimator.velocity_noise={elbow: 1}", "estimator.velocity_noise.elbow: unknown coordinate"),
+        ("estimator.velocity_bias_walk.joint_1=-1", "velocity_bias_walk.joint_1: a standard deviation must be >= 0"),
+        ("estimator.velocity_bias_walk.elbow=1", "estimator.velocity_bias_walk.elbow: unknown coordinate"),
+        ("estimator.delay=-1", "estimator.delay: must be from 0 to 1000 control samples, not -1"),
     ],
 )
 def test_errors_are_one_clear_line(override, expected):

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 from flight_settings import FLIGHT, NO_NOISE
+from pydrake.common import RandomGenerator
 from pydrake.common.eigen_geometry import AngleAxis, Quaternion
 from pydrake.math import RotationMatrix
+from pydrake.systems.analysis import Simulator
 
-from ffsm_drake import ScenarioError, load_scenario, make_closed_loop
+from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.spacecraft.coordinates import position_error
-from ffsm_drake.systems.sensing import quantize
+from ffsm_drake.systems.sensing import make_sensing, quantize
 
 # Of the shipped scenario.
 NOISE = (
@@ -54,7 +56,7 @@ def test_by_default_there_is_noise_and_nothing_else(name):
     every = ["position_bias=1e-3", "velocity_quantization=1e-3", "delay=1"]
     sensing = make_closed_loop(load_scenario(name, [f"sensing.{one}" for one in every])).blocks["sensing"]
     added = {system.get_name() for system in sensing.GetSystems()} - {"white", "standard_deviation", "noisy"}
-    assert added == {"attitude_bias", "bias", "biased", "quantizer", "delay"}
+    assert added == {"attitude_bias", "bias", "biased", "quantizer", "sampling"}
 
 
 def test_without_noise_the_measurement_is_the_state(run):
@@ -130,6 +132,113 @@ def test_delay_is_whole_samples(run, delay):
     assert np.array_equal(record.dataset["measured_position"][0], record.dataset["position"][0])
 
 
+# Of positions, then velocities: period and delay by group, control samples.
+SLOW = {
+    "position": {"base_rotation": (5, 5), "base_position": (7, 0), "joints": (4, 9)},
+    "velocity": {"base_rotation": (1, 2), "base_position": (10, 3), "joints": (1, 0)},
+}
+
+
+def slow_sensors():
+    return [
+        f"sensing.{part}_{name}={{{', '.join(f'{group}: {of[group][i]}' for group in of)}}}"
+        for part, of in SLOW.items()
+        for i, name in enumerate(("period", "delay"))
+    ]
+
+
+def test_slow_and_late_sensors_by_group(run):
+    """At t_k the measurement of p floor((k - d) / p) is read; before the start the spacecraft was where it is first."""
+    record = run(*SHORT, *NO_NOISE, *slow_sensors())
+    samples, groups = np.arange(record.dataset.sizes["time"]), record.dataset["group"].values
+    for part, of in SLOW.items():
+        true, measured = values(record, part, f"measured_{part}")
+        if part == "position":
+            attitude, true, measured = (true[:, :4], measured[:, :4]), true[:, 1:], measured[:, 1:]
+        for group, (period, delay) in of.items():
+            shown = np.maximum(period * ((samples - delay) // period), 0)
+            columns = groups == group
+            assert np.array_equal(measured[:, columns], true[shown][:, columns]), (part, group)
+            if part == "position" and group == "base_rotation":
+                assert np.array_equal(attitude[1], attitude[0][shown])
+
+
+def test_a_measurement_says_whether_it_is_new():
+    """And the block has no such port where all are."""
+    scenario = load_scenario("postcapture", slow_sensors())
+    loop = make_closed_loop(scenario)
+    sensing, context = loop.blocks["sensing"], loop.blocks["sensing"].CreateDefaultContext()
+    port, groups = sensing.GetOutputPort("measurement_is_new"), loop.coordinates.groups
+    for sample in range(45):
+        context.SetTime(sample * scenario.sample_time)
+        is_new = port.Eval(context)[1:].reshape(2, -1)
+        for of, new in zip(SLOW.values(), is_new, strict=True):
+            for group, (period, delay) in of.items():
+                assert (new[groups[group]] == ((sample - delay) % period == 0)).all(), (sample, group)
+    for plain in (["sensing.delay=3"], []):
+        sensing = make_closed_loop(load_scenario("postcapture", plain)).blocks["sensing"]
+        assert not sensing.HasOutputPort("measurement_is_new")
+
+
+def noise_of(overrides, *, samples, seed=0):
+    """What the sensors add to a state at rest, with no white noise: (samples, nq + nv)."""
+    scenario = load_scenario("postcapture", [*NO_NOISE, *overrides])
+    coordinates = make_nominal_plant(scenario).coordinates
+    sensing = make_sensing(scenario.sensing, coordinates, sample_time=0.01)
+    context = sensing.CreateDefaultContext()
+    sensing.SetRandomContext(context, RandomGenerator(seed))
+    state = np.zeros(2 * len(coordinates.names) + 1)
+    state[0] = 1.0
+    sensing.GetInputPort("state").FixValue(context, state)
+    simulator = Simulator(sensing, context)
+    simulator.Initialize()
+    found = []
+    for sample in range(samples):
+        if sample:
+            simulator.AdvanceTo(0.01 * sample)
+        found.append(sensing.GetOutputPort("estimated_state").Eval(context) - state)
+    return np.array(found)
+
+
+def test_noise_with_memory():
+    """First-order Gauss-Markov noise of its deviation and time constant; the same seed gives the same bits."""
+    given = ["sensing.velocity_correlated_noise={all: 2e-3, joints: 0}",
+             "sensing.position_correlated_noise={base_rotation: 4e-3}",
+             "sensing.correlation_time={all: 0.05, base_rotation: 0.1}"]  # fmt: skip
+    noise = noise_of(given, samples=6000)
+    assert np.array_equal(noise[:50], noise_of(given, samples=50))
+    assert not np.array_equal(noise[:50], noise_of(given, samples=50, seed=1))
+    for part, sigma, tau in ((slice(0, 4), 2e-3, 0.1), (slice(12, 15), 2e-3, 0.1), (slice(15, 18), 2e-3, 0.05)):
+        of = noise[:, part]
+        assert of.std() == pytest.approx(sigma, rel=0.1)  # of the quaternion half the angle's
+        for lag in (2, 5, 10):
+            correlation = (of[lag:] * of[:-lag]).mean() / (of**2).mean()
+            assert correlation == pytest.approx(np.exp(-lag * 0.01 / tau), abs=0.08), (part, lag)
+    assert not noise[:, 4:12].any()
+    assert not noise[:, 18:].any()
+    first = np.array([noise_of(given, samples=1, seed=seed)[0, 12:18] for seed in range(20)])
+    assert first.std() == pytest.approx(2e-3, rel=0.2)  # from the start
+
+
+def test_a_bias_walks():
+    noise = noise_of(
+        ["sensing.velocity_bias_walk={base_rotation: 3e-3}", "sensing.velocity_bias.joints=1"], samples=4000
+    )
+    steps = np.diff(noise[:, 12:15], axis=0)
+    assert not noise[0, 12:15].any()
+    assert steps.std() == pytest.approx(3e-3 * np.sqrt(0.01), rel=0.05)
+    assert abs((steps[1:] * steps[:-1]).mean()) < 0.05 * steps.var()
+    assert (noise[:, 18:] == 1.0).all()
+
+
+def test_noise_with_memory_leaves_the_white_noise_as_it_is(run):
+    """And its seed's bits: what is added is added."""
+    drift = "sensing.velocity_bias_walk.base_rotation=1e-9"
+    plain, drifting = (run(*SHORT, *NOISE, *more) for more in ((), (drift,)))
+    noise = [values(record, "measured_velocity", "velocity") for record in (plain, drifting)]
+    assert noise[0][0] - noise[0][1] == pytest.approx(noise[1][0] - noise[1][1], abs=1e-8)
+
+
 def test_noise_by_group_as_in_flight(run):
     record = run(*FLIGHT, *NOISE, "duration=12")
     q, v, q_m, v_m = values(record, "position", "velocity", "measured_position", "measured_velocity")
@@ -186,6 +295,13 @@ def test_order_of_the_stages(run):
         ("sensing.delay=0.5", "sensing.delay: must be a whole number"),
         ("sensing.position_noise.base_rotation_x=1", "sensing.position_noise: must be the same for the three"),
         ("sensing.velocity_bias.elbow=1", "sensing.velocity_bias.elbow: unknown coordinate"),
+        ("sensing.velocity_period=0", "sensing.velocity_period.all: must be a whole number of control samples from 1"),
+        ("sensing.position_delay.joints=2.5", "sensing.position_delay.joints: must be a whole number of control samp"),
+        ("sensing.position_period.base_rotation_x=2", "sensing.position_period: must be the same for the three"),
+        ("sensing.position_delay.elbow=2", "sensing.position_delay.elbow: unknown coordinate"),
+        ("sensing.correlation_time=0", "sensing.correlation_time.all: must be > 0 s, not 0"),
+        ("sensing.velocity_correlated_noise=-1", "velocity_correlated_noise.all: a standard deviation must be >= 0"),
+        ("sensing.velocity_bias_walk.joints=-1", "velocity_bias_walk.joints: a standard deviation must be >= 0"),
     ],
 )
 def test_errors_are_one_clear_line(override, expected):

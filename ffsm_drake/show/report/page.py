@@ -15,7 +15,7 @@ from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import rankings, table, table_notes
 from ffsm_drake.show.report.provenance import provenance, software
-from ffsm_drake.show.report.results import SETTLED_OVER, SETTLED_WITHIN, Result, results_of
+from ffsm_drake.show.report.results import SETTLED_OVER, Result, results_of
 from ffsm_drake.show.report.stability_panels import stability_views
 from ffsm_drake.show.report.time_panels import points_per_curve, run_views
 from ffsm_drake.show.tables import NONE, margins_data, number
@@ -99,7 +99,11 @@ def render_report(
     views = run_views(results, thin) | {"stability": stability_views(results, [margin for margin, _ in margins], thin)}
     descriptions = list(dict.fromkeys(record.scenario.description for record in records))
     description = descriptions[0] or "Run report"
-    settled = " and ".join(f"{1e3 * bound:g} m{unit}" for unit, bound in SETTLED_WITHIN.items())
+    within = {
+        group: f"{1e3 * records[0].scenario.tolerance_of(group):g} m{'m' if group == 'base_position' else 'rad'}"
+        for group in ("base_rotation", "base_position", "joints")
+    }
+    settled = " and ".join(dict.fromkeys(within.values()))
     content: Json = {
         "title": title or description,
         "kicker": "; ".join(descriptions) if title or len(descriptions) > 1 else "free-flying space manipulator",

@@ -14,8 +14,7 @@ from ffsm_drake.show.tables import number
 
 Status = Literal["settled", "unsettled", "interrupted", "diverged"]
 
-# A run has settled when over its last second every error stays within this.
-SETTLED_WITHIN = {"rad": 1e-3, "m": 1e-3}
+# A run has settled when over its last second every error stays within its scenario's tolerance.
 SETTLED_OVER = 1.0  # s
 
 
@@ -117,12 +116,13 @@ def _evaluate(record: RunRecord) -> tuple[Status, str]:
             f"Completed {outcome.time:g} s, before the planned motion ends at {scenario.reference.duration:g} s."
         )
     late = record.dataset["time"].values >= outcome.time - SETTLED_OVER - 1e-9
-    units, names = (record.dataset[name].values.astype(str) for name in ("unit", "coordinate"))
+    units, names, groups = (record.dataset[name].values.astype(str) for name in ("unit", "coordinate", "group"))
     peaks = np.abs(error[late]).max(axis=0)
     largest = ", ".join(
-        f"{number(float(peaks[units == unit].max()), 3)} {unit}" for unit in SETTLED_WITHIN if (units == unit).any()
+        f"{number(float(peaks[units == unit].max()), 3)} {unit}" for unit in ("rad", "m") if (units == unit).any()
     )
-    excess = peaks / np.array([SETTLED_WITHIN[unit] for unit in units])
+    tolerance = [scenario.tolerance_of(name, group) for name, group in zip(names, groups, strict=True)]
+    excess = peaks / np.array(tolerance)
     if excess.max() <= 1.0:
         return "settled", f"Settled: over the last second no error exceeds {largest}."
     worst = int(np.argmax(excess))

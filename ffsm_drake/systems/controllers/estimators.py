@@ -321,13 +321,14 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
     settings, sample_time = scenario.estimator, scenario.sample_time
     if settings.kind == "one_sample":
         return OneSampleEstimator(sample_time=sample_time, num_velocities=len(coordinates.names))
-    position, velocity = (_assumed_noise(scenario, coordinates, part) for part in ("position", "velocity"))
     walk = coordinates.vector(settings.walk, key="estimator.walk")
     bias_walk = coordinates.vector(settings.velocity_bias_walk, key="estimator.velocity_bias_walk", default=0.0)
     period, delay = measurement_times(scenario.sensing, coordinates)
     if settings.delay is not None:
         delay = delay - scenario.sensing.delay + settings.delay
     nv = len(coordinates.names)
+    position = _assumed_noise(scenario, coordinates, "position", period[:nv])
+    velocity = _assumed_noise(scenario, coordinates, "velocity", period[nv:])
     plain = not (bias_walk.any() or (period > 1).any() or delay.any())
     axes = [
         LateAxis(
@@ -365,9 +366,18 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
     return LateKalmanEstimator(sample_time=sample_time, delay=delay, gain=np.concatenate(parts, axis=1))
 
 
-def _assumed_noise(scenario: Scenario, coordinates: Coordinates, part: str) -> np.ndarray:
-    """Standard deviation (nv) that the filter assumes of "position" or "velocity"."""
-    given = getattr(scenario.estimator, f"{part}_noise")
+def _assumed_noise(scenario: Scenario, coordinates: Coordinates, part: str, period: np.ndarray) -> np.ndarray:
+    """Standard deviation (nv) that the filter assumes of "position" or "velocity" measured every ``period`` samples.
+
+    Correlated noise counts as the white noise that is as strong at low frequencies.
+    """
+    given, sensing = getattr(scenario.estimator, f"{part}_noise"), scenario.sensing
     if given is not None:
         return coordinates.vector(given, key=f"estimator.{part}_noise", default=0.0)
-    return coordinates.vector(getattr(scenario.sensing, f"{part}_noise"), key=f"sensing.{part}_noise", default=0.0)
+    white, correlated = (
+        coordinates.vector(getattr(sensing, name), key=f"sensing.{name}", default=0.0)
+        for name in (f"{part}_noise", f"{part}_correlated_noise")
+    )
+    time_constant = coordinates.vector(sensing.correlation_time, key="sensing.correlation_time", default=1.0)
+    kept = np.exp(-period * scenario.sample_time / time_constant)
+    return np.hypot(white, correlated * np.sqrt((1.0 + kept) / (1.0 - kept)))
