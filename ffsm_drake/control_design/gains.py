@@ -14,6 +14,7 @@ payload of the range. Where they come from depends on the law:
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -113,10 +114,15 @@ class Design:
     kept: bool  # whether the given gains are the chosen ones
     held_back: str  # what keeps the chosen gains from being better, one line
     front: tuple[FrontPoint, ...]  # with the chosen estimate; empty where none was traced
-    published: Prediction | None  # the paper's gains and one-sample estimate with the same sensors; None: another law
     limit: Limit  # of the chosen gains
     ideal_isv: float
     requirement: Requirement
+
+    @functools.cached_property
+    def published(self) -> Prediction | None:
+        """With the paper's gains and one-sample estimate, and the same sensors; None for another law."""
+        scenario = self.given.scenario
+        return predict(_published(scenario)) if scenario.controller in PAPER_LAWS else None
 
     @property
     def remarks(self) -> list[str]:
@@ -220,7 +226,6 @@ def design(
         kept=kept,
         held_back=_held_back(chosen, requirement, search_of_chosen),
         front=() if shown is None else shown.front,
-        published=predict(_published(scenario)) if by_formula else None,
         limit=find_limit(chosen.scenario, demand),
         ideal_isv=demand.ideal_isv,
         requirement=requirement,

@@ -25,7 +25,7 @@ from ffsm_drake.systems.reference import make_motion
 
 # Prices of effort that the front is computed for, in units of the regulator's (see there).
 _PRICES = np.geomspace(1e7, 1e-3, 16)
-_STATIONARY = 2**40  # control samples
+_STATIONARY = 2**18  # control samples
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

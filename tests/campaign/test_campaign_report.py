@@ -124,7 +124,7 @@ def test_agreement_and_worst_runs():
 
 @pytest.fixture(autouse=True)
 def _coarse_map(monkeypatch):
-    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 5)
+    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 4)
 
 
 @pytest.fixture(scope="module")

@@ -158,6 +158,8 @@ def test_design_from_the_shell(tmp_path, monkeypatch):
     arguments = [
         "design",
         "flight_sensors",
+        "--set",
+        "duration=8",
         "--controller",
         "asmc",
         "--payload-range",
@@ -181,10 +183,11 @@ def test_design_from_the_shell(tmp_path, monkeypatch):
 
 
 def test_design_says_when_a_budget_cannot_be_met(tmp_path):
-    arguments = ["design", "flight_sensors", "--controller", "tdc", "--budget", "300", "--out", str(tmp_path)]
+    short = ["--set", "duration=6"]
+    arguments = ["design", "flight_sensors", "-c", "tdc", "--budget", "50", "--out", str(tmp_path), *short]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 2
-    assert "error: budget: ISV 300.0 cannot be met; the cheapest gains found need" in result.output
+    assert "error: budget: ISV 50.0 cannot be met; the cheapest gains found need" in result.output
 
 
 def test_margins_know_the_estimator():

@@ -234,7 +234,7 @@ class AxisLoop:
         largest = noise.max() or 1.0
         b = self.b * (noise / largest) / size[:, None]
         a = self.a * size / size[:, None]
-        covariance = covariance_after(a, b @ b.T, samples=2**40)  # all but stationary
+        covariance = covariance_after(a, b @ b.T, samples=2**18)  # stationary
         return largest**2 * covariance * np.outer(size, size)
 
 
