@@ -144,6 +144,12 @@ class LateKalmanEstimator:
         own = np.arange(self.delay.size)
         return np.where(self.delay > 0, self.delay.size - 1 + np.cumsum(self.delay), own)
 
+    @functools.cached_property
+    def _axis(self) -> np.ndarray:
+        """The coordinate of each entry of x."""
+        nv = self.delay.size // 2
+        return np.concatenate((np.tile(np.arange(nv), 4), self._owner % nv))
+
     def initial_state(self) -> State:
         nv = self.delay.size // 2
         names = ("estimated_error", "estimated_error_rate", "estimated_negative_n", "estimated_velocity_bias")
@@ -162,8 +168,7 @@ class LateKalmanEstimator:
         x = np.concatenate((e, e_dot, past), axis=-1)
         expected = x[..., self._measured]
         position, rate = sample.e - expected[..., :nv], sample.e_dot - (expected[..., nv:] - bias)
-        axis = np.concatenate((np.tile(np.arange(nv), 4), self._owner % nv))
-        gain = self.gain[3]
+        axis, gain = self._axis, self.gain[3]
         if sample.is_new is not None:
             new = 2 * sample.is_new[..., :nv] + sample.is_new[..., nv:]
             gain = self.gain[new[..., axis], np.arange(axis.size)]
