@@ -14,7 +14,7 @@ from pydrake.systems.analysis import SimulatorConfig
 
 PerCoordinate = dict[str, float]
 BASE_ROTATIONS = ("eigenaxis", "rpy")
-ESTIMATOR_KINDS = ("one_sample", "kalman")
+ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 
 
 def _published(**values: float) -> PerCoordinate:
@@ -82,12 +82,16 @@ class Reference:
 class Estimator:
     """How the controller estimates the lumped uncertainty N of equation (2)."""
 
-    kind: str = "one_sample"  # the paper's (5), or "kalman"
-    # rad/s^2 or m/s^2 per sqrt(s); kalman only: N's random walk, its standard deviation after one second
+    # the paper's (5); "kalman", by coordinate; or "coupled", the same with one filter for attitude and joints
+    kind: str = "one_sample"
+    # rad/s^2 or m/s^2 per sqrt(s); kalman, and coupled for the base's position: N's random walk, its standard
+    # deviation after one second
     walk: PerCoordinate = _published(base_position=1e-3, base_rotation=1e-3, joints=1e-2)
-    # rad or m; kalman only: standard deviation that it assumes of the positions; null: that of ``sensing``
+    # N m or N per sqrt(s); coupled only: random walk of the generalized force that stands for N in attitude and joints
+    force_walk: PerCoordinate = _published(all=0.2)
+    # rad or m; not for one_sample: standard deviation that it assumes of the positions; null: that of ``sensing``
     position_noise: PerCoordinate | None = None
-    # rad/s or m/s; kalman only: standard deviation that it assumes of the velocities; null: that of ``sensing``
+    # rad/s or m/s; not for one_sample: standard deviation that it assumes of the velocities; null: that of ``sensing``
     velocity_noise: PerCoordinate | None = None
     # rad/s or m/s per sqrt(s); kalman only: random walk of a bias of the velocities that it estimates with N, its
     # standard deviation after one second; 0: no bias is estimated

@@ -47,8 +47,9 @@ def validate(scenario: Scenario) -> None:
         ("estimator.kind", scenario.estimator.kind, ESTIMATOR_KINDS),
     ):
         require(kind in kinds, key, f"'{kind}' is unknown; choose one of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
-    for key, number in scenario.estimator.walk.items():
-        require(number > 0, f"estimator.walk.{key}", f"must be > 0, not {number}")
+    for name in ("walk", "force_walk"):
+        for key, number in getattr(scenario.estimator, name).items():
+            require(number > 0, f"estimator.{name}.{key}", f"must be > 0, not {number}")
     for name in ("position_noise", "velocity_noise", "velocity_bias_walk"):
         for key, number in (getattr(scenario.estimator, name) or {}).items():
             require(number >= 0, f"estimator.{name}.{key}", f"a standard deviation must be >= 0, not {number}")

@@ -9,6 +9,7 @@ from campaign_tools import SMALL, write_spec
 from click.testing import CliRunner
 from scipy.stats import kstest
 
+from ffsm_drake import load_scenario
 from ffsm_drake.campaign.cases import make_cases, scenario_of
 from ffsm_drake.campaign.dispersion import case_seed, parse_distribution, parse_rule, set_value, unit_points
 from ffsm_drake.campaign.spec import load_spec, parse_settled, shipped_campaigns, spec_from_json
@@ -220,6 +221,8 @@ def test_settled_means_until_the_end():
     error[time == 8.0, 1] = -0.2
     assert criterion.time(time, error, group_of) is None
     assert parse_settled({"hold": 0.0}, place="s").time(time, error * 0.0, group_of) == 0.0
+    own = parse_settled({"tolerance": {"joints": 0.1}}, place="s", base=load_scenario("slow_navigation")).tolerance
+    assert own == {"base_rotation": 1e-3, "base_position": 5e-3, "joints": 0.1}
     error[time == 8.0, 1] = 0.0
     error[-1, 0] = np.nan
     assert criterion.time(time, error, group_of) is None

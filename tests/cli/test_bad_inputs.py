@@ -352,7 +352,9 @@ TABLE = [
         command="validate --set controller=tdc",
     ),
     scenario(
-        "unknown-estimator", "estimator: {kind: kalmann}\n", "choose one of one_sample, kalman; did you mean 'kalman'?"
+        "unknown-estimator",
+        "estimator: {kind: kalmann}\n",
+        "choose one of one_sample, kalman, coupled; did you mean 'kalman'?",
     ),
     # Overrides.
     override("no-equals", "duration", "'duration': must have the form key=value"),

@@ -134,6 +134,7 @@ directives:
         ("reference.duration=0", "override: reference.duration: must be > 0 s"),
         ("reference.base_rotation=eigen", "reference.base_rotation: 'eigen' is unknown; choose one of eigenaxis, rpy"),
         ("divergence_speed=0", "override: divergence_speed: must be > 0"),
+        ("tolerance.joints=0", "override: tolerance.joints: must be > 0, not 0"),
     ],
 )
 def test_wrong_overrides_get_one_clear_line(override, expected):

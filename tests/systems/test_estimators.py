@@ -7,10 +7,12 @@ from flight_settings import FLIGHT, NO_NOISE
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.systems.controllers import Sample, gain_vectors
 from ffsm_drake.systems.controllers.estimators import (
+    CoupledEstimator,
     KalmanEstimator,
     LateAxis,
     LateKalmanEstimator,
     OneSampleEstimator,
+    coupled_gain,
     kalman_gain,
     late_gains,
     make_estimator,
@@ -247,6 +249,40 @@ def test_late_gains_are_those_of_the_whole_filter(period, delay):
     assert not gains[0].any()
 
 
+def test_coupled_is_separate_where_nothing_couples():
+    """With a diagonal mass matrix M, and a force's walk of M times that of N; of several runs, each as alone."""
+    rng = np.random.default_rng(0)
+    mass, axes = rng.uniform(5.0, 50.0, SIZE), np.array([0, 1, 2, 6, 7, 8, 9, 10])
+    position, velocity, walk = (rng.uniform(1.0, 5.0, SIZE) * size for size in (1e-5, 1e-4, 1e-2))
+    noises = zip(position, velocity, walk, strict=True)
+    gain = np.array([
+        kalman_gain(position_noise=p, velocity_noise=v, walk=w, sample_time=PERIOD) for p, v, w in noises
+    ])  # fmt: skip
+    separate = KalmanEstimator(sample_time=PERIOD, gain=gain)
+    together = coupled_gain(
+        np.diag(1.0 / mass[axes]),
+        position_noise=position[axes],
+        velocity_noise=velocity[axes],
+        walk=(mass * walk)[axes],
+        sample_time=PERIOD,
+    )
+    coupled = CoupledEstimator(separate=separate, axes=axes, gain=together)
+    states = [dict(separate.initial_state()), dict(coupled.initial_state())]
+    states.append({name: np.stack([value, value]) for name, value in states[1].items()})
+    _, v_d, e, e_dot, force = smooth_motion(rng, 60)
+    for k in range(60):
+        given = {"v_d": v_d[k], "e": e[k], "e_dot": e_dot[k], "applied_force": force[k]}
+        sample = Sample(q=None, v=None, q_d=None, a_d=None, is_first=k == 0, **given)
+        both = sample._replace(**{name: np.stack([value, value]) for name, value in given.items()})
+        expected, states[0] = separate.step(sample, np.diag(mass), states[0])
+        estimate, states[1] = coupled.step(sample, np.diag(mass), states[1])
+        estimates, states[2] = coupled.step(both, np.stack([np.diag(mass)] * 2), states[2])
+        for name in ("e", "e_dot", "base_acceleration"):
+            of, wanted = getattr(estimate, name), getattr(expected, name)
+            assert of == pytest.approx(wanted, abs=1e-6 * np.abs(wanted).max()), (k, name)
+            assert getattr(estimates, name) == pytest.approx(np.stack([of, of]), rel=1e-12, abs=1e-15)
+
+
 def test_what_is_not_new_is_not_looked_at():
     scenario = load_scenario("slow_navigation")
     estimator = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
@@ -360,6 +396,8 @@ def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
         ("estimator.velocity_noise={elbow: 1}", "estimator.velocity_noise.elbow: unknown coordinate"),
         ("estimator.velocity_bias_walk.joint_1=-1", "velocity_bias_walk.joint_1: a standard deviation must be >= 0"),
         ("estimator.velocity_bias_walk.elbow=1", "estimator.velocity_bias_walk.elbow: unknown coordinate"),
+        ("estimator.force_walk=0", "estimator.force_walk.all: must be > 0, not 0"),
+        ("estimator={kind: coupled, delay: 2}", "estimator.kind: coupled takes no slow or late sensors and no bias"),
         ("estimator.delay=-1", "estimator.delay: must be from 0 to 1000 control samples, not -1"),
     ],
 )

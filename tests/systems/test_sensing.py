@@ -299,6 +299,7 @@ def test_order_of_the_stages(run):
         ("sensing.position_delay.joints=2.5", "sensing.position_delay.joints: must be a whole number of control samp"),
         ("sensing.position_period.base_rotation_x=2", "sensing.position_period: must be the same for the three"),
         ("sensing.position_delay.elbow=2", "sensing.position_delay.elbow: unknown coordinate"),
+        ("tolerance.elbow=1", "tolerance.elbow: unknown coordinate"),
         ("sensing.correlation_time=0", "sensing.correlation_time.all: must be > 0 s, not 0"),
         ("sensing.velocity_correlated_noise=-1", "velocity_correlated_noise.all: a standard deviation must be >= 0"),
         ("sensing.velocity_bias_walk.joints=-1", "velocity_bias_walk.joints: a standard deviation must be >= 0"),

@@ -16,6 +16,9 @@ disturbance rejection control", doi:10.1109/TIE.2008.2011621).
 than the control samples, or have a velocity bias, which is then a fourth state b. It remembers what e and e' were over
 the delay, compares a measurement with that of its own time, and corrects all of it, the present included. This equals a
 filter at the time of measurement that predicts over the delay with the force that acted.
+
+*Coupled*: what disturbs is a force, and H couples what it does to attitude and joints: d = -Hhat^-1 f, with f a random
+walk. One filter of all their measurements then knows more of each than one for each.
 """
 
 import dataclasses
@@ -28,6 +31,8 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.sensing import measurement_times
 
@@ -144,6 +149,12 @@ class LateKalmanEstimator:
         own = np.arange(self.delay.size)
         return np.where(self.delay > 0, self.delay.size - 1 + np.cumsum(self.delay), own)
 
+    @functools.cached_property
+    def _axis(self) -> np.ndarray:
+        """The coordinate of each entry of x."""
+        nv = self.delay.size // 2
+        return np.concatenate((np.tile(np.arange(nv), 4), self._owner % nv))
+
     def initial_state(self) -> State:
         nv = self.delay.size // 2
         names = ("estimated_error", "estimated_error_rate", "estimated_negative_n", "estimated_velocity_bias")
@@ -162,8 +173,7 @@ class LateKalmanEstimator:
         x = np.concatenate((e, e_dot, past), axis=-1)
         expected = x[..., self._measured]
         position, rate = sample.e - expected[..., :nv], sample.e_dot - (expected[..., nv:] - bias)
-        axis = np.concatenate((np.tile(np.arange(nv), 4), self._owner % nv))
-        gain = self.gain[3]
+        axis, gain = self._axis, self.gain[3]
         if sample.is_new is not None:
             new = 2 * sample.is_new[..., :nv] + sample.is_new[..., nv:]
             gain = self.gain[new[..., axis], np.arange(axis.size)]
@@ -178,6 +188,37 @@ class LateKalmanEstimator:
             "delayed_desired_velocity": sample.v_d,
             "past": past,
         }
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CoupledEstimator:
+    """Kalman estimate of [e, e', f] of several coordinates together, d = -(Hhat^-1 f), and of the others one by one."""
+
+    separate: KalmanEstimator
+    axes: np.ndarray  # (n,) the coordinates that are taken together
+    gain: np.ndarray  # (3 n, 2 n): correction of [e, e', f] per unit of innovation of [e, e']
+
+    def initial_state(self) -> State:
+        return {**self.separate.initial_state(), "estimated_force": np.zeros(self.axes.size)}
+
+    def step(self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State) -> tuple[Estimate, State]:
+        """One sample; see Estimator."""
+        predicted = _predict(sample, nominal_mass_matrix, state, step=self.separate.sample_time)
+        estimate, after = self.separate.step(sample, nominal_mass_matrix, state)
+        e, e_dot, d = estimate.e.copy(), estimate.e_dot.copy(), -estimate.base_acceleration
+        old_e, old_rate = (of[..., self.axes] for of in predicted[:2])
+        innovation = np.concatenate(
+            (sample.e[..., self.axes] - old_e, sample.e_dot[..., self.axes] - old_rate), axis=-1
+        )
+        of_e, of_rate, of_force = np.split(np.einsum("ij,...j->...i", self.gain, innovation), 3, axis=-1)
+        force = state["estimated_force"] + of_force
+        # Its effect on the other coordinates is theirs to estimate.
+        acting = np.zeros_like(d)
+        acting[..., self.axes] = force
+        e[..., self.axes], e_dot[..., self.axes] = old_e + of_e, old_rate + of_rate
+        d[..., self.axes] = -np.linalg.solve(nominal_mass_matrix, acting[..., None])[..., self.axes, 0]
+        kept = {"estimated_error": e, "estimated_error_rate": e_dot, "estimated_negative_n": d}
+        return estimate._replace(e=e, e_dot=e_dot, base_acceleration=-d), {**after, **kept, "estimated_force": force}
 
 
 def _predict(
@@ -217,6 +258,42 @@ def kalman_gain(*, position_noise: float, velocity_noise: float, walk: float, sa
     gain = covariance @ output.T @ np.linalg.inv(output @ covariance @ output.T + np.diag(noise / scale))
     size = np.array([step**2, step, 1.0])
     return gain * size[:, None] / size[:2]
+
+
+def coupled_gain(
+    inverse_mass_matrix: np.ndarray,
+    *,
+    position_noise: np.ndarray,
+    velocity_noise: np.ndarray,
+    walk: np.ndarray,
+    sample_time: float,
+) -> np.ndarray:
+    """Stationary gain (3 n, 2 n) of a CoupledEstimator.
+
+    Args:
+      inverse_mass_matrix: the part of Hhat^-1 that is the coupled coordinates' (n, n).
+      position_noise, velocity_noise: standard deviations of the measured e and e' (n).
+      walk: intensity of the force's random walk (n), N m or N per sqrt(s).
+      sample_time: L, s.
+    """
+    from scipy.linalg import solve_discrete_are
+
+    step, size = sample_time, walk.size
+    response, one = -inverse_mass_matrix, np.eye(size)
+    zero = np.zeros_like(one)
+    # In units of acceleration, as in ``kalman_gain``.
+    transition = np.block([[one, one, 0.5 * response], [zero, one, response], [zero, zero, one]])
+    output = np.eye(2 * size, 3 * size)
+    sigma = np.concatenate([position_noise / step**2, velocity_noise / step])
+    fastest = float(np.abs(response @ walk).max()) * math.sqrt(step)
+    noise = np.maximum(sigma, SMALLEST_RATIO * max(float(sigma.max()), fastest)) ** 2
+    process = np.zeros((3 * size, 3 * size))
+    process[2 * size :, 2 * size :] = np.diag(walk**2 * step) / noise.min()
+    of_noise = np.diag(noise / noise.min())
+    covariance = solve_discrete_are(transition.T, output.T, process, of_noise)
+    gain = np.linalg.solve(output @ covariance @ output.T + of_noise, output @ covariance).T
+    units = np.repeat([step**2, step, 1.0], size)
+    return gain * units[:, None] / units[: 2 * size]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -353,6 +430,11 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
             else late_gains(axis, sample_time=sample_time)
             for axis in dict.fromkeys(axes)
         }
+        if settings.kind == "coupled":
+            if not plain:
+                raise ScenarioError("estimator.kind", "coupled takes no slow or late sensors and no bias; use kalman")
+            separate = KalmanEstimator(sample_time=sample_time, gain=np.array([gains[axis] for axis in axes]))
+            return _make_coupled(scenario, coordinates, separate, position, velocity)
     except np.linalg.LinAlgError as error:
         remedy = "bring walk, position_noise and velocity_noise closer together"
         raise ScenarioError("estimator", f"has no stationary filter ({one_line(error)}); {remedy}") from error
@@ -364,6 +446,28 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
     parts += [of[:, 4 : 4 + axis.delay[0]] for axis, of in zip(axes, by_axis, strict=True)]
     parts += [of[:, 4 + axis.delay[0] :] for axis, of in zip(axes, by_axis, strict=True)]
     return LateKalmanEstimator(sample_time=sample_time, delay=delay, gain=np.concatenate(parts, axis=1))
+
+
+def _make_coupled(
+    scenario: Scenario,
+    coordinates: Coordinates,
+    separate: KalmanEstimator,
+    position_noise: np.ndarray,
+    velocity_noise: np.ndarray,
+) -> CoupledEstimator:
+    """With the gain of the initial posture: that of any other on the way differs by less than its tuning matters."""
+    nominal = make_nominal_plant(scenario)
+    q = configuration(nominal.plant, scenario.initial_posture, key="initial_posture")
+    axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
+    inverse = np.linalg.inv(nominal.calc_mass_matrix(q))
+    gain = coupled_gain(
+        inverse[np.ix_(axes, axes)],
+        position_noise=position_noise[axes],
+        velocity_noise=velocity_noise[axes],
+        walk=coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")[axes],
+        sample_time=scenario.sample_time,
+    )
+    return CoupledEstimator(separate=separate, axes=axes, gain=gain)
 
 
 def _assumed_noise(scenario: Scenario, coordinates: Coordinates, part: str, period: np.ndarray) -> np.ndarray:
