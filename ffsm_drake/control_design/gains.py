@@ -13,6 +13,7 @@ payload of the range. Where they come from depends on the law:
   as that pays at a price of effort.
 """
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Mapping
@@ -41,9 +42,16 @@ LARGEST_RADIUS = 0.9995
 # Prices and factors that other laws' gains are varied with.
 _VARIED_PRICES = (0.08, 0.022, 0.006)
 _FACTORS = (2.0, 1.4)
+# Of log(rms error): less is no reason to change gains.
+_NEGLIGIBLE = 0.005
 
 
-_KINDS = {"kalman": "Kalman estimate", "one_sample": "One-sample estimate", "varied": "Gains varied by group"}
+_KINDS = {
+    "kalman": "Kalman estimate",
+    "coupled": "Coupled Kalman estimate",
+    "one_sample": "One-sample estimate",
+    "varied": "Gains varied by group",
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -110,7 +118,7 @@ class Design:
 
     chosen: DesignPoint
     given: DesignPoint  # the scenario as it was
-    found: Mapping[str, DesignPoint]  # the best of each kind: "kalman", "one_sample" estimate, or "varied" gains
+    found: Mapping[str, DesignPoint]  # the best of each kind: of estimate, or "varied" gains
     kept: bool  # whether the given gains are the chosen ones
     held_back: str  # what keeps the chosen gains from being better, one line
     front: tuple[FrontPoint, ...]  # with the chosen estimate; empty where none was traced
@@ -204,12 +212,17 @@ def design(
         for kind in ("kalman", "one_sample"):
             searches[kind] = search = _Search(scenario, demand, kind, masses, on_price=step)
             found[kind] = search.at_budget(requirement.budget, evaluate)
+            if kind == "kalman":
+                with contextlib.suppress(ScenarioError):  # late or slow sensors, which it does not take
+                    found["coupled"] = search.at_budget(
+                        requirement.budget, lambda made: evaluate(_with_estimator(made, kind="coupled"))
+                    )
     if varies:
         best = min([given, *found.values()], key=requirement.rank)
         tried = list(_varied(best, evaluate, on_price=step))
         found["varied"] = min(tried, key=requirement.rank)
     best = min(found.values(), key=requirement.rank)
-    kept = requirement.rank(given) <= requirement.rank(best)
+    kept = requirement.rank(given) <= (requirement.rank(best)[0], requirement.rank(best)[1] + _NEGLIGIBLE)
     chosen = given if kept else best
     if requirement.violated(chosen).startswith("ISV"):
         cheapest = f"the cheapest gains found need {chosen.prediction.isv:.1f}"
@@ -230,6 +243,10 @@ def design(
         ideal_isv=demand.ideal_isv,
         requirement=requirement,
     )
+
+
+def _with_estimator(scenario: Scenario, **settings: Any) -> Scenario:
+    return dataclasses.replace(scenario, estimator=dataclasses.replace(scenario.estimator, **settings))
 
 
 def _radius(scenario: Scenario) -> float:
@@ -282,15 +299,20 @@ class _Search:
 
     def at_budget(self, budget: float, evaluate: Callable[[Scenario], DesignPoint]) -> DesignPoint:
         """The point that spends the budget, by bisection on the price; the cheapest where none is within it."""
-        allowed = budget
-        for _ in range(3):  # the loop of all coordinates costs a little more or less than its axes alone
-            self._chosen = self._within(allowed)
-            found = evaluate(self._with_gains(self._chosen))
+        allowed, best = budget, None
+        for _ in range(3):  # the loop of all coordinates costs more or less than its axes alone
+            chosen = self._within(allowed)
+            found = evaluate(self._with_gains(chosen))
             excess = found.prediction.isv - budget
-            if excess <= 0.0 or not np.isfinite(excess) or self._chosen is self._designs[0]:
+            if best is None or excess <= 0.0:
+                best, self._chosen = found, chosen
+            last = self._designs[0] if excess > 0.0 else self._designs[-1]
+            spent = -0.1 * (budget - self._demand.ideal_isv) < excess <= 0.0
+            if spent or chosen is last or not np.isfinite(excess):
                 break
-            allowed = self._isv(self._chosen) - 1.05 * excess
-        return found
+            allowed = self._isv(chosen) - (1.05 if excess > 0.0 else 0.95) * excess
+        assert best is not None
+        return best
 
     def at_the_edge(self) -> list[str]:
         """The groups whose chosen design would leave the stable region by a small step."""
@@ -461,15 +483,16 @@ def _tunable(scenario: Scenario) -> list[str]:
     """What ``_scaled`` takes: feedback gains by coordinate, bounds apart, and the estimator's walk."""
     gains = declared_gains(scenario)
     names = [name for name, gain in gains.items() if gain.feedback and not gain.bound and not gain.scalar]
-    return [*names, *(["walk"] if scenario.estimator.kind == "kalman" and scenario.controller in PAPER_LAWS else [])]
+    walks = {"kalman": ["walk"], "coupled": ["walk", "force_walk"]}.get(scenario.estimator.kind, [])
+    return [*names, *(walks if scenario.controller in PAPER_LAWS else [])]
 
 
 def _scaled(scenario: Scenario, name: str, factors: Mapping[str, float]) -> Scenario:
     """The scenario with one tunable value times a factor by group, and with it the bound it must stay below."""
     coordinates = make_nominal_plant(scenario).coordinates
     data: dict[str, Any] = scenario_to_dict(scenario)
-    if name == "walk":
-        data["estimator"]["walk"] = _times(data["estimator"]["walk"], factors, coordinates)
+    if name in ("walk", "force_walk"):
+        data["estimator"][name] = _times(data["estimator"][name], factors, coordinates)
         return scenario_from_dict(data)
     gains = data["controllers"][controller_key(scenario.controller)]
     bound = f"{name.removesuffix('_initial')}_max"

@@ -199,7 +199,7 @@ def design_table(found: "Design") -> str:
     ]
     for name, gain in scenario.controllers.get(controller_key(scenario.controller), {}).items():
         rows.append([name, *(_gain_cell(gain, name_of_group) for name_of_group in names)])
-    if scenario.estimator.kind == "kalman" and scenario.controller in PAPER_LAWS:
+    if scenario.estimator.kind != "one_sample" and scenario.controller in PAPER_LAWS:
         rows.append(["walk q_N", *(_gain_cell(scenario.estimator.walk, name) for name in names)])
     estimate = f", estimator {scenario.estimator.kind}" if scenario.controller in PAPER_LAWS else ""
     masses = [["true payload", "spectral radius", ""]]

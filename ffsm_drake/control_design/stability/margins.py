@@ -163,7 +163,7 @@ def has_closed_form(scenario: Scenario) -> bool:
     sensing, estimator = scenario.sensing, scenario.estimator
     late = (sensing.position_delay, sensing.velocity_delay, estimator.velocity_bias_walk)
     slow = (sensing.position_period, sensing.velocity_period)
-    return not (
+    return estimator.kind != "coupled" and not (
         sensing.delay
         or estimator.delay
         or any(value for values in late for value in values.values())
