@@ -300,7 +300,7 @@ class _Search:
     def at_budget(self, budget: float, evaluate: Callable[[Scenario], DesignPoint]) -> DesignPoint:
         """The point that spends the budget, by bisection on the price; the cheapest where none is within it."""
         allowed, best = budget, None
-        for _ in range(3):  # the loop of all coordinates costs more or less than its axes alone
+        for _ in range(2):  # the loop of all coordinates costs more or less than its axes alone
             chosen = self._within(allowed)
             found = evaluate(self._with_gains(chosen))
             excess = found.prediction.isv - budget

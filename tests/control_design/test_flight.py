@@ -132,6 +132,12 @@ def test_perfect_tracking_effort_is_that_of_a_noiseless_run(run):
     assert demand.ideal_isv == pytest.approx(simulated, rel=2e-3)
 
 
+@pytest.fixture
+def _few_prices(monkeypatch):
+    monkeypatch.setattr("ffsm_drake.control_design.gains.PRICES", (0.08, 0.022, 0.006))
+
+
+@pytest.mark.usefixtures("_few_prices")
 def test_design_beats_the_hand_made_gains():
     """No more error in any group, at no more effort, than w = 2, 5, 10 rad/s with walks 1e-3, 1e-3, 1e-2."""
     hand_made = load_scenario(
@@ -161,6 +167,7 @@ def test_design_beats_the_hand_made_gains():
     assert record.metrics["isv"] == pytest.approx(found.chosen.prediction.isv, rel=0.02)
 
 
+@pytest.mark.usefixtures("_few_prices")
 def test_design_from_the_shell(tmp_path, monkeypatch):
     """With one price: the whole front, and the search along it, are looked at above."""
     monkeypatch.setattr("ffsm_drake.control_design.gains.PRICES", (0.2,))
@@ -191,6 +198,7 @@ def test_design_from_the_shell(tmp_path, monkeypatch):
     assert (tmp_path / "design.png").stat().st_size > 20_000
 
 
+@pytest.mark.usefixtures("_few_prices")
 def test_design_says_when_a_budget_cannot_be_met(tmp_path):
     short = ["--set", "duration=6"]
     arguments = ["design", "flight_sensors", "-c", "tdc", "--budget", "50", "--out", str(tmp_path), *short]
