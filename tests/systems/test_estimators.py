@@ -396,6 +396,10 @@ def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
         ("estimator.velocity_noise={elbow: 1}", "estimator.velocity_noise.elbow: unknown coordinate"),
         ("estimator.velocity_bias_walk.joint_1=-1", "velocity_bias_walk.joint_1: a standard deviation must be >= 0"),
         ("estimator.velocity_bias_walk.elbow=1", "estimator.velocity_bias_walk.elbow: unknown coordinate"),
+        (
+            "sensing.position_delay.joints=500",
+            "estimator: has no stationary filter (a common period of 1 samples and 504",
+        ),
         ("estimator.force_walk=0", "estimator.force_walk.all: must be > 0, not 0"),
         ("estimator={kind: coupled, delay: 2}", "estimator.kind: coupled takes no slow or late sensors and no bias"),
         ("estimator.delay=-1", "estimator.delay: must be from 0 to 1000 control samples, not -1"),

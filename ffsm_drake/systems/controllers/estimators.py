@@ -41,6 +41,10 @@ from ffsm_drake.systems.sensing import measurement_times
 SMALLEST_RATIO = 1e-7
 
 
+# Of the work on the gains of late and slow sensors, roughly multiplications: seconds.
+_LARGEST = 3e8
+
+
 class Estimate(NamedTuple):
     """What the law and the force are computed from; arrays (..., nv)."""
 
@@ -340,6 +344,8 @@ def late_gains(axis: LateAxis, *, sample_time: float) -> np.ndarray:
     noise = noise / noise.min()
 
     samples = np.arange(math.lcm(*axis.period))
+    if (samples.size + 60) * (size**3 + 10_000) > _LARGEST:
+        raise np.linalg.LinAlgError(f"a common period of {samples.size} samples and {size} states are too many")
     new = np.stack([(samples - late) % period == 0 for late, period in zip(extra, axis.period, strict=True)], axis=1)
     kinds = 2 * new[:, 0] + new[:, 1]
     information = {kind: output.T * ([kind // 2, kind % 2] / noise) @ output for kind in set(kinds.tolist())}
@@ -436,7 +442,7 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
             separate = KalmanEstimator(sample_time=sample_time, gain=np.array([gains[axis] for axis in axes]))
             return _make_coupled(scenario, coordinates, separate, position, velocity)
     except np.linalg.LinAlgError as error:
-        remedy = "bring walk, position_noise and velocity_noise closer together"
+        remedy = "bring walk and noises, or periods and delays, of position and velocity closer together"
         raise ScenarioError("estimator", f"has no stationary filter ({one_line(error)}); {remedy}") from error
     by_axis = [gains[axis] for axis in axes]
     if plain:
