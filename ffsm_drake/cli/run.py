@@ -11,7 +11,6 @@ import click
 
 from ffsm_drake.cli.common import (
     EXIT_GOOD,
-    EXIT_INTERRUPTED,
     EXIT_UNSTABLE,
     RunProgress,
     controller_option,
@@ -26,6 +25,8 @@ from ffsm_drake.cli.common import (
     scenario_stem,
     seed_option,
 )
+
+from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
@@ -185,5 +186,5 @@ def _finish(
         click.echo(f"\nWritten to {directory}" + (f"; open {directory / 'report.html'}" if report else ""))
     statuses = {record.outcome.status for record in records}
     if "interrupted" in statuses:
-        return EXIT_INTERRUPTED
+        return exit_code()
     return EXIT_UNSTABLE if "diverged" in statuses else EXIT_GOOD

@@ -701,7 +701,7 @@ TABLE = [
     record("manifest-is-a-list", manifest_text("[1]"), "is not a run's manifest: must be an object, not list"),
     record("manifest-too-deep", manifest_text("[" * 100_000), "is not a run's manifest", "RecursionError"),
     record("manifest-empty", manifest_text("{}"), "is not a run's manifest: lacks 'format'"),
-    record("other-format", edit_manifest(lambda data: data.update(format=9)), "format 9 is not the supported 2"),
+    record("other-format", edit_manifest(lambda data: data.update(format=9)), "format 9 is not the supported 3"),
     record("manifest-without-scenario", edit_manifest(lambda data: data.pop("scenario")), "lacks 'scenario'"),
     record(
         "manifest-bad-scenario",
@@ -785,7 +785,7 @@ FFSM = (
     sys.executable,
     "-c",
     "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    "from ffsm_drake.cli import main; main(prog_name='ffsm')",
+    "from ffsm_drake.__main__ import main; main()",
 )
 OWN_PROCESS = {
     "env": os.environ | {"PYTHONPATH": str(Path(files.__file__).parents[2]), "PYTHONDONTWRITEBYTECODE": "1"},
@@ -865,7 +865,7 @@ def test_full_disk_keeps_the_old_record_whole(tmp_path, good_run, run, monkeypat
 
     monkeypatch.setattr(Path, "write_text", full)
     record = run("postcapture", "duration=0.1")
-    with pytest.raises(RecordError, match=r"run/manifest\.json: cannot be written: .*No space left on device$"):
+    with pytest.raises(RecordError, match=r"run: cannot be written: .*No space left on device$"):
         record.save(tmp_path / "run")
     assert {path: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
 
@@ -888,14 +888,56 @@ def test_full_disk_under_the_netcdf_library(tmp_path, monkeypatch):
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
-def test_written_together_or_not_at_all(tmp_path):
-    old, blocked = tmp_path / "old.txt", tmp_path / "taken" / "new.txt"
-    old.write_text("old")
-    (tmp_path / "taken").touch()
-    with pytest.raises(RecordError, match=r"taken/new\.txt: cannot be written"):
-        files.write_together({old: lambda path: path.write_text("new"), blocked: lambda path: path.write_text("new")})
-    assert old.read_text() == "old"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["old.txt", "taken"]
+def _contents(folder: Path) -> dict[str, bytes | None]:
+    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in _files(folder)}
+
+
+@pytest.mark.parametrize("name", ["record.nc", "metrics.json", "manifest.json"])
+def test_a_folder_in_the_way_keeps_the_old_record(tmp_path, good_run, run, name):
+    shutil.copytree(good_run, tmp_path / "run")
+    (tmp_path / "run" / name).unlink()
+    (tmp_path / "run" / name).mkdir()
+    (tmp_path / "run" / name / "mine.txt").write_text("mine")
+    before = _contents(tmp_path)
+    with pytest.raises(RecordError, match=rf"run: cannot be written: .*run/{name} is a folder; move it away"):
+        run("postcapture", "duration=0.1").save(tmp_path / "run")
+    assert _contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_a_rename_that_fails_keeps_the_old_record(tmp_path, good_run, run, monkeypatch, number):
+    """Of 7 renames, the one of that number fails; other files stay, what tells of the old record goes with it."""
+    shutil.copytree(good_run, tmp_path / "run")
+    (tmp_path / "run" / "report.html").write_text("old")
+    (tmp_path / "run" / "mine.txt").write_text("mine")
+    before, calls, rename = _contents(tmp_path), 0, Path.rename
+
+    def failing(path, target):
+        nonlocal calls
+        calls += 1
+        if calls == number + 1:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    record = run("postcapture", "duration=0.1")
+    if number < 7:
+        with pytest.raises(RecordError, match="run: cannot be written: .*Input/output error"):
+            record.save(tmp_path / "run")
+        assert _contents(tmp_path) == before
+    else:
+        record.save(tmp_path / "run")
+        assert RunRecord.load(tmp_path / "run").dataset.identical(record.dataset)
+        names = {"record.nc", "metrics.json", "manifest.json", "mine.txt"}
+        assert {path.name for path in (tmp_path / "run").iterdir()} == names
+
+
+@pytest.mark.parametrize("name", ["record.nc", "metrics.json", "manifest.json"])
+def test_files_of_two_runs_are_refused(tmp_path, good_run, run, name):
+    other = run("postcapture", "duration=0.1").save(tmp_path / "run")
+    shutil.copyfile(good_run / name, other / name)
+    with pytest.raises(RecordError, match="run it again"):
+        RunRecord.load(other)
 
 
 # Runs that end early keep their record.
@@ -944,25 +986,27 @@ def _started(process: subprocess.Popen) -> None:
     raise AssertionError("the run never began")
 
 
-@pytest.mark.parametrize("signals", [1, 2])
-def test_interrupted_runs_keep_their_record(tmp_path, signals):
-    """Ctrl-C in mid-run ends with 130 and a record; a second one, whenever it comes, leaves a whole record or none."""
+@pytest.mark.parametrize(
+    ("number", "signals"), [(signal.SIGINT, 1), (signal.SIGTERM, 1), (signal.SIGINT, 2)], ids=["int", "term", "twice"]
+)
+def test_interrupted_runs_keep_their_record(tmp_path, number, signals):
+    """A signal in mid-run ends with a record; a second one, whenever it comes, leaves a whole record or none."""
     command = [*FFSM, "run", "--no-report", "--out", "new", "--set", "duration=5000"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, **OWN_PROCESS)
     try:
         _started(process)
         time.sleep(0.3)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         if signals == 2:
             time.sleep(0.05)
-            process.send_signal(signal.SIGINT)
+            process.send_signal(number)
         _, stderr = process.communicate(timeout=120)
     finally:
         process.kill()
-    assert process.returncode == 130, stderr
+    assert process.returncode == 128 + number, stderr
     assert "Traceback" not in stderr
-    assert "interrupted" in stderr
     if signals == 1:
+        assert "interrupted" in stderr
         kept = check_kept(tmp_path / "new", "interrupted")
         assert 0.0 < kept.outcome.time < 5000.0
     else:

@@ -147,8 +147,9 @@ def legend(arrows: ForceArrows) -> list[str]:
 
 
 def _finite_rows(vectors: np.ndarray) -> np.ndarray:
-    """A copy with zero vectors for those (rows) that are not finite: a diverged run's last force may be."""
-    return np.where(np.isfinite(vectors).all(axis=1, keepdims=True), vectors, 0.0)
+    """A copy with zero vectors for those (rows) whose length is not finite: a diverged run's last force may be so."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.where(np.isfinite(np.linalg.norm(vectors, axis=1, keepdims=True)), vectors, 0.0)
 
 
 def _magnification(ratio: float) -> int:
