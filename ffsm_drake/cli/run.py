@@ -25,7 +25,6 @@ from ffsm_drake.cli.common import (
     scenario_stem,
     seed_option,
 )
-
 from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:

@@ -197,6 +197,44 @@ def urdf(id: str, old: str, new: str, *expected: str, file: str = "servicer.urdf
     return Row(id, "validate mine.yaml", expected, texts)
 
 
+def visual(
+    id: str,
+    shape: str,
+    *expected: str,
+    files: Mapping[str, str] | None = None,
+    prepare: Callable[[Path], object] | None = None,
+) -> Row:
+    """The small servicer with a shape to be drawn."""
+    text = SERVICER.replace("</link>", f"<visual><geometry>{shape}</geometry></visual></link>", 1)
+    texts = URDFS | {"mine.yaml": MINE, "servicer.urdf": text} | dict(files or {})
+    return Row(id, "validate mine.yaml", expected, texts, prepare)
+
+
+def pipe(name: str) -> Callable[[Path], object]:
+    """Makes a FIFO into which nobody writes."""
+    return lambda folder: os.mkfifo(folder / name)
+
+
+def huge(name: str) -> Callable[[Path], object]:
+    """Makes a file of a terabyte, which takes no room."""
+
+    def make(folder: Path) -> None:
+        (folder / name).touch()
+        os.truncate(folder / name, 10**12)
+
+    return make
+
+
+def replaced(name: str, make: Callable[[Path], Callable[[Path], object]]) -> Callable[[Path], object]:
+    """Puts what ``make`` makes in the place of a file of the run's folder."""
+
+    def damage(folder: Path) -> None:
+        (folder / "run" / name).unlink()
+        make(f"run/{name}")(folder)
+
+    return damage
+
+
 def model(id: str, text: str, *expected: str) -> Row:
     """A scenario whose model section is at fault; the URDFs are good."""
     return Row(id, "validate mine.yaml", expected, URDFS | {"mine.yaml": text})
@@ -549,6 +587,83 @@ TABLE = [
         '<visual><geometry><mesh filename="none.obj"/></geometry></visual></link>',
         "none.obj",
     ),
+    urdf(
+        "urdf-reversed-limits",
+        '<axis xyz="0 1 0"/>',
+        '<axis xyz="0 1 0"/><limit lower="3" upper="-3"/>',
+        "servicer.urdf: a joint's lower limit lies above its upper limit",
+    ),
+    urdf(
+        "urdf-negative-velocity-limit",
+        '<axis xyz="0 1 0"/>',
+        '<axis xyz="0 1 0"/><limit velocity="-3"/>',
+        "servicer.urdf: a joint's velocity limit is negative",
+    ),
+    *(
+        visual(f"urdf-{id}", shape, "servicer.urdf:", expected)
+        for id, shape, expected in (
+            ("negative-sphere", '<sphere radius="-1"/>', "Sphere: condition 'std::isfinite(radius) && radius >= 0'"),
+            ("flat-cylinder", '<cylinder radius="0" length="0"/>', "Cylinder: condition"),
+            ("flat-box", '<box size="0 1 1"/>', "Box: condition 'std::isfinite(width) && width > 0' failed"),
+            ("no-package", '<mesh filename="package:///etc/passwd"/>', "unknown package ''"),
+            ("folder-as-mesh", '<mesh filename="."/>', "is a folder; give a file"),
+            ("device-as-mesh", '<mesh filename="/dev/zero"/>', "/dev/zero: is not a regular file; give a file"),
+            ("device-by-address", '<mesh filename="file:///dev/zero"/>', "/dev/zero: is not a regular file"),
+        )
+    ),
+    *(
+        visual(f"no-mesh-{kind}", f'<mesh filename="m.{kind}"/>', f"m.{kind}: is no", files={f"m.{kind}": "hello"})
+        for kind in ("obj", "gltf", "dae")
+    ),
+    *(
+        visual(
+            f"no-mesh-{kind}",
+            f'<mesh filename="m.{kind}"/>',
+            "is of a kind that is not drawn; convert it to .obj",
+            files={f"m.{kind}": "hello"},
+        )
+        for kind in ("stl", "glb", "txt")
+    ),
+    visual("mesh-of-a-fifo", '<mesh filename="pipe"/>', "pipe: is not a regular file", prepare=pipe("pipe")),
+    visual(
+        "buffer-of-a-fifo",
+        '<mesh filename="m.gltf"/>',
+        "pipe: is not a regular file",
+        files={"m.gltf": '{"asset": {"version": "2.0"}, "buffers": [{"uri": "pipe", "byteLength": 4}]}'},
+        prepare=pipe("pipe"),
+    ),
+    visual(
+        "material-of-a-fifo",
+        '<mesh filename="m.obj"/>',
+        "pipe: is not a regular file",
+        files={"m.obj": "mtllib m.mtl\n", "m.mtl": "newmtl a\nmap_Kd pipe\n"},
+        prepare=pipe("pipe"),
+    ),
+    visual("huge-mesh", '<mesh filename="m.obj"/>', "m.obj: has 1e+12 bytes; at most 5e+08", prepare=huge("m.obj")),
+    urdf(
+        "urdf-mimic",
+        '<axis xyz="1 0 0"/>',
+        '<axis xyz="1 0 0"/><mimic joint="shoulder"/>',
+        "servicer.urdf: a joint follows another",
+        "<mimic>",
+        "take it out",
+    ),
+    Row(
+        "urdf-all-fixed",
+        "validate mine.yaml",
+        ("servicer.urdf: no joint moves; an arm has revolute, continuous or prismatic joints",),
+        URDFS | {"mine.yaml": MINE, "servicer.urdf": SERVICER.replace("continuous", "fixed")},
+    ),
+    model(
+        "empty-package-name",
+        "model: {servicer: 'package:///passwd', packages: {'': /etc}}\n",
+        "model.packages: a package's name must not be empty",
+    ),
+    directives(
+        "directives-of-a-device",
+        ADD.replace("package://ffsm_drake/urdf/servicer.urdf", "/dev/zero"),
+        "/dev/zero: is not a regular file",
+    ),
     directives("directives-not-yaml", "directives: [", "mine.dmd.yaml"),
     directives("directives-unknown-key", "directives:\n- add_mdl: {name: x}\n", "add_mdl"),
     directives("directives-unknown-model", ADD.replace("servicer.urdf", "none.urdf"), "none.urdf"),
@@ -673,6 +788,21 @@ TABLE = [
         "record-is-a-folder",
         lambda at: ((at / "run" / "record.nc").unlink(), (at / "run" / "record.nc").mkdir()),
         "run/record.nc: cannot be read",
+    ),
+    *(
+        record(f"{id}-{name.partition('.')[0]}", replaced(name, make), f"run/{name}: cannot be read: {fault}")
+        for name in ("manifest.json", "record.nc", "metrics.json")
+        for id, make, fault in (("pipe-as", pipe, "is not a regular file"), ("huge", huge, "has 1e+12 bytes"))
+    ),
+    record(
+        "device-as-record",
+        lambda at: ((at / "run" / "record.nc").unlink(), (at / "run" / "record.nc").symlink_to("/dev/zero")),
+        "run/record.nc: cannot be read: is not a regular file",
+    ),
+    record(
+        "other-record",
+        edit_dataset(lambda data: data.assign(error=2.0 * data["error"])),
+        "run/record.nc: is not the record that manifest.json goes with, or was changed",
     ),
     record("zero-samples", edit_dataset(lambda data: data.isel(time=slice(0, 0))), "run/record.nc: holds no samples"),
     record(
@@ -922,7 +1052,7 @@ def test_a_rename_that_fails_keeps_the_old_record(tmp_path, good_run, run, monke
     monkeypatch.setattr(Path, "rename", failing)
     record = run("postcapture", "duration=0.1")
     if number < 7:
-        with pytest.raises(RecordError, match="run: cannot be written: .*Input/output error"):
+        with pytest.raises(RecordError, match=r"run: cannot be written: .*Input/output error"):
             record.save(tmp_path / "run")
         assert _contents(tmp_path) == before
     else:

@@ -9,6 +9,7 @@ from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, Role, SceneGr
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 
+from ffsm_drake.show.meshcat.stage import box_around
 from ffsm_drake.spacecraft.plant import base_body
 
 if TYPE_CHECKING:
@@ -164,7 +165,7 @@ def base_bounding_box(plant: MultibodyPlant, inspector: SceneGraphInspector) -> 
     found = (RigidTransform(), np.full(3, 0.5))  # an invisible base: a cube of 1 m
     largest = 0.0
     for geometry in inspector.GetGeometries(frame, Role.kIllustration):
-        box = inspector.GetObbInGeometryFrame(geometry)
+        box = box_around(inspector, geometry)
         if box is not None and (size := float(np.prod(box.half_width()))) > largest:
             largest = size
             found = (inspector.GetPoseInFrame(geometry) @ box.pose(), np.array(box.half_width()))
