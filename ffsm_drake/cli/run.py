@@ -172,9 +172,13 @@ def _finish(
     distances: Sequence[float] | None = None,
 ) -> int:
     """Report, table and exit code of finished runs."""
+    from ffsm_drake.runs.limits import run_remarks
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.tables import results_data, results_table
 
+    for record in records:
+        for remark in run_remarks(record):
+            click.echo(f"warning: {record.scenario.controller}: {remark}", err=True)
     if not as_json:
         click.echo(results_table(records, distances))
     if report:

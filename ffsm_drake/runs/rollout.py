@@ -168,6 +168,19 @@ class Rollout:
             },
         )
 
+    def check(self) -> None:
+        """Set a run up and evaluate it at its start, without a step. Raises what ``run`` would raise by then."""
+        loop = self.loop
+        context = loop.diagram.CreateDefaultContext()
+        loop.initialize(loop.diagram, context)
+        try:
+            with same_folder():
+                loop.diagram.EvalTimeDerivatives(context)
+        except FfsmError:
+            raise
+        except (Exception, GeneratorExit, SystemExit) as error:
+            _raise_for(error, self._user_supplied, 0.0)
+
     def _advance(self, monitor: Monitor, *, watched: bool) -> tuple[bool, float]:
         """Run from the start to the end, or to divergence, which ``monitor`` then reports.
 
