@@ -124,6 +124,8 @@ def run_remarks(record: "RunRecord") -> list[str]:
       ModelError: the scenario's model does not load any more.
     """
     data, time = record.dataset, record.dataset["time"].values
+    if time.size == 0:
+        return []
     limits = joint_limits(record.scenario.model, make_plant(record.scenario.model))
 
     def at(sample: int) -> str:
@@ -143,7 +145,7 @@ def run_remarks(record: "RunRecord") -> list[str]:
 def saturation(record: "RunRecord") -> dict[str, float]:
     """Share of the samples in which what was commanded of a coordinate was beyond ``actuation.limit``, where any."""
     scenario, data = record.scenario, record.dataset
-    if scenario.actuation.limit is None or scenario.blocks.actuation is not None:
+    if data.sizes["time"] == 0 or scenario.actuation.limit is None or scenario.blocks.actuation is not None:
         return {}
     names, groups = (data[name].values.astype(str).tolist() for name in ("coordinate", "group"))
     given = scenario.actuation.limit
