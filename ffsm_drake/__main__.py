@@ -1,6 +1,15 @@
-"""``python -m ffsm_drake`` is ``ffsm``."""
+"""The command ``ffsm``, which is ``python -m ffsm_drake``."""
 
-from ffsm_drake.cli import main
+from ffsm_drake.common.interrupts import handle_signals
+
+
+def main() -> None:
+    """Run the command line; interrupts are handled before anything else is imported."""
+    handle_signals()
+    from ffsm_drake.cli import main as ffsm
+
+    ffsm(prog_name="ffsm")
+
 
 if __name__ == "__main__":
-    main(prog_name="ffsm")
+    main()

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ffsm_drake.common.errors import FfsmError, ModelError, ScenarioError, one_line, warnings_as_lines
+from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
 
-EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE, EXIT_INTERRUPTED = 0, 2, 3, 130
+EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE = 0, 2, 3
 
 
 class CommandGroup(click.Group):
@@ -37,7 +38,7 @@ class CommandGroup(click.Group):
                 sys.exit(EXIT_BAD_INPUT)
             except KeyboardInterrupt as interruption:
                 click.echo(str(interruption) or "interrupted", err=True)
-                sys.exit(EXIT_INTERRUPTED)
+                sys.exit(exit_code())
 
 
 def complete_scenario(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:

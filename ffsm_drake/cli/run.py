@@ -11,7 +11,6 @@ import click
 
 from ffsm_drake.cli.common import (
     EXIT_GOOD,
-    EXIT_INTERRUPTED,
     EXIT_UNSTABLE,
     RunProgress,
     controller_option,
@@ -26,6 +25,7 @@ from ffsm_drake.cli.common import (
     scenario_stem,
     seed_option,
 )
+from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
@@ -172,9 +172,13 @@ def _finish(
     distances: Sequence[float] | None = None,
 ) -> int:
     """Report, table and exit code of finished runs."""
+    from ffsm_drake.runs.limits import run_remarks
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.tables import results_data, results_table
 
+    for record in records:
+        for remark in run_remarks(record):
+            click.echo(f"warning: {record.scenario.controller}: {remark}", err=True)
     if not as_json:
         click.echo(results_table(records, distances))
     if report:
@@ -185,5 +189,5 @@ def _finish(
         click.echo(f"\nWritten to {directory}" + (f"; open {directory / 'report.html'}" if report else ""))
     statuses = {record.outcome.status for record in records}
     if "interrupted" in statuses:
-        return EXIT_INTERRUPTED
+        return exit_code()
     return EXIT_UNSTABLE if "diverged" in statuses else EXIT_GOOD

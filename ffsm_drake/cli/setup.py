@@ -2,7 +2,9 @@
 
 import os
 import sys
+import warnings
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -97,7 +99,7 @@ def scenarios(name: str | None, as_json: bool) -> None:
 @overrides_option
 @json_option
 def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bool) -> None:
-    """Check scenarios, their models and controllers, without running them. Exits with 2 if one cannot be used.
+    """Check scenarios, their models and controllers, as 'run' does, without a run. Exits with 2 if one cannot be used.
 
     \b
     Examples:
@@ -105,24 +107,29 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
       ffsm validate postcapture --set payload.truth.mass=-5
     """
     from ffsm_drake.common.errors import FfsmError
-    from ffsm_drake.loop.closed_loop import make_closed_loop
+    from ffsm_drake.runs.simulate import prepare
     from ffsm_drake.scenario import load_scenario
-    from ffsm_drake.spacecraft.nominal import make_true_plant
     from ffsm_drake.spacecraft.plant import check_pictures
 
-    results = {}
+    results: dict[str, dict[str, Any]] = {}
     for name in scenarios:
         try:
-            with located_errors(name, overrides):
-                loop = make_closed_loop(load_scenario(name, overrides))
-                check_pictures(loop.scenario.model)
-                make_true_plant(loop.scenario)  # checks the true payload; the loop was built with the nominal one
+            with located_errors(name, overrides), warnings.catch_warnings(record=True) as caught:
+                scenario = load_scenario(name, overrides)
+                check_pictures(scenario.model)
+                rollout = prepare(scenario)
+                rollout.check()
+                loop = rollout.loop
+                rollout.release()
             results[name] = {
                 "valid": True,
                 "controller": loop.scenario.controller,
                 "coordinates": list(loop.coordinates.names),
+                "warnings": [str(item.message) for item in caught],
             }
             if not as_json:
+                for text in results[name]["warnings"]:
+                    click.echo(f"warning: {name}: {text}", err=True)
                 joints = len(loop.coordinates.joints)
                 click.echo(f"{name}: valid; {loop.scenario.controller}, free base and {joints} joints")
         except FfsmError as error:

@@ -61,8 +61,12 @@ class WorkersError(FfsmError):
 
 
 def one_line(error: BaseException) -> str:
-    """The text of any exception on a single line."""
-    return " ".join(str(error).split()) or type(error).__name__
+    """The text of any exception on a single line; the name of its type where it has none."""
+    try:
+        text = str(error)
+    except (Exception, GeneratorExit, SystemExit):  # a user's exception may fail even in this
+        text = ""
+    return " ".join(text.split()) or type(error).__name__
 
 
 def did_you_mean(name: object, valid: Iterable[str]) -> str:

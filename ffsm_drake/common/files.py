@@ -1,15 +1,20 @@
-"""Atomic writes: a reader never sees half a file, and a failed write keeps the old one."""
+"""Files: written whole or not at all, and looked at before they are opened.
+
+A reader never sees half a file, or half of what belongs together; a failed write keeps what was there.
+"""
 
 import csv
 import io
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+import stat
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from ffsm_drake.common.errors import RecordError, one_line
+from ffsm_drake.common.interrupts import undisturbed, unfinished
 
 
 @contextmanager
@@ -20,29 +25,90 @@ def written_whole(path: Path) -> Iterator[Path]:
     """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        temporary.replace(path)
+        with unfinished(temporary):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            temporary.replace(path)
     except OSError as error:
         raise RecordError(f"{path}: cannot be written: {one_line(error)}") from error
+
+
+@contextmanager
+def published(directory: Path, *, outdated: Iterable[str] = ()) -> Iterator[Path]:
+    """Give a new folder to write files to, which become those of ``directory`` together when the block succeeds.
+
+    Where there is no such folder, the new one is renamed. An existing one stays (it may be somebody's current folder,
+    and hold other files): its files of the same names and the ``outdated`` ones are exchanged, or all put back.
+
+    Raises:
+      RecordError: the place cannot be written.
+    """
+    place = directory.absolute()
+    try:
+        exists = place.is_dir()
+        new = place / f".{os.getpid()}.partial" if exists else place.with_name(f".{place.name}.{os.getpid()}.partial")
+        with unfinished(new):
+            new.mkdir(parents=True, exist_ok=True)
+            yield new
+            with undisturbed():
+                if exists:
+                    _exchange(new, place, outdated)
+                else:
+                    new.rename(place)
+    except OSError as error:
+        raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
+
+
+def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:
+    """Move all files of a folder within ``directory`` into that; what they replace goes, with what is ``outdated``."""
+    names = [path.name for path in new.iterdir()]
+    for name in names:
+        if (directory / name).is_dir():
+            raise IsADirectoryError(f"{directory / name} is a folder; move it away")
+    old = new / "old"
+    old.mkdir()
+    moves = [(directory / name, old / name) for name in (*names, *outdated) if os.path.lexists(directory / name)]
+    moves += [(new / name, directory / name) for name in names]
+    done: list[tuple[Path, Path]] = []
+    try:
+        for before, after in moves:
+            before.rename(after)
+            done.append((before, after))
+    except BaseException:
+        for before, after in reversed(done):
+            after.rename(before)
+        raise
+
+
+@contextmanager
+def same_folder() -> Iterator[None]:
+    """Return to the current folder when the block ends: a user-supplied controller may have left it."""
+    try:
+        before = os.open(".", os.O_RDONLY)
+    except OSError:  # deleted, or not to be read
+        yield
+        return
+    try:
+        yield
     finally:
         with suppress(OSError):
-            temporary.unlink()
+            os.fchdir(before)
+        os.close(before)
 
 
-def write_together(files: Mapping[Path, Callable[[Path], object]]) -> None:
-    """Write several files: each value writes to the path it is given; no file is replaced before all are written.
+def check_regular(path: Path, *, limit: int) -> None:
+    """Raise OSError unless a file may be opened: not a device or a FIFO, which may never end, nor beyond its limit.
 
-    A failed write keeps all the old files. Raises RecordError naming the file that cannot be written.
+    Args:
+      limit: of the size, bytes.
     """
-    with ExitStack() as stack:
-        # Left in reverse order: the last file is replaced last.
-        temporaries = {path: stack.enter_context(written_whole(path)) for path in reversed(list(files))}
-        for path, write in files.items():
-            try:
-                write(temporaries[path])
-            except OSError as error:
-                raise RecordError(f"{path}: cannot be written: {one_line(error)}") from error
+    info = path.stat()
+    if stat.S_ISDIR(info.st_mode):
+        raise OSError("is a folder")
+    if not stat.S_ISREG(info.st_mode):
+        raise OSError("is not a regular file")
+    if info.st_size > limit:
+        raise OSError(f"has {info.st_size:.3g} bytes; at most {limit:.3g} are read")
 
 
 def check_writable(directory: Path) -> None:

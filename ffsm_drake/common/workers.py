@@ -20,6 +20,7 @@ from multiprocessing import get_context, parent_process
 from typing import Any, Generic, TypeVar
 
 from ffsm_drake.common.errors import FfsmError, WorkersError, one_line
+from ffsm_drake.common.interrupts import Interrupts, current
 
 ATTEMPTS = 3
 # Library threads per process: the workers fill the machine, and a manipulator's matrices are too small to share out.
@@ -132,9 +133,10 @@ class Stop(threading.Event):
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[Stop]:
     """Ctrl-C and SIGTERM request a stop; a second one interrupts at once. Outside the main thread, nothing changes."""
-    stop = Stop()
+    stop, interrupts = Stop(), current() or Interrupts()
 
     def handle(number: int, frame: Any) -> None:
+        interrupts.number = interrupts.number or number
         if stop:
             raise KeyboardInterrupt
         stop.set()

@@ -15,6 +15,7 @@ import yaml
 
 from ffsm_drake.common.errors import FfsmError, ModelError, RecordError, ScenarioError, one_line
 from ffsm_drake.common.files import check_writable, write_text
+from ffsm_drake.common.interrupts import undisturbed, unfinished
 from ffsm_drake.control_design.first_motion import (
     OMEGA,
     Motion,
@@ -158,11 +159,12 @@ def new_scenario(
     servicer = read_urdf(urdf, tip=tip)
     mass = rounded(_PAYLOAD_SHARE * servicer.base_mass) if payload_mass is None else payload_mass
     try:
-        with tempfile.TemporaryDirectory() as temporary:
+        with tempfile.TemporaryDirectory() as temporary, unfinished(Path(temporary)):
             folder = Path(temporary) / directory.name
             folder.mkdir()
             made = _make(servicer, folder, mass=mass, packages=folders)
-            shutil.copytree(folder, directory, dirs_exist_ok=True)
+            with undisturbed():
+                shutil.copytree(folder, directory, dirs_exist_ok=True)
     except OSError as error:
         raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
     return dataclasses.replace(made, scenario_file=directory / made.scenario_file.name)

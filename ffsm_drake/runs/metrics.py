@@ -80,10 +80,14 @@ def momentum_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
 
     Only the base's force and torque are external; joint torques act between bodies. The control force is constant over
     each period, the disturbance smooth over all of them, and the base's path is a cubic through recorded positions and
-    velocities, so that for an exact integrator the residual is small against every force's impulse.
+    velocities, so that for an exact integrator the residual is small against every force's impulse. It ends before the
+    first sample that is not finite, the last of some diverged runs.
     """
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+    used = ("position", "velocity", "applied_force", "disturbance_force", "linear_momentum", "angular_momentum")
+    finite = np.logical_and.reduce([np.isfinite(dataset[name].values).all(axis=1) for name in used])
+    dataset = dataset.isel(time=slice(0, dataset.sizes["time"] if finite.all() else max(1, int(np.argmin(finite)))))
     time = dataset["time"].values
     names = {part: [f"base_{part}_{axis}" for axis in "xyz"] for part in ("rotation", "position")}
     change = {

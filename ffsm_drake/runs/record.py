@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import hashlib
 import json
 import math
 import os
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
-from ffsm_drake.common.files import write_together
+from ffsm_drake.common.files import check_regular, published
 from ffsm_drake.runs.metrics import compute_metrics
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario, scenario_from_dict
 
@@ -20,7 +21,13 @@ if TYPE_CHECKING:
 
 DATASET_FILE = "record.nc"
 METRICS_FILE = "metrics.json"
-FORMAT = 2
+FORMAT = 3
+_IDENTIFIER = "record_sha256"  # of record.nc, in the files that go with it
+_MAX_TEXT = 10_000_000  # bytes, of manifest and metrics
+_MAX_RECORD = 100_000_000_000  # bytes
+_MAX_PER_SAMPLE = 100_000  # bytes, unpacked
+# What is made from a record and tells nothing of the next one.
+OUTPUTS = ("report.html", "recording.html", "analysis.json", "analysis.png")
 _BY_COORDINATE, _BY_POSITION, _BY_AXIS = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
 # What every record holds, by dimension; sliding variable and gains are added where there are any.
 VARIABLES = {
@@ -90,7 +97,9 @@ class RunRecord:
         return self.outcome.time / self.wall_time["advance_to"] if self.wall_time["advance_to"] > 0 else math.inf
 
     def save(self, directory: str | Path) -> Path:
-        """Write record.nc (netCDF-4), metrics.json and manifest.json, each whole. Returns the directory.
+        """Write record.nc (netCDF-4), metrics.json and manifest.json, all or none. Returns the directory.
+
+        What a report or an analysis has left there of an earlier run (``OUTPUTS``) goes.
 
         Raises:
           RecordError: the directory cannot be written.
@@ -101,14 +110,7 @@ class RunRecord:
             str(name): {"dtype": "S1"} for name, array in self.dataset.coords.items() if array.dtype.kind in "UO"
         }
         encoding |= {str(name): {"zlib": True, "complevel": 1} for name in self.dataset.data_vars}
-
-        def write_dataset(path: Path) -> None:
-            try:
-                self.dataset.to_netcdf(path, engine="netcdf4", format="NETCDF4", encoding=encoding)
-            except RuntimeError as error:  # the netCDF library's error for a full disk
-                raise OSError(one_line(error)) from error
-
-        metrics = to_json(self.metrics)
+        metrics = self.metrics
         manifest = {
             "format": FORMAT,
             "outcome": dataclasses.asdict(self.outcome),
@@ -125,13 +127,14 @@ class RunRecord:
             },
             "scenario": portable_scenario(self.scenario, directory),
         }
-        write_together(
-            {
-                directory / DATASET_FILE: write_dataset,
-                directory / METRICS_FILE: lambda path: path.write_text(metrics, encoding="utf-8"),
-                directory / MANIFEST_FILE: lambda path: path.write_text(to_json(manifest), encoding="utf-8"),
-            }
-        )
+        with published(directory, outdated=OUTPUTS) as folder:
+            try:
+                self.dataset.to_netcdf(folder / DATASET_FILE, engine="netcdf4", format="NETCDF4", encoding=encoding)
+            except RuntimeError as error:  # the netCDF library's error for a full disk
+                raise OSError(one_line(error)) from error
+            identifier = {_IDENTIFIER: _digest(folder / DATASET_FILE)}
+            for name, data in ((METRICS_FILE, metrics), (MANIFEST_FILE, manifest)):
+                (folder / name).write_text(to_json(data | identifier), encoding="utf-8")
         return directory
 
     @classmethod
@@ -146,7 +149,7 @@ class RunRecord:
         directory = Path(directory)
         path = directory / MANIFEST_FILE
         try:
-            manifest = json.loads(path.read_text(encoding="utf-8"))
+            manifest = _read_json(path)
             if not isinstance(manifest, dict):
                 raise RecordError(f"is not a run's manifest: must be an object, not {type(manifest).__name__}")
             if manifest["format"] != FORMAT:
@@ -169,12 +172,20 @@ class RunRecord:
             raise RecordError(f"{path}: is not a run's manifest: {type(error).__name__} {one_line(error)}") from error
         path = directory / DATASET_FILE
         try:
-            dataset = xr.load_dataset(path, engine="netcdf4")
+            check_regular(path, limit=_MAX_RECORD)
+            with xr.open_dataset(path, engine="netcdf4") as stored:
+                if stored.nbytes > _MAX_PER_SAMPLE * (scenario.num_control_periods + 1):
+                    raise OSError(f"holds {stored.nbytes:.3g} bytes, more than a run of its scenario")
+                dataset = stored.load()
+            digest = _digest(path)
         except FileNotFoundError as error:
             raise RecordError(f"{path}: cannot be read: no such file; run it again") from error
         except Exception as error:  # xarray and HDF5 raise many types for a damaged file
             raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
         _check_dataset(dataset, path)
+        if manifest.get(_IDENTIFIER) != digest:
+            raise RecordError(f"{path}: is not the record that {MANIFEST_FILE} goes with, or was changed; run it again")
+        _check_metrics(directory / METRICS_FILE, digest)
         for source in blocks.values():
             if "file" in source:
                 source["file"] = str((directory / source["file"]).resolve())
@@ -198,6 +209,28 @@ def _checked_outcome(data: Any) -> Outcome:
     if not isinstance(outcome.message, str) or not isinstance(outcome.coordinate, str):
         raise TypeError("outcome.message and outcome.coordinate must be text")
     return outcome
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _read_json(path: Path) -> Any:
+    check_regular(path, limit=_MAX_TEXT)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _check_metrics(path: Path, digest: str) -> None:
+    """Raise RecordError when there are metrics, but of another record."""
+    try:
+        metrics = _read_json(path)
+    except FileNotFoundError:
+        return  # nothing here reads them
+    except (OSError, ValueError, RecursionError) as error:
+        raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
+    if not isinstance(metrics, dict) or metrics.get(_IDENTIFIER) != digest:
+        raise RecordError(f"{path}: does not go with {DATASET_FILE} beside it; run it again")
 
 
 def _check_dataset(dataset: "xr.Dataset", path: Path) -> None:

@@ -15,6 +15,8 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLogSink
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, one_line
+from ffsm_drake.common.files import same_folder
+from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.loop.blocks import block_choices
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
@@ -23,7 +25,7 @@ from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.runs.record import Outcome
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates, position_errors
-from ffsm_drake.spacecraft.plant import add_combined_plant
+from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.registry import Factory, is_shipped
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
@@ -166,6 +168,19 @@ class Rollout:
             },
         )
 
+    def check(self) -> None:
+        """Set a run up and evaluate it at its start, without a step. Raises what ``run`` would raise by then."""
+        loop = self.loop
+        context = loop.diagram.CreateDefaultContext()
+        loop.initialize(loop.diagram, context)
+        try:
+            with same_folder():
+                loop.diagram.EvalTimeDerivatives(context)
+        except FfsmError:
+            raise
+        except (Exception, GeneratorExit, SystemExit) as error:
+            _raise_for(error, self._user_supplied, 0.0)
+
     def _advance(self, monitor: Monitor, *, watched: bool) -> tuple[bool, float]:
         """Run from the start to the end, or to divergence, which ``monitor`` then reports.
 
@@ -186,11 +201,15 @@ class Rollout:
         interrupted = False
         # The run beyond the point of divergence is discarded.
         unremarked = contextlib.nullcontext() if watched else np.errstate(over="ignore", invalid="ignore")
+        signals = 0
         try:
-            with unremarked:
+            with interruptible() as interruption, same_folder(), unremarked:
+                signals = interruption.number
                 simulator.Initialize()
                 for period in (*range(0, num_periods, stop_periods), num_periods):
                     simulator.AdvanceTo(period * sample_time)
+                    if interruption.number != signals:  # and the exception was lost
+                        raise KeyboardInterrupt
                     if monitor.message or not monitor.check(context):
                         break
                     monitor.report(context)
@@ -199,9 +218,11 @@ class Rollout:
             interrupted = True
         except FfsmError:
             raise
-        except Exception as error:
+        except (Exception, GeneratorExit, SystemExit) as error:  # a user-supplied block may raise anything
             # Drake refuses numbers that are not finite; any other exception is raised.
-            if monitor.check(context) and monitor.check_force(context):
+            if interruption.number != signals:  # which an import, say, has turned into another exception
+                interrupted = True
+            elif monitor.check(context) and monitor.check_force(context):
                 _raise_for(error, self._user_supplied, context.get_time())
         return interrupted, time.perf_counter() - start
 
@@ -254,10 +275,16 @@ def _add_logger(builder: DiagramBuilder, loop: ClosedLoop) -> tuple[VectorLogSin
     return logger, {name: rows[source] for name, source in sources.items()}
 
 
-def _raise_for(error: Exception, suspects: Sequence[str], time: float) -> NoReturn:
-    """Name the user-supplied block that failed; without such blocks, the exception passes unchanged."""
+def _raise_for(error: BaseException, suspects: Sequence[str], time: float) -> NoReturn:
+    """Name the user-supplied block that failed, or what Drake refused to go on with."""
     if not suspects:
-        raise error
+        if type(error) is not RuntimeError:  # C++'s
+            raise error
+        raise ScenarioError(
+            "simulator_config",
+            f"the simulation cannot go on at t = {time:.2f} s: {cause_of(error)} Take another integration_scheme or "
+            "accuracy",
+        ) from error
     place = traceback.extract_tb(error.__traceback__)[-1]
     raise BlockError(
         f"{' or '.join(suspects)} failed at t = {time:.2f} s: {type(error).__name__}: {one_line(error)} "

@@ -7,8 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pydrake.geometry import Meshcat
 
+from ffsm_drake.common.files import same_folder
 from ffsm_drake.loop.blocks import block_choices, block_sources
 from ffsm_drake.runs.dataset import make_dataset
+from ffsm_drake.runs.limits import LimitWarning, plan_remarks
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog, user_supplied
 from ffsm_drake.scenario import Block, Scenario
@@ -36,21 +38,40 @@ def simulate(
         be imported by name, so that the run can be repeated from its record.
       meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate`` to pace it).
       progress: called with (simulated time, duration) in s, once per simulated second.
-      check_stability: warn (StabilityWarning) when the sampled loop starts unstable or its adaptation may become so;
-        not with user-supplied blocks, which a check would have to run.
+      check_stability: look ahead, as ``prepare`` does.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block cannot be loaded, built, wired or run.
     """
     start = time.perf_counter()
-    if check_stability and not user_supplied(scenario, blocks):
-        from ffsm_drake.control_design.stability import StabilityWarning, stability_warning  # SciPy is slow to import
-
-        if remark := stability_warning(scenario):
-            warnings.warn(remark, StabilityWarning, stacklevel=2)
-    rollout = Rollout(scenario, blocks=blocks, meshcat=meshcat)
+    rollout = prepare(scenario, blocks=blocks, meshcat=meshcat, check_stability=check_stability)
     return make_record(rollout.run(progress=progress), blocks=blocks, start=start)
+
+
+def prepare(
+    scenario: Scenario,
+    *,
+    blocks: Mapping[str, Factory] | None = None,
+    meshcat: Meshcat | None = None,
+    check_stability: bool = True,
+) -> Rollout:
+    """All that ``simulate`` does before it runs; arguments and errors as there.
+
+    With ``check_stability`` it warns (StabilityWarning) when the sampled loop starts unstable or its adaptation may
+    become so, unless there are user-supplied blocks, which a check would have to run; and (LimitWarning) when a posture
+    or the plan leaves the joints' limits, or the scenario overrides the target's mass.
+    """
+    with same_folder():
+        if check_stability:
+            for remark in plan_remarks(scenario):
+                warnings.warn(remark, LimitWarning, stacklevel=3)
+        if check_stability and not user_supplied(scenario, blocks):
+            from ffsm_drake.control_design.stability import StabilityWarning, stability_warning  # SciPy is slow
+
+            if remark := stability_warning(scenario):
+                warnings.warn(remark, StabilityWarning, stacklevel=3)
+        return Rollout(scenario, blocks=blocks, meshcat=meshcat)
 
 
 def make_record(log: RunLog, *, start: float, blocks: Mapping[str, Factory] | None = None) -> RunRecord:

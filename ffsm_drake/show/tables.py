@@ -68,6 +68,9 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
         for row, cell in zip(rows, ("over LQG", "", *(number(distance, 3) for distance in distances)), strict=True):
             row.append(cell)
     lines = aligned(rows)
+    held = [(record.dataset["generalized_force"], record.dataset["applied_force"]) for record in records]
+    if not all(commanded.equals(applied) for commanded, applied in held):
+        lines.append("forces and ISV as commanded; the actuators apply something else, see the report")
     for k, record in enumerate(records, start=2):
         if not record.outcome.completed:
             lines[k] += f"  ({record.outcome.status} at {record.outcome.time:.2f} s)"

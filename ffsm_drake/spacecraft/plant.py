@@ -1,15 +1,15 @@
 """The combined spacecraft: model directives -> MultibodyPlant, its coordinates, and the captured payload."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.geometry import CollisionFilterDeclaration
+from pydrake.geometry import CollisionFilterDeclaration, Convex, Mesh, Role
 from pydrake.math import RollPitchYaw
-from pydrake.multibody.parsing import Parser
+from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder
@@ -17,8 +17,17 @@ from pydrake.systems.framework import DiagramBuilder
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
 from ffsm_drake.scenario import Model, Posture
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS, NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.model_files import DRAWABLE, check_collada, files_of
 
-DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError)  # the types of C++ exceptions in Python
+# The types of C++ exceptions in Python; a violated condition arrives as SystemExit.
+DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError, SystemExit)
+
+
+_CONDITIONS = {  # in words, where Drake gives C++
+    "pos_lower_limits.array() <=": "a joint's lower limit lies above its upper limit",
+    "in set_velocity_limits()": "a joint's velocity limit is negative",
+    "in set_acceleration_limits()": "a joint's acceleration limit is negative",
+}
 
 
 def models_dir() -> Path:
@@ -48,7 +57,20 @@ def add_combined_plant(builder: DiagramBuilder, model: Model) -> MultibodyPlant:
 
 def check_pictures(model: Model) -> None:
     """Raise ModelError unless the model loads with its visual geometry, which a run does not need."""
-    add_combined_plant(DiagramBuilder(), model)
+    builder = DiagramBuilder()
+    add_combined_plant(builder, model)
+    inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
+    for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
+        shape = inspector.GetShape(geometry)
+        if not isinstance(shape, (Mesh, Convex)):
+            continue
+        path = Path(shape.source().description())
+        if path.suffix.lower() not in DRAWABLE:
+            raise ModelError(f"model: mesh {path}: is of a kind that is not drawn; convert it to {', '.join(DRAWABLE)}")
+        try:
+            check_collada(path) if path.suffix.lower() == ".dae" else inspector.GetObbInGeometryFrame(geometry)
+        except DRAKE_ERRORS as error:
+            raise ModelError(f"model: mesh {path}: is no mesh that can be drawn: {cause_of(error)}") from error
 
 
 def make_plant(model: Model) -> MultibodyPlant:
@@ -61,21 +83,19 @@ def make_plant(model: Model) -> MultibodyPlant:
 def _load(plant: MultibodyPlant, model: Model) -> None:
     parser = Parser(plant)
     parser.SetStrictParsing()  # otherwise Drake replaces a non-physical inertia by a solid sphere
+    folders = _package_folders(model)
     packages = parser.package_map()
-    packages.PopulateFromRosPackagePath()
-    for name, folder in {"ffsm_drake": str(models_dir()), **model.packages}.items():
-        if not Path(folder).is_dir():
-            raise ModelError(f"model.packages.{name}: no such folder: {folder}")
+    for name, folder in folders.items():
         if packages.Contains(name):
             packages.Remove(name)
         packages.Add(name, folder)
     if model.servicer is None:
         source = f"model.directives: {model.directives}"
-        _add_models(parser, model.directives or "", source)
+        _add_models(parser, model.directives or "", source, folders)
     else:
         source = f"model.servicer: {model.servicer}"
         for name, file in (("servicer", model.servicer), ("debris", model.debris)):
-            instances = _add_models(parser, file, f"model.{name}: {file}")
+            instances = _add_models(parser, file, f"model.{name}: {file}", folders)
             if len(instances) != 1:
                 raise ModelError(f"model.{name}: {file}: must hold one model, not {len(instances)}")
             plant.RenameModelInstance(instances[0], name)
@@ -95,6 +115,11 @@ def _load(plant: MultibodyPlant, model: Model) -> None:
         plant.Finalize()
     except DRAKE_ERRORS as error:
         raise ModelError(f"{source}: {cause_of(error)}") from error
+    if plant.num_constraints():
+        raise ModelError(
+            f"{source}: a joint follows another, or bodies are tied together, by <mimic> or a constraint; "
+            "take it out: each joint is controlled on its own"
+        )
     if not plant.GetFloatingBaseBodies():
         raise ModelError(f"{source}: no floating base; the base must not be welded to world")
     try:
@@ -104,12 +129,37 @@ def _load(plant: MultibodyPlant, model: Model) -> None:
     find_frame(plant, model.end_effector, key="model.end_effector")
 
 
-def cause_of(error: Exception) -> str:
-    """Drake's error text without its place in Drake's source."""
-    return re.sub(r"Failure at \S+ in \S+\(\): ", "", one_line(error))
+def _package_folders(model: Model) -> dict[str, str]:
+    """Folder of each package:// name, but of Drake's own, whose files come over the network."""
+    found = PackageMap.MakeEmpty()
+    found.PopulateFromRosPackagePath()
+    for name, folder in model.packages.items():
+        if not name:
+            raise ModelError("model.packages: a package's name must not be empty")
+        if not Path(folder).is_dir():
+            raise ModelError(f"model.packages.{name}: no such folder: {folder}")
+    found_by_ros = {name: found.GetPath(name) for name in found.GetPackageNames()}
+    return found_by_ros | {"ffsm_drake": str(models_dir())} | model.packages
 
 
-def _add_models(parser: Parser, file: str, place: str) -> list[ModelInstanceIndex]:
+def urdfs_of(model: Model) -> tuple[Path, ...]:
+    """The URDFs that a model is made from. Raises ModelError: a file of it cannot be read."""
+    folders = _package_folders(model)
+    addresses = [model.directives] if model.servicer is None else [model.servicer, model.debris]
+    files = [path for address in addresses for path in files_of(address or "", "model", folders)]
+    return tuple(path for path in dict.fromkeys(files) if path.suffix.lower() == ".urdf")
+
+
+def cause_of(error: BaseException) -> str:
+    """Drake's error text without its place in Drake's source; of a violated condition, what it was asked of."""
+    text = one_line(error)
+    for condition, meaning in _CONDITIONS.items():
+        if condition in text:
+            return meaning
+    return re.sub(r"Failure at \S+ in (\S+)\(\): ", r"\1: " if isinstance(error, SystemExit) else "", text)
+
+
+def _add_models(parser: Parser, file: str, place: str, packages: Mapping[str, str]) -> list[ModelInstanceIndex]:
     """Parse a file or package:// address. Raises ModelError for whatever Drake rejects."""
     if "://" not in file:
         try:
@@ -119,6 +169,7 @@ def _add_models(parser: Parser, file: str, place: str) -> list[ModelInstanceInde
         if not found:
             fault = "is a folder" if folder else "no such file"
             raise ModelError(f"{place}: {fault}; give a file or a package:// address")
+    files_of(file, place, packages)
     try:
         instances: list[ModelInstanceIndex] = parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
     except DRAKE_ERRORS as error:
@@ -150,6 +201,8 @@ def coordinates_of(plant: MultibodyPlant) -> Coordinates:
             raise ModelError(
                 f"joint '{joint.name()}' has {joint.num_velocities()} degrees of freedom; it must have one"
             )
+    if not joints:
+        raise ModelError("no joint moves; an arm has revolute, continuous or prismatic joints")
     names = [joint.name() for joint in joints]
     reserved = sorted(set(names) & {"all", *GROUPS, *BASE_ROTATION, *BASE_POSITION})
     if reserved:

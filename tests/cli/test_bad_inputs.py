@@ -197,6 +197,44 @@ def urdf(id: str, old: str, new: str, *expected: str, file: str = "servicer.urdf
     return Row(id, "validate mine.yaml", expected, texts)
 
 
+def visual(
+    id: str,
+    shape: str,
+    *expected: str,
+    files: Mapping[str, str] | None = None,
+    prepare: Callable[[Path], object] | None = None,
+) -> Row:
+    """The small servicer with a shape to be drawn."""
+    text = SERVICER.replace("</link>", f"<visual><geometry>{shape}</geometry></visual></link>", 1)
+    texts = URDFS | {"mine.yaml": MINE, "servicer.urdf": text} | dict(files or {})
+    return Row(id, "validate mine.yaml", expected, texts, prepare)
+
+
+def pipe(name: str) -> Callable[[Path], object]:
+    """Makes a FIFO into which nobody writes."""
+    return lambda folder: os.mkfifo(folder / name)
+
+
+def huge(name: str) -> Callable[[Path], object]:
+    """Makes a file of a terabyte, which takes no room."""
+
+    def make(folder: Path) -> None:
+        (folder / name).touch()
+        os.truncate(folder / name, 10**12)
+
+    return make
+
+
+def replaced(name: str, make: Callable[[Path], Callable[[Path], object]]) -> Callable[[Path], object]:
+    """Puts what ``make`` makes in the place of a file of the run's folder."""
+
+    def damage(folder: Path) -> None:
+        (folder / "run" / name).unlink()
+        make(f"run/{name}")(folder)
+
+    return damage
+
+
 def model(id: str, text: str, *expected: str) -> Row:
     """A scenario whose model section is at fault; the URDFs are good."""
     return Row(id, "validate mine.yaml", expected, URDFS | {"mine.yaml": text})
@@ -549,6 +587,83 @@ TABLE = [
         '<visual><geometry><mesh filename="none.obj"/></geometry></visual></link>',
         "none.obj",
     ),
+    urdf(
+        "urdf-reversed-limits",
+        '<axis xyz="0 1 0"/>',
+        '<axis xyz="0 1 0"/><limit lower="3" upper="-3"/>',
+        "servicer.urdf: a joint's lower limit lies above its upper limit",
+    ),
+    urdf(
+        "urdf-negative-velocity-limit",
+        '<axis xyz="0 1 0"/>',
+        '<axis xyz="0 1 0"/><limit velocity="-3"/>',
+        "servicer.urdf: a joint's velocity limit is negative",
+    ),
+    *(
+        visual(f"urdf-{id}", shape, "servicer.urdf:", expected)
+        for id, shape, expected in (
+            ("negative-sphere", '<sphere radius="-1"/>', "Sphere: condition 'std::isfinite(radius) && radius >= 0'"),
+            ("flat-cylinder", '<cylinder radius="0" length="0"/>', "Cylinder: condition"),
+            ("flat-box", '<box size="0 1 1"/>', "Box: condition 'std::isfinite(width) && width > 0' failed"),
+            ("no-package", '<mesh filename="package:///etc/passwd"/>', "unknown package ''"),
+            ("folder-as-mesh", '<mesh filename="."/>', "is a folder; give a file"),
+            ("device-as-mesh", '<mesh filename="/dev/zero"/>', "/dev/zero: is not a regular file; give a file"),
+            ("device-by-address", '<mesh filename="file:///dev/zero"/>', "/dev/zero: is not a regular file"),
+        )
+    ),
+    *(
+        visual(f"no-mesh-{kind}", f'<mesh filename="m.{kind}"/>', f"m.{kind}: is no", files={f"m.{kind}": "hello"})
+        for kind in ("obj", "gltf", "dae")
+    ),
+    *(
+        visual(
+            f"no-mesh-{kind}",
+            f'<mesh filename="m.{kind}"/>',
+            "is of a kind that is not drawn; convert it to .obj",
+            files={f"m.{kind}": "hello"},
+        )
+        for kind in ("stl", "glb", "txt")
+    ),
+    visual("mesh-of-a-fifo", '<mesh filename="pipe"/>', "pipe: is not a regular file", prepare=pipe("pipe")),
+    visual(
+        "buffer-of-a-fifo",
+        '<mesh filename="m.gltf"/>',
+        "pipe: is not a regular file",
+        files={"m.gltf": '{"asset": {"version": "2.0"}, "buffers": [{"uri": "pipe", "byteLength": 4}]}'},
+        prepare=pipe("pipe"),
+    ),
+    visual(
+        "material-of-a-fifo",
+        '<mesh filename="m.obj"/>',
+        "pipe: is not a regular file",
+        files={"m.obj": "mtllib m.mtl\n", "m.mtl": "newmtl a\nmap_Kd pipe\n"},
+        prepare=pipe("pipe"),
+    ),
+    visual("huge-mesh", '<mesh filename="m.obj"/>', "m.obj: has 1e+12 bytes; at most 5e+08", prepare=huge("m.obj")),
+    urdf(
+        "urdf-mimic",
+        '<axis xyz="1 0 0"/>',
+        '<axis xyz="1 0 0"/><mimic joint="shoulder"/>',
+        "servicer.urdf: a joint follows another",
+        "<mimic>",
+        "take it out",
+    ),
+    Row(
+        "urdf-all-fixed",
+        "validate mine.yaml",
+        ("servicer.urdf: no joint moves; an arm has revolute, continuous or prismatic joints",),
+        URDFS | {"mine.yaml": MINE, "servicer.urdf": SERVICER.replace("continuous", "fixed")},
+    ),
+    model(
+        "empty-package-name",
+        "model: {servicer: 'package:///passwd', packages: {'': /etc}}\n",
+        "model.packages: a package's name must not be empty",
+    ),
+    directives(
+        "directives-of-a-device",
+        ADD.replace("package://ffsm_drake/urdf/servicer.urdf", "/dev/zero"),
+        "/dev/zero: is not a regular file",
+    ),
     directives("directives-not-yaml", "directives: [", "mine.dmd.yaml"),
     directives("directives-unknown-key", "directives:\n- add_mdl: {name: x}\n", "add_mdl"),
     directives("directives-unknown-model", ADD.replace("servicer.urdf", "none.urdf"), "none.urdf"),
@@ -674,6 +789,21 @@ TABLE = [
         lambda at: ((at / "run" / "record.nc").unlink(), (at / "run" / "record.nc").mkdir()),
         "run/record.nc: cannot be read",
     ),
+    *(
+        record(f"{id}-{name.partition('.')[0]}", replaced(name, make), f"run/{name}: cannot be read: {fault}")
+        for name in ("manifest.json", "record.nc", "metrics.json")
+        for id, make, fault in (("pipe-as", pipe, "is not a regular file"), ("huge", huge, "has 1e+12 bytes"))
+    ),
+    record(
+        "device-as-record",
+        lambda at: ((at / "run" / "record.nc").unlink(), (at / "run" / "record.nc").symlink_to("/dev/zero")),
+        "run/record.nc: cannot be read: is not a regular file",
+    ),
+    record(
+        "other-record",
+        edit_dataset(lambda data: data.assign(error=2.0 * data["error"])),
+        "run/record.nc: is not the record that manifest.json goes with, or was changed",
+    ),
     record("zero-samples", edit_dataset(lambda data: data.isel(time=slice(0, 0))), "run/record.nc: holds no samples"),
     record(
         "zero-samples-plot",
@@ -701,7 +831,7 @@ TABLE = [
     record("manifest-is-a-list", manifest_text("[1]"), "is not a run's manifest: must be an object, not list"),
     record("manifest-too-deep", manifest_text("[" * 100_000), "is not a run's manifest", "RecursionError"),
     record("manifest-empty", manifest_text("{}"), "is not a run's manifest: lacks 'format'"),
-    record("other-format", edit_manifest(lambda data: data.update(format=9)), "format 9 is not the supported 2"),
+    record("other-format", edit_manifest(lambda data: data.update(format=9)), "format 9 is not the supported 3"),
     record("manifest-without-scenario", edit_manifest(lambda data: data.pop("scenario")), "lacks 'scenario'"),
     record(
         "manifest-bad-scenario",
@@ -785,7 +915,7 @@ FFSM = (
     sys.executable,
     "-c",
     "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    "from ffsm_drake.cli import main; main(prog_name='ffsm')",
+    "from ffsm_drake.__main__ import main; main()",
 )
 OWN_PROCESS = {
     "env": os.environ | {"PYTHONPATH": str(Path(files.__file__).parents[2]), "PYTHONDONTWRITEBYTECODE": "1"},
@@ -865,7 +995,7 @@ def test_full_disk_keeps_the_old_record_whole(tmp_path, good_run, run, monkeypat
 
     monkeypatch.setattr(Path, "write_text", full)
     record = run("postcapture", "duration=0.1")
-    with pytest.raises(RecordError, match=r"run/manifest\.json: cannot be written: .*No space left on device$"):
+    with pytest.raises(RecordError, match=r"run: cannot be written: .*No space left on device$"):
         record.save(tmp_path / "run")
     assert {path: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
 
@@ -888,14 +1018,56 @@ def test_full_disk_under_the_netcdf_library(tmp_path, monkeypatch):
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
-def test_written_together_or_not_at_all(tmp_path):
-    old, blocked = tmp_path / "old.txt", tmp_path / "taken" / "new.txt"
-    old.write_text("old")
-    (tmp_path / "taken").touch()
-    with pytest.raises(RecordError, match=r"taken/new\.txt: cannot be written"):
-        files.write_together({old: lambda path: path.write_text("new"), blocked: lambda path: path.write_text("new")})
-    assert old.read_text() == "old"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["old.txt", "taken"]
+def _contents(folder: Path) -> dict[str, bytes | None]:
+    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in _files(folder)}
+
+
+@pytest.mark.parametrize("name", ["record.nc", "metrics.json", "manifest.json"])
+def test_a_folder_in_the_way_keeps_the_old_record(tmp_path, good_run, run, name):
+    shutil.copytree(good_run, tmp_path / "run")
+    (tmp_path / "run" / name).unlink()
+    (tmp_path / "run" / name).mkdir()
+    (tmp_path / "run" / name / "mine.txt").write_text("mine")
+    before = _contents(tmp_path)
+    with pytest.raises(RecordError, match=rf"run: cannot be written: .*run/{name} is a folder; move it away"):
+        run("postcapture", "duration=0.1").save(tmp_path / "run")
+    assert _contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_a_rename_that_fails_keeps_the_old_record(tmp_path, good_run, run, monkeypatch, number):
+    """Of 7 renames, the one of that number fails; other files stay, what tells of the old record goes with it."""
+    shutil.copytree(good_run, tmp_path / "run")
+    (tmp_path / "run" / "report.html").write_text("old")
+    (tmp_path / "run" / "mine.txt").write_text("mine")
+    before, calls, rename = _contents(tmp_path), 0, Path.rename
+
+    def failing(path, target):
+        nonlocal calls
+        calls += 1
+        if calls == number + 1:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    record = run("postcapture", "duration=0.1")
+    if number < 7:
+        with pytest.raises(RecordError, match=r"run: cannot be written: .*Input/output error"):
+            record.save(tmp_path / "run")
+        assert _contents(tmp_path) == before
+    else:
+        record.save(tmp_path / "run")
+        assert RunRecord.load(tmp_path / "run").dataset.identical(record.dataset)
+        names = {"record.nc", "metrics.json", "manifest.json", "mine.txt"}
+        assert {path.name for path in (tmp_path / "run").iterdir()} == names
+
+
+@pytest.mark.parametrize("name", ["record.nc", "metrics.json", "manifest.json"])
+def test_files_of_two_runs_are_refused(tmp_path, good_run, run, name):
+    other = run("postcapture", "duration=0.1").save(tmp_path / "run")
+    shutil.copyfile(good_run / name, other / name)
+    with pytest.raises(RecordError, match="run it again"):
+        RunRecord.load(other)
 
 
 # Runs that end early keep their record.
@@ -944,25 +1116,27 @@ def _started(process: subprocess.Popen) -> None:
     raise AssertionError("the run never began")
 
 
-@pytest.mark.parametrize("signals", [1, 2])
-def test_interrupted_runs_keep_their_record(tmp_path, signals):
-    """Ctrl-C in mid-run ends with 130 and a record; a second one, whenever it comes, leaves a whole record or none."""
+@pytest.mark.parametrize(
+    ("number", "signals"), [(signal.SIGINT, 1), (signal.SIGTERM, 1), (signal.SIGINT, 2)], ids=["int", "term", "twice"]
+)
+def test_interrupted_runs_keep_their_record(tmp_path, number, signals):
+    """A signal in mid-run ends with a record; a second one, whenever it comes, leaves a whole record or none."""
     command = [*FFSM, "run", "--no-report", "--out", "new", "--set", "duration=5000"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, **OWN_PROCESS)
     try:
         _started(process)
         time.sleep(0.3)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         if signals == 2:
             time.sleep(0.05)
-            process.send_signal(signal.SIGINT)
+            process.send_signal(number)
         _, stderr = process.communicate(timeout=120)
     finally:
         process.kill()
-    assert process.returncode == 130, stderr
+    assert process.returncode == 128 + number, stderr
     assert "Traceback" not in stderr
-    assert "interrupted" in stderr
     if signals == 1:
+        assert "interrupted" in stderr
         kept = check_kept(tmp_path / "new", "interrupted")
         assert 0.0 < kept.outcome.time < 5000.0
     else:

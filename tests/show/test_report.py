@@ -153,7 +153,7 @@ def test_table_holds_the_metrics(short, text):
     metrics = short.metrics
     assert value(rows["Accuracy, ITAE"][0]) == pytest.approx(metrics["itae"], rel=5e-4)
     assert value(rows["Effort, ISV"][0]) == pytest.approx(metrics["isv"], rel=5e-5)
-    heads = {"peak_error": "Peak error", "final_error": "Final error", "peak_effort": "Peak control force or torque"}
+    heads = {"peak_error": "Peak error", "final_error": "Final error", "peak_effort": "Peak commanded force or torque"}
     units = {"base_rotation": ("rad", "N m"), "base_position": ("m", "N"), "joints": ("rad", "N m")}
     titles = {"base_rotation": "Base attitude", "base_position": "Base position", "joints": "Joints"}
     for key, head in heads.items():

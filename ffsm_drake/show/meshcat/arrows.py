@@ -9,6 +9,7 @@ from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, Role, SceneGr
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 
+from ffsm_drake.show.meshcat.stage import box_around
 from ffsm_drake.spacecraft.plant import base_body
 
 if TYPE_CHECKING:
@@ -147,8 +148,9 @@ def legend(arrows: ForceArrows) -> list[str]:
 
 
 def _finite_rows(vectors: np.ndarray) -> np.ndarray:
-    """A copy with zero vectors for those (rows) that are not finite: a diverged run's last force may be."""
-    return np.where(np.isfinite(vectors).all(axis=1, keepdims=True), vectors, 0.0)
+    """A copy with zero vectors for those (rows) whose length is not finite: a diverged run's last force may be so."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.where(np.isfinite(np.linalg.norm(vectors, axis=1, keepdims=True)), vectors, 0.0)
 
 
 def _magnification(ratio: float) -> int:
@@ -163,7 +165,7 @@ def base_bounding_box(plant: MultibodyPlant, inspector: SceneGraphInspector) -> 
     found = (RigidTransform(), np.full(3, 0.5))  # an invisible base: a cube of 1 m
     largest = 0.0
     for geometry in inspector.GetGeometries(frame, Role.kIllustration):
-        box = inspector.GetObbInGeometryFrame(geometry)
+        box = box_around(inspector, geometry)
         if box is not None and (size := float(np.prod(box.half_width()))) > largest:
             largest = size
             found = (inspector.GetPoseInFrame(geometry) @ box.pose(), np.array(box.half_width()))

@@ -17,6 +17,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.simulate import simulate
@@ -173,9 +174,10 @@ class _Operator:
 
     def next_scenario(self) -> Scenario | None:
         """Wait for a start button and return what it asks for; None once Quit was clicked."""
-        while not (self._quit or self._requested):
-            self._wait(_LONGEST_WAIT)
-            self._read_buttons()
+        with interruptible():
+            while not (self._quit or self._requested):
+                self._wait(_LONGEST_WAIT)
+                self._read_buttons()
         if self._quit:
             return None
         scenario, controller, mass = self._scenario, self._requested, self._controls.value(MASS)

@@ -5,6 +5,7 @@ import webbrowser
 
 from pydrake.geometry import Meshcat
 
+from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.controls import Controls
@@ -94,9 +95,10 @@ def replay_live(
         webbrowser.open(replay.meshcat.web_url())
     last = time.perf_counter()
     try:
-        while replay.step((now := time.perf_counter()) - last):
-            last = now
-            time.sleep(1.0 / FRAMES_PER_SECOND)
+        with interruptible():
+            while replay.step((now := time.perf_counter()) - last):
+                last = now
+                time.sleep(1.0 / FRAMES_PER_SECOND)
     except KeyboardInterrupt:
         pass  # the other way to quit
     finally:

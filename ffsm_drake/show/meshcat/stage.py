@@ -8,11 +8,13 @@ from contextlib import contextmanager
 
 import numpy as np
 from pydrake.geometry import (
+    GeometryId,
     IllustrationProperties,
     Meshcat,
     MeshcatParams,
     MeshcatVisualizer,
     MeshcatVisualizerParams,
+    Obb,
     Rgba,
     Role,
     RoleAssign,
@@ -110,13 +112,21 @@ def camera_pose(
     return center + distance * _VIEW, center
 
 
+def box_around(inspector: SceneGraphInspector, geometry: GeometryId) -> Obb | None:
+    """The box around a geometry, in its frame; None for what has no end, and for COLLADA, which only browsers read."""
+    try:
+        return inspector.GetObbInGeometryFrame(geometry)
+    except RuntimeError:
+        return None
+
+
 def _outline(plant: MultibodyPlant, context: Context, inspector: SceneGraphInspector, index: BodyIndex) -> np.ndarray:
     """A body's origin and the corners of the boxes around what is seen of it (n, 3), world frame, m."""
     X_WB = plant.get_body(index).EvalPoseInWorld(context)
     points = [X_WB.translation()[None]]
     frame = plant.GetBodyFrameIdIfExists(index)
     for geometry in inspector.GetGeometries(frame, Role.kIllustration) if frame is not None else ():
-        box = inspector.GetObbInGeometryFrame(geometry)
+        box = box_around(inspector, geometry)
         if box is not None:
             corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * box.half_width()
             points.append((X_WB @ inspector.GetPoseInFrame(geometry) @ box.pose() @ corners.T).T)

@@ -7,11 +7,18 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ffsm_drake.show.report.results import Result, ranking
+from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.runs.limits import plan_remarks, run_remarks, saturation
+from ffsm_drake.show.report.results import Result, actuators_act, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
-from ffsm_drake.show.tables import number
+from ffsm_drake.show.tables import number, percent
 
-_MAGNITUDES = {"peak_error": "Peak error", "final_error": "Final error", "peak_effort": "Peak control force or torque"}
+_MAGNITUDES = {
+    "peak_error": "Peak error",
+    "final_error": "Final error",
+    "peak_effort": "Peak commanded force or torque",
+}
+_APPLIED = {"peak_applied": "Peak applied force or torque"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,12 +49,16 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
         rows.append(Row("Error over the least possible", [Cell(number(distance, 3)) for distance in distances]))
     kinds = list(dict.fromkeys((part.group, part.unit) for result in results for part in result.magnitudes))
     groups = [group for group, _ in kinds]
-    for field, head in _MAGNITUDES.items():
+    shares = [saturation(result.record) for result in results]
+    for field, head in (_MAGNITUDES | (_APPLIED if actuators_act(results) else {})).items():
         for k, (group, unit) in enumerate(kinds):
             kind = f", {'revolute' if unit == 'rad' else 'prismatic'}" if groups.count(group) > 1 else ""
             cells = [Cell(number(_magnitude(result, group, unit, field))) for result in results]
-            shown = EFFORT_UNITS.get(unit, unit) if field == "peak_effort" else unit
+            shown = EFFORT_UNITS.get(unit, unit) if field in ("peak_effort", "peak_applied") else unit
             rows.append(Row(GROUP_TITLES.get(group, group) + kind, cells, unit=shown, head="" if k else head))
+    for k, name in enumerate(dict.fromkeys(name for share in shares for name in share)):
+        cells = [Cell(percent(share.get(name, 0.0))) for share in shares]
+        rows.append(Row(name.replace("_", " "), cells, head="" if k else "Samples at the limit of the actuators"))
     simulated = [Cell(f"{result.record.outcome.time:g}") for result in results]
     rows.append(Row("Simulated time", simulated, unit="s", head="Computation"))
     for label, key in (("Wall time, simulation", "advance_to"), ("Wall time, all told", "total")):
@@ -75,7 +86,10 @@ def _placed(result: Result, figure: Callable[[Result], float]) -> bool:
 
 def table_notes(results: Sequence[Result], distances: Sequence[float] | None = None) -> list[str]:
     """What the table's sums mean, and which of them do not compare."""
-    notes = ["ITAE is the sum of t |e|₁ L, ISV the sum of |τ|₂² L over the control samples; less is better."]
+    notes = [
+        *_limits_left(results),
+        "ITAE is the sum of t |e|₁ L, ISV the sum of |τ|₂² L over the control samples, τ as commanded; less is better.",
+    ]
     if distances is not None:
         notes.append(
             "Error over the least possible: against the LQG controller of the same effort, which no linear controller "
@@ -89,6 +103,19 @@ def table_notes(results: Sequence[Result], distances: Sequence[float] | None = N
     if len({result.record.outcome.time for result in results if result.comparable}) > 1:
         notes.append("The completed runs differ in length, so their sums do not compare directly.")
     return notes
+
+
+def _limits_left(results: Sequence[Result]) -> list[str]:
+    """Where the plans and the runs left the limits of their models, or why that is not known; a sentence each."""
+    sentences = []
+    for result in results:
+        name = f"{result.label}: " if len(results) > 1 else ""
+        try:
+            sentences += [f"Plan: {remark}." for remark in plan_remarks(result.record.scenario)]
+            sentences += [f"{name}{remark[:1].upper()}{remark[1:]}." for remark in run_remarks(result.record)]
+        except (FfsmError, KeyError) as error:  # a model that does not load any more, a variable that is not there
+            sentences.append(f"{name}Limits of the model not compared: {one_line(error)}.")
+    return list(dict.fromkeys(sentences))
 
 
 def rankings(results: Sequence[Result]) -> list[dict[str, Any]]:

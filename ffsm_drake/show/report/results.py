@@ -16,6 +16,7 @@ Status = Literal["settled", "unsettled", "interrupted", "diverged"]
 
 # A run has settled when over its last second every error stays within its scenario's tolerance.
 SETTLED_OVER = 1.0  # s
+HELD = ("generalized_force", "applied_force")  # from one sample to the next
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +27,8 @@ class Magnitude:
     unit: str  # "rad" or "m"
     peak_error: float
     final_error: float
-    peak_effort: float  # N m or N
+    peak_effort: float  # N m or N, commanded
+    peak_applied: float  # N m or N, what the actuators made of it
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -65,6 +67,12 @@ def ranking(results: Sequence[Result], figure: Callable[[Result], float]) -> lis
     return sorted(results, key=key)
 
 
+def actuators_act(results: Sequence[Result]) -> bool:
+    """Whether applied and commanded force differ in a run; NaN equals NaN."""
+    pairs = [(values_of(result.record, name) for name in HELD) for result in results]
+    return any(a is not None and b is not None and not np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+
+
 def values_of(record: RunRecord, name: str) -> np.ndarray | None:
     """A variable of the record; None where it has none or no sample."""
     if name not in record.dataset or record.dataset.sizes.get("time", 0) == 0:
@@ -95,7 +103,7 @@ def _magnitudes(record: RunRecord, error: np.ndarray | None, effort: np.ndarray 
     magnitudes = []
     for group, unit in dict.fromkeys(zip(groups.tolist(), units.tolist(), strict=True)):
         members = (groups == group) & (units == unit)
-        values = error, None if error is None else error[-1], effort
+        values = error, None if error is None else error[-1], effort, values_of(record, "applied_force")
         magnitudes.append(Magnitude(group, unit, *(largest(one, members) for one in values)))
     return magnitudes
 

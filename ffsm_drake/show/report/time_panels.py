@@ -7,7 +7,7 @@ import numpy as np
 
 from ffsm_drake.show.curves import completed_range, moving_rms
 from ffsm_drake.show.panels import Panel, Thinning, Trace, View, curve, escape, figure, time_panel
-from ffsm_drake.show.report.results import Result, values_of
+from ffsm_drake.show.report.results import HELD, Result, actuators_act, values_of
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES, NEUTRAL, Style
 
 # Points that all curves of a page may have together, and bounds on those of one curve: enough for zooming in.
@@ -15,8 +15,7 @@ BUDGET = 800_000
 FEWEST_POINTS, MOST_POINTS = 400, 4000
 RMS_POINTS = 500  # of a curve that smooth
 _REFERENCE = Style(NEUTRAL, "dot")
-_HELD = ("generalized_force", "applied_force")  # from one sample to the next
-_VARIABLES = ("error", *_HELD, "disturbance_force", "sliding_variable", "reaching_gain", "switching_gain",
+_VARIABLES = ("error", *HELD, "disturbance_force", "sliding_variable", "reaching_gain", "switching_gain",
               "position", "desired_position")  # fmt: skip
 
 
@@ -51,7 +50,7 @@ def run_views(results: Sequence[Result], thin: Thinning) -> dict[str, list[View]
         "error": errors if len(results) == 1 else errors[::-1],
         "force": [
             each("generalized_force", "Control", "{effort}"),
-            *([each("applied_force", "As the actuators apply it", "{effort}")] if _actuators_act(results) else []),
+            *([each("applied_force", "As the actuators apply it", "{effort}")] if actuators_act(results) else []),
             each("disturbance_force", "Disturbance", "{effort}"),
         ],
         "sliding": [
@@ -62,12 +61,6 @@ def run_views(results: Sequence[Result], thin: Thinning) -> dict[str, list[View]
     }
     kept = {key: [view for view in views if view.panels] for key, views in sections.items()}
     return {key: views for key, views in kept.items() if views}
-
-
-def _actuators_act(results: Sequence[Result]) -> bool:
-    """Whether applied and asked force differ by more than the sample that a delay would change; NaN equals NaN."""
-    pairs = [(values_of(result.record, name) for name in _HELD) for result in results]
-    return any(a is not None and b is not None and not np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
 
 def run_curve(results: Sequence[Result], i: int, xy: tuple[np.ndarray, np.ndarray], **rest: Any) -> Trace:
@@ -111,7 +104,7 @@ def _coordinate_panels(
     for (name, group, kind), columns in _by_coordinate(results, variable).items():
         traces = [
             run_curve(
-                results, i, thin(_time(results[i]), values), shape="hv" if variable in _HELD else "linear",
+                results, i, thin(_time(results[i]), values), shape="hv" if variable in HELD else "linear",
                 style=results[i].style if smooth else Style(results[i].style.color),
             )
             for i, values in columns

@@ -10,9 +10,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ffsm_drake.common.errors import ModelError, one_line
+from ffsm_drake.common.files import check_regular
 
 DRAKE = "{http://drake.mit.edu}"
 WORLD = "world"
+MAX_URDF = 50_000_000  # bytes
 _MOVING = ("revolute", "continuous", "prismatic")
 
 
@@ -54,6 +56,7 @@ def parse(path: Path) -> tuple[Element, str]:
     """The root element, and the comments before it, where licences stand. Raises ModelError: not a URDF."""
     require(path.is_file(), "no such file; give the URDF of base and arm")
     try:
+        check_regular(path, limit=MAX_URDF)
         content = path.read_bytes()
         root = ElementTree.fromstring(content)
     except OSError as error:

@@ -10,12 +10,11 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from ffsm_drake.common.files import write_text
+from ffsm_drake.spacecraft.model_files import DRAWABLE
 from ffsm_drake.spacecraft.urdf.drawing import color_visual, draw_bare_links
 from ffsm_drake.spacecraft.urdf.elements import DRAKE, WORLD, name_of, number
 from ffsm_drake.spacecraft.urdf.servicer import Servicer
 
-# What Meshcat, and with it the recording, can draw.
-_DRAWABLE = (".obj", ".gltf", ".dae")
 # A file that a mesh names: in quotes or between tags, or at the end of one of Wavefront's lines.
 _NAMED_FILE = re.compile(r'(?:["\'>]|^\s*\w+\s)([^"\'<>\n]+\.(?:mtl|bin|png|jpe?g|ktx2|webp))', re.MULTILINE | re.I)
 _REASONS = {
@@ -123,7 +122,7 @@ def _copy_meshes(root: Element, source: Path, folder: Path, packages: Mapping[st
             address = mesh.attrib.pop("uri", "")
             address = mesh.get("filename") or address
             file = _find_mesh(address, source, packages)
-            if file is None or file.suffix.lower() not in _DRAWABLE:
+            if file is None or file.suffix.lower() not in DRAWABLE:
                 link.remove(visual)
                 (missing if file is None else undrawable).append(address)
                 continue
@@ -135,7 +134,7 @@ def _copy_meshes(root: Element, source: Path, folder: Path, packages: Mapping[st
             mesh.set("filename", f"{folder.name}/{place}/{file.name}")
     for addresses, problem, remedy in (
         (missing, "not found", "give --package NAME=FOLDER to have them drawn"),
-        (undrawable, "of a kind not drawn", f"convert them to {', '.join(_DRAWABLE)}"),
+        (undrawable, "of a kind not drawn", f"convert them to {', '.join(DRAWABLE)}"),
     ):
         if addresses:
             # Of an absolute path only the name: the copy should not say where its author kept things.
@@ -160,7 +159,7 @@ def _with_companions(mesh: Path) -> list[Path]:
     """A mesh and the files in its folder that it names: materials, textures, buffers."""
     files = [mesh]
     for file in files:  # which grows
-        if file.suffix.lower() not in (*_DRAWABLE, ".mtl"):
+        if file.suffix.lower() not in (*DRAWABLE, ".mtl"):
             continue
         for named in _NAMED_FILE.findall(file.read_text(encoding="utf-8", errors="replace")):
             for name in (named.strip(), named.split()[-1]):  # a texture may follow options

@@ -1,0 +1,90 @@
+"""The files that a model leads to, looked at before Drake opens them: it would read a device or a FIFO without end."""
+
+import functools
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+from ffsm_drake.common.errors import ModelError, one_line
+from ffsm_drake.common.files import check_regular
+
+DRAWABLE = (".obj", ".gltf", ".dae")  # what Meshcat, and with it the recording, can draw
+_TEXTS = (".urdf", ".sdf", ".xml", ".yaml", ".yml", ".gltf", ".obj", ".mtl")
+_MAX_SIZE = 500_000_000  # bytes
+_MAX_READ = 5_000_000  # characters looked through for the names of further files
+# A file's name in XML, JSON or YAML, or in a line of Wavefront's, where it comes last.
+_NAMES = re.compile(
+    r"""\b(?:filename|file|uri|url)["']?\s*[=:]\s*(?:"([^"\n]*)"|'([^'\n]*)'|([^\s"'<>,}]+))|<uri>\s*([^<\s]+)"""
+    r"""|^\s*(?:mtllib|map_\w+|bump|disp|refl|norm)\s.*?(\S+)\s*$""",
+    re.MULTILINE,
+)
+
+
+def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Path, ...]:
+    """A model's file and all files that it names, which are regular and of a size to be read.
+
+    What does not exist is left to Drake to report.
+
+    Args:
+      address: a path, or a package:// or file:// address.
+      place: names the file in the error.
+      packages: package:// name -> folder.
+
+    Raises:
+      ModelError: one of them is a device, a FIFO, a folder, or too large.
+    """
+    first = next(_resolved(address, Path(), packages), None)
+    try:
+        changed = 0 if first is None else first.stat().st_mtime_ns
+    except (OSError, ValueError):
+        return ()
+    problem, files = _looked_at(first, tuple(sorted(packages.items())), changed)
+    if problem:
+        raise ModelError(f"{place}: {problem}")
+    return files
+
+
+@functools.lru_cache(maxsize=64)  # plants are made again and again
+def _looked_at(first: Path | None, packages: tuple[tuple[str, str], ...], changed: int) -> tuple[str, tuple[Path, ...]]:
+    """What is wrong with the files, or nothing, and which they are; ``changed`` is when the first was."""
+    pending = [] if first is None else [first]
+    for path in pending:  # which grows
+        try:
+            check_regular(path, limit=_MAX_SIZE)
+            if path.suffix.lower() in _TEXTS:
+                with path.open(encoding="utf-8", errors="replace") as file:
+                    text = file.read(_MAX_READ)
+                for found in _NAMES.finditer(text):
+                    name = next(filter(None, found.groups()), "")
+                    further = _resolved(name, path.parent, dict(packages))
+                    pending += [other for other in further if other not in pending]
+        except FileNotFoundError:
+            continue
+        except (OSError, ValueError) as error:
+            named = "" if path == pending[0] else f"{path}: "
+            return f"{named}{one_line(error)}; give a file", ()
+    return "", tuple(pending)
+
+
+def _resolved(name: str, folder: Path, packages: Mapping[str, str]) -> Iterator[Path]:
+    """The path of a file named in one of ``folder``, where it has one."""
+    scheme, separator, rest = name.rpartition("://")
+    if not separator and not name.startswith("data:"):
+        yield folder / name
+    elif scheme == "file":
+        yield Path(rest)
+    elif scheme == "package":
+        package, _, inside = rest.partition("/")
+        if package in packages:
+            yield Path(packages[package]) / inside
+
+
+def check_collada(path: Path) -> None:
+    """Raise ValueError unless a file is COLLADA, which only the browser reads."""
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise ValueError(one_line(error)) from error
+    if not root.tag.endswith("COLLADA"):
+        raise ValueError(f"its root element is <{root.tag}>, not <COLLADA>")
