@@ -30,6 +30,7 @@ from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import Actuation, Estimator, PerCoordinate, Scenario, Sensing
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.controllers.estimators import assumed_noise
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import Factory
 
@@ -186,12 +187,11 @@ class Linearizer:
 
         Errors as for ``add_closed_loop``; BlockError for a block with continuous or abstract state.
         """
-        self.scenario = dataclasses.replace(
-            scenario,
-            sensing=smooth_sensing(scenario),
-            estimator=_with_assumptions(scenario),
-            actuation=Actuation(delay=scenario.actuation.delay),
-        )
+        sensing, estimator = smooth_sensing(scenario), scenario.estimator
+        if sensing is not scenario.sensing:  # the estimator goes on to assume what it assumed
+            estimator = _with_assumptions(scenario)
+        actuation = Actuation(delay=scenario.actuation.delay)
+        self.scenario = dataclasses.replace(scenario, sensing=sensing, estimator=estimator, actuation=actuation)
         self.loop = make_closed_loop(self.scenario, blocks=blocks)
         diagram, self._plant = self.loop.diagram, self.loop.plant
         self._simulator = Simulator(diagram)
@@ -452,7 +452,7 @@ class _Memory:
 def smooth_sensing(scenario: Scenario) -> Sensing:
     """The sensors without quantisation, which counts as noise: rounding to a step adds the variance of its sawtooth."""
     sensing = scenario.sensing
-    if not sensing.position_quantization and not sensing.velocity_quantization:
+    if not any((*sensing.position_quantization.values(), *sensing.velocity_quantization.values())):
         return sensing
     names = make_nominal_plant(scenario).coordinates
 
@@ -474,11 +474,12 @@ def smooth_sensing(scenario: Scenario) -> Sensing:
 
 def _with_assumptions(scenario: Scenario) -> Estimator:
     """The estimator with the noises written out that it takes from the sensors."""
-    given, sensing = scenario.estimator, scenario.sensing
+    coordinates = make_nominal_plant(scenario).coordinates
+    position, velocity = (noise.tolist() for noise in assumed_noise(scenario, coordinates))
     return dataclasses.replace(
-        given,
-        position_noise=sensing.position_noise if given.position_noise is None else given.position_noise,
-        velocity_noise=sensing.velocity_noise if given.velocity_noise is None else given.velocity_noise,
+        scenario.estimator,
+        position_noise=dict(zip(coordinates.names, position, strict=True)),
+        velocity_noise=dict(zip(coordinates.names, velocity, strict=True)),
     )
 
 

@@ -410,8 +410,7 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
     if settings.delay is not None:
         delay = delay - scenario.sensing.delay + settings.delay
     nv = len(coordinates.names)
-    position = _assumed_noise(scenario, coordinates, "position", period[:nv])
-    velocity = _assumed_noise(scenario, coordinates, "velocity", period[nv:])
+    position, velocity = assumed_noise(scenario, coordinates)
     plain = not (bias_walk.any() or (period > 1).any() or delay.any())
     axes = [
         LateAxis(
@@ -476,18 +475,24 @@ def _make_coupled(
     return CoupledEstimator(separate=separate, axes=axes, gain=gain)
 
 
-def _assumed_noise(scenario: Scenario, coordinates: Coordinates, part: str, period: np.ndarray) -> np.ndarray:
-    """Standard deviation (nv) that the filter assumes of "position" or "velocity" measured every ``period`` samples.
+def assumed_noise(scenario: Scenario, coordinates: Coordinates) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations (nv) that the filter assumes of the measured positions and velocities.
 
     Correlated noise counts as the white noise that is as strong at low frequencies.
     """
-    given, sensing = getattr(scenario.estimator, f"{part}_noise"), scenario.sensing
-    if given is not None:
-        return coordinates.vector(given, key=f"estimator.{part}_noise", default=0.0)
-    white, correlated = (
-        coordinates.vector(getattr(sensing, name), key=f"sensing.{name}", default=0.0)
-        for name in (f"{part}_noise", f"{part}_correlated_noise")
-    )
+    sensing, nv = scenario.sensing, len(coordinates.names)
+    period, _ = measurement_times(sensing, coordinates)
     time_constant = coordinates.vector(sensing.correlation_time, key="sensing.correlation_time", default=1.0)
-    kept = np.exp(-period * scenario.sample_time / time_constant)
-    return np.hypot(white, correlated * np.sqrt((1.0 + kept) / (1.0 - kept)))
+
+    def of(part: str, samples: np.ndarray) -> np.ndarray:
+        given = getattr(scenario.estimator, f"{part}_noise")
+        if given is not None:
+            return coordinates.vector(given, key=f"estimator.{part}_noise", default=0.0)
+        white, correlated = (
+            coordinates.vector(getattr(sensing, name), key=f"sensing.{name}", default=0.0)
+            for name in (f"{part}_noise", f"{part}_correlated_noise")
+        )
+        kept = np.exp(-samples * scenario.sample_time / time_constant)
+        return np.hypot(white, correlated * np.sqrt((1.0 + kept) / (1.0 - kept)))
+
+    return of("position", period[:nv]), of("velocity", period[nv:])
