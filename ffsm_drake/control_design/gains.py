@@ -39,6 +39,8 @@ from ffsm_drake.systems.reference import make_motion
 PRICES = (0.2, 0.08, 0.04, 0.022, 0.012, 0.006)
 # The one-axis loop must contract at least this much for every payload.
 LARGEST_RADIUS = 0.9995
+# By how much the range of inertia ratios is widened for it.
+_WIDER = 1.05
 # Prices and factors that other laws' gains are varied with.
 _VARIED_PRICES = (0.08, 0.022, 0.006)
 _FACTORS = (2.0, 1.4)
@@ -211,11 +213,11 @@ def design(
     if by_formula:
         for kind in ("kalman", "one_sample"):
             searches[kind] = search = _Search(scenario, demand, kind, masses, on_price=step)
-            found[kind] = search.at_budget(requirement.budget, evaluate)
+            found[kind] = search.at_budget(requirement, evaluate)
             if kind == "kalman":
                 with contextlib.suppress(ScenarioError):  # late or slow sensors, which it does not take
                     found["coupled"] = search.at_budget(
-                        requirement.budget, lambda made: evaluate(_with_estimator(made, kind="coupled"))
+                        requirement, lambda made: evaluate(_with_estimator(made, kind="coupled"))
                     )
     if varies:
         best = min([given, *found.values()], key=requirement.rank)
@@ -297,21 +299,20 @@ class _Search:
             points.append(FrontPoint(isv=self._isv(point), rms_error=errors))
         return tuple(points)
 
-    def at_budget(self, budget: float, evaluate: Callable[[Scenario], DesignPoint]) -> DesignPoint:
+    def at_budget(self, requirement: Requirement, evaluate: Callable[[Scenario], DesignPoint]) -> DesignPoint:
         """The point that spends the budget, by bisection on the price; the cheapest where none is within it."""
-        allowed, best = budget, None
+        budget, allowed = requirement.budget, requirement.budget
+        tried = list[tuple[DesignPoint, dict[str, np.ndarray]]]()
         for _ in range(2):  # the loop of all coordinates costs more or less than its axes alone
             chosen = self._within(allowed)
-            found = evaluate(self._with_gains(chosen))
-            excess = found.prediction.isv - budget
-            if best is None or excess <= 0.0:
-                best, self._chosen = found, chosen
+            tried.append((evaluate(self._with_gains(chosen)), chosen))
+            excess = tried[-1][0].prediction.isv - budget
             last = self._designs[0] if excess > 0.0 else self._designs[-1]
             spent = -0.1 * (budget - self._demand.ideal_isv) < excess <= 0.0
             if spent or chosen is last or not np.isfinite(excess):
                 break
             allowed = self._isv(chosen) - (1.05 if excess > 0.0 else 0.95) * excess
-        assert best is not None
+        best, self._chosen = min(tried, key=lambda each: requirement.rank(each[0]))
         return best
 
     def at_the_edge(self) -> list[str]:
@@ -513,10 +514,13 @@ def _times(value: Mapping[str, float], factors: Mapping[str, float], coordinates
 
 
 def _eta_range(scenario: Scenario, masses: list[float]) -> np.ndarray:
-    """Five inertia ratios over what the payload range and the planned motion hold."""
+    """Five inertia ratios over what the payload range and the planned motion hold, and a little more on both sides.
+
+    The axes are coupled, and the motion moves the poles.
+    """
     pairs = [pair for mass in masses for pair in _mass_matrices(_with_true_mass(scenario, mass), [0.0, 0.5, 1.0])]
     spread = np.array([inertia_ratios(true, nominal) for true, nominal in pairs])
-    return np.linspace(spread.min(), spread.max(), 5)
+    return np.linspace(spread.min() / _WIDER, spread.max() * _WIDER, 5)
 
 
 def _mass_matrices(scenario: Scenario, parts: list[float]) -> list[tuple[np.ndarray, np.ndarray]]:
