@@ -39,6 +39,8 @@ from ffsm_drake.systems.reference import make_motion
 PRICES = (0.2, 0.08, 0.04, 0.022, 0.012, 0.006)
 # The one-axis loop must contract at least this much for every payload.
 LARGEST_RADIUS = 0.9995
+# s; times the velocity noise, what a filter assumes of positions that are exact: it would else only differentiate them.
+_POSITION_NOISE_TIME = 0.1
 # By how much the range of inertia ratios is widened for it.
 _WIDER = 1.05
 # Prices and factors that other laws' gains are varied with.
@@ -359,6 +361,10 @@ class _Search:
         data["estimator"]["kind"] = self._kind
         if self._kind == "kalman":
             data["estimator"]["walk"] = each(lambda group: group.walk)
+            if any(axis.assumed != axis.noise for axis in self._axes.values()):
+                assumed = {group: axis.assumed for group, axis in self._axes.items()}
+                data["estimator"]["position_noise"] = {group: position for group, (position, _) in assumed.items()}
+                data["estimator"]["velocity_noise"] = {group: velocity for group, (_, velocity) in assumed.items()}
         gains = data["controllers"].setdefault(scenario.controller, {})
         if scenario.controller == "asmc":
             gains |= {"k_d": each(lambda group: group.omega), "k_s": each(lambda group: group.k_s)}
@@ -385,6 +391,8 @@ class _Axis:
             float(demand.coordinates.vector(noise, key="sensing", default=0.0)[part].max())
             for noise in (sensing.position_noise, sensing.velocity_noise)
         )
+        position, velocity = self.noise
+        self.assumed = position or _POSITION_NOISE_TIME * velocity, velocity
         # What a unit of Hhat^-1 tau costs: columns of Hhat at mid-motion.
         self.weight = float((_mass_matrices(scenario, [0.5])[0][1] ** 2).sum(axis=0)[part].sum())
         self.integral = self.controller in ("aismc", "tde_aismc")
@@ -402,7 +410,7 @@ class _Axis:
         """Mean square error (rad^2 or m^2) and effort of the noise (ISV); infinite outside the stable region."""
         group, gain = self.read(x), None
         if self.kalman:
-            position, velocity = self.noise
+            position, velocity = self.assumed
             gain = kalman_gain(
                 position_noise=position, velocity_noise=velocity, walk=group.walk, sample_time=self.period
             )[None]
