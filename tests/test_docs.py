@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 
 from ffsm_drake import FfsmError, simulate
 from ffsm_drake.cli import main
-from ffsm_drake.control_design.gains import PRICES
+from ffsm_drake.control_design.gains.axis_search import PRICES
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,
@@ -133,7 +133,7 @@ def test_python_examples_run(page, tmp_path, monkeypatch):
     design cost seconds and have tests of their own."""
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
     monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
-    monkeypatch.setattr("ffsm_drake.control_design.gains.PRICES", PRICES[:1])
+    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", PRICES[:1])
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     found = [(MODULE.match(block), block) for block in blocks(page, "python")]

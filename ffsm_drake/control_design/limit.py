@@ -20,7 +20,7 @@ from ffsm_drake.control_design.stability.prediction import Demand, make_demand
 from ffsm_drake.control_design.stability.sampled_loop import covariance_after
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import make_true_plant
-from ffsm_drake.systems.controllers.estimators import kalman_gain
+from ffsm_drake.systems.controllers.filter_gains import kalman_gain
 from ffsm_drake.systems.reference import make_motion
 
 # Prices of effort that the front is computed for, in units of the regulator's (see there).

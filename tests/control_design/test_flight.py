@@ -134,7 +134,7 @@ def test_perfect_tracking_effort_is_that_of_a_noiseless_run(run):
 
 @pytest.fixture
 def _few_prices(monkeypatch):
-    monkeypatch.setattr("ffsm_drake.control_design.gains.PRICES", (0.08, 0.022, 0.006))
+    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.08, 0.022, 0.006))
 
 
 @pytest.mark.usefixtures("_few_prices")
@@ -170,7 +170,7 @@ def test_design_beats_the_hand_made_gains():
 @pytest.mark.usefixtures("_few_prices")
 def test_design_from_the_shell(tmp_path, monkeypatch):
     """With one price: the whole front, and the search along it, are looked at above."""
-    monkeypatch.setattr("ffsm_drake.control_design.gains.PRICES", (0.2,))
+    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.2,))
     arguments = [
         "design",
         "flight_sensors",

@@ -24,7 +24,7 @@ from ffsm_drake.control_design.stability.sampled_loop import (
     tolerated_eta,
 )
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.controllers.estimators import kalman_gain
+from ffsm_drake.systems.controllers.filter_gains import kalman_gain
 
 L = 0.01
 SAMPLED = Sampling(sample_time=L)

@@ -9,14 +9,11 @@ from ffsm_drake.systems.controllers import Sample, gain_vectors
 from ffsm_drake.systems.controllers.estimators import (
     CoupledEstimator,
     KalmanEstimator,
-    LateAxis,
     LateKalmanEstimator,
     OneSampleEstimator,
-    coupled_gain,
-    kalman_gain,
-    late_gains,
     make_estimator,
 )
+from ffsm_drake.systems.controllers.filter_gains import LateAxis, coupled_gain, kalman_gain, late_gains
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
 
 PERIOD = 0.01

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from ffsm_drake.control_design.stability.linearization import Linearizer, LinearLoop
+from ffsm_drake.control_design.stability.linear_loop import LinearLoop
+from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.sampled_loop import (
     LawGains,
     LoopGains,

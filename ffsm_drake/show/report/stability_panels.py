@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ffsm_drake.control_design.stability import Margins
-from ffsm_drake.control_design.stability.linearization import LinearLoop
+from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.sampled_loop import largest_sample_time, largest_stable_k_s
 from ffsm_drake.show.panels import Panel, Thinning, Trace, View, curve, figure, time_panel
 from ffsm_drake.show.report.results import Result, values_of

@@ -1,0 +1,205 @@
+"""Choosing gains for a scenario's sensors, period, delays, limits and payload range, never worse than those given.
+
+Candidates are judged alike, by ``predict`` on the closed loop as it is wired: the least error, as the mean of the
+groups' log(rms error), that keeps to the budget of effort and to the actuators' limits, and that is stable for every
+payload of the range. Where they come from depends on the law:
+
+- *The paper's laws.* Every group has its natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s = w), its K_s
+  where the surface has an integral, and the random walk q_N of its Kalman estimate. The groups share only the effort,
+  so each is designed alone on its one-axis loop for a price of effort, with either estimate. Lowering the price traces
+  the front of accuracy against effort.
+- *Every other law, and every loop that the one-axis formulas do not describe* (delays, replaced blocks). The gains
+  that the law declares, and the random walks, are varied by group from the best there is, all groups at once, as long
+  as that pays at a price of effort.
+"""
+
+import contextlib
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.control_design.gains.axis_search import LARGEST_RADIUS, PRICES, AxisSearch, FrontPoint, with_true_mass
+from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
+from ffsm_drake.control_design.gains.variation import PRICES_VARIED, varied
+from ffsm_drake.control_design.limit import Limit, find_limit
+from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.margins import has_closed_form
+from ffsm_drake.control_design.stability.prediction import Prediction, make_demand, predict
+from ffsm_drake.scenario import Estimator, Scenario
+from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+
+# Of log(rms error): less is no reason to change gains.
+_NEGLIGIBLE = 0.005
+_KINDS = {
+    "kalman": "Kalman estimate",
+    "coupled": "Coupled Kalman estimate",
+    "one_sample": "One-sample estimate",
+    "varied": "Gains varied by group",
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Design:
+    """The chosen gains and what they were chosen from."""
+
+    chosen: DesignPoint
+    given: DesignPoint  # the scenario as it was
+    found: Mapping[str, DesignPoint]  # the best of each kind: of estimate, or "varied" gains
+    kept: bool  # whether the given gains are the chosen ones
+    held_back: str  # what keeps the chosen gains from being better, one line
+    front: tuple[FrontPoint, ...]  # with the chosen estimate; empty where none was traced
+    limit: Limit  # of the chosen gains
+    ideal_isv: float
+    requirement: Requirement
+
+    @functools.cached_property
+    def published(self) -> Prediction | None:
+        """With the paper's gains and one-sample estimate, and the same sensors; None for another law."""
+        scenario = self.given.scenario
+        return predict(_published(scenario)) if scenario.controller in PAPER_LAWS else None
+
+    @property
+    def remarks(self) -> list[str]:
+        """What was compared and what limits the choice, a sentence each."""
+        after, before = self.chosen.prediction, self.given.prediction
+        factor = float(np.exp(before.mean_log_error - after.mean_log_error))
+        violated = self.requirement.violated(self.given)
+        if self.kept:
+            remarks = ["Yours is better: kept. Nothing was found that is more accurate and meets the requirements."]
+        elif violated:
+            remarks = [f"Yours does not meet the requirements: {violated}."]
+            if factor < 1.0:
+                remarks.append(f"Where that does not matter, yours is {1.0 / factor:.3g} times as accurate.")
+        else:
+            remarks = [f"The rms error falls by a factor of {factor:.3g} (geometric mean over the groups)."]
+        for kind, point in self.found.items():
+            error = np.exp(point.prediction.mean_log_error)
+            verdict = self.requirement.violated(point) or f"ISV {point.prediction.isv:.1f}"
+            remarks.append(f"{_KINDS[kind]}: mean rms error {error:.3g}, {verdict}.")
+        remarks.append(f"Held back by {self.held_back}.")
+        if np.isfinite(self.limit.distance):
+            remarks.append(
+                f"The error is {self.limit.distance:.3g} times the least that any linear controller can have at this "
+                "effort (LQG, same noise and demand)."
+            )
+        return remarks
+
+
+def design(
+    scenario: Scenario,
+    *,
+    budget: float | None = None,
+    payload_range: tuple[float, float] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Design:
+    """Design the gains of the scenario's controller and, for a law with one, its estimator.
+
+    Args:
+      budget: largest predicted ISV; default: 1.1 times that of perfect tracking.
+      payload_range: lowest and highest true payload mass (kg, inertia in proportion) that the loop must be stable for;
+        default: 0.6 to 2.5 times the nominal one.
+      progress: called with (steps done, steps in all).
+
+    Raises:
+      ScenarioError: no gains meet the budget, or a value of the scenario cannot be used.
+      BlockError: a user-supplied block cannot be loaded, built, wired or linearised.
+    """
+    scenario, demand = complete_gains(scenario), make_demand(scenario)
+    nominal = scenario.payload.nominal.mass
+    low, high = payload_range or (0.6 * nominal, 2.5 * nominal)
+    if not 0.0 < low < high:
+        raise ScenarioError("payload range", f"must be two masses 0 < LOW < HIGH in kg, not {low:g} and {high:g}")
+    masses = [float(mass) for mass in np.linspace(low, high, 5)]
+    requirement = Requirement(
+        budget=1.1 * demand.ideal_isv if budget is None else budget,
+        limit=demand.coordinates.vector(scenario.actuation.limit or {}, key="actuation.limit", default=np.inf),
+    )
+
+    def evaluate(candidate: Scenario) -> DesignPoint:
+        return DesignPoint(
+            scenario=candidate,
+            prediction=predict(candidate),
+            radius_by_mass={mass: _radius(with_true_mass(candidate, mass)) for mass in (masses[0], masses[-1])},
+        )
+
+    given, found, searches = evaluate(scenario), dict[str, DesignPoint](), dict[str, AxisSearch]()
+    by_formula = scenario.controller in PAPER_LAWS
+    varies = not has_closed_form(scenario)
+    steps = 2 * len(PRICES) * by_formula + len(PRICES_VARIED) * varies
+    done = 0
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, steps)
+
+    if by_formula:
+        for kind in ("kalman", "one_sample"):
+            searches[kind] = search = AxisSearch(scenario, demand, kind, masses, on_price=step)
+            found[kind] = search.at_budget(requirement, evaluate)
+            if kind == "kalman":
+                with contextlib.suppress(ScenarioError):  # late or slow sensors, which it does not take
+                    found["coupled"] = search.at_budget(
+                        requirement, lambda made: evaluate(_with_estimator(made, kind="coupled"))
+                    )
+    if varies:
+        best = min([given, *found.values()], key=requirement.rank)
+        tried = list(varied(best, evaluate, on_price=step))
+        found["varied"] = min(tried, key=requirement.rank)
+    best = min(found.values(), key=requirement.rank)
+    kept = requirement.rank(given) <= (requirement.rank(best)[0], requirement.rank(best)[1] + _NEGLIGIBLE)
+    chosen = given if kept else best
+    if requirement.violated(chosen).startswith("ISV"):
+        cheapest = f"the cheapest gains found need {chosen.prediction.isv:.1f}"
+        raise ScenarioError("budget", f"ISV {requirement.budget:.1f} cannot be met; {cheapest}")
+    radius_by_mass = {mass: _radius(with_true_mass(chosen.scenario, mass)) for mass in masses}
+    search_of_chosen = next(
+        (searches[kind] for kind, point in found.items() if point is chosen and kind in searches), None
+    )
+    shown = search_of_chosen or searches.get("kalman")
+    return Design(
+        chosen=dataclasses.replace(chosen, radius_by_mass=radius_by_mass),
+        given=given,
+        found=found,
+        kept=kept,
+        held_back=_held_back(chosen, requirement, search_of_chosen),
+        front=() if shown is None else shown.front,
+        limit=find_limit(chosen.scenario, demand),
+        ideal_isv=demand.ideal_isv,
+        requirement=requirement,
+    )
+
+
+def _with_estimator(scenario: Scenario, **settings: Any) -> Scenario:
+    return dataclasses.replace(scenario, estimator=dataclasses.replace(scenario.estimator, **settings))
+
+
+def _radius(scenario: Scenario) -> float:
+    with Linearizer(scenario) as linearizer:
+        return max(linearizer.at(part * scenario.reference.duration).spectral_radius for part in (0.0, 1.0))
+
+
+def _held_back(point: DesignPoint, requirement: Requirement, search: "AxisSearch | None") -> str:
+    """What a better design would run into."""
+    peak, limit = point.prediction.peak_effort, requirement.limit
+    if point.prediction.isv > 0.98 * requirement.budget:
+        return f"the budget of effort, ISV {requirement.budget:.1f}"
+    if (peak > 0.95 * limit).any():
+        i = int(np.argmax(peak / limit))
+        return f"actuation.limit of {point.prediction.coordinates.names[i]}, {limit[i]:g}"
+    if max(point.radius_by_mass.values()) > LARGEST_RADIUS:
+        worst = max(point.radius_by_mass, key=lambda mass: point.radius_by_mass[mass])
+        return f"stability for a true payload of {worst:g} kg"
+    if search is not None and (groups := search.at_the_edge()):
+        return f"stability over the payload range, in {', '.join(groups)}"
+    return "nothing that was looked at: what more effort buys is below its lowest price"
+
+
+def _published(scenario: Scenario) -> Scenario:
+    """The scenario with the paper's gains and estimate."""
+    return dataclasses.replace(scenario, controllers={}, estimator=Estimator())

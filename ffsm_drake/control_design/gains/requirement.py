@@ -1,0 +1,50 @@
+"""What a design must keep to, and by what designs are judged."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from ffsm_drake.control_design.stability.prediction import Prediction
+from ffsm_drake.scenario import Scenario
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DesignPoint:
+    """A scenario and what is predicted of it."""
+
+    scenario: Scenario
+    prediction: Prediction
+    radius_by_mass: Mapping[float, float]  # true payload mass in kg -> spectral radius
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Requirement:
+    """What a design must keep to."""
+
+    budget: float  # largest ISV
+    limit: np.ndarray  # (nv,) of the actuators, N m or N; infinite: none
+
+    def violated(self, point: DesignPoint) -> str:
+        """One line: which requirement a point does not meet; empty where it meets all."""
+        prediction = point.prediction
+        if not np.isfinite(prediction.isv):
+            return "it diverges"
+        unstable = [mass for mass, radius in point.radius_by_mass.items() if radius >= 1.0]
+        if unstable:
+            return f"unstable for a true payload of {' or '.join(f'{mass:g}' for mass in unstable)} kg"
+        if (excess := prediction.peak_effort > self.limit).any():
+            i = int(np.argmax(excess))
+            peak, limit = prediction.peak_effort[i], self.limit[i]
+            return f"it asks {prediction.coordinates.names[i]} for {peak:.3g}, whose actuation.limit is {limit:g}"
+        if prediction.isv > self.budget:
+            return f"ISV {prediction.isv:.1f} is over the budget of {self.budget:.1f}"
+        return ""
+
+    def rank(self, point: DesignPoint) -> tuple[int, float]:
+        """By which points are judged, the smaller the better: requirements first, then error, or effort over budget."""
+        prediction, violated = point.prediction, self.violated(point)
+        if not violated:
+            return 0, prediction.mean_log_error
+        severe = not violated.startswith("ISV")
+        return (2, float(max(point.radius_by_mass.values()))) if severe else (1, prediction.isv)

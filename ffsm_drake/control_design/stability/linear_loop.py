@@ -1,0 +1,151 @@
+"""A linear loop, sample by sample: poles, modes, response to noise; see ``linearization``."""
+
+import dataclasses
+import functools
+import math
+from typing import Self
+
+import numpy as np
+
+from ffsm_drake.control_design.stability.sampled_loop import covariance_after
+from ffsm_drake.scenario import PerCoordinate
+from ffsm_drake.spacecraft.coordinates import Coordinates
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Mode:
+    """A mode of the loop: a real pole, or a conjugate pair."""
+
+    pole: complex  # z, over the common period of all blocks; of a pair the one with the positive imaginary part
+    frequency: float  # rad/s, natural
+    damping: float  # ratio; negative where the mode grows
+    coordinates: PerCoordinate  # coordinate -> share of the plant's motion in the mode, largest first
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class SampleMap:
+    """x+ = A x + B w, u = C x + D w over one control sample; for x, w and u see LinearLoop."""
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    d: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class LinearLoop:
+    """The loop near one instant of the planned motion.
+
+    Its state x begins with the plant's e and its rate (2 nv); u is the controller's force until the next sample (nv,
+    N m or N); w is the white noise of unit variance that a sample reads.
+    """
+
+    coordinates: Coordinates
+    time: float  # s
+    sample_time: float  # s
+    samples: tuple[SampleMap, ...]  # of one common period of all blocks
+
+    @functools.cached_property
+    def a(self) -> np.ndarray:
+        """The map of x over the common period."""
+        return functools.reduce(lambda product, sample: sample.a @ product, self.samples[1:], self.samples[0].a)
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Poles of what feeds back, over the common period, the largest first; one infinite where A is not finite."""
+        return self._eigen[0]
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest pole magnitude per control sample; the loop is stable below 1."""
+        return float(np.abs(self.poles[0]) ** (1.0 / len(self.samples)))
+
+    def modes(self, count: int = 6) -> list[Mode]:
+        """The slowest modes, those that grow first."""
+        names, found = self.coordinates.names, list[Mode]()
+        if not np.isfinite(self.poles).all():
+            return found
+        for pole, vector in zip(self.poles.tolist(), self._eigen[1].T, strict=True):
+            if pole.imag < 0.0 or abs(pole) < 1e-6 or len(found) == count:
+                continue
+            exponent = np.log(complex(pole)) / (len(self.samples) * self.sample_time)
+            weight = np.abs(vector[: len(names)])
+            share = weight / weight.sum()
+            found.append(
+                Mode(
+                    pole=complex(pole),
+                    frequency=float(abs(exponent)),
+                    damping=float(-exponent.real / abs(exponent)) if exponent else 0.0,
+                    coordinates={names[i]: float(share[i]) for i in np.argsort(-share, kind="stable")},
+                )
+            )
+        return found
+
+    def noise_response(self, samples: int) -> dict[str, np.ndarray]:
+        """Standard deviations (nv) under the noise after a number of control samples from a start without error.
+
+        Keys ``error`` (rad, m), ``error_rate`` (per s) and ``force`` (N m, N). A power of two covers ``samples``: a
+        loop that contracts has reached its stationary values by then; what walks at random or grows has come that far.
+        """
+        nv = len(self.coordinates.names)
+        if not np.isfinite(self.poles).all():
+            return {name: np.full(nv, np.inf) for name in ("error", "error_rate", "force")}
+        keep = self._matters(sum(np.abs(sample.b).sum(axis=1) for sample in self.samples) > 0.0)
+        maps = [(sample.a[np.ix_(keep, keep)], sample.b[keep], sample.c[:, keep], sample.d) for sample in self.samples]
+        power, once = np.eye(int(keep.sum())), np.zeros((keep.sum(),) * 2)
+        for a, b, _, _ in maps:
+            power, once = a @ power, a @ once @ a.T + b @ b.T
+        covariance = covariance_after(power, once, samples=math.ceil(samples / len(maps)))
+        of_state, of_force = np.zeros(len(covariance)), np.zeros(nv)
+        for a, b, c, d in maps:
+            of_state += np.diagonal(covariance) / len(maps)
+            of_force += (np.einsum("ij,jk,ik->i", c, covariance, c) + (d**2).sum(axis=1)) / len(maps)
+            covariance = a @ covariance @ a.T + b @ b.T
+        variances = {"error": of_state[:nv], "error_rate": of_state[nv : 2 * nv], "force": of_force}
+        return {
+            name: np.sqrt(np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf))
+            for name, values in variances.items()
+        }
+
+    def with_random_walk(self, walk: np.ndarray, mass_matrix: np.ndarray) -> Self:
+        """The loop under an acceleration d that walks at random, in addition; its force becomes what exceeds -H d.
+
+        Args:
+          walk: intensity (nv), its standard deviation after one second, rad/s^2 or m/s^2 per sqrt(s).
+          mass_matrix: H of the plant (nv, nv), by which the force would have to be -H d to keep d from acting.
+        """
+        nv, step = len(walk), self.sample_time
+        enter = np.zeros((len(self.a), nv))
+        enter[: 2 * nv] = np.vstack([0.5 * step**2 * np.eye(nv), step * np.eye(nv)])
+        samples = tuple(
+            SampleMap(
+                a=np.block([[sample.a, enter], [np.zeros((nv, len(self.a))), np.eye(nv)]]),
+                b=np.block([
+                    [sample.b, np.zeros((len(self.a), nv))],
+                    [np.zeros((nv, sample.b.shape[1])), np.diag(np.sqrt(step) * walk)],
+                ]),
+                c=np.hstack([sample.c, mass_matrix]),
+                d=np.hstack([sample.d, np.zeros((nv, nv))]),
+            )
+            for sample in self.samples
+        )  # fmt: skip
+        return dataclasses.replace(self, samples=samples)
+
+    @functools.cached_property
+    def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
+        """Poles, largest first, and right eigenvectors of the part of the loop that feeds back."""
+        if not np.isfinite(self.a).all():
+            return np.full(1, np.inf), np.ones((len(self.a), 1))
+        keep = self._matters(np.arange(len(self.a)) < 2 * len(self.coordinates.names))
+        poles, vectors = np.linalg.eig(self.a[np.ix_(keep, keep)])
+        order = np.argsort(-np.abs(poles), kind="stable")
+        return poles[order], vectors[:, order]
+
+    def _matters(self, driven: np.ndarray) -> np.ndarray:
+        """Mask of the entries of x that act on the plant and that the plant, or ``driven`` (mask), acts on."""
+        arrows = sum(np.abs(sample.a) for sample in self.samples) > 0.0
+        plant = np.arange(len(arrows)) < 2 * len(self.coordinates.names)
+        acting, driven = plant, driven | plant
+        for _ in range(len(arrows)):
+            acting, driven = acting | (arrows[acting].any(axis=0)), driven | (arrows[:, driven].any(axis=1))
+        return acting & driven
