@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.scenario import Scenario
 
-_out = out_option(help="Default: out/ and the scenario's name.")
+_out = out_option(help="Default: out/ and the scenario's name, with the controller's where another is chosen.")
 _report = click.option("--report/--no-report", default=True, show_default=True, help="Write report.html.")
 
 
