@@ -7,8 +7,14 @@ def main() -> None:
     """Run the command line; interrupts are handled before anything else is imported."""
     handle_signals()
     from ffsm_drake.cli import main as ffsm
+    from ffsm_drake.cli.common import end_threads, forgiving_stderr
 
-    ffsm(prog_name="ffsm")
+    forgiving_stderr()
+    try:
+        ffsm(prog_name="ffsm")
+    except SystemExit as ending:
+        end_threads(ending.code)
+        raise
 
 
 if __name__ == "__main__":

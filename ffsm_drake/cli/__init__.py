@@ -2,7 +2,6 @@
 
 import os
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -14,6 +13,7 @@ from ffsm_drake.cli.paper import noise, reproduce
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, doctor, new, scenarios, schema, validate
 from ffsm_drake.cli.show import diagram, plot, replay
+from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.workers import ONE_THREAD
 
 
@@ -32,9 +32,13 @@ def main() -> None:
     """
     for name, threads in ONE_THREAD.items():
         os.environ.setdefault(name, threads)  # read when NumPy loads
-    with suppress(FileNotFoundError):  # the current folder has been deleted
-        if str(Path.cwd()) not in sys.path:  # for module:Class; last, so that it shadows no installed module
-            sys.path.append(str(Path.cwd()))
+    os.environ["MPLBACKEND"] = "agg"  # figures go to files, whatever the user's windows are made with
+    try:
+        folder = str(Path.cwd())
+    except FileNotFoundError:
+        raise FfsmError("the current folder has been deleted; change to another one") from None
+    if folder not in sys.path:  # for module:Class; last, so that it shadows no installed module
+        sys.path.append(folder)
 
 
 for command in (

@@ -2,12 +2,14 @@
 
 import functools
 import math
+import os
 import re
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
 
@@ -26,6 +28,14 @@ class CommandGroup(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        for text in args:
+            try:
+                text.encode()
+            except UnicodeEncodeError:  # bytes of a file's name
+                raise click.UsageError(f"{text!r} is not UTF-8 text; rename the file or folder", ctx) from None
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: click.Context) -> Any:
         with warnings_as_lines():
             try:
@@ -39,6 +49,45 @@ class CommandGroup(click.Group):
             except KeyboardInterrupt as interruption:
                 click.echo(str(interruption) or "interrupted", err=True)
                 sys.exit(exit_code())
+
+
+class _ForgivingStream:
+    """A text stream on which a line may be lost: a full disk must not end a run."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            self._stream.flush()
+
+
+def forgiving_stderr() -> None:
+    """Let standard error be closed or full."""
+    if sys.stderr is None:  # closed
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 (for the process's life)
+    sys.stderr = cast("TextIO", _ForgivingStream(sys.stderr))
+
+
+def end_threads(code: Any) -> None:
+    """End the process if a controller has left threads for which Python would wait."""
+    left = [
+        thread.name for thread in threading.enumerate() if not thread.daemon and thread.ident != threading.get_ident()
+    ]
+    if left:
+        click.echo(f"warning: ended with threads that were left running: {', '.join(left)}", err=True)
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code if isinstance(code, int) else EXIT_GOOD)
 
 
 def complete_scenario(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:

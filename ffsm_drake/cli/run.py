@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.scenario import Scenario
 
-_out = out_option(help="Default: out/ and the scenario's name.")
+_out = out_option(help="Default: out/ and the scenario's name, with the controller's where another is chosen.")
 _report = click.option("--report/--no-report", default=True, show_default=True, help="Write report.html.")
 
 
@@ -60,7 +60,7 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
     from ffsm_drake.spacecraft.plant import check_pictures
 
     repeated = repeated_run()
-    directory = out or Path("out") / (f"{scenario_stem()}_again" if repeated else scenario_stem())
+    directory = out or Path("out") / (f"{scenario_stem()}_again" if repeated else _stem_of(scenario))
     check_writable(directory)  # before the run, which may take a while
     if report or meshcat:
         check_pictures(scenario.model)
@@ -102,7 +102,7 @@ def compare(
     as_json: bool,
     report: bool,
 ) -> None:
-    """Run several controllers on the same scenario with the same noise; overlay and rank them.
+    """Run several controllers on the same scenario with the same noise; overlay and rank them, the best first.
 
     Writes one folder per controller, and report.html beside them.
 
@@ -154,6 +154,14 @@ def _distances(records: Sequence["RunRecord"]) -> list[float]:
     return distances
 
 
+def _stem_of(scenario: "Scenario") -> str:
+    """A folder name for a run, with the controller where it is not the scenario's own: no run replaces another's."""
+    from ffsm_drake.scenario import controller_key, load_scenario
+
+    own = load_scenario(click.get_current_context().params["scenario"]).controller
+    return scenario_stem() + ("" if scenario.controller == own else f"_{controller_key(scenario.controller)}")
+
+
 def _simulate(scenario: "Scenario") -> "RunRecord":
     from ffsm_drake.runs.simulate import simulate
 
@@ -161,6 +169,17 @@ def _simulate(scenario: "Scenario") -> "RunRecord":
     record = simulate(scenario, progress=progress)
     progress.close(record)
     return record
+
+
+def _places(records: Sequence["RunRecord"]) -> list[int]:
+    """The places of the records by accuracy (ITAE), the best first; runs that ended early stand last."""
+    order = ("completed", "interrupted", "diverged")
+
+    def key(k: int) -> tuple[int, float]:
+        outcome = records[k].outcome
+        return order.index(outcome.status), records[k].metrics["itae"] if outcome.completed else -outcome.time
+
+    return sorted(range(len(records)), key=key)
 
 
 def _finish(
@@ -180,7 +199,9 @@ def _finish(
         for remark in run_remarks(record):
             click.echo(f"warning: {record.scenario.controller}: {remark}", err=True)
     if not as_json:
-        click.echo(results_table(records, distances))
+        placed = _places(records)
+        shown = None if distances is None else [distances[k] for k in placed]
+        click.echo(results_table([records[k] for k in placed], shown))
     if report:
         write_outputs(records, directory, figures=False, recording=False, distances=distances)
     if as_json:

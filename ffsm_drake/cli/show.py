@@ -25,8 +25,15 @@ def plot(runs: tuple[Path, ...], out: Path | None) -> None:
     from ffsm_drake.common.errors import RecordError
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.runs.record import RunRecord
+    from ffsm_drake.scenario import MANIFEST_FILE
     from ffsm_drake.show.figures.run import save_figures
 
+    if len(runs) > 1:  # as FOLDER/* gives them
+        others = [run for run in runs if not (run / MANIFEST_FILE).is_file()]
+        runs = tuple(run for run in runs if run not in others) or runs[:1]
+        for other in others:
+            if other not in runs:
+                click.echo(f"{other}: is not the folder of a run; left out", err=True)
     directory = out or runs[0]
     check_writable(directory)
     records = [RunRecord.load(run) for run in runs]

@@ -59,6 +59,7 @@ _COMMENTS = {
     "disturbance": "Force on each coordinate: amplitude * sin(frequency * t + phase) + bias.",
     "sensing": "Standard deviation per sample: near perfect, as in the paper. For real sensors see the scenario "
     "flight_sensors and 'ffsm design'.",
+    "actuation": "Largest force of each joint: the effort limits of the URDF. The base's force is not limited.",
 }
 
 
@@ -243,6 +244,7 @@ def _scenario_data(
     servicer: Servicer, motion: Motion, coordinates: Coordinates, draft: Mapping[str, Any], gains: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The scenario as plain data, in the file's order."""
+    efforts = {joint.name: joint.effort for joint in servicer.joints if joint.effort < 1e20}
     return {
         "description": f"Post-capture stabilization with {servicer.source.stem}",
         "random_seed": 0,
@@ -257,6 +259,7 @@ def _scenario_data(
         "controllers": gains,
         "disturbance": {"amplitude_scale": 1.0, "harmonics": scaled_disturbance(motion, coordinates)},
         "sensing": {"velocity_noise": 1e-6, "position_noise": 0.0},
+        **({"actuation": {"limit": efforts}} if efforts else {}),
     }
 
 

@@ -89,7 +89,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     """
     model = make_true_plant(scenario)
     limits = joint_limits(scenario.model, model.plant)
-    remarks = list(_overridden_mass(scenario, model.plant))
+    remarks = [*_cut_short(scenario), *_overridden_mass(scenario, model.plant)]
     for name in ("initial_posture", "target_posture"):
         q = configuration(model.plant, getattr(scenario, name), key=name)[NUM_BASE_POSITIONS:]
         remarks += _positions(limits, q[None], f"{name}.joints", _no_time)
@@ -192,6 +192,16 @@ def _sizes(
     if parts:
         named = "effort" if kind == " force" else "velocity"
         yield f"{what}: beyond the URDF's {named} limits: {', '.join(parts)}"
+
+
+def _cut_short(scenario: Scenario) -> Iterator[str]:
+    """Says so when a run ends before its duration, which is not a whole number of control samples."""
+    end = scenario.num_control_periods * scenario.sample_time
+    if end < scenario.duration * (1.0 - _SLACK):
+        yield (
+            f"duration: {scenario.duration:g} s are not a whole number of samples of {scenario.sample_time:g} s; the "
+            f"run ends at {end:g} s"
+        )
 
 
 def _overridden_mass(scenario: Scenario, plant: MultibodyPlant) -> Iterator[str]:

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+import re
 import types
 import typing
 from collections.abc import Iterable, Mapping
@@ -115,6 +116,8 @@ def _convert_leaf(schema: type, data: typing.Any, path: str) -> typing.Any:
     if schema is float and isinstance(data, (int, float, str)) and not isinstance(data, bool):
         try:
             number = float(data)
+            if isinstance(data, str) and re.fullmatch(r"[-+]?0[0-9]+", data):  # some take it for octal
+                raise ValueError
         except ValueError:
             raise ScenarioError(path, f"must be {wanted}, not {shown(data)}") from None
         except OverflowError:

@@ -53,10 +53,21 @@ class _StrictLoader(yaml.SafeLoader):
             raise StrictYamlError(f"{_place(node.start_mark)}: {text}") from error
 
 
-# YAML 1.1, which PyYAML reads, takes 1e-5 and 1.5e3 for text; YAML 1.2 and JSON take them for numbers.
-_StrictLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
+# YAML 1.1, which PyYAML reads, takes 1:30 for 90, 017 for 15, and 1e-5 for text. YAML 1.2 and JSON do not.
+_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_StrictLoader.yaml_implicit_resolvers = {
+    first: [(tag, form) for tag, form in forms if tag not in _NUMBERS]
+    for first, forms in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+for _tag, _form in zip(
+    _NUMBERS,
+    (
+        r"[-+]?(0|[1-9][0-9_]*)$|0x[0-9a-fA-F]+$",
+        r"[-+]?([0-9][0-9_]*\.[0-9_]*|\.[0-9]+|[0-9][0-9_]*(?=[eE]))([eE][-+]?[0-9]+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$",
+    ),
+    strict=True,
+):
+    _StrictLoader.add_implicit_resolver(_tag, re.compile(_form), list("-+.0123456789"))
 
 
 def read_yaml(text: str) -> Any:

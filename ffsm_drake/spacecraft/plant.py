@@ -230,7 +230,10 @@ def _find(
     instances = map(ModelInstanceIndex, range(plant.num_model_instances()))
     found = {str(get(index).scoped_name()): get(index) for instance in instances for index in indices(instance)}
     if name not in found:
-        raise ModelError(f"{key}: no {kind} '{name}'; choose one of {', '.join(found)}{did_you_mean(name, found)}")
+        # Drake adds a frame to every joint and loop, which no file names.
+        joints = {plant.get_joint(index).name() for index in plant.GetJointIndices()}
+        own = [each for each in found if each.rpartition("::")[2].removesuffix("_parent") not in joints]
+        raise ModelError(f"{key}: no {kind} '{name}'; choose one of {', '.join(own)}{did_you_mean(name, own)}")
     return found[name]
 
 

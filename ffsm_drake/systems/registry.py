@@ -85,7 +85,7 @@ def find_factory(block: str, name: str, *, key: str = "", python_path: Sequence[
             f"{place} cannot be loaded: {one_line(error)}; run from the folder that holds it, or name that folder in "
             "python_path or PYTHONPATH"
         ) from error
-    except (Exception, SystemExit) as error:  # a user's module may raise anything when it is imported
+    except (Exception, GeneratorExit, SystemExit) as error:  # a user's module may raise anything when it is imported
         raise BlockError(f"{place} cannot be loaded: {type(error).__name__}: {one_line(error)}") from error
     if not callable(factory):
         raise BlockError(f"{place} must be a class or function, not {type(factory).__name__}")
@@ -110,7 +110,7 @@ def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
         return factory(setup)
     except FfsmError:
         raise
-    except (Exception, SystemExit) as error:
+    except (Exception, GeneratorExit, SystemExit) as error:
         raise BlockError(f"{place} cannot be built: {type(error).__name__}: {one_line(error)}") from error
 
 

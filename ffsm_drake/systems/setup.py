@@ -10,6 +10,13 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 
 
+class _Settings(dict[str, Any]):
+    """Settings that say what there is when one is missing."""
+
+    def __missing__(self, key: object) -> Any:
+        raise KeyError(f"no '{key}' in the settings that the scenario gives; there are: {', '.join(self) or 'none'}")
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BlockSetup:
     """What a block is built from: ``factory(setup)`` returns a Drake system with the block's ports.
@@ -22,6 +29,9 @@ class BlockSetup:
     scenario: Scenario
     nominal: PlantModel  # the plant with the nominal payload
     settings: Mapping[str, Any]  # as the scenario gives them to this block
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "settings", _Settings(self.settings))
 
     @property
     def coordinates(self) -> Coordinates:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import io
 import json
 import os
 import resource
@@ -16,6 +17,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -23,6 +25,8 @@ from ffsm_drake import RecordError, RunRecord, load_scenario, simulate
 from ffsm_drake.analysis import analyze
 from ffsm_drake.cli import main
 from ffsm_drake.common import files
+from ffsm_drake.show.figures import run as run_figures
+from ffsm_drake.show.figures.analysis import plot_analysis
 
 SHORT = "--set duration=0.05"
 
@@ -51,10 +55,14 @@ MINE = "model: {servicer: servicer.urdf, debris: debris.urdf}\n"
 
 CONTROLLERS = """
 import dataclasses
+import os
 import sys
+import threading
+import time
 import numpy as np
 from pydrake.systems.framework import LeafSystem
 from ffsm_drake import ControlLaw, PlantModel, gain
+from ffsm_drake.systems.controllers.laws.tdc import Tdc
 
 @dataclasses.dataclass(frozen=True)
 class Good(ControlLaw):
@@ -107,6 +115,55 @@ class Raises(Good):
 class Leaves(Good):
     def step(self, sample, state):
         sys.exit(0)
+
+class Inf(Good):
+    def initial_state(self):
+        return {"samples": np.zeros(1)}
+    def step(self, sample, state):
+        force = 0.0 * sample.v
+        force[3] = np.inf if state["samples"] == 2 else 0.0
+        return force, {"samples": state["samples"] + 1}
+
+class Large(Inf):
+    def step(self, sample, state):
+        return np.full(sample.v.size, 1e308), {"samples": state["samples"]}
+
+class Mute(Exception):
+    def __str__(self):
+        raise RuntimeError("not even this")
+
+class RaisesMute(Good):
+    def step(self, sample, state):
+        raise Mute
+
+class RaisesExit(Good):
+    def step(self, sample, state):
+        raise GeneratorExit("gone")
+
+class ExitsAtOnce(Good):
+    def __init__(self, **gains):
+        raise GeneratorExit("gone")
+
+class Elsewhere(Good):
+    def step(self, sample, state):
+        os.chdir("/")
+        return 0.0 * sample.v, {}
+
+class LeavesThread(Good):
+    def step(self, sample, state):
+        if threading.active_count() == 1:
+            threading.Thread(target=time.sleep, args=(300,), name="mine").start()
+        return 0.0 * sample.v, {}
+
+def needs_setting(setup):
+    return Good(k=setup.settings["gain"])
+
+class SmallMatrix:
+    def calc_mass_matrix(self, q):
+        return np.eye(3)
+
+def small_matrix(setup):
+    return dataclasses.replace(Tdc.from_setup(setup), model=SmallMatrix())
 
 class NoLaw(ControlLaw):
     pass
@@ -433,6 +490,20 @@ TABLE = [
         "sensing.velocity_noise.joint_9",
         "did you mean 'joint_",
     ),
+    override("sexagesimal", "duration=1:30", "duration: must be a number, not '1:30'"),
+    override("octal", "random_seed=017", "random_seed: must be a whole number, not '017'"),
+    override("octal-number", "duration=017", "duration: must be a number, not '017'"),
+    bad(
+        "integrator-fails",
+        "run --no-report --set simulator_config.integration_scheme=radau3 --set simulator_config.accuracy=1e-300 "
+        "--set simulator_config.use_error_control=true",
+        "Error control wants to select step smaller than minimum",
+    ),
+    bad(
+        "internal-frame",
+        "validate postcapture --set model.end_effector=servicer::joint_1_p",
+        "servicer::link_5, servicer::end_effector",
+    ),
     override("unknown-group", "controllers.tde_aismc.k_d.joint=1", "k_d.joint: unknown coordinate", "did you mean"),
     override(
         "unknown-harmonic", "disturbance.harmonics.arm.bias=1", "harmonics.arm: unknown coordinate; valid here: all"
@@ -715,6 +786,17 @@ TABLE = [
     controller("exits-in-law", "Leaves", "step called sys.exit at t = 0.00 s", command="run"),
     controller("raises-linearised", "Raises", "cannot be linearised: KeyError: 'gain'", command="stability"),
     controller("exits-linearised", "Leaves", "step called sys.exit at t = 0.00 s", command="stability"),
+    controller("raises-speechless", "RaisesMute", "failed at t = 0.00 s: Mute: Mute", command="run"),
+    controller("raises-generator-exit", "RaisesExit", "step raised GeneratorExit at t = 0.00 s", command="run"),
+    controller("generator-exit-linearised", "RaisesExit", "step raised GeneratorExit", command="stability"),
+    controller("generator-exit-in-init", "ExitsAtOnce", "cannot be built: GeneratorExit: gone"),
+    controller("missing-setting", "needs_setting", "no 'gain' in the settings", "there are: none"),
+    Row(
+        "small-mass-matrix",
+        f"run --no-report {SHORT} -c mine_bad:small_matrix",
+        ("mass matrix has the shape (3, 3); it must be (11, 11)",),
+        MODULES,
+    ),
     controller("no-law", "NoLaw", "NoLaw must define step(sample, state)", command="run"),
     controller("nan-configuration", "NanState", "the configuration q is not finite", command="run"),
     Row(
@@ -924,10 +1006,10 @@ OWN_PROCESS = {
 }
 
 
-def ffsm(*argv: str, cwd: Path, **settings) -> subprocess.CompletedProcess:
+def ffsm(*argv: str, cwd: Path, command: tuple[str, ...] = FFSM, **settings) -> subprocess.CompletedProcess:
     """The command line in a process of its own."""
     settings = {"stdout": subprocess.PIPE} | OWN_PROCESS | settings
-    return subprocess.run([*FFSM, *argv], cwd=cwd, check=False, timeout=120, **settings)
+    return subprocess.run([*command, *argv], cwd=cwd, check=False, timeout=120, **settings)
 
 
 @pytest.mark.parametrize("id", ["no-super-init", "nan-configuration"])  # before Drake runs, and in mid-run
@@ -1085,6 +1167,8 @@ def check_kept(folder: Path, status: str) -> RunRecord:
     ("words", "message"),
     [
         ("-c mine_bad:NanForce", "the force on base_rotation_x is nan"),
+        ("-c mine_bad:Inf", "moves at nan rad/s, beyond divergence_speed = 10"),
+        ("-c mine_bad:Large", "beyond divergence_speed = 10"),
         ("--set controllers.tde_aismc.k_d=1e20", "beyond divergence_speed = 10"),
         ("--set payload.nominal.mass=1e5", "beyond divergence_speed = 10"),
         ("--set divergence_speed=1e-6", "beyond divergence_speed = 1e-06"),
@@ -1217,3 +1301,142 @@ def test_an_interrupted_record_is_the_whole_one_up_to_its_end(where, run, monkey
     assert record.outcome.time == whole["time"].values[size - 1]
     for variable in whole.data_vars:
         assert (record.dataset[variable].values == whole[variable].values[:size]).all(), variable
+
+
+# Limits that are left are told.
+
+LIMITED = SERVICER.replace("continuous", "revolute", 1).replace(
+    '<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="0.001" effort="2"/>'
+)
+PLAN = """model: {servicer: servicer.urdf, debris: debris.urdf}
+duration: 0.5
+reference: {duration: 8}
+initial_posture: {joints: {shoulder: 1.5}}
+target_posture: {joints: {shoulder: 0.2, wrist: 1}}
+payload: {truth: {mass: 166}}
+"""
+TOLD = (
+    "payload.truth.mass: 166 kg takes the place of the 100 kg that the URDF gives debris::debris",
+    "initial_posture.joints: outside the URDF's position limits: shoulder 1.5 (limits -1 to 1 rad)",
+    "the planned motion: beyond the URDF's velocity limits: shoulder",
+    "tracking the planned motion perfectly takes: beyond the URDF's effort limits: shoulder",
+)
+
+
+def warned(stderr: str) -> list[str]:
+    return [line for line in stderr.splitlines() if line.startswith("warning: ")]
+
+
+def test_limits_that_are_left(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, text in {"servicer.urdf": LIMITED, "debris.urdf": DEBRIS, "mine.yaml": PLAN}.items():
+        Path(name).write_text(text)
+    within = (
+        "--set initial_posture.joints.shoulder=0.2 --set payload.truth.mass=100 --set target_posture.joints.wrist=0"
+    )
+    validated = CliRunner().invoke(main, ["validate", "mine.yaml"])
+    assert validated.exit_code == 0
+    assert all(
+        f"warning: mine.yaml: {text}" in line for text, line in zip(TOLD, warned(validated.stderr), strict=False)
+    )
+    quiet = CliRunner().invoke(main, ["validate", "mine.yaml", *shlex.split(within)])
+    assert warned(quiet.stderr) == []
+    run = CliRunner().invoke(main, shlex.split("run --no-report mine.yaml --set actuation.limit=1.5 --out new"))
+    lines = warned(run.stderr)
+    assert all(any(text in line for line in lines) for text in TOLD)
+    assert any("the run: outside the URDF's position limits: shoulder 1.5 at t = 0.00 s" in line for line in lines)
+    assert any("saturated at actuation.limit: " in line and "shoulder in " in line for line in lines)
+    assert "forces and ISV as commanded" in run.stdout
+    applied = np.abs(RunRecord.load("new").dataset["applied_force"]).max()
+    assert applied == 1.5
+
+
+def test_a_duration_between_samples_is_told():
+    result = CliRunner().invoke(main, ["validate", "postcapture", "--set", "duration=0.0149"])
+    assert "duration: 0.0149 s are not a whole number of samples of 0.01 s; the run ends at 0.01 s" in result.stderr
+
+
+# What surrounds a run.
+
+
+def test_a_controller_that_leaves_the_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    Path("mine_bad.py").write_text(CONTROLLERS)
+    result = CliRunner().invoke(main, shlex.split(f"run --no-report {SHORT} -c mine_bad:Elsewhere"))
+    assert result.exit_code == 0, result.output
+    check_kept(tmp_path / "out" / "postcapture_Elsewhere", "completed")  # not where another controller's run would be
+
+
+@pytest.mark.parametrize("stderr", ["closed", "full"])
+def test_standard_error_that_takes_nothing(tmp_path, stderr):
+    """A controller that leaves a thread, too: the process ends nevertheless."""
+    (tmp_path / "mine_bad.py").write_text(CONTROLLERS)
+    command = [*FFSM, "run", "--no-report", "-c", "mine_bad:LeavesThread", *shlex.split(SHORT), "--out", "new"]
+    close = {"preexec_fn": lambda: os.close(2)} if stderr == "closed" else {}
+    with open("/dev/full", "w") as full:
+        settings = OWN_PROCESS | {"stderr": full} | close
+        finished = subprocess.run(command, cwd=tmp_path, check=False, timeout=60, **settings)
+    assert finished.returncode == 0
+    check_kept(tmp_path / "new", "completed")
+
+
+def test_a_folder_that_is_gone(tmp_path):
+    (tmp_path / "gone").mkdir()
+    script = f"import os; os.rmdir({str(tmp_path / 'gone')!r}); {FFSM[2]}"
+    finished = ffsm("validate", "postcapture", cwd=tmp_path / "gone", command=(sys.executable, "-c", script))
+    assert finished.stderr == "error: the current folder has been deleted; change to another one\n"
+    assert finished.returncode == 2
+
+
+def test_a_name_that_is_no_text(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(main, ["run", "--out", "a\udcff"])
+    assert result.exit_code == 2
+    check_line(result.stderr, ("is not UTF-8 text; rename the file or folder",))
+
+
+def test_a_joint_whose_name_looks_like_mathematics(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    odd = "$\\alpha_{x$"
+    for name, text in URDFS.items():
+        Path(name).write_text(text.replace('"wrist"', f'"{odd}"'))
+    Path("mine.yaml").write_text(MINE + "duration: 0.3\ndescription: cost in $\\beta_{$\n")
+    assert CliRunner().invoke(main, ["run", "--no-report", "mine.yaml", "--out", "new"]).exit_code == 0
+    record = RunRecord.load("new")
+    run_figures.plot_errors([record]).savefig(io.BytesIO(), dpi=20)
+    plot_analysis(analyze(record)).savefig(io.BytesIO(), dpi=20)
+
+
+def test_plot_passes_over_what_is_no_run(tmp_path, good_run, monkeypatch):
+    shutil.copytree(good_run, tmp_path / "run")
+    (tmp_path / "report.html").touch()
+    names = [str(tmp_path / name) for name in ("report.html", "run", "nothing")]
+    result = CliRunner().invoke(main, ["plot", *names, "--out", str(tmp_path / "report.html")])  # draws nothing
+    assert result.stderr.splitlines()[:2] == [f"{names[k]}: is not the folder of a run; left out" for k in (0, 2)]
+    assert f"{names[0]}: cannot be written" in result.stderr.splitlines()[2]
+    monkeypatch.setattr(run_figures, "save_figures", lambda records, directory: [Path(directory) / str(len(records))])
+    result = CliRunner().invoke(main, ["plot", *names])
+    assert result.stdout == f"Written to {names[1]}: 1\n"
+
+
+def test_compare_prints_the_best_first(tmp_path):
+    words = f"compare postcapture -c computed_torque -c tde_aismc --no-report --set duration=1 --out {tmp_path}"
+    result = CliRunner().invoke(main, shlex.split(words))
+    assert [line.split()[0] for line in result.stdout.splitlines()[2:4]] == ["tde_aismc", "computed_torque"]
+
+
+@pytest.mark.parametrize("delay", [0.15, 0.4])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_at_the_start(tmp_path, number, delay):
+    """In the imports, mostly: nothing is said, nothing is left."""
+    command = [*FFSM, "run", "--out", "new"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, **OWN_PROCESS)
+    time.sleep(delay)
+    process.send_signal(number)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 128 + number, stderr
+    assert all("tde_aismc:" in line for line in stderr.splitlines())  # at most its progress
+    assert not list(tmp_path.rglob("*partial*"))
+    for kept in tmp_path.rglob("manifest.json"):
+        check_kept(kept.parent, "interrupted")

@@ -67,7 +67,7 @@ def ffsm(known, tmp_path, monkeypatch):
 
 def test_run_and_compare(ffsm, tmp_path):
     ffsm("run", "-c", "stiff", "--set", "duration=1", "--set", "controllers.stiff.k_p.joints=90", "--no-report")
-    manifest = json.loads((tmp_path / "out/postcapture/manifest.json").read_text())
+    manifest = json.loads((tmp_path / "out/postcapture_stiff/manifest.json").read_text())
     assert manifest["blocks"]["controller"]["system"] == "stiff"
     assert manifest["scenario"]["controllers"]["stiff"]["k_p"] == {"all": 100.0, "joints": 90.0}
     assert "stiff " in ffsm("compare", "-c", "stiff", "-c", "tdc", "--set", "duration=1", "--no-report")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from ffsm_drake.analysis.findings import Analysis
-from ffsm_drake.show.figures.axes import legend_below, tidy
+from ffsm_drake.show.figures.axes import legend_below, plain, tidy
 from ffsm_drake.show.style import (
     BAD,
     BLUE,
@@ -39,7 +39,7 @@ def plot_analysis(analysis: Analysis) -> Figure:
     """
     figure = Figure(figsize=(13.0, 12.5), layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.07))
     attributes = analysis.series.attrs
-    subtitle = f"{attributes['title']}. Controller {attributes['controller']}; {attributes['outcome']}"
+    subtitle = plain(f"{attributes['title']}. Controller {attributes['controller']}; {attributes['outcome']}")
     figure.suptitle("The paper's claims on this run\n" + textwrap.fill(subtitle, 140), fontsize=11)
     grid = figure.add_gridspec(3, 2)
     panels: tuple[tuple[str, str, dict[str, str], Callable[[SubFigure, Analysis], Axes]], ...] = (

@@ -22,6 +22,11 @@ def legend_below(figure: Figure | SubFigure, axes: Axes, *, columns: int = 3) ->
     )
 
 
+def plain(text: object) -> str:
+    """A user's text for a label of Matplotlib's, which takes what stands between dollar signs for mathematics."""
+    return str(text).replace("$", r"\$")
+
+
 def set_log_scale(axes: Axes) -> None:
     """A logarithmic y axis with at least two labelled ticks, however few decades it spans."""
     axes.set_yscale("log")

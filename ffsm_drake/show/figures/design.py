@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ffsm_drake.control_design.gains import Design
-from ffsm_drake.show.figures.axes import tidy
+from ffsm_drake.show.figures.axes import plain, tidy
 from ffsm_drake.show.style import BLUE, GREEN, GREY, GROUP_TITLES, VERMILION, label_of
 
 
@@ -13,7 +13,8 @@ def plot_design(found: Design) -> Figure:
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     scenario = found.chosen.scenario
     figure.suptitle(
-        f"Predicted accuracy against effort: {label_of(scenario.controller)}, {scenario.description}", fontsize=11
+        f"Predicted accuracy against effort: {plain(label_of(scenario.controller))}, {plain(scenario.description)}",
+        fontsize=11,
     )
     names, coordinates = list(found.chosen.prediction.by_group()), found.chosen.prediction.coordinates
     panels = figure.subplots(1, len(names), squeeze=False)[0]

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from ffsm_drake.common.files import written_whole
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.curves import completed_range, moving_rms
-from ffsm_drake.show.figures.axes import set_log_scale, tidy
+from ffsm_drake.show.figures.axes import plain, set_log_scale, tidy
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES, SERIES, VERMILION, labels_of, styles_of
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION
 
@@ -77,7 +77,7 @@ def plot_trajectories(record: RunRecord) -> Figure:
         axes = figure.add_subplot(2, 2, number)
         actual, reference = (factor * part.values for part in motion)
         for k, name in enumerate(names):
-            axes.plot(data["time"], actual[:, k], color=SERIES[k % len(SERIES)], linewidth=2, label=name)
+            axes.plot(data["time"], actual[:, k], color=SERIES[k % len(SERIES)], linewidth=2, label=plain(name))
             axes.plot(data["time"], reference[:, k], color="black", linestyle="--", linewidth=1)
         axes.set(xlabel="time [s]", ylabel=label, title=title)
         axes.legend(fontsize=8)
@@ -129,10 +129,10 @@ def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
             handles = []
             for k, (name, group) in enumerate(zip(series["coordinate"].values, series["group"].values, strict=True)):
                 look = {"color": SERIES[k % len(SERIES)], "linestyle": dashes[str(group)], "linewidth": 1.4}
-                handles += axes.plot(record.dataset["time"], series.values[:, k], label=name, **look)
+                handles += axes.plot(record.dataset["time"], series.values[:, k], label=plain(name), **look)
             axes.set(ylabel=label)
             if axes is panels[0, column]:
-                axes.set_title(labels_of(adaptive)[column])
+                axes.set_title(plain(labels_of(adaptive)[column]))
             tidy(axes)
         panels[-1, column].set_xlabel("time [s]")
     figure.legend(handles=handles, loc="outside right upper", fontsize=8)
@@ -155,7 +155,9 @@ def _plot_coordinates(
     ]
     styles = styles_of([record.scenario.controller for record in records])
     labels = [
-        label if record.outcome.completed else f"{label}, {record.outcome.status} at {record.outcome.time:.1f} s"
+        plain(label)
+        if record.outcome.completed
+        else f"{plain(label)}, {record.outcome.status} at {record.outcome.time:.1f} s"
         for record, label in zip(records, labels_of(records), strict=True)
     ]
     # The largest first, so that none covers a smaller one.
@@ -182,7 +184,7 @@ def _plot_coordinates(
         completed = [record.outcome.completed for record in records]
         if (shown := completed_range([(done, v[:, k]) for done, v in zip(completed, upper, strict=True)])) is not None:
             upper_axes.set_ylim(*shown)
-        upper_axes.set_title(f"({chr(ord('a') + k)}) {name.replace('_', ' ')}", fontsize=10, loc="left")
+        upper_axes.set_title(f"({chr(ord('a') + k)}) {plain(name.replace('_', ' '))}", fontsize=10, loc="left")
         upper_axes.set_ylabel(units[kinds[k]], fontsize=8)
         upper_axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3), useMathText=True)
         upper_axes.yaxis.get_offset_text().set_fontsize(8)
@@ -210,8 +212,8 @@ def _figure(
     # Only where it finds the title itself does the constrained layout keep room for it.
     place = {} if layout == "constrained" else {"y": 1.0 - 0.12 / size[1]}
     figure.suptitle(f"{title}\n", fontsize=13, fontweight="bold", **place)
-    description = record.scenario.description
+    description = plain(record.scenario.description)
     if not record.outcome.completed:
-        description = f"{description}. {record.outcome.message}"
+        description = f"{description}. {plain(record.outcome.message)}"
     figure.text(0.5, 1.0 - 0.4 / size[1], description, ha="center", va="top", fontsize=9, color="#444444")
     return figure

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
 from ffsm_drake.control_design.stability.sampled_loop import LoopGains, axis_poles
-from ffsm_drake.show.figures.axes import tidy
+from ffsm_drake.show.figures.axes import plain, tidy
 from ffsm_drake.show.style import BLUE, GREY, GROUP_STYLES, GROUP_TITLES, UNSTABLE, VERMILION, label_of
 
 _DASHES = ("-", "--", ":", "-.", (0, (1, 1)), (0, (6, 2, 1, 2, 1, 2)), (0, (9, 3)))  # seven joints can be told apart
@@ -17,8 +17,8 @@ def plot_margins(margins: Margins) -> Figure:
     rows = 1 if margins.axes is None else 2
     figure = Figure(figsize=(12.0, 0.5 + 4.0 * rows), layout="constrained")
     figure.suptitle(
-        f"Sampled-loop stability: {label_of(margins.scenario.controller)}, {margins.scenario.description}\n"
-        f"{margins.verdict}",
+        plain(f"Sampled-loop stability: {label_of(margins.scenario.controller)}, {margins.scenario.description}\n")
+        + margins.verdict,
         fontsize=11,
     )
     panels = figure.subplots(rows, 2).ravel()
@@ -70,7 +70,7 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins)
             arrow = {"arrowstyle": "->", "color": color, "linewidth": 2}
             axes.annotate("", xy=(x, min(extreme[-1], 0.99 * top)), xytext=(x, extreme[0]), arrowprops=arrow)
             axes.plot([], [], "-o", color=color, label=f"{GROUP_TITLES[group]}: start, expected path")
-        axes.set(ylabel="$K_s$ [1/s]", title=f"Stability map of {margins.coordinates.names[0]}")
+        axes.set(ylabel="$K_s$ [1/s]", title=f"Stability map of {plain(margins.coordinates.names[0])}")
     axes.set(xlabel="$\\eta$ (above 1: inertia over-estimated)", ylim=(0, top), xlim=(eta[0], eta[-1]))
     axes.legend(loc="lower left", fontsize=8)
 

@@ -102,9 +102,10 @@ class SampledController(LeafSystem):
                 values.setflags(write=False)  # a law that writes into them is told so once
         try:
             returned = self.law.step(sample, state)
-        except SystemExit as error:  # would end the process as if all were well
+        except (SystemExit, GeneratorExit) as error:  # would end the process as if all were well
+            what = "called sys.exit" if isinstance(error, SystemExit) else "raised GeneratorExit"
             raise BlockError(
-                f"{self.get_name()}: step called sys.exit at t = {context.get_time():.2f} s; raise an exception"
+                f"{self.get_name()}: step {what} at t = {context.get_time():.2f} s; raise an exception"
             ) from error
         if is_first:
             self._check(returned)

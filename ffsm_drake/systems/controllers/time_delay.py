@@ -13,6 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ffsm_drake.common.errors import BlockError
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.estimators import Estimator, make_estimator
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values
@@ -68,6 +69,11 @@ class TimeDelayControl(ControlLaw):
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         mass_matrix = self.model.calc_mass_matrix(sample.q)  # which refuses what is not finite
+        if mass_matrix.shape != (*sample.v.shape, sample.v.shape[-1]):
+            raise BlockError(
+                f"the model's mass matrix has the shape {mass_matrix.shape}; it must be "
+                f"{(*sample.v.shape, sample.v.shape[-1])}"
+            )
         estimate, estimator_state = self.estimator.step(sample, mass_matrix, state)
         u, dynamics_state = self.dynamics.step(estimate.e, estimate.e_dot, sample.a_d, state)
         force = time_delay_force(
