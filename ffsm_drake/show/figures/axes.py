@@ -6,7 +6,6 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ffsm_drake.show.style import GRID
 
-
 LARGEST = 1e100  # of what is drawn: axes have no ticks where numbers end
 
 
