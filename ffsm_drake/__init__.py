@@ -4,9 +4,11 @@ The verbs: ``simulate``, ``compare``, ``analyze``, ``stability``, ``design``, ``
 """
 
 import importlib
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # not from typing: nothing that takes a while is imported before the command line handles signals
 if TYPE_CHECKING:
+    from typing import Any
+
     from ffsm_drake.analysis import analyze
     from ffsm_drake.campaign.run import run_campaign
     from ffsm_drake.common.errors import BlockError, FfsmError, ModelError, RecordError, ScenarioError
@@ -75,7 +77,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     if name not in _HOME_OF:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)

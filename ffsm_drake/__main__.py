@@ -1,6 +1,6 @@
 """The command ``ffsm``, which is ``python -m ffsm_drake``."""
 
-from ffsm_drake.common.interrupts import handle_signals
+from ffsm_drake.common.interrupts import handle_signals, ignore_signals
 
 
 def main() -> None:
@@ -14,6 +14,7 @@ def main() -> None:
         ffsm(prog_name="ffsm")
     except SystemExit as ending:
         end_threads(ending.code)
+        ignore_signals()
         raise
 
 

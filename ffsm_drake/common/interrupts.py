@@ -46,6 +46,12 @@ def handle_signals() -> None:
             signal.signal(number, interrupts)
 
 
+def ignore_signals() -> None:
+    """For the end of the process, when all is done."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+
+
 def current() -> Interrupts | None:
     """The handler of this process, if it has one."""
     for number in (signal.SIGINT, signal.SIGTERM):

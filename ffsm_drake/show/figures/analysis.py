@@ -1,5 +1,6 @@
 """One page of pictures of an analysis: the quantities of the proof over time, beside their bounds."""
 
+import dataclasses
 import textwrap
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from ffsm_drake.analysis.findings import Analysis
-from ffsm_drake.show.figures.axes import legend_below, plain, tidy
+from ffsm_drake.show.figures.axes import LARGEST, legend_below, plain, tidy
 from ffsm_drake.show.style import (
     BAD,
     BLUE,
@@ -37,6 +38,8 @@ def plot_analysis(analysis: Analysis) -> Figure:
 
     The verdicts of a panel's findings are at the right of its title; a panel that does not apply says why.
     """
+    drawn = analysis.series.map(lambda one: one.where(np.abs(one) < LARGEST) if one.dtype.kind == "f" else one)
+    analysis = dataclasses.replace(analysis, series=drawn.assign_attrs(analysis.series.attrs))
     figure = Figure(figsize=(13.0, 12.5), layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.07))
     attributes = analysis.series.attrs
     subtitle = plain(f"{attributes['title']}. Controller {attributes['controller']}; {attributes['outcome']}")
@@ -72,6 +75,10 @@ def plot_analysis(analysis: Analysis) -> Figure:
             reason = next(iter(findings.values())).statement
             axes.text(0.5, 0.5, textwrap.fill(reason, 60), ha="center", va="center", fontsize=10, color=MUTE)
         axes.set_title(title, fontsize=10, loc="left", fontweight="bold")
+        for each in part.axes:
+            low, high = np.nan_to_num(each.get_ylim(), nan=1.0)
+            if each.get_yscale() == "log" and not 1.0 / LARGEST <= low < high <= LARGEST:  # a line of a huge bound
+                each.set_ylim(max(low, 1e-12), min(max(high, 1.0), LARGEST))
     return figure
 
 

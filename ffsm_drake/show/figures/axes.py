@@ -6,6 +6,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ffsm_drake.show.style import GRID
 
+LARGEST = 1e100  # of what is drawn: axes have no ticks where numbers end
+
 
 def tidy(axes: Axes) -> None:
     """The look that all panels share."""

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from ffsm_drake.common.files import written_whole
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.curves import completed_range, moving_rms
-from ffsm_drake.show.figures.axes import plain, set_log_scale, tidy
+from ffsm_drake.show.figures.axes import LARGEST, plain, set_log_scale, tidy
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES, SERIES, VERMILION, labels_of, styles_of
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION
 
@@ -150,6 +150,7 @@ def _plot_coordinates(
 ) -> Figure:
     """Of each coordinate every run's upper values (n, nv), and below them the rms of the lower ones (its last rows)."""
     coordinates, kinds = (records[0].dataset[name].values.astype(str) for name in ("coordinate", "unit"))
+    upper, lower = ([np.where(np.abs(one) < LARGEST, one, np.nan) for one in part] for part in (upper, lower))
     magnitudes = [
         moving_rms(values, record.scenario.sample_time) for record, values in zip(records, lower, strict=True)
     ]
