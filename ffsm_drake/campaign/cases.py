@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -47,6 +48,11 @@ def make_case(spec: Spec, index: int, drawn: Mapping[str, Any]) -> Case:
             values[name] = rule.apply([_operand(spec, values, source) for source in rule.sources])
         except CampaignError as error:
             raise CampaignError(f"derive.{name}: {error}") from None
+        except OverflowError:
+            values[name] = math.inf
+    for name, value in values.items():
+        if not all(math.isfinite(x) for x in (value if isinstance(value, list) else [value]) if isinstance(x, float)):
+            raise CampaignError(f"{name}: is not finite in case {index}: {value}")
     return Case(index=index, seed=case_seed(spec.seed, index), values=values)
 
 

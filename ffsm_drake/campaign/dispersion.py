@@ -89,6 +89,8 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
     if first >= second:
         raise CampaignError(f"{place}: low must be below high, not {first:g} and {second:g}")
     if kind == "uniform":
+        if not math.isfinite(second - first):
+            raise CampaignError(f"{place}: low and high are too far apart: {first:g} and {second:g}")
         return Distribution(value=lambda u, case: min(max(first + u * (second - first), first), second))
     if first <= 0.0:
         raise CampaignError(f"{place}.low: must be > 0 for log_uniform, not {first:g}")
@@ -171,11 +173,33 @@ def number(data: Any, *, place: str) -> float:
         if isinstance(data, bool) or not isinstance(data, (int, float, str)):
             raise ValueError
         value = float(data)
+    except OverflowError:
+        raise CampaignError(f"{place}: must be finite, not a number of hundreds of digits") from None
     except ValueError:
         raise CampaignError(f"{place}: must be a number, not {data!r}") from None
     if not math.isfinite(value):
         raise CampaignError(f"{place}: must be finite, not {value}")
     return value
+
+
+def check_plain(data: Any, *, place: str) -> None:
+    """Raise CampaignError for what neither a scenario nor a database can hold, at any depth."""
+    if isinstance(data, Mapping):
+        for key, value in data.items():
+            if not isinstance(key, str) or not key.isprintable() or not key:
+                raise CampaignError(f"{place}: key {key!r} must be printable text")
+            check_plain(value, place=f"{place}.{key}")
+    elif isinstance(data, list):
+        for i, value in enumerate(data):
+            check_plain(value, place=f"{place}[{i}]")
+    elif isinstance(data, str):
+        if any("\ud800" <= character <= "\udfff" for character in data):
+            raise CampaignError(f"{place}: holds half a character (a lone surrogate)")
+    elif isinstance(data, int):
+        if not -(2**63) <= data < 2**63:
+            raise CampaignError(f"{place}: a whole number must fit into 64 bits; write it with a decimal point")
+    elif not (data is None or isinstance(data, float)):
+        raise CampaignError(f"{place}: must be a number, text, list or mapping, not a {type(data).__name__}; quote it")
 
 
 def check_keys(data: Mapping[str, Any], valid: tuple[str, ...], *, place: str) -> None:

@@ -17,6 +17,7 @@ from ffsm_drake.campaign.cases import Case, scenario_of
 from ffsm_drake.campaign.prediction import predict_stability
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog
 from ffsm_drake.scenario import Scenario
@@ -63,11 +64,14 @@ class Evaluator:
         start = time.perf_counter()
         row: Row = dict.fromkeys((*METRICS, *PREDICTIONS))
         try:
-            scenario = scenario_of(self._spec, case, controller)
-            row |= evaluate_run(self._spec, self._run(scenario))
-            with contextlib.suppress(BlockError):  # a user-supplied block that cannot be linearised: no prediction
-                row |= dict(zip(PREDICTIONS, predict_stability(scenario), strict=True))
-        except Exception as error:
+            with time_limit(self._spec.time_limit):
+                scenario = scenario_of(self._spec, case, controller)
+                row |= evaluate_run(self._spec, self._run(scenario))
+                with contextlib.suppress(BlockError):  # a user-supplied block that cannot be linearised: no prediction
+                    row |= dict(zip(PREDICTIONS, predict_stability(scenario), strict=True))
+        except (Exception, TimeLimit) as error:
+            if isinstance(error, TimeLimit):
+                self._rollouts.pop(controller, None)  # it may be half done
             row |= error_row(described(error))
         return row | {
             "wall_time": time.perf_counter() - start,
@@ -102,7 +106,7 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     return {"outcome": outcome, "outcome_time": log.outcome.time, "message": message, **row}
 
 
-def described(error: Exception) -> str:
+def described(error: BaseException) -> str:
     """An exception on one line, its type in front."""
     text, kind = one_line(error), type(error).__name__
     return text if text.startswith(kind) else f"{kind}: {text}"

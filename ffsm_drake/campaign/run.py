@@ -19,8 +19,9 @@ from ffsm_drake.campaign.evaluate import (
     evaluate_run,
 )
 from ffsm_drake.campaign.spec import Spec, load_spec
-from ffsm_drake.campaign.store import Store, create_store, open_store
-from ffsm_drake.common.errors import FfsmError, InterruptedCampaign
+from ffsm_drake.campaign.store import Store, check_columns, create_store, open_store
+from ffsm_drake.common.errors import CampaignError, FfsmError, InterruptedCampaign
+from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import Rollout
@@ -32,7 +33,7 @@ MEMORY_LIMIT = 700.0  # MiB
 _TRIED = 20
 _LOST = {
     **dict.fromkeys(CIRCUMSTANCES),
-    **error_row("WorkerLost: the worker process died each time it ran this"),
+    **error_row("WorkerLost: the worker process died each time it ran this, or went beyond time_limit"),
     "software": "unknown",
 }
 
@@ -81,12 +82,16 @@ def check_cases(spec: Spec) -> None:
     Raises:
       CampaignError, ModelError, ScenarioError: what would make every run fail.
     """
+    check_columns(spec)
     for controller in spec.controllers:
         problem: Exception | None = None
         for case in itertools.islice(make_cases(spec), _TRIED):
             try:
-                Rollout(scenario_of(spec, case, controller))
+                with time_limit(spec.time_limit):
+                    Rollout(scenario_of(spec, case, controller)).release()
                 break
+            except TimeLimit as error:
+                raise CampaignError(f"controllers: building the loop with '{controller}' {error}") from None
             except FfsmError as error:
                 problem = problem or error
         else:
@@ -198,11 +203,12 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
     stored = store.result(case.index, controller)
     start, log = time.perf_counter(), None
     try:
-        log = Rollout(scenario_of(store.spec, case, controller)).run()
+        with time_limit(store.spec.time_limit):
+            log = Rollout(scenario_of(store.spec, case, controller)).run()
         if log.outcome.status == "interrupted":
             raise KeyboardInterrupt
         repeated = evaluate_run(store.spec, log)
-    except Exception as error:
+    except (Exception, TimeLimit) as error:
         repeated = error_row(described(error))
     record = None if log is None else make_record(log, start=start)
     return Repeated(record=record, stored=stored, repeated=repeated, differences=differing_columns(stored, repeated))

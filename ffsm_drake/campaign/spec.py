@@ -17,20 +17,27 @@ from ffsm_drake.campaign.dispersion import (
     Distribution,
     Rule,
     check_keys,
+    check_plain,
     get_value,
     number,
     parse_distribution,
     parse_rule,
 )
 from ffsm_drake.common.errors import CampaignError, ScenarioError, one_line
+from ffsm_drake.common.files import check_regular
 from ffsm_drake.scenario import Scenario, anchor_paths, load_scenario, relate_paths, scenario_to_dict, shipped_scenarios
+from ffsm_drake.scenario.loading import MAX_FILE_SIZE
+from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.registry import find_factory, module_folder
 
 _KEYS = (
     "description", "scenario", "overrides", "controllers", "cases", "seed", "sampling", "parameters", "factors",
-    "derive", "settled",
+    "derive", "settled", "time_limit",
 )  # fmt: skip
+_MOST_CASES, _MOST_VALUES, _MOST_NUMBERS = 1_000_000, 1000, 20_000_000  # cases, values of a case, points drawn in all
+_LARGEST_SEED = 2**53  # beyond, a number read as floating point is another
+_TIME_LIMIT = 600.0  # s
 # What the campaign sets by itself.
 _RESERVED = {"random_seed": "follows from 'seed' and the case's number", "controller": "belongs into 'controllers'"}
 
@@ -70,6 +77,7 @@ class Spec:
     factors: Mapping[str, Distribution]  # by free name, for ``derive``
     derive: Mapping[str, Rule]  # by dotted scenario key, in the order of evaluation
     settled: Settled
+    time_limit: float  # s of wall time, after which a run is ended and becomes an error row
 
     @property
     def base(self) -> dict[str, Any]:
@@ -125,14 +133,16 @@ def load_spec(name_or_path: str | Path) -> Spec:
     if not path.is_file():
         raise CampaignError(f"{path}: no such campaign; choose one of {', '.join(shipped)}, or give a YAML file")
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        check_regular(path, limit=MAX_FILE_SIZE)
+        data = read_yaml(path.read_text(encoding="utf-8"))
+    except StrictYamlError as error:
+        raise CampaignError(f"{path}: is not valid YAML: {one_line(error)}") from error
     except (OSError, UnicodeDecodeError) as error:
         raise CampaignError(f"{path}: cannot be read: {one_line(error)}") from error
-    except yaml.YAMLError as error:
-        raise CampaignError(f"{path}: is not valid YAML: {one_line(error)}") from error
     if not isinstance(data, Mapping):
         raise CampaignError(f"{path}: must be a mapping with keys {', '.join(_KEYS)}")
     try:
+        check_plain(data, place="specification")
         check_keys(data, _KEYS, place="specification")
         spec = spec_from_data({**data, "base": _base(data, folder=path.parent)})
         return _with_python_path(spec)
@@ -171,8 +181,11 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
     """The specification of plain data whose ``base`` holds the resolved scenario."""
     if "cases" not in data:
         raise CampaignError("cases: is missing; say how many")
-    cases = _whole(data["cases"], place="cases", least=1)
-    seed = _whole(data.get("seed", 0), place="seed", least=0)
+    cases = _whole(data["cases"], place="cases", least=1, most=_MOST_CASES)
+    seed = _whole(data.get("seed", 0), place="seed", least=0, most=_LARGEST_SEED)
+    time_limit = number(data.get("time_limit", _TIME_LIMIT), place="time_limit")
+    if not 0.0 < time_limit <= 1e6:
+        raise CampaignError(f"time_limit: must be > 0 s and at most 1e6 s, not {time_limit:g}")
     sampling = data.get("sampling", SAMPLINGS[0])
     if sampling not in SAMPLINGS:
         raise CampaignError(f"sampling: '{sampling}' is unknown; choose one of {', '.join(SAMPLINGS)}")
@@ -198,6 +211,7 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
         settled=parse_settled(
             data.get("settled", {}), place="settled", base=Scenario(tolerance=data["base"]["tolerance"])
         ),
+        time_limit=time_limit,
     )
     _check_names(spec)
     return spec
@@ -250,10 +264,12 @@ def _section(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     return section
 
 
-def _whole(data: Any, *, place: str, least: int) -> int:
+def _whole(data: Any, *, place: str, least: int, most: int) -> int:
     value = number(data, place=place)
     if not value.is_integer() or value < least:
         raise CampaignError(f"{place}: must be a whole number of at least {least}, not {data}")
+    if value > most:
+        raise CampaignError(f"{place}: must be at most {most}, not {data}")
     return int(value)
 
 
@@ -269,6 +285,14 @@ def _controllers(data: Any) -> tuple[str, ...]:
 
 def _check_names(spec: Spec) -> None:
     """Each value is set once, and whatever a rule reads is there by then."""
+    if len(spec.names) > _MOST_VALUES:
+        raise CampaignError(
+            f"parameters: at most {_MOST_VALUES} values with factors and derived ones, not {len(spec.names)}"
+        )
+    if spec.cases * len(spec.distributions) > _MOST_NUMBERS:
+        raise CampaignError(
+            f"cases: {spec.cases} cases with {len(spec.distributions)} values are more than {_MOST_NUMBERS} numbers"
+        )
     keys = (*spec.parameters, *spec.derive)
     if repeated := [name for name in keys if keys.count(name) > 1] or sorted({*keys} & {*spec.factors}):
         raise CampaignError(f"derive.{repeated[0]}: is dispersed already; a value can be set once")

@@ -12,6 +12,7 @@ import fcntl
 import importlib
 import itertools
 import json
+import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -20,7 +21,7 @@ from typing import Any
 from ffsm_drake.campaign.cases import Case
 from ffsm_drake.campaign.evaluate import METRICS, OUTCOMES, PREDICTIONS, Row
 from ffsm_drake.campaign.spec import Spec, spec_from_json
-from ffsm_drake.common.errors import CampaignError, one_line
+from ffsm_drake.common.errors import CampaignError, FfsmError, one_line
 from ffsm_drake.common.files import written_whole
 
 FORMAT = 2
@@ -57,13 +58,59 @@ class Store:
 
     def case(self, index: int) -> Case:
         """One case by its number. Raises CampaignError when there is no such case."""
-        for row in self.query("SELECT * FROM cases WHERE case_index = ?", (index,)):
-            return self._case(row)
+        if 0 <= index < self.spec.cases:
+            return self._case(next(self.query("SELECT * FROM cases WHERE case_index = ?", (index,))))
         raise CampaignError(f"{self.path}: has no case {index}; there are 0 to {self.spec.cases - 1}")
 
     def _case(self, row: Sequence[Any]) -> Case:
-        index, seed, *values = row
-        return Case(index=index, seed=seed, values=dict(zip(self.spec.names, map(_from_column, values), strict=True)))
+        index, seed, *cells = row
+        values: dict[str, Any] = {}
+        for name, cell in zip(self.spec.names, cells, strict=True):
+            try:
+                values[name] = _from_column(cell)
+            except (ValueError, RecursionError) as error:
+                raise CampaignError(f"{self.path}: is damaged: {name} of case {index} is no value") from error
+        return Case(index=index, seed=seed, values=values)
+
+    def check(self) -> None:
+        """Raise CampaignError unless what the tables hold can be this campaign's, of whatever origin the file is."""
+        columns = {
+            "cases": ("case_index", "random_seed", *self.spec.names),
+            "results": ("case_index", "controller", *_RESULT, "software"),
+            "runs": ("case_index", "controller", "random_seed", *self.spec.names, *_RESULT, "software"),
+        }
+        for table, names in columns.items():
+            with _one_line_errors(self.path):
+                description = self._connection.execute(f"SELECT * FROM {table} LIMIT 0").description
+            if tuple(item[0] for item in description) != names:
+                raise CampaignError(f"{self.path}: is damaged: the columns of {table} are not a campaign's")
+        number = "typeof({0}) NOT IN ('real', 'integer', 'null')"
+        text = "typeof({0}) NOT IN ('text', 'null')"
+        faults = {
+            "cases": (
+                "typeof(random_seed) != 'integer'",
+                *(f"typeof({_quoted(name)}) IN ('blob', 'null')" for name in self.spec.names),
+            ),
+            "results": (
+                f"outcome IS NULL OR outcome NOT IN ({', '.join('?' * len(OUTCOMES))})",
+                *((text if name in _TEXT else number).format(name) for name in _RESULT),
+                "case_index NOT IN (SELECT case_index FROM cases)",
+                "software IS NULL OR software NOT IN (SELECT id FROM software)",
+                f"controller IS NULL OR controller NOT IN ({', '.join('?' * len(self.spec.controllers))})",
+            ),
+        }
+        given = {"cases": (), "results": (*OUTCOMES, *self.spec.controllers)}
+        found = next(self.query("SELECT count(*), min(case_index), max(case_index) FROM cases"))
+        if found != (self.spec.cases, 0, self.spec.cases - 1):
+            raise CampaignError(
+                f"{self.path}: is damaged: its {found[0]} cases are not the {self.spec.cases} specified"
+            )
+        if (stored := self.num_results()) > self.spec.runs:
+            raise CampaignError(f"{self.path}: is damaged: it holds {stored} results of {self.spec.runs} runs")
+        for table, conditions in faults.items():
+            where = " OR ".join(f"({condition})" for condition in conditions)
+            for row in self.query(f"SELECT case_index FROM {table} WHERE {where} LIMIT 1", given[table]):
+                raise CampaignError(f"{self.path}: is damaged: the {table} of case {row[0]} are not what a run stores")
 
     def sampled(self, name: str) -> list[Any]:
         """A sampled or derived value as the database keeps it, for every case in order."""
@@ -139,6 +186,16 @@ class Store:
                 writer.write_table(pa.table(cells, schema=schema))
 
 
+def check_columns(spec: Spec) -> None:
+    """Raise CampaignError unless every value of a case can have a column; SQL does not tell A from a."""
+    taken = dict.fromkeys(("case_index", "controller", "random_seed", "software", *_RESULT), "of the results")
+    for name in spec.names:
+        if owner := taken.get(name.lower()):
+            place = "factors." if name in spec.factors else ""
+            raise CampaignError(f"{place}{name}: is the name of a column {owner}, but for upper case; choose another")
+        taken[name.lower()] = f"already, '{name}'"
+
+
 @contextlib.contextmanager
 def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Store]:
     """Make a new database with all cases, and hold it for writing.
@@ -147,8 +204,7 @@ def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Stor
       CampaignError: the file exists, or cannot be used.
       RecordError: the place cannot be written.
     """
-    if taken := {*spec.names} & {"case_index", "controller", "random_seed", "software", *_RESULT}:
-        raise CampaignError(f"factors.{min(taken)}: is the name of a column of the results; choose another")
+    check_columns(spec)
     if path.exists():
         with open_store(path) as store:
             if store.spec.fingerprint != spec.fingerprint:
@@ -196,7 +252,13 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
             connection.execute("PRAGMA synchronous = NORMAL")
             connection.execute("BEGIN IMMEDIATE")  # fails where another program holds it
             connection.rollback()
-        yield Store(connection, path, spec_from_json(notes["specification"], path.parent))
+        try:
+            spec = spec_from_json(notes["specification"], path.parent)
+        except (LookupError, TypeError, AttributeError, ValueError, RecursionError, FfsmError) as error:
+            raise CampaignError(f"{path}: is damaged: it holds no usable specification: {one_line(error)}") from error
+        store = Store(connection, path, spec)
+        store.check()
+        yield store
 
 
 def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, folder: Path) -> None:
@@ -215,8 +277,8 @@ def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, 
             "software INTEGER REFERENCES software, PRIMARY KEY (case_index, controller)) WITHOUT ROWID"
         )
         connection.execute(
-            f"CREATE VIEW runs AS SELECT cases.case_index, controller, random_seed, {', '.join(shown)}, "
-            "versions AS software FROM results JOIN cases USING (case_index) "
+            f"CREATE VIEW runs AS SELECT cases.case_index, results.controller, cases.random_seed, {', '.join(shown)}, "
+            "software.versions AS software FROM results JOIN cases USING (case_index) "
             "JOIN software ON software.id = results.software"
         )
         notes = {
@@ -234,18 +296,28 @@ def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, 
 
 @contextlib.contextmanager
 def _held(path: Path) -> Iterator[None]:
-    """Hold the lock of a database's only writer; it ends with the process."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.with_name(f".{path.name}.lock").open("w", encoding="utf-8")
-    except OSError as error:
-        raise CampaignError(f"{path}: cannot be written: {one_line(error)}") from error
-    with file:
+    """Hold the lock of a database's only writer; it ends with the process, and its file with this block."""
+    lock = path.with_name(f".{path.name}.lock")
+    while True:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise CampaignError(f"{path}: cannot be written: {one_line(error)}") from error
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
+            os.close(file)
             raise CampaignError(f"{path}: is in use; another campaign is writing to it") from None
+        with contextlib.suppress(OSError):
+            if os.path.samestat(os.stat(lock), os.fstat(file)):
+                break
+        os.close(file)  # the one before has just removed it
+    try:
         yield
+    finally:
+        lock.unlink(missing_ok=True)
+        os.close(file)
 
 
 @contextlib.contextmanager
@@ -260,15 +332,19 @@ def _one_line_errors(path: Path) -> Iterator[None]:
 
 
 def _to_column(value: Any) -> Any:
-    """A value as SQLite keeps it: numbers and text as they are, all else as JSON text."""
-    return value if isinstance(value, (int, float, str)) and not isinstance(value, bool) else json.dumps(value)
+    """A value as SQLite keeps it: numbers and text as they are; all else, and text that looks like it, as JSON text."""
+    if isinstance(value, str):
+        return json.dumps(value) if _looks_like_json(value) else value
+    return value if isinstance(value, (int, float)) and not isinstance(value, bool) else json.dumps(value)
+
+
+def _looks_like_json(text: str) -> bool:
+    return text.startswith(("[", "{", '"')) or text in ("null", "true", "false")
 
 
 def _from_column(value: Any) -> Any:
-    """The inverse of _to_column: no text value of a scenario looks like JSON."""
-    if isinstance(value, str) and (value.startswith(("[", "{")) or value in ("null", "true", "false")):
-        return json.loads(value)
-    return value
+    """The inverse of _to_column."""
+    return json.loads(value) if isinstance(value, str) and _looks_like_json(value) else value
 
 
 def _quoted(name: str) -> str:

@@ -207,7 +207,7 @@ def _default_database(spec: str) -> Path:
 
 def _locate(source: str, database: Path | None) -> Path:
     """The database that a specification or a path stands for; it must hold that specification."""
-    from ffsm_drake.campaign.spec import load_spec, shipped_campaigns
+    from ffsm_drake.campaign.spec import load_spec, shipped_campaigns, spec_from_data
     from ffsm_drake.campaign.store import open_store
 
     is_spec = source in shipped_campaigns() or Path(source).suffix in (".yaml", ".yml")
@@ -217,7 +217,8 @@ def _locate(source: str, database: Path | None) -> Path:
         return Path(source)
     path, spec = database or _default_database(source), load_spec(source)
     with open_store(path) as store:
-        if store.spec.fingerprint != spec.fingerprint:
+        # With --cases it may hold fewer or more.
+        if store.spec.fingerprint != spec_from_data({**spec.data, "cases": store.spec.data["cases"]}).fingerprint:
             raise CampaignError(
                 f"{path}: holds another campaign than {source} describes; name the database to go on with it"
             )

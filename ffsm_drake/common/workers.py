@@ -11,7 +11,9 @@ import contextlib
 import dataclasses
 import importlib
 import os
+import re
 import signal
+import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -81,9 +83,10 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
         distributed: Any = importlib.import_module("distributed")  # optional, and without types
     except ImportError:
         raise WorkersError("a Dask cluster needs the extra 'cluster': pip install 'ffsm-drake[cluster]'") from None
+    _check_address(address)
     try:
         client = distributed.Client(address, timeout=patience, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
+    except Exception as error:
         raise WorkersError(f"{address}: no Dask scheduler answers there: {one_line(error)}") from error
     with client:
         try:
@@ -96,6 +99,18 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
             in_flight=lambda: 2 * max(len(client.nthreads()), 1),
             renewable=False,
         )
+
+
+def _check_address(address: str) -> None:
+    """Raise WorkersError for what cannot be a scheduler's address: Dask would try it until its patience ends."""
+    form = r"(?:(?:tcp|tls|wss?)://)?(\[[0-9a-fA-F:.]+(?:%\w+)?\]|[\w.-]+):(\d{1,5})"
+    found = re.fullmatch(form, address, re.ASCII)
+    if found is None or not 0 < int(found[2]) < 2**16:
+        raise WorkersError(f"'{address}': is not an address such as tcp://127.0.0.1:8786, with tcp, tls, ws or wss")
+    try:
+        socket.getaddrinfo(found[1].strip("[]"), int(found[2]))
+    except (OSError, UnicodeError) as error:
+        raise WorkersError(f"{address}: the host is not known: {one_line(error)}") from error
 
 
 class _InThisProcess(Executor):

@@ -9,6 +9,7 @@ import signal
 import sqlite3
 import threading
 import time
+from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
@@ -25,11 +26,14 @@ from campaign_tools import (
 from click.testing import CliRunner
 
 from ffsm_drake import RunRecord
+from ffsm_drake.campaign.cases import make_cases
+from ffsm_drake.campaign.evaluate import Evaluator
 from ffsm_drake.campaign.run import resume_campaign, start_campaign
 from ffsm_drake.campaign.spec import load_spec
-from ffsm_drake.campaign.store import open_store
+from ffsm_drake.campaign.store import create_store, open_store
 from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.common.errors import CampaignError, InterruptedCampaign
+from ffsm_drake.common.time_limit import time_limit
 from ffsm_drake.common.workers import Stop
 
 linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
@@ -189,6 +193,157 @@ def test_databases_that_cannot_be_used(spec, database, tmp_path):
     one_line_error(invoke("rerun", database, "--case", "16"), "has no case 16; there are 0 to 15")
     one_line_error(invoke("rerun", database, "--case", "1", "--controller", "aismc"), "'aismc' is not in it")
     one_line_error(invoke("run", spec, "--workers", "1", "--scheduler", "tcp://127.0.0.1:1"), "leave one of them out")
+
+
+DAMAGES = {
+    "no specification": ("DELETE FROM campaign WHERE key = 'specification'", "holds no usable specification"),
+    "no format": ("DELETE FROM campaign WHERE key = 'format'", "format None is not"),
+    "half a specification": (
+        "UPDATE campaign SET value = substr(value, 1, 200) WHERE key = 'specification'",
+        "holds no usable specification",
+    ),
+    "another specification": (
+        "UPDATE campaign SET value = '[1]' WHERE key = 'specification'",
+        "holds no usable specification",
+    ),
+    "a foreign index": ("UPDATE results SET case_index = 16 WHERE case_index = 3 AND controller = 'tdc'", "of case 16"),
+    "a case too many": ("INSERT INTO cases SELECT 99, random_seed, 1, 1, 1, 1, 1, 1 FROM cases LIMIT 1", "17 cases"),
+    "a missing case": ("DELETE FROM cases WHERE case_index = 4", "15 cases"),
+    "text in a number": ("UPDATE results SET itae = 'much' WHERE case_index = 2", "the results of case 2"),
+    "bytes in a text": ("UPDATE results SET message = x'00ff' WHERE case_index = 2", "the results of case 2"),
+    "an unknown outcome": ("UPDATE results SET outcome = 'won' WHERE case_index = 2", "the results of case 2"),
+    "an unknown controller": (
+        "UPDATE results SET controller = 'pid' WHERE case_index = 2 AND isv > 0 AND controller = 'tdc'",
+        "the results of case 2",
+    ),
+    "a missing value": ("UPDATE cases SET nominal_error = NULL WHERE case_index = 1", "the cases of case 1"),
+    "half a list": ("UPDATE cases SET \"payload.truth.inertia\" = '[1' WHERE case_index = 1", "of case 1 is no value"),
+    "another column": ("ALTER TABLE cases RENAME COLUMN nominal_error TO other", "the columns of cases"),
+    "no table": ("DROP TABLE software", "cannot be used"),
+    "more results than runs": (
+        "CREATE TABLE more AS SELECT * FROM results; INSERT INTO more SELECT * FROM results; DROP VIEW runs; "
+        "DROP TABLE results; ALTER TABLE more RENAME TO results; CREATE VIEW runs AS SELECT cases.case_index, "
+        "controller, random_seed, {names}, versions AS software FROM results JOIN cases USING (case_index) "
+        "JOIN software ON software.id = results.software",
+        "64 results of 32 runs",
+    ),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_database_is_one_line(damage, database, tmp_path):
+    path = tmp_path / "damaged.db"
+    path.write_bytes(database.read_bytes())
+    statement, said = DAMAGES[damage]
+    with open_store(database) as store:
+        names = ", ".join(f'"{name}"' for name in store.columns[3:-1])
+    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
+        connection.executescript(statement.format(names=names))
+    one_line_error(invoke("rerun", path, "--case", "1", "--controller", "tdc", "--out", tmp_path / "out"), said)
+    assert not (tmp_path / "out").exists()
+
+
+def test_text_values_come_back_as_they_were(tmp_path):
+    values = ["[not json", "true", "null", '"quoted"', "{", "kalman", True, None, [1, "true"], 7, 0.5]
+    spec = write_spec(
+        tmp_path / "s.yaml",
+        parameters={"estimator.kind": {"distribution": "list", "values": values}},
+        factors={},
+        derive={},
+        cases=len(values),
+    )
+    loaded = load_spec(spec)
+    with create_store(tmp_path / "x.db", loaded, make_cases(loaded)) as store:
+        found = [case.values["estimator.kind"] for case, controller in store.pending() if controller == "tdc"]
+    assert [(type(value), value) for value in found] == [(type(value), value) for value in values]
+    assert [path.name for path in tmp_path.glob(".*")] == []  # no lock stays behind
+
+
+def test_columns_named_as_others_are_told_apart(tmp_path):
+    names = ("id", "versions", "value", "rowid", "select")
+    spec = write_spec(
+        tmp_path / "s.yaml",
+        factors={name: {"distribution": "uniform", "low": 0, "high": 1} for name in names},
+        derive={"payload.nominal.mass": {"rule": "scale", "of": list(names)}},
+    )
+    loaded = load_spec(spec)
+    with create_store(tmp_path / "x.db", loaded, make_cases(loaded)) as store:
+        store.export(tmp_path / "runs.csv")
+        assert {*names} < {*store.columns}
+        assert store.sampled("rowid") != list(range(8))
+
+
+def test_a_campaign_with_fewer_cases_is_found_by_its_name(database, tmp_path):
+    """Made with --cases, it is that of the same specification."""
+    more = write_spec(tmp_path / "more.yaml", cases=400)
+    result = invoke("status", more, "--database", database)
+    assert result.exit_code == 0, result.output
+    assert "32 of 32 runs (100.0 %)" in result.output
+
+
+BLOCKED = """
+import dataclasses, time
+from ffsm_drake import ControlLaw
+
+@dataclasses.dataclass(frozen=True)
+class Sleeps(ControlLaw):
+    def step(self, sample, state):
+        time.sleep(1000.0)
+
+@dataclasses.dataclass(frozen=True)
+class Computes(ControlLaw):
+    def step(self, sample, state):
+        while True:
+            try:
+                sum(range(1000))
+            except Exception:
+                pass
+"""
+
+
+@pytest.mark.parametrize("law", ["Sleeps", "Computes"])
+def test_a_controller_that_never_returns_is_a_row(law, tmp_path):
+    module = f"blocked_{law.lower()}"
+    (tmp_path / f"{module}.py").write_text(BLOCKED)
+    controllers = [f"{module}:{law}", "tdc"]
+    overrides = {"python_path": [str(tmp_path)], "duration": 0.05}
+    spec = load_spec(write_spec(tmp_path / "s.yaml", controllers=controllers, overrides=overrides, time_limit=0.3))
+    evaluator, case = Evaluator(spec), next(make_cases(spec))
+    blocked, good = (evaluator.evaluate(case, name) for name in controllers)
+    assert (blocked["outcome"], blocked["message"]) == (
+        "error",
+        "TimeLimit: took longer than 0.3 s of wall time (time_limit)",
+    )
+    assert blocked["wall_time"] < 2.0
+    assert good["outcome"] != "error"
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["not an address", "tcp://[::1", "ucx://127.0.0.1:8786", "tcp://127.0.0.1", "tcp://127.0.0.1:99999",
+     "inproc://x:1", "", "tcp://127.0.0.1:0", "tcp://\n:1"],
+)  # fmt: skip
+def test_an_address_that_is_none_is_refused_at_once(address, spec, tmp_path):
+    start = time.monotonic()
+    result = invoke("run", spec, "--database", tmp_path / "x.db", "--scheduler", address)
+    one_line_error(result, "is not an address such as tcp://127.0.0.1:8786")
+    assert time.monotonic() - start < 1.0
+    assert not (tmp_path / "x.db").exists()
+
+
+def _never_ends():
+    """Code that no Python exception can interrupt."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
+    with time_limit(0.1):
+        time.sleep(1000.0)
+
+
+def test_a_worker_that_cannot_be_interrupted_is_ended(monkeypatch):
+    process = get_context("fork").Process(target=_never_ends)
+    monkeypatch.setattr("ffsm_drake.common.time_limit.GRACE", 0.1)
+    process.start()
+    process.join(timeout=20.0)
+    assert process.exitcode == 1
 
 
 def test_a_database_in_use(database, tmp_path, monkeypatch):

@@ -1,6 +1,8 @@
 """A campaign's specification: what it means, and how each mistake is told."""
 
+import datetime
 import math
+import os
 import statistics
 
 import pytest
@@ -90,6 +92,59 @@ BAD = {
         {"parameters": {"payload.truth.mass": {"distribution": "uniform", "low": -9, "high": -8}}},
         "payload.truth.mass: must be > 0 kg",
     ),
+    "400 digits": ({"cases": 10**400}, "cases: a whole number must fit into 64 bits"),
+    "400 digits as text": ({"cases": "1" + 400 * "0"}, "cases: must be finite"),
+    "a bound of 400 digits": (
+        changed("parameters", duration={"distribution": "uniform", "low": 0, "high": 10**400}),
+        "parameters.duration.high: a whole number must fit into 64 bits",
+    ),
+    "beyond 64 bits in a list": (
+        changed("parameters", **{"blocks.sensing.settings.k": {"distribution": "choice", "values": [1, 2**63]}}),
+        "values[1]: a whole number must fit into 64 bits",
+    ),
+    "too many cases": ({"cases": 1e15}, "cases: must be at most 1000000"),
+    "too many numbers": (
+        {
+            "cases": 1_000_000,
+            "factors": {f"f{k}": {"distribution": "uniform", "low": 0, "high": 1} for k in range(30)},
+            "derive": {"payload.nominal.mass": {"rule": "scale", "of": [f"f{k}" for k in range(30)]}},
+        },
+        "more than 20000000 numbers",
+    ),
+    "a seed that no number is": ({"seed": 1e300}, "seed: must be at most"),
+    "a range beyond numbers": (
+        changed("parameters", duration={"distribution": "uniform", "low": -1e308, "high": 1e308}),
+        "parameters.duration: low and high are too far apart",
+    ),
+    "a rule beyond numbers": (
+        changed("derive", duration={"rule": "scale", "of": "payload.truth.mass", "by": 1e308}),
+        "duration: is not finite in case 0: inf",
+    ),
+    "a sum beyond numbers": (
+        {
+            "parameters": {"duration": {"distribution": "choice", "values": [1.7e308]}},
+            "factors": {},
+            "derive": {"sample_time": {"rule": "sum", "of": ["duration", "duration"]}},
+        },
+        "sample_time: is not finite in case 0: inf",
+    ),
+    "a column of the results": (
+        {
+            "factors": {"Outcome": {"distribution": "uniform", "low": 0, "high": 1}},
+            "derive": {"payload.nominal.mass": {"rule": "scale", "of": ["Outcome", "payload.truth.mass"]}},
+        },
+        "factors.Outcome: is the name of a column of the results",
+    ),
+    "columns that differ by case": (
+        {
+            "factors": {name: {"distribution": "uniform", "low": 0, "high": 1} for name in ("ratio", "Ratio")},
+            "derive": {"payload.nominal.mass": {"rule": "scale", "of": ["ratio", "Ratio"]}},
+        },
+        "factors.Ratio: is the name of a column already, 'ratio'",
+    ),
+    "a name that is no text": (changed("parameters", **{"a\0b": {"distribution": "choice"}}), "must be printable"),
+    "a date": ({"scenario": datetime.date(2024, 1, 1)}, "scenario: must be a number, text, list or mapping"),
+    "no time": ({"time_limit": 0}, "time_limit: must be > 0 s"),
 }  # fmt: skip
 
 
@@ -104,13 +159,32 @@ def test_a_bad_specification_is_one_line(name, tmp_path):
     assert not (tmp_path / "x.db").exists()
 
 
-@pytest.mark.parametrize(("text", "said"), [("[1, 2]", "must be a mapping"), ("a: [", "is not valid YAML")])
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[1, 2]", "must be a mapping"),
+        ("a: [", "is not valid YAML"),
+        ("a: &a [*a]", "contains itself"),
+        ("cases: 1\ncases: 2", "given twice"),
+        ("cases: " + 5000 * "9", "is not valid YAML"),
+        ("[" * 2000, "nested deeper"),
+        ("a: 2024-13-45", "is not valid YAML"),
+        ('description: "\\ud800"', "half a character"),
+    ],
+)
 def test_a_file_that_is_no_specification(text, said, tmp_path):
     (tmp_path / "bad.yaml").write_text(text)
     result = CliRunner().invoke(campaign, ["plan", str(tmp_path / "bad.yaml")])
     assert result.exit_code == 2
     assert said in result.output
     assert result.output.count("\n") == 1
+
+
+def test_a_file_without_end_is_not_opened(tmp_path):
+    os.mkfifo(tmp_path / "pipe.yaml")
+    result = CliRunner().invoke(campaign, ["plan", str(tmp_path / "pipe.yaml")])
+    assert result.exit_code == 2
+    assert "no such campaign" in result.output
 
 
 def test_a_missing_file():

@@ -1,0 +1,42 @@
+"""A limit on the wall time of user-supplied code, which may never return."""
+
+import contextlib
+import faulthandler
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from multiprocessing import parent_process
+from typing import Any
+
+GRACE = 10.0  # s beyond the limit, after which a worker process is ended
+_AGAIN = 1.0  # s, after which an exception that was caught on the way is raised once more
+
+
+class TimeLimit(BaseException):
+    """The time is over. No Exception, so that what runs does not catch it with all others."""
+
+
+@contextlib.contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Within, TimeLimit is raised after ``seconds`` of wall time.
+
+    It interrupts Python in the main thread. A worker process whose code does not let itself be interrupted (compiled
+    code, or a thread of a cluster's worker) is ended GRACE later; elsewhere such code has no limit.
+    """
+
+    def handle(number: int, frame: Any) -> None:
+        raise TimeLimit(f"took longer than {seconds:g} s of wall time (time_limit)")
+
+    is_main, is_worker = threading.current_thread() is threading.main_thread(), parent_process() is not None
+    with contextlib.ExitStack() as stack:
+        if is_worker:
+            nowhere = stack.enter_context(open(os.devnull, "w", encoding="ascii"))
+            faulthandler.dump_traceback_later(seconds + GRACE, exit=True, file=nowhere)
+            stack.callback(faulthandler.cancel_dump_traceback_later)
+        if is_main:
+            before = signal.signal(signal.SIGALRM, handle)
+            stack.callback(signal.signal, signal.SIGALRM, before)
+            stack.callback(signal.setitimer, signal.ITIMER_REAL, 0.0)
+            signal.setitimer(signal.ITIMER_REAL, seconds, _AGAIN)
+        yield
