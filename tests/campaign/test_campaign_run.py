@@ -213,7 +213,7 @@ DAMAGES = {
     "bytes in a text": ("UPDATE results SET message = x'00ff' WHERE case_index = 2", "the results of case 2"),
     "an unknown outcome": ("UPDATE results SET outcome = 'won' WHERE case_index = 2", "the results of case 2"),
     "an unknown controller": (
-        "UPDATE results SET controller = 'pid' WHERE case_index = 2 AND isv > 0 AND controller = 'tdc'",
+        "UPDATE results SET controller = 'pid' WHERE case_index = 2 AND controller = 'tdc'",
         "the results of case 2",
     ),
     "a missing value": ("UPDATE cases SET nominal_error = NULL WHERE case_index = 1", "the cases of case 1"),
