@@ -27,7 +27,10 @@ _MAX_TEXT = 10_000_000  # bytes, of manifest and metrics
 _MAX_RECORD = 100_000_000_000  # bytes
 _MAX_PER_SAMPLE = 100_000  # bytes, unpacked
 # What is made from a record and tells nothing of the next one.
-OUTPUTS = ("report.html", "recording.html", "analysis.json", "analysis.png")
+OUTPUTS = (
+    "report.html", "recording.html", "analysis.json", "analysis.png",
+    *(f"{name}.png" for name in ("trajectories", "errors", "efforts", "gains")),
+)  # fmt: skip
 _BY_COORDINATE, _BY_POSITION, _BY_AXIS = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
 # What every record holds, by dimension; sliding variable and gains are added where there are any.
 VARIABLES = {

@@ -148,6 +148,13 @@ def test_weak_or_slow_joints_get_more_time(made, tmp_path):
     assert 1.875 * change / weak.duration <= 0.2 * 0.1  # the quintic's peak rate
 
 
+def test_efforts_limit_the_actuators(made):
+    new = made("two_arms")
+    limit = load_scenario(new.scenario_file).actuation.limit
+    assert limit == {each.name: each.effort for each in new.servicer.joints}
+    assert set(limit.values()) == {80.0}
+
+
 REFUSED = {
     "no inertia about an axis": (
         simple_arm(link("lamp", mass=1, inertia=(0, 0, 0)), joint("pan", "bus", "lamp", limit=TURN)),
