@@ -1,13 +1,52 @@
-"""A stand-in for the browser: what the operator of a Meshcat page sends to its server."""
+"""Stand-ins for browsers: what pages send to a Meshcat server, from within and over the network."""
+
+import base64
+import os
+import socket
+import struct
+from urllib.parse import urlsplit
 
 from pydrake.geometry import Meshcat
 
 
-def click(meshcat: Meshcat, button: str) -> None:
+def _text(string: str) -> bytes:
+    data = string.encode()
+    return (bytes([0xA0 | len(data)]) if len(data) < 32 else bytes([0xD9, len(data)])) + data
+
+
+def click_message(button: str) -> bytes:
     """The message (msgpack) that a click on a button sends."""
+    return b"\x82" + _text("type") + _text("button") + _text("name") + _text(button)
 
-    def text(string: str) -> bytes:
-        data = string.encode()
-        return (bytes([0xA0 | len(data)]) if len(data) < 32 else bytes([0xD9, len(data)])) + data
 
-    meshcat._InjectWebsocketMessage(b"\x82" + text("type") + text("button") + text("name") + text(button))
+def slider_message(slider: str, value: float) -> bytes:
+    """The message that moving a slider sends."""
+    named = _text("type") + _text("slider") + _text("name") + _text(slider)
+    return b"\x83" + named + _text("value") + b"\xcb" + struct.pack(">d", value)
+
+
+def click(meshcat: Meshcat, button: str) -> None:
+    meshcat._InjectWebsocketMessage(click_message(button))
+
+
+class ForeignPage:
+    """A page of another site in the same machine's browser: a websocket with that site's Origin and Host."""
+
+    def __init__(self, meshcat: Meshcat) -> None:
+        address = urlsplit(meshcat.web_url())
+        self._socket = socket.create_connection((address.hostname, address.port), timeout=5.0)
+        key = base64.b64encode(os.urandom(16)).decode()
+        self._socket.sendall(
+            f"GET / HTTP/1.1\r\nHost: evil.example\r\nOrigin: http://evil.example\r\nUpgrade: websocket\r\n"
+            f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+        )
+        assert b" 101 " in self._socket.recv(4096).splitlines()[0], "Drake has learnt to look at the origin"
+
+    def send(self, message: bytes) -> None:
+        assert len(message) < 126
+        mask = os.urandom(4)
+        masked = bytes(byte ^ mask[i % 4] for i, byte in enumerate(message))
+        self._socket.sendall(bytes([0x82, 0x80 | len(message)]) + mask + masked)
+
+    def close(self) -> None:
+        self._socket.close()

@@ -58,6 +58,40 @@ def six_joints():
     return robot(*parts)
 
 
+def arm_alone(*, stand=True):
+    """The kinematics and masses of Universal Robots' UR5, as ROS publishes them: an arm fixed to the world."""
+    turn = 'lower="-6.283" upper="6.283" effort="150" velocity="3.14"'
+    right, y = "0 1.570796325 0", "0 1 0"
+    chain = (
+        ("shoulder_pan", "shoulder", 3.7, "0 0 0.089159", "0 0 0", "0 0 1"),
+        ("shoulder_lift", "upper_arm", 8.393, "0 0.13585 0", right, y),
+        ("elbow", "forearm", 2.275, "0 -0.1197 0.425", "0 0 0", y),
+        ("wrist_1", "wrist_1_link", 1.219, "0 0 0.39225", right, y),
+        ("wrist_2", "wrist_2_link", 1.219, "0 0.093 0", "0 0 0", "0 0 1"),
+        ("wrist_3", "wrist_3_link", 0.1879, "0 0 0.09465", "0 0 0", y),
+    )
+    parts, parent = [rod("base_link", 0.1, 4.0)], "base_link"
+    if stand:
+        parts += [link("world"), joint("world", "world", "base_link", kind="fixed", xyz="0.2 0 0.05", rpy="0 0 0.5")]
+    for name, child, mass, xyz, rpy, axis in chain:
+        parts += [
+            rod(child, 0.15, mass),
+            joint(f"{name}_joint", parent, child, axis=axis, xyz=xyz, rpy=rpy, limit=turn),
+        ]
+        parent = child
+    return robot(*parts, link("tool0"), joint("tool", parent, "tool0", kind="fixed", xyz="0 0.0823 0"), name="ur5")
+
+
+def stage(*extra, frame='<frame name="handle" link="tank" xyz="0 0 -1.5" rpy="0 0 0"/>'):
+    """A target: a tank whose centre of mass and principal axes are off its frame, and a nozzle without mass."""
+    inertial = (
+        '<inertial><origin xyz="0.1 0 0.2" rpy="0 0 1.5707963267948966"/><mass value="250"/>'
+        '<inertia ixx="180" iyy="120" izz="90" ixy="0" ixz="10" iyz="0"/></inertial>'
+    )
+    nozzle = joint("nozzle_joint", "tank", "nozzle", kind="fixed", xyz="0 0 1.5")
+    return robot(f'<link name="tank">{inertial}</link>', link("nozzle"), nozzle, frame, *extra, name="stage")
+
+
 def prismatic():
     """A turning post with a telescopic boom and a wrist; continuous first joint; a heavy hull."""
     return robot(

@@ -201,14 +201,17 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
       CampaignError: the database holds no such run.
     """
     stored = store.result(case.index, controller)
-    start, log = time.perf_counter(), None
+    start, log, rollout = time.perf_counter(), None, None
     try:
         with time_limit(store.spec.time_limit):
-            log = Rollout(scenario_of(store.spec, case, controller)).run()
+            rollout = Rollout(scenario_of(store.spec, case, controller))
+            log = rollout.run()
         if log.outcome.status == "interrupted":
             raise KeyboardInterrupt
         repeated = evaluate_run(store.spec, log)
     except (Exception, TimeLimit) as error:
         repeated = error_row(described(error))
     record = None if log is None else make_record(log, start=start)
+    if rollout is not None:
+        rollout.release()
     return Repeated(record=record, stored=stored, repeated=repeated, differences=differing_columns(stored, repeated))

@@ -40,13 +40,14 @@ _report = click.option("--report/--no-report", default=True, show_default=True, 
 @_out
 @json_option
 @_report
-@click.option("--meshcat", is_flag=True, help="Run live in the browser, with controls, at real time.")
-def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, meshcat: bool) -> None:
+@click.option("--meshcat", is_flag=True, help="Run live in the browser, at real time.")
+@click.option("--controls", is_flag=True, help="Likewise, with an operator's panel that a code printed here unlocks.")
+def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, meshcat: bool, controls: bool) -> None:
     """Run a scenario and write its record and report.
 
     SCENARIO is a shipped name (see 'ffsm scenarios'), a YAML file, or a run's folder: that run is repeated, into
     out/NAME_again, and the two records are compared. The folder then holds record.nc, metrics.json,
-    manifest.json and report.html, one page with results, plots, recording, findings and margins. With --meshcat each
+    manifest.json and report.html, one page with results, plots, recording, findings and margins. With --controls each
     run has its own folder.
 
     \b
@@ -62,10 +63,10 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
     repeated = repeated_run()
     directory = out or Path("out") / (f"{scenario_stem()}_again" if repeated else _stem_of(scenario))
     check_writable(directory)  # before the run, which may take a while
-    if report or meshcat:
+    if report or meshcat or controls:
         check_pictures(scenario.model)
-    if not meshcat:
-        record = _simulate(scenario)
+    if not controls:
+        record = _watch(scenario) if meshcat else _simulate(scenario)
         record.save(directory)
         code = _finish([record], directory, as_json=as_json, report=report)
         if repeated is not None:
@@ -160,6 +161,12 @@ def _stem_of(scenario: "Scenario") -> str:
 
     own = load_scenario(click.get_current_context().params["scenario"]).controller
     return scenario_stem() + ("" if scenario.controller == own else f"_{controller_key(scenario.controller)}")
+
+
+def _watch(scenario: "Scenario") -> "RunRecord":
+    from ffsm_drake.show.meshcat.interactive import watch
+
+    return watch(scenario, open_browser=True)
 
 
 def _simulate(scenario: "Scenario") -> "RunRecord":

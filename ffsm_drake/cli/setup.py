@@ -30,6 +30,21 @@ def _packages(ctx: click.Context, param: click.Parameter, values: tuple[str, ...
     return found
 
 
+def _sizes(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, ...] | None:
+    try:
+        return None if value is None else tuple(float(part) for part in value.split(","))
+    except ValueError:
+        raise click.BadParameter(f"'{value}' must be a side in m, or three such as 1.2,1.2,1.5") from None
+
+
+def _target(value: str | None) -> tuple[float | None, Path | None]:
+    """A target's mass, kg, or its file."""
+    try:
+        return (None if value is None else float(value)), None
+    except ValueError:
+        return None, Path(value or "")
+
+
 @click.command()
 @click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("--urdf", required=True, type=click.Path(path_type=Path), metavar="FILE", help="URDF of base and arm.")
@@ -38,10 +53,24 @@ def _packages(ctx: click.Context, param: click.Parameter, values: tuple[str, ...
     "--package", "packages", multiple=True, callback=_packages, metavar="NAME=FOLDER",
     help="Where package://NAME/ of a mesh is; repeatable. Folders above the URDF are looked through anyway.",
 )  # fmt: skip
-@click.option("--payload-mass", type=float, metavar="KG", help="Mass of the target (default: a quarter of the base's).")
+@click.option(
+    "--target", "--payload-mass", "target", metavar="KG|FILE",
+    help="The target: its mass, as a cube of 1 m, or its URDF (default: a quarter of the base's mass).",
+)  # fmt: skip
+@click.option("--bus-mass", type=float, metavar="KG", help="For an arm alone: mount it on a box of this mass.")
+@click.option(
+    "--bus-size", callback=_sizes, metavar="M|X,Y,Z", help="Sides of that box (default: a cube of 50 kg/m^3)."
+)
 @json_option
 def new(
-    directory: Path, urdf: Path, tip: str | None, packages: dict[str, Path], payload_mass: float | None, as_json: bool
+    directory: Path,
+    urdf: Path,
+    tip: str | None,
+    packages: dict[str, Path],
+    target: str | None,
+    bus_mass: float | None,
+    bus_size: tuple[float, ...] | None,
+    as_json: bool,
 ) -> None:
     """Start a scenario for your own servicer from its URDF.
 
@@ -51,13 +80,17 @@ def new(
     \b
     Examples:
       ffsm new mine --urdf my_robot.urdf
-      ffsm new mine --urdf my_robot.urdf --tip left_tool --payload-mass 30
+      ffsm new mine --urdf my_robot.urdf --tip left_tool --target 30
+      ffsm new mine --urdf ur5.urdf --bus-mass 400 --bus-size 1.2,1.2,1.5 --target stage.urdf
       ffsm new mine --urdf my_robot.urdf --package my_robot_description=~/ws/src/my_robot_description
     """
     from ffsm_drake.control_design.first_scenario import new_scenario
 
     folders = {name: folder.expanduser() for name, folder in packages.items()}
-    made = new_scenario(urdf, directory, tip=tip, packages=folders, payload_mass=payload_mass)
+    mass, file = _target(target)
+    made = new_scenario(
+        urdf, directory, tip=tip, packages=folders, payload_mass=mass, target=file, bus_mass=bus_mass, bus_size=bus_size
+    )
     if as_json:
         print_json(made.data())
     else:

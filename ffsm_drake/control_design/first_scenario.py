@@ -29,10 +29,11 @@ from ffsm_drake.scenario import Scenario, scenario_from_dict, shipped_scenarios
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import check_pictures
-from ffsm_drake.spacecraft.urdf import Joint, Servicer, read_urdf, write_urdf
+from ffsm_drake.spacecraft.urdf import Joint, Servicer, Target, make_bus, read_target, read_urdf, write_urdf
 from ffsm_drake.systems.controllers import PAPER_LAWS
 
 _BODY = "debris::debris"
+_TARGET = "target"  # folder of a user's
 _PAYLOAD_SHARE = 0.25  # of the base's mass
 _NOMINAL_SHARE = 0.8  # of the payload's true mass and inertia
 _SIDE = 1.0  # m, of the shipped target
@@ -48,7 +49,8 @@ _COMMENTS = {
     "base_position_z, a joint's); the most specific one wins.",
     "duration": "Of the run, and of one period of the controller.",
     "simulator_config": "Fixed steps of third order: accurate, and repeatable bit for bit.",
-    "model": "Paths start at this file's folder. The target's frame grasp is welded to the frame end_effector.",
+    "model": "Paths start at this file's folder. The target's frame (grasp) is welded to that of the servicer "
+    "(end_effector).",
     "payload": "The target: its true mass properties, and the nominal ones that the controller uses; rather too light "
     "than too heavy. Inertia about the centre of mass: [Ixx, Iyy, Izz] or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz].",
     "reference": "Duration of the planned motion; the target posture is held afterwards.",
@@ -137,6 +139,9 @@ def new_scenario(
     tip: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
     payload_mass: float | None = None,
+    target: str | Path | None = None,
+    bus_mass: float | None = None,
+    bus_size: tuple[float, ...] | None = None,
 ) -> NewScenario:
     """Write a folder with a scenario for the servicer of a URDF, the URDF as Drake loads it, and its meshes.
 
@@ -147,7 +152,12 @@ def new_scenario(
       directory: the new folder, missing or empty; the scenario gets its name.
       tip: link or frame that holds the target; None for the end of the longest chain.
       packages: folders of the packages that mesh addresses name.
-      payload_mass: true mass of the target, kg; None for a quarter of the base's.
+      payload_mass: true mass of the target, a cube of 1 m, kg; None for a quarter of the base's.
+      target: URDF of the target in place of that: one rigid body, and a frame where it is held (``grasp``, or the only
+        one), with z into the target.
+      bus_mass: of a box on whose +z face the URDF's arm is mounted, kg; a fixed joint to ``world`` says where. The box
+        is the base then.
+      bus_size: of that box, m: one side or three; None for a cube of 50 kg/m^3.
 
     Raises:
       ModelError: the URDF is not that of a free base with an arm; the message says what to change.
@@ -157,13 +167,19 @@ def new_scenario(
     urdf, directory = Path(urdf), Path(directory).resolve()
     folders = {name: Path(folder) for name, folder in (packages or {}).items()}
     _check_arguments(directory, folders, payload_mass)
-    servicer = read_urdf(urdf, tip=tip)
+    if bus_size is not None and bus_mass is None:
+        raise ScenarioError("--bus-size", "is that of a bus; give --bus-mass too")
+    if target is not None and payload_mass is not None:
+        raise ScenarioError("--target", "is a mass or a file, not both")
+    bus = None if bus_mass is None else make_bus(bus_mass, bus_size)
+    held = None if target is None else read_target(Path(target))
+    servicer = read_urdf(urdf, tip=tip, bus=bus)
     mass = rounded(_PAYLOAD_SHARE * servicer.base_mass) if payload_mass is None else payload_mass
     try:
         with tempfile.TemporaryDirectory() as temporary, unfinished(Path(temporary)):
             folder = Path(temporary) / directory.name
             folder.mkdir()
-            made = _make(servicer, folder, mass=mass, packages=folders)
+            made = _make(servicer, folder, target=held, mass=mass, packages=folders)
             with undisturbed():
                 shutil.copytree(folder, directory, dirs_exist_ok=True)
     except OSError as error:
@@ -186,24 +202,24 @@ def _check_arguments(directory: Path, packages: Mapping[str, Path], payload_mass
         raise ScenarioError("--payload-mass", f"must be > 0 kg, not {payload_mass:g}")
 
 
-def _make(servicer: Servicer, folder: Path, *, mass: float, packages: Mapping[str, Path]) -> NewScenario:
+def _make(
+    servicer: Servicer, folder: Path, *, target: Target | None, mass: float, packages: Mapping[str, Path]
+) -> NewScenario:
     """Make everything in a folder that is still temporary."""
     urdf, scenario_file = folder / f"{servicer.source.name.removesuffix('.urdf')}.urdf", folder / f"{folder.name}.yaml"
     try:
         left_out = write_urdf(servicer, folder, file_name=urdf.name, packages=packages)
-        draft = {
-            "model": {
-                "servicer": urdf.name,
-                "debris": "package://ffsm_drake/urdf/debris.urdf",
-                "end_effector": f"servicer::{servicer.tip.frame}",
-                "grasp": "debris::grasp",
-            },
-            "payload": {"body": _BODY, "truth": _cube(mass), "nominal": _cube(rounded(_NOMINAL_SHARE * mass))},
-        }
+        draft = _cube_draft(mass)
+        if target is not None:
+            copied = f"{target.source.name.removesuffix('.urdf')}.urdf"
+            stripped = write_urdf(target, folder / _TARGET, file_name=copied, packages=packages)
+            left_out = (*left_out, *(f"target: {remark}" for remark in stripped))
+            draft, mass = _target_draft(target, f"{_TARGET}/{copied}"), target.mass
+        draft["model"] |= {"servicer": urdf.name, "end_effector": f"servicer::{servicer.tip.frame}"}
         scenario = scenario_from_dict(draft, source=str(scenario_file))
         check_pictures(scenario.model)
         true = make_true_plant(scenario)
-        motion = plan_motion(true, servicer, body=_BODY)
+        motion = plan_motion(true, servicer, body=draft["payload"]["body"])
         for attempt in range(_TRIES):
             omega = {group: rounded(_SHRINK**attempt * w) for group, w in OMEGA.items()}
             gains = starting_gains(omega, coordinates=true.coordinates, mass_matrices=motion.mass_matrices)
@@ -233,6 +249,27 @@ def _make(servicer: Servicer, folder: Path, *, mass: float, packages: Mapping[st
         margins=margins,
         remarks=tuple(remarks),
     )
+
+
+def _cube_draft(mass: float) -> dict[str, dict[str, Any]]:
+    """The target that ships."""
+    return {
+        "model": {"servicer": "", "debris": "package://ffsm_drake/urdf/debris.urdf", "grasp": "debris::grasp"},
+        "payload": {"body": _BODY, "truth": _cube(mass), "nominal": _cube(rounded(_NOMINAL_SHARE * mass))},
+    }
+
+
+def _target_draft(target: Target, file: str) -> dict[str, dict[str, Any]]:
+    """A target of the user's."""
+
+    def share(part: float) -> dict[str, Any]:
+        inertia = [part * moment for moment in target.inertia]
+        return {"mass": part * target.mass, "center_of_mass": list(target.center_of_mass), "inertia": inertia}
+
+    return {
+        "model": {"servicer": "", "debris": file, "grasp": f"debris::{target.grasp}"},
+        "payload": {"body": f"debris::{target.body}", "truth": share(1.0), "nominal": share(_NOMINAL_SHARE)},
+    }
 
 
 def _cube(mass: float) -> dict[str, Any]:

@@ -46,7 +46,11 @@ def simulate(
     """
     start = time.perf_counter()
     rollout = prepare(scenario, blocks=blocks, meshcat=meshcat, check_stability=check_stability)
-    return make_record(rollout.run(progress=progress), blocks=blocks, start=start)
+    try:
+        return make_record(rollout.run(progress=progress), blocks=blocks, start=start)
+    finally:
+        if not blocks:  # what they made may still be in use elsewhere
+            rollout.release()
 
 
 def prepare(

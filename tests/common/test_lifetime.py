@@ -5,7 +5,8 @@ import weakref
 
 import pytest
 
-from ffsm_drake import load_scenario, make_nominal_plant
+from ffsm_drake import load_scenario, make_nominal_plant, simulate
+from ffsm_drake.campaign.evaluate import resident_memory
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.systems.controllers import make_controller
 
@@ -28,6 +29,19 @@ def test_a_released_rollout_is_freed(overrides):
     gc.collect()
     assert [part() for part in parts] == [None] * len(parts)
     assert log.metrics["isv"] > 0  # what it logged stays
+
+
+def test_simulating_again_and_again_takes_no_more_memory():
+    """Without a release it would be 2.3 MiB a call."""
+    scenario = load_scenario("postcapture", ["duration=0.02"])
+
+    def memory_after(calls):
+        for _ in range(calls):
+            simulate(scenario)
+        return resident_memory()
+
+    before = memory_after(3)
+    assert memory_after(8) < before + 8.0
 
 
 def test_a_system_that_was_never_wired_is_freed():

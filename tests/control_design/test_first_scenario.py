@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from outside_urdfs import OUTSIDE, TURN, joint, link, simple_arm, two_arms
+from outside_urdfs import BOX, OUTSIDE, TURN, arm_alone, joint, link, robot, simple_arm, stage, two_arms
 
 from ffsm_drake import load_scenario, make_true_plant
 from ffsm_drake.cli import main
@@ -20,7 +20,7 @@ from ffsm_drake.control_design.stability import stability
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.plant import base_body
-from ffsm_drake.spacecraft.urdf import read_urdf
+from ffsm_drake.spacecraft.urdf import make_bus, read_urdf
 from ffsm_drake.systems.controllers import controller_names
 
 # Final error, rad or m, held after a motion of a quarter of the planned duration (PD+: of half of it). Computed torque
@@ -238,6 +238,82 @@ def test_the_tutorial(tmp_path):
     again = CliRunner().invoke(main, arguments)
     assert again.exit_code == 2
     assert "is not empty" in again.output
+
+
+def test_an_arm_alone_on_a_bus_with_a_target_of_its_own(tmp_path):
+    (tmp_path / "ur5.urdf").write_text(arm_alone())
+    (tmp_path / "stage.urdf").write_text(stage())
+    words = ["new", str(tmp_path / "mine"), "--urdf", str(tmp_path / "ur5.urdf"), "--bus-mass", "400", "--bus-size"]
+    result = CliRunner().invoke(main, [*words, "1,1.5,2", "--target", str(tmp_path / "stage.urdf"), "--json"])
+    assert result.exit_code == 0, result.output
+    data = json.loads(result.stdout)
+    assert data["base"] == {"link": "bus", "mass": 404.0}  # with the arm's foot
+    assert data["payload_mass"] == 250.0
+    assert {each["verdict"] for each in data["margins"].values()} == {"stable"}
+    scenario = load_scenario(data["scenario"])
+    plant, context = (true := make_true_plant(scenario)).plant, true.context
+    assert plant.CalcTotalMass(context) == pytest.approx(data["total_mass"] + 250.0)
+    bus, foot, tank = (plant.GetBodyByName(name) for name in ("bus", "base_link", "tank"))
+    # The joint to the world says where the arm stands on the +z face.
+    X_bus_foot = foot.body_frame().CalcPose(context, bus.body_frame())
+    assert X_bus_foot.translation() == pytest.approx([0.2, 0.0, 1.05])
+    assert X_bus_foot.rotation().ToAngleAxis().angle() == pytest.approx(0.5)
+    inertia = bus.default_spatial_inertia().CalcRotationalInertia()
+    box = [400 / 12 * (1.5**2 + 2**2), 400 / 12 * (1 + 2**2), 400 / 12 * (1 + 1.5**2)]
+    assert inertia.get_moments() == pytest.approx(box)
+    # The target's mass properties are those that Drake reads in its URDF.
+    truth, own = scenario.payload.truth, tank.default_spatial_inertia()
+    assert (truth.mass, truth.center_of_mass) == (own.get_mass(), pytest.approx(own.get_com()))
+    central = own.Shift(own.get_com()).CalcRotationalInertia()
+    wanted = [*central.get_moments(), *central.get_products()]
+    assert truth.inertia == pytest.approx(wanted, abs=1e-9)
+    assert wanted[5] == pytest.approx(10.0)
+    assert scenario.payload.nominal.mass == 200.0
+    log = Rollout(load_scenario(data["scenario"], ["duration=2"])).run()
+    assert np.abs(log.error).max() < 1e-4
+
+
+BUS = ["--bus-mass", "400"]
+MOUNTING = {
+    "no mass": (arm_alone, ["--bus-mass", "0"], "--bus-mass: must be > 0 kg, not 0"),
+    "infinite": (arm_alone, ["--bus-mass", "inf"], "--bus-mass: must be > 0 kg, not inf"),
+    "tiny": (arm_alone, ["--bus-mass", "1e-300", "--bus-size", "1e-100"], "no usable inertia"),
+    "two sides": (arm_alone, [*BUS, "--bus-size", "1,2"], "--bus-size: must be one side or three, > 0 m, not 1,2"),
+    "no number": (arm_alone, [*BUS, "--bus-size", "wide"], "'wide' must be a side in m, or three"),
+    "size alone": (simple_arm, ["--bus-size", "1"], "--bus-size: is that of a bus; give --bus-mass too"),
+    "no bus": (arm_alone, [], "or mount it on a bus with --bus-mass KG"),
+    "two feet": (lambda: robot(link("a", **BOX), link("b", **BOX)), BUS, "one link must be the arm's foot"),
+    "foot beside the world's": (
+        lambda: arm_alone().replace("</robot>", link("b", **BOX) + "</robot>"), BUS, "beside what is fixed to the world"
+    ),
+    "no arm": (lambda: robot(link("a", **BOX)), BUS, "has no joint that moves"),
+    "a negative target": (simple_arm, ["--target", "-1"], "must be > 0 kg, not -1"),
+    "no target": (simple_arm, ["--target", "none.urdf"], "none.urdf: no such file; give its URDF"),
+    "an empty target": (simple_arm, ["--target", ""], "no such file"),
+    "a target that moves": (simple_arm, ["--target", "arm.urdf"], "one link must have the target's mass, not"),
+    "a target that cannot be held": (simple_arm, ["--target", "bare.urdf"], "no frame where it could be held; add"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MOUNTING)
+def test_mounting_refused_in_one_line(tmp_path, monkeypatch, case):
+    text, words, told = MOUNTING[case]
+    monkeypatch.chdir(tmp_path)
+    for name, content in (("robot", text()), ("arm", simple_arm()), ("bare", stage(frame=""))):
+        Path(f"{name}.urdf").write_text(content)
+    result = CliRunner().invoke(main, ["new", "mine", "--urdf", "robot.urdf", *words])
+    assert result.exit_code == 2, result.output
+    assert told in result.output.splitlines()[-1]
+    assert not Path("mine").exists()
+
+
+def test_an_arm_without_a_world_stands_on_the_middle_of_a_cube(tmp_path):
+    (tmp_path / "ur5.urdf").write_text(arm_alone(stand=False))
+    servicer = read_urdf(tmp_path / "ur5.urdf", bus=make_bus(400.0))
+    mounting = servicer.root.findall("joint")[-1]
+    assert mounting.find("child").get("link") == "base_link"
+    assert mounting.find("origin").get("xyz") == "0 0 1"  # the shipped servicer's cube
+    assert (servicer.base, servicer.base_mass) == ("bus", 404.0)
 
 
 def test_printed(made):

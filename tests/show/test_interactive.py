@@ -1,15 +1,21 @@
 """The operator's panel: what it does to a run, and that the record tells it. The tests play the operator's hands."""
 
 import dataclasses
+import re
+import shutil
+import subprocess
 import time
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from meshcat_page import click
+from click.testing import CliRunner
+from meshcat_page import ForeignPage, click, click_message, slider_message
 
 from ffsm_drake import RunRecord, load_scenario, make_true_plant, override_scenario, simulate
+from ffsm_drake.cli import main
 from ffsm_drake.show.meshcat import start_meshcat
-from ffsm_drake.show.meshcat.controls import Controls
+from ffsm_drake.show.meshcat.controls import CODE, UNLOCK, CodeLock, Controls
 from ffsm_drake.show.meshcat.interactive import (
     DISTURBANCE,
     IMPULSE,
@@ -22,6 +28,7 @@ from ffsm_drake.show.meshcat.interactive import (
     push_button,
     run_interactive,
     start_button,
+    watch,
 )
 from ffsm_drake.spacecraft.plant import find_body
 
@@ -73,7 +80,19 @@ def quit_when_idle(hands):
 def operate(meshcat, scenario, *steps):
     """The records of a session in which hands do the steps."""
     meshcat.Delete()
-    return run_interactive(scenario, meshcat=meshcat, check_stability=False, wait=Hands(meshcat, *steps))
+    told = []
+    hands = Hands(meshcat, lambda _: dial(meshcat, told), *steps)
+    return run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands)
+
+
+def dial(meshcat, told):
+    """Dial in the code that the terminal was last told."""
+    meshcat.SetSliderValue(CODE, code_in(told[-1]))
+    click(meshcat, UNLOCK)
+
+
+def code_in(line):
+    return float(re.search(r"type (\d{6}) beside", line)[1])
 
 
 def start(controller="tde_aismc"):
@@ -137,7 +156,9 @@ def test_pauses_and_pace_do_not_touch_the_run(meshcat, scenario):
 def test_the_rate_slider_paces_the_run(meshcat, scenario):
     def asked_for(rate):
         asked = []
-        hands = Hands(meshcat, move(RATE, rate), start(), lambda hands: asked.clear())
+        told = []
+        unlock = lambda _: dial(meshcat, told)  # noqa: E731
+        hands = Hands(meshcat, unlock, let_pass(2), move(RATE, rate), start(), lambda hands: asked.clear())
 
         def wait(seconds):
             if not hands.idle:
@@ -145,7 +166,7 @@ def test_the_rate_slider_paces_the_run(meshcat, scenario):
             hands(seconds)
 
         meshcat.Delete()
-        run_interactive(scenario, meshcat=meshcat, check_stability=False, wait=wait)
+        run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=wait)
         return sum(asked)
 
     # A sample takes 20 ms of wall time at rate 0.5, less than its computation at rate 10.
@@ -293,3 +314,166 @@ def test_a_controller_that_cannot_be_loaded_is_one_line_on_the_panel(meshcat, sc
     records = operate(meshcat, scenario, *steps)
     assert [record.scenario.controller for record in records] == ["tde_aismc"]
     assert "No module named 'nowhere'" in seen[0]
+
+
+# Pages of other sites.
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+COMMANDS = [start_button("tde_aismc"), start_button("tdc"), PAUSE, *map(push_button, "xyz"), QUIT]
+
+
+def until(true, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it never came"
+        time.sleep(0.005)
+
+
+def foreign_clicks(meshcat, page):
+    """Everything that a page can ask for, and the proof that it has arrived."""
+    meshcat.AddButton("arrived")
+    for label in (*COMMANDS, "arrived"):
+        page.send(click_message(label))
+    until(lambda: meshcat.GetButtonClicks("arrived") == 1)
+    meshcat.DeleteButton("arrived")
+
+
+def test_a_foreign_page_cannot_start_a_run(meshcat, scenario):
+    meshcat.Delete()
+    page, told = ForeignPage(meshcat), []
+
+    def guess(hands):
+        page.send(slider_message(CODE, code_in(told[-1]) - 1.0))
+        page.send(click_message(UNLOCK))
+        until(lambda: meshcat.GetButtonClicks(UNLOCK) == 1)
+
+    def clicks(hands):
+        foreign_clicks(meshcat, page)
+
+    def is_barred(hands):
+        assert "stay locked" in told[-1]
+        assert not {CODE, UNLOCK} & {*meshcat.GetSliderNames(), *meshcat.GetButtonNames()}
+
+    steps = [clicks, guess, guess, guess, is_barred, clicks, let_pass(2), interrupt]
+    hands = Hands(meshcat, *steps)
+    assert run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands) == []
+    assert len(told) == 4
+    page.close()
+
+
+def interrupt(_):
+    raise KeyboardInterrupt
+
+
+def test_a_foreign_page_cannot_push_or_stop_a_run(meshcat, scenario):
+    """Another page locks the controls by coming; what it asks for then is not done."""
+    until(lambda: meshcat.GetNumActiveConnections() == 0)
+    pages, told = [], []
+
+    def come(hands):
+        pages.append(ForeignPage(meshcat))
+        foreign_clicks(meshcat, pages[0])
+
+    meshcat.Delete()
+    steps = [lambda _: dial(meshcat, told), let_pass(2), start(), let_pass(20), come, until_idle, interrupt]
+    (record,) = run_interactive(
+        scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=Hands(meshcat, *steps)
+    )
+    pages[0].close()
+    assert "A page has joined or left, so the controls are locked" in told[-1]
+    assert code_in(told[-1]) != code_in(told[0])
+    assert record.outcome.status == "completed"
+    assert record.dataset.identical(simulate(scenario).dataset)
+
+
+def test_the_right_code_unlocks_for_a_single_page_only(meshcat):
+    meshcat.Delete()
+    until(lambda: meshcat.GetNumActiveConnections() == 0)
+    told, pages = [], [ForeignPage(meshcat), ForeignPage(meshcat)]
+    until(lambda: meshcat.GetNumActiveConnections() == 2)
+    lock = CodeLock(meshcat, told.append)
+    dial(meshcat, told)
+    assert not lock.check()
+    assert "close the others" in told[-1]
+    pages.pop().close()
+    until(lambda: meshcat.GetNumActiveConnections() == 1)
+    dial(meshcat, told)
+    assert lock.check()
+    pages.pop().close()
+    until(lambda: meshcat.GetNumActiveConnections() == 0)
+    assert not lock.check()
+    lock.remove()
+    assert meshcat.GetButtonNames() == []
+
+
+def test_a_run_that_is_watched_obeys_nobody(meshcat, scenario):
+    until(lambda: meshcat.GetNumActiveConnections() == 0)
+    meshcat.Delete()
+    page = ForeignPage(meshcat)
+    config = load_scenario("postcapture").simulator_config
+    config.target_realtime_rate = 1000.0
+
+    def wait(seconds):
+        foreign_clicks(meshcat, page)  # at every sample
+
+    record = watch(dataclasses.replace(scenario, simulator_config=config), meshcat=meshcat, wait=wait)
+    assert meshcat.GetButtonNames() == []
+    assert meshcat.GetSliderNames() == []
+    page.close()
+    assert record.dataset.identical(simulate(scenario).dataset)
+    assert record.outcome.completed
+
+
+def test_the_command_line_only_watches(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url))  # there is no browser
+    words = ["run", "--meshcat", "--no-report", "--set", "duration=0.05", "--out", str(tmp_path / "run")]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
+    assert urlsplit(opened[0]).hostname in ("127.0.0.1", "localhost")
+    plain = simulate(load_scenario("postcapture", ["duration=0.05"]))
+    assert RunRecord.load(tmp_path / "run").dataset.identical(plain.dataset)
+
+
+def test_controls_are_served_where_no_other_page_can_know():
+    first, second = (urlsplit(start_meshcat(hidden=True).web_url()) for _ in range(2))
+    for address in (first, second):
+        assert address.hostname.startswith("127.")
+    assert first.hostname != second.hostname
+    assert not first.hostname.startswith("127.0.")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path):
+    """It is even told the address."""
+    until(lambda: meshcat.GetNumActiveConnections() == 0)
+    messages = [slider_message(CODE, 123456.0), *map(click_message, [UNLOCK, *COMMANDS, "arrived"])]
+    script = f"""<script>const s = new WebSocket("{meshcat.web_url().replace("http", "ws")}");
+        s.onopen = () => {{ for (const m of {[list(m) for m in messages]}) s.send(new Uint8Array(m)) }};</script>"""
+    (tmp_path / "foreign.html").write_text(script)
+    started = []
+
+    def come(hands):
+        meshcat.AddButton("arrived")
+        started.append(
+            subprocess.Popen(
+                [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}",
+                 "--remote-debugging-port=0", (tmp_path / "foreign.html").as_uri()],
+                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            )
+        )  # fmt: skip
+        until(lambda: meshcat.GetButtonClicks("arrived") == 1, seconds=60.0)
+        meshcat.DeleteButton("arrived")
+
+    meshcat.Delete()
+    told = []
+    try:
+        records = run_interactive(
+            scenario, meshcat=meshcat, tell=told.append, wait=Hands(meshcat, come, let_pass(20), interrupt)
+        )
+    finally:
+        for process in started:
+            process.terminate()
+            process.wait(timeout=20.0)
+    assert records == []
+    assert "That was another code" in told[1]

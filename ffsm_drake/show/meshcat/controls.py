@@ -1,4 +1,7 @@
-"""Buttons and sliders of a Meshcat page, and what the operator did with them."""
+"""Buttons and sliders of a Meshcat page, what the operator did with them, and a lock before them."""
+
+import secrets
+from collections.abc import Callable
 
 from pydrake.geometry import Meshcat
 
@@ -54,3 +57,59 @@ class Controls:
         for label in self._values:
             self._meshcat.DeleteSlider(label, strict=False)
         self._values = {}
+
+
+CODE, UNLOCK = "code, see terminal", "Unlock the controls"
+_DIGITS = 6
+_TRIES = 3
+
+
+class CodeLock:
+    """A lock before the controls of a page, open once the code that ``tell`` was given is dialled in on it.
+
+    Whatever page reaches the server may send what it likes to it, and sees what is dialled: Drake's server looks at no
+    origin. So a code serves once, and only while a single page is connected; as soon as another comes, or that one
+    goes, the lock closes with a new code. After three wrong codes it stays closed.
+    """
+
+    def __init__(self, meshcat: Meshcat, tell: Callable[[str], None]) -> None:
+        """Args: where the controls are; what to call with each line for the person at the terminal."""
+        self._meshcat, self._tell = meshcat, tell
+        self._controls = Controls(meshcat)
+        self._tries = _TRIES
+        self._pages = 0  # connected when it was opened
+        self.is_open = False
+        self._close("")
+
+    def check(self) -> bool:
+        """Look at the page; whether the lock is open now."""
+        pages = self._meshcat.GetNumActiveConnections()
+        if self.is_open:
+            if pages != self._pages:
+                self._close("A page has joined or left, so the controls are locked. ")
+        elif self._tries and self._controls.clicked(UNLOCK):
+            right = self._controls.value(CODE) == self._code
+            self.remove()
+            if right and pages <= 1:
+                self.is_open, self._pages = True, pages
+                self._tell("The controls are unlocked.")
+            elif right:
+                self._close("More than one page is connected: close the others. ")
+            else:
+                self._tries -= 1
+                self._close("That was another code. ")
+        return self.is_open
+
+    def remove(self) -> None:
+        """Take the lock's own controls away."""
+        self._controls.remove()
+
+    def _close(self, why: str) -> None:
+        self.is_open = False
+        if not self._tries:
+            self._tell(f"{why}The controls stay locked until ffsm is started anew.")
+            return
+        self._code = 10 ** (_DIGITS - 1) + secrets.randbelow(9 * 10 ** (_DIGITS - 1))
+        self._controls.add_slider(CODE, low=0, high=10**_DIGITS - 1, step=1, value=0)
+        self._controls.add_button(UNLOCK)
+        self._tell(f"{why}To unlock the controls, type {self._code} beside '{CODE}' and click '{UNLOCK}'.")

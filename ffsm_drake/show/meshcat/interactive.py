@@ -1,13 +1,15 @@
-"""A simulation with an operator: a control panel in Meshcat, and records that say what the operator did.
+"""A simulation to watch, or with an operator: a control panel in Meshcat, and records that say what the operator did.
 
-Two kinds of control are on the page. Those that say "now" act on the current run from the next control sample on: the
-scale of the disturbance and pushes on the payload. Those that say "next run" shape the scenario of the runs that start
-after it: the controller, by the start button that was clicked, and the payload's true mass. (A body cannot change its
-mass during a run without its momentum jumping, so a new mass needs a new run; the record's scenario then holds it.)
+The panel is there once a code is dialled in (see ``CodeLock``). Two kinds of control are on the page. Those that say
+"now" act on the current run from the next control sample on: the scale of the disturbance and pushes on the payload.
+Those that say "next run" shape the scenario of the runs that start after it: the controller, by the start button that
+was clicked, and the payload's true mass. (A body cannot change its mass during a run without its momentum jumping, so
+a new mass needs a new run; the record's scenario then holds it.)
 """
 
 import copy
 import dataclasses
+import sys
 import time
 import webbrowser
 from collections.abc import Callable
@@ -24,7 +26,7 @@ from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.meshcat import set_stage, start_meshcat
 from ffsm_drake.show.meshcat.arrows import Arrow, base_bounding_box
-from ffsm_drake.show.meshcat.controls import Controls
+from ffsm_drake.show.meshcat.controls import CodeLock, Controls
 from ffsm_drake.show.meshcat.stage import SpacecraftView
 from ffsm_drake.spacecraft.plant import configuration, find_body
 from ffsm_drake.systems.controllers import complete_gains, controller_names
@@ -35,10 +37,12 @@ OPERATOR_ATTRIBUTE = "operator"  # of a record's dataset: what the operator did,
 PAUSE, QUIT = "Pause / resume (space)", "Quit (Esc)"
 TIME, RATE = "time [s]", "x real time"
 DISTURBANCE, IMPULSE, MASS = "now: disturb. x", "now: push [N s]", "next: mass [kg]"
+_MASS_STEP = 0.05  # of the scenario's true mass
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}  # world frame
 _PUSH_DURATION = 0.1  # s, rounded to whole control samples
 _PUSH_SHOWN = 1.0  # s (simulated) for which its arrow is seen
 _PUSH_COLOR = (1.0, 0.9, 0.2)
+_PATIENCE = 10.0  # s, for a browser to open the page
 _LONGEST_WAIT = 0.04  # s, between two looks at the page
 _LARGEST_DEBT = 0.1  # s by which the simulation may lag behind before it stops trying to catch up
 
@@ -53,6 +57,37 @@ def push_button(axis: str) -> str:
     return f"Push the debris now along {axis}"
 
 
+def watch(
+    scenario: Scenario,
+    *,
+    meshcat: Meshcat | None = None,
+    open_browser: bool = False,
+    wait: Callable[[float], None] = time.sleep,
+) -> RunRecord:
+    """Run a scenario once, at real time or its own ``target_realtime_rate``, for pages that can only look.
+
+    Arguments and errors as ``run_interactive``; with ``open_browser`` it waits some seconds for the page to open.
+    Returns: the record of ``simulate``.
+    """
+    meshcat = start_meshcat() if meshcat is None else meshcat
+    operator = _Operator(scenario, meshcat, tell=None, wait=wait)
+    if open_browser and webbrowser.open(meshcat.web_url()):
+        end = time.monotonic() + _PATIENCE
+        with interruptible():
+            while not meshcat.GetNumActiveConnections() and time.monotonic() < end:
+                wait(_LONGEST_WAIT)
+    try:
+        chosen = operator.next_scenario()
+        assert chosen is not None  # nobody can quit
+        return operator.run(chosen)
+    finally:
+        operator.close()
+
+
+def _print(line: str) -> None:
+    print(line, file=sys.stderr)
+
+
 def run_interactive(
     scenario: Scenario,
     *,
@@ -60,6 +95,7 @@ def run_interactive(
     open_browser: bool = False,
     check_stability: bool = True,
     keep: Callable[[RunRecord], object] | None = None,
+    tell: Callable[[str], None] = _print,
     wait: Callable[[float], None] = time.sleep,
 ) -> list[RunRecord]:
     """Run a scenario repeatedly with an operator's panel, until Quit is clicked or Ctrl-C is pressed.
@@ -72,10 +108,13 @@ def run_interactive(
 
     Args:
       scenario: what to run; its own pace (``target_realtime_rate``) is replaced by the page's slider.
-      meshcat: where to show it; by default a server of its own, whose address Drake prints.
+      meshcat: where to show it; by default a server of its own, at an address that Drake prints and no other page can
+        know.
       open_browser: open the page in the default browser.
       check_stability: as in ``simulate``, before each run.
       keep: called with each record as soon as its run has ended, to save it.
+      tell: called with each line for the person at the terminal, the code that unlocks the panel among them; by
+        default it goes to standard error.
       wait: called to let wall time pass, with seconds.
 
     Returns: the records of all runs in their order.
@@ -83,23 +122,22 @@ def run_interactive(
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
     """
-    operator = _Operator(scenario, start_meshcat() if meshcat is None else meshcat, wait=wait)
+    meshcat = start_meshcat(hidden=True) if meshcat is None else meshcat
+    operator = _Operator(scenario, meshcat, tell=tell, wait=wait)
     if open_browser:
         webbrowser.open(operator.meshcat.web_url())
     records: list[RunRecord] = []
     try:
         while (run_scenario := operator.next_scenario()) is not None:
             try:
-                hands = {"forces.disturbance": operator.make_disturbance}
-                record = simulate(run_scenario, check_stability=check_stability, blocks=hands)
+                records.append(operator.run(run_scenario, check_stability=check_stability))
             except FfsmError as error:  # of a controller whose gains the scenario lacks, say
                 operator.show_status(one_line(error))
                 continue
-            records.append(operator.annotated(record))
             if keep is not None:
                 keep(records[-1])
             operator.show_status(records[-1].outcome.message)
-            if record.outcome.status == "interrupted" and not operator.stopped_run:
+            if records[-1].outcome.status == "interrupted" and not operator.stopped_run:
                 break  # from the keyboard
     except KeyboardInterrupt:
         pass  # outside any run
@@ -117,7 +155,9 @@ class _Push:
 class _Operator:
     """The control panel, and the state of the session."""
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat, *, wait: Callable[[float], None]) -> None:
+    def __init__(
+        self, scenario: Scenario, meshcat: Meshcat, *, tell: Callable[[str], None] | None, wait: Callable[[float], None]
+    ) -> None:
         self.meshcat = meshcat
         self.stopped_run = False  # the last run ended by Quit or by a start button
         self._scenario = scenario
@@ -125,7 +165,8 @@ class _Operator:
         self._wait = wait
         self._quit = False
         self._paused = False
-        self._requested = ""  # controller whose start button was clicked
+        # Controller whose start button was clicked; without an operator the run starts by itself.
+        self._requested = "" if tell is not None else scenario.controller
         self._pushes: list[_Push] = []
         self._scale = 1.0
         self._events: list[str] = []
@@ -139,57 +180,71 @@ class _Operator:
         self._arrow_direction, self._arrow_until = np.array(_AXES["z"]), 0.0
         self._show(0.0, configuration(self._view.plant, scenario.initial_posture, key="initial_posture"))
 
-        controls = self._controls = Controls(meshcat)
         others = [name for name in controller_names() if name != scenario.controller]
         self._controllers = (scenario.controller, *others)
+        self._values = {
+            RATE: scenario.simulator_config.target_realtime_rate or 1.0,
+            DISTURBANCE: 1.0,
+            IMPULSE: 5.0,
+            MASS: scenario.payload.truth.mass,
+        }
+        self._controls: Controls | None = None  # while they are locked
+        self._panel, self._status = Controls(meshcat), ""
+        self._lock = None if tell is None else CodeLock(meshcat, tell)  # None: nobody operates
+        self.show_status("starting" if tell is None else "locked: dial the terminal's code in")
+
+    def _add_controls(self) -> Controls:
+        controls, values = Controls(self.meshcat), self._values
         for name in self._controllers:
             controls.add_button(start_button(name))
         controls.add_button(PAUSE, keycode="Space")
-        controls.add_slider(TIME, low=0.0, high=scenario.duration, step=scenario.sample_time, value=0.0)
-        rate = scenario.simulator_config.target_realtime_rate or 1.0
+        duration, step = self._scenario.duration, self._scenario.sample_time
+        controls.add_slider(TIME, low=0.0, high=duration, step=step, value=0.0)
+        rate, mass = values[RATE], self._scenario.payload.truth.mass
         controls.add_slider(RATE, low=min(0.1, rate), high=max(10.0, rate), step=0.1, value=rate)
-        controls.add_slider(DISTURBANCE, low=0.0, high=5.0, step=0.25, value=1.0)
-        controls.add_slider(IMPULSE, low=-20.0, high=20.0, step=0.5, value=5.0)
+        controls.add_slider(DISTURBANCE, low=0.0, high=5.0, step=0.25, value=values[DISTURBANCE])
+        controls.add_slider(IMPULSE, low=-20.0, high=20.0, step=0.5, value=values[IMPULSE])
         for axis in _AXES:
             controls.add_button(push_button(axis))
-        mass = scenario.payload.truth.mass
-        controls.add_slider(MASS, low=0.1 * mass, high=5.0 * mass, step=0.05 * mass, value=mass)
-        self._initial_mass = controls.value(MASS)  # rounded to the slider's steps
+        controls.add_slider(MASS, low=0.1 * mass, high=5.0 * mass, step=_MASS_STEP * mass, value=values[MASS])
         controls.add_button(QUIT, keycode="Escape")
-        self._status = ""
-        self.show_status("ready: click a start button")
+        return controls
 
     def close(self) -> None:
         """Remove the panel; the scene stays."""
-        self._controls.remove()
+        if self._lock is not None:
+            self._lock.remove()
+        self._panel.remove()
+        if self._controls is not None:
+            self._controls.remove()
 
     def show_status(self, text: str) -> None:
         """Meshcat has no labels: the panel's last button, which does nothing, shows the status."""
         label = f"[ {text} ]"
         if label == self._status:
             return
-        self._controls.remove_button(self._status)
+        self._panel.remove_button(self._status)
         self._status = label
-        self._controls.add_button(label)
+        self._panel.add_button(label)
 
     def next_scenario(self) -> Scenario | None:
         """Wait for a start button and return what it asks for; None once Quit was clicked."""
         with interruptible():
             while not (self._quit or self._requested):
                 self._wait(_LONGEST_WAIT)
-                self._read_buttons()
+                self._read_page()
         if self._quit:
             return None
-        scenario, controller, mass = self._scenario, self._requested, self._controls.value(MASS)
+        scenario, controller, mass = self._scenario, self._requested, self._values[MASS]
         self._requested, self.stopped_run, self._paused = "", False, False
         self._pushes, self._events, self._scale, self._arrow_until = [], [], 1.0, 0.0
         for axis in _AXES:
-            self._controls.clicked(push_button(axis))  # before the run: pushes nothing
+            self._clicked(push_button(axis))  # before the run: pushes nothing
         if controller != scenario.controller:
             self._events.append(f"controller {controller} (scenario: {scenario.controller})")
             scenario = dataclasses.replace(scenario, controller=controller)
-        if mass != self._initial_mass:
-            truth = scenario.payload.truth
+        truth = scenario.payload.truth
+        if abs(mass - truth.mass) > 0.5 * _MASS_STEP * truth.mass:
             self._events.append(f"payload.truth.mass {mass:g} kg, inertia in proportion (scenario: {truth.mass:g} kg)")
             inertia = [mass / truth.mass * entry for entry in truth.inertia]
             truth = dataclasses.replace(truth, mass=mass, inertia=inertia)
@@ -202,13 +257,15 @@ class _Operator:
         self.show_status("starting")
         return dataclasses.replace(scenario, simulator_config=config)
 
-    def make_disturbance(self, setup: BlockSetup) -> Diagram:
+    def _make_disturbance(self, setup: BlockSetup) -> Diagram:
         """The disturbance of the next run, which the operator changes."""
         self._note_scale("from the start")
         return make_operated_disturbance(setup, initial=np.array([self._scale, 0.0, 0.0, 0.0]), poll=self._poll)
 
-    def annotated(self, record: RunRecord) -> RunRecord:
-        """The record, with what the operator did written into it."""
+    def run(self, scenario: Scenario, *, check_stability: bool = True) -> RunRecord:
+        """The record of what ``next_scenario`` gave, with what the operator did written into it."""
+        hands = {"forces.disturbance": self._make_disturbance}
+        record = simulate(scenario, check_stability=check_stability, blocks=hands)
         record = dataclasses.replace(record, scenario=complete_gains(self._run_scenario))
         if not self._events:
             return record
@@ -231,7 +288,7 @@ class _Operator:
         while self._paused:
             self._draw(now, q)
             self._wait(_LONGEST_WAIT)
-            self._read_buttons()
+            self._read_page()
             self._stop_if_asked()
             self._due = time.perf_counter()
         period = self._scenario.sample_time
@@ -248,13 +305,13 @@ class _Operator:
     def _pace(self) -> None:
         """Wait until the present sample is due; the page is looked at often enough meanwhile."""
         now = time.perf_counter()
-        period = self._scenario.sample_time / self._controls.value(RATE)
+        period = self._scenario.sample_time / self._values[RATE]
         self._due = max(min(self._due, now) + period, now - _LARGEST_DEBT)
         remaining = max(0.0, self._due - now)
         while True:
             self._wait(min(remaining, _LONGEST_WAIT))
             remaining -= _LONGEST_WAIT
-            self._read_buttons()
+            self._read_page()
             self._stop_if_asked()
             if remaining <= 0.0 or self._paused:
                 break
@@ -264,23 +321,39 @@ class _Operator:
             self.stopped_run = True
             raise KeyboardInterrupt
 
-    def _read_buttons(self) -> None:
+    def _read_page(self) -> None:
+        """What the page asks for, unless it is locked."""
+        if self._lock is None or not self._lock.check():
+            if self._controls is not None:
+                self._controls.remove()
+                self._controls = None
+            return
+        if self._controls is None:
+            self._controls = self._add_controls()
+            if self._status.startswith("[ locked"):
+                self.show_status("ready: click a start button")
         for name in self._controllers:
-            if self._controls.clicked(start_button(name)):
+            if self._clicked(start_button(name)):
                 self._requested = name
-        if self._controls.clicked(PAUSE):
+        if self._clicked(PAUSE):
             self._paused = not self._paused
-        self._quit = self._quit or self._controls.clicked(QUIT)
+        self._quit = self._quit or self._clicked(QUIT)
+        for label in self._values:
+            if self._controls.moved(label):
+                self._values[label] = self._controls.value(label)
+
+    def _clicked(self, label: str) -> bool:
+        return self._controls is not None and self._controls.clicked(label)
 
     def _note_scale(self, when: str) -> None:
-        scale = self._controls.value(DISTURBANCE)
+        scale = self._values[DISTURBANCE]
         if scale != self._scale:
             self._scale = scale
             self._events.append(f"{when}: disturbance x {scale:g}")
 
     def _read_pushes(self, start: float) -> None:
         for axis, direction in _AXES.items():
-            if self._controls.clicked(push_button(axis)) and (impulse := self._controls.value(IMPULSE)) != 0.0:
+            if self._clicked(push_button(axis)) and (impulse := self._values[IMPULSE]) != 0.0:
                 samples = max(1, round(_PUSH_DURATION / self._scenario.sample_time))
                 duration = samples * self._scenario.sample_time
                 self._pushes.append(_Push(impulse / duration * np.array(direction), samples))
@@ -297,7 +370,8 @@ class _Operator:
             return
         self._drawn = wall
         self._show(now, q)
-        self._controls.set_value(TIME, now)
+        if self._controls is not None:
+            self._controls.set_value(TIME, now)
         mass = self._run_scenario.payload.truth.mass
         what = "paused" if self._paused else "running"
         self.show_status(f"{what}: {self._run_scenario.controller}, {mass:g} kg")

@@ -3,8 +3,9 @@
 import itertools
 import logging
 import math
+import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 from pydrake.geometry import (
@@ -31,6 +32,7 @@ from ffsm_drake.spacecraft.plant import add_combined_plant, configuration
 
 _VIEW = np.array([0.5843, -0.7176, 0.3793])  # unit vector from what the camera looks at to the camera
 _TANGENT = 0.85 * math.tan(math.radians(37.5))  # Meshcat shows 37.5 degrees up and down; some of it stays free
+_HIDDEN_TRIES = 4
 _GHOST_COLOR = Rgba(0.45, 0.85, 1.0, 0.10)
 
 
@@ -46,11 +48,21 @@ def quiet_drake() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def start_meshcat() -> Meshcat:
-    """A Meshcat server for this machine only (127.0.0.1). Raises FfsmError when no port is free."""
+def start_meshcat(*, hidden: bool = False) -> Meshcat:
+    """A Meshcat server for this machine only: 127.0.0.1, with a port from 7000 on. Raises FfsmError when none is free.
+
+    Drake's server answers every page of this machine's browsers, of whatever origin, and takes their messages. One with
+    controls is ``hidden``: it listens at a random one of the machine's own 2^24 addresses, 127.x.y.z, and a random
+    port, which other pages cannot know; where the system has 127.0.0.1 only, there.
+    """
     params = MeshcatParams()
-    params.host = "127.0.0.1"
     params.show_stats_plot = False
+    for _ in range(_HIDDEN_TRIES if hidden else 0):
+        params.host = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
+        params.port = 10_000 + secrets.randbelow(50_000)
+        with suppress(RuntimeError):
+            return Meshcat(params)
+    params.host, params.port = "127.0.0.1", None
     try:
         return Meshcat(params)
     except RuntimeError as error:

@@ -6,7 +6,9 @@ such as a missing mass, is an error whose message says what to change.
 """
 
 from ffsm_drake.spacecraft.urdf.elements import Joint
+from ffsm_drake.spacecraft.urdf.mounting import Bus, make_bus
 from ffsm_drake.spacecraft.urdf.servicer import Servicer, Tip, read_urdf
+from ffsm_drake.spacecraft.urdf.target import Target, read_target
 from ffsm_drake.spacecraft.urdf.writing import write_urdf
 
-__all__ = ["Joint", "Servicer", "Tip", "read_urdf", "write_urdf"]
+__all__ = ["Bus", "Joint", "Servicer", "Target", "Tip", "make_bus", "read_target", "read_urdf", "write_urdf"]

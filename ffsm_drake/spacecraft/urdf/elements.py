@@ -52,9 +52,9 @@ def require(condition: object, problem: str) -> None:
         raise ModelError(problem)
 
 
-def parse(path: Path) -> tuple[Element, str]:
+def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, str]:
     """The root element, and the comments before it, where licences stand. Raises ModelError: not a URDF."""
-    require(path.is_file(), "no such file; give the URDF of base and arm")
+    require(path.is_file(), f"no such file; give {what}")
     try:
         check_regular(path, limit=MAX_URDF)
         content = path.read_bytes()

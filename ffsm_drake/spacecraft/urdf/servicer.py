@@ -23,6 +23,7 @@ from ffsm_drake.spacecraft.urdf.elements import (
     require,
     vector,
 )
+from ffsm_drake.spacecraft.urdf.mounting import Bus, mount
 
 _RESERVED = ("all", *GROUPS, *BASE_ROTATION, *BASE_POSITION)
 
@@ -52,12 +53,18 @@ class Servicer:
     root: Element  # the parsed file
     header: str  # the comments before its root element, where licences stand
 
+    @property
+    def reach(self) -> float:
+        """Of the arm that holds the target, m."""
+        return self.tip.reach
 
-def read_urdf(path: Path, *, tip: str | None = None) -> Servicer:
+
+def read_urdf(path: Path, *, tip: str | None = None, bus: Bus | None = None) -> Servicer:
     """Read and check a URDF.
 
     Args:
       path: the file.
+      bus: what to mount it on, where it is an arm without a spacecraft.
       tip: name of the link or frame that holds the target; None for the end of the longest chain.
 
     Raises:
@@ -65,6 +72,8 @@ def read_urdf(path: Path, *, tip: str | None = None) -> Servicer:
     """
     try:
         root, header = parse(path)
+        if bus is not None:
+            mount(root, bus)
         tree = _Tree(root)
         tree.check_names_and_kinds()
         chosen, *others = tree.tips(tip)
@@ -77,7 +86,7 @@ def read_urdf(path: Path, *, tip: str | None = None) -> Servicer:
     if base_mass < 0.5 * total:
         remarks.append(
             f"the base '{tree.base}' has {base_mass:.3g} of {total:.3g} kg: if it is the arm's foot, join it to a "
-            "link for the spacecraft by a fixed joint"
+            "link for the spacecraft by a fixed joint, or mount it on a bus with --bus-mass KG"
         )
     return Servicer(
         source=path,
@@ -109,7 +118,7 @@ class _Tree:
             require(
                 joint.parent != WORLD or joint.kind == "floating",
                 f"the base '{joint.child}' is attached to the world; remove joint '{joint.name}' and link '{WORLD}' "
-                "from the URDF, so that the base is free",
+                "from the URDF, so that the base is free, or mount it on a bus with --bus-mass KG",
             )
         for joint in self.joints:
             for role, link in (("parent", joint.parent), ("child", joint.child)):

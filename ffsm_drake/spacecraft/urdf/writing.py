@@ -14,6 +14,7 @@ from ffsm_drake.spacecraft.model_files import DRAWABLE
 from ffsm_drake.spacecraft.urdf.drawing import color_visual, draw_bare_links
 from ffsm_drake.spacecraft.urdf.elements import DRAKE, WORLD, name_of, number
 from ffsm_drake.spacecraft.urdf.servicer import Servicer
+from ffsm_drake.spacecraft.urdf.target import Target
 
 # A file that a mesh names: in quotes or between tags, or at the end of one of Wavefront's lines.
 _NAMED_FILE = re.compile(r'(?:["\'>]|^\s*\w+\s)([^"\'<>\n]+\.(?:mtl|bin|png|jpe?g|ktx2|webp))', re.MULTILINE | re.I)
@@ -24,10 +25,13 @@ _REASONS = {
 }
 
 
-def write_urdf(servicer: Servicer, directory: Path, *, file_name: str, packages: Mapping[str, Path]) -> tuple[str, ...]:
+def write_urdf(
+    servicer: Servicer | Target, directory: Path, *, file_name: str, packages: Mapping[str, Path]
+) -> tuple[str, ...]:
     """Write the copy that Drake loads, and its meshes, into a folder. Returns what was left out, a line each.
 
     Args:
+      servicer: what was read; a target likewise.
       directory: gets the URDF and a folder ``meshes``.
       packages: folder of each ROS package that mesh addresses name; others are looked for above the URDF.
 
@@ -38,7 +42,7 @@ def write_urdf(servicer: Servicer, directory: Path, *, file_name: str, packages:
     left_out = _strip(root)
     _inline_colors(root)
     remarks = [*_told(left_out), *_copy_meshes(root, servicer.source.resolve(), directory / "meshes", packages)]
-    drawn = draw_bare_links(root, base_links=servicer.base_links, radius=max(0.02 * servicer.tip.reach, 0.01))
+    drawn = draw_bare_links(root, base_links=servicer.base_links, radius=max(0.02 * servicer.reach, 0.01))
     if drawn:
         remarks.append(f"links without a picture drawn as plain bodies: {drawn}")
     root.set("name", root.get("name") or "servicer")
@@ -61,7 +65,8 @@ def _strip(root: Element) -> Counter[str]:
     left_out: Counter[str] = Counter()
     for element in list(root):
         parent = element.find("parent")
-        if WORLD in (element.get("name"), None if parent is None else parent.get("link")):
+        name = element.get("name") if element.tag == "link" else None
+        if WORLD in (name, None if parent is None else parent.get("link")):
             root.remove(element)
         elif element.tag not in ("link", "joint", "material", "frame") and not element.tag.startswith(DRAKE):
             root.remove(element)
