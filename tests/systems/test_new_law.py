@@ -1,6 +1,7 @@
 """A new law is one file and one registration: it then works in run, compare, campaign and the live panel."""
 
 import json
+import re
 
 import pytest
 from click.testing import CliRunner
@@ -9,6 +10,7 @@ from meshcat_page import click
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.show.meshcat import start_meshcat
+from ffsm_drake.show.meshcat.controls import CODE, UNLOCK
 from ffsm_drake.show.meshcat.interactive import QUIT, run_interactive, start_button
 from ffsm_drake.systems.registry import block_names
 
@@ -87,15 +89,19 @@ def test_campaign(ffsm, tmp_path):
 
 @pytest.mark.usefixtures("known")
 def test_the_live_panel():
-    meshcat = start_meshcat()
+    meshcat, told = start_meshcat(), []
     steps = iter([start_button("stiff"), QUIT])
 
     def wait(_):
+        if UNLOCK in meshcat.GetButtonNames():
+            meshcat.SetSliderValue(CODE, float(re.search(r"\d{6}", told[-1])[0]))
+            click(meshcat, UNLOCK)
+            return
         status = next(name for name in meshcat.GetButtonNames() if name.startswith("[ "))
         if "ready" in status or "completed" in status:
             click(meshcat, next(steps))
 
     scenario = load_scenario("postcapture", ["duration=0.1"])
-    (record,) = run_interactive(scenario, meshcat=meshcat, check_stability=False, wait=wait)
+    (record,) = run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=wait)
     assert record.scenario.controller == "stiff"
     assert record.outcome.completed
