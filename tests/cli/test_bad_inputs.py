@@ -797,7 +797,7 @@ TABLE = [
         ("mass matrix has the shape (3, 3); it must be (11, 11)",),
         MODULES,
     ),
-    controller("no-law", "NoLaw", "NoLaw must define step(sample, state)", command="run"),
+    controller("no-law", "NoLaw", "NoLaw must define step(sample, state)"),
     controller("nan-configuration", "NanState", "the configuration q is not finite", command="run"),
     Row(
         "unknown-own-gain",

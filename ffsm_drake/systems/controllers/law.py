@@ -14,7 +14,9 @@ under ``controllers.<name>``, by coordinate, by group or for all; the law gets t
             return self.model.calc_mass_matrix(sample.q) @ u + self.model.calc_bias(sample.q, sample.v), state
 """
 
+import abc
 import dataclasses
+import inspect
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -74,7 +76,7 @@ def gain(
     return dataclasses.field(metadata={"gain": declared})
 
 
-class ControlLaw:
+class ControlLaw(abc.ABC):
     """Base of every control law; a subclass is a frozen dataclass with a ``step``.
 
     Arrays have the shape (..., nv): one run, or several at once.
@@ -92,6 +94,7 @@ class ControlLaw:
         """
         return {}
 
+    @abc.abstractmethod
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """One control sample.
 
@@ -101,7 +104,6 @@ class ControlLaw:
 
         Returns: the generalized force tau (..., nv; N m and N), held until the next sample, and the memory by then.
         """
-        raise NotImplementedError(f"{type(self).__name__} must define step(sample, state)")
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "ControlLaw":
@@ -109,7 +111,7 @@ class ControlLaw:
 
         Raises:
           ScenarioError: a gain of unknown or missing coordinates, or out of its range.
-          BlockError: a field that is none of these.
+          BlockError: a field that is none of these, or no ``step``.
         """
         return cls(**field_values(cls, setup))
 
@@ -122,6 +124,9 @@ def gains_of(kind: Any) -> dict[str, Gain]:
 
 def field_values(kind: type, setup: BlockSetup) -> dict[str, Any]:
     """The values of a law's fields for a setup; errors as for ``ControlLaw.from_setup``."""
+    for name in getattr(kind, "__abstractmethods__", ()):
+        _, *arguments = inspect.signature(getattr(kind, name)).parameters
+        raise BlockError(f"{kind.__name__} must define {name}({', '.join(arguments)})")
     gains = gain_values(kind, setup.settings, setup.coordinates, name=setup.name)
     values: dict[str, Any] = {}
     for field in dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ():

@@ -8,6 +8,7 @@ q''(t-L) - Hhat^-1 tau(t-L) (equation (5)), and taking that for the present N gi
 in which only the *injected dynamics* u differs between controllers (equations (6), (17), (18), (20)).
 """
 
+import abc
 import dataclasses
 from collections.abc import Mapping
 
@@ -20,7 +21,7 @@ from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_
 from ffsm_drake.systems.setup import BlockSetup
 
 
-class InjectedDynamics:
+class InjectedDynamics(abc.ABC):
     """Base of the laws that run on time-delay estimation; a subclass is a frozen dataclass with a ``step``."""
 
     def initial_state(self) -> State:
@@ -31,6 +32,7 @@ class InjectedDynamics:
         """What of the memory a linearisation holds; see ControlLaw."""
         return {}
 
+    @abc.abstractmethod
     def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
         """One control sample; arrays (..., nv).
 
@@ -41,7 +43,6 @@ class InjectedDynamics:
 
         Returns: the commanded acceleration u, and the memory at the next sample.
         """
-        raise NotImplementedError(f"{type(self).__name__} must define step(e, e_dot, a_d, state)")
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "TimeDelayControl":
