@@ -236,6 +236,7 @@ def _mass_matrices(scenario: Scenario, parts: list[float]) -> list[tuple[np.ndar
 
 
 def with_true_mass(scenario: Scenario, mass: float) -> Scenario:
+    """The scenario with another true payload mass (kg), the inertia in proportion."""
     data = scenario_to_dict(scenario)
     truth = data["payload"]["truth"]
     truth["inertia"] = [value * mass / truth["mass"] for value in truth["inertia"]]

@@ -68,7 +68,11 @@ class Design:
         after, before = self.chosen.prediction, self.given.prediction
         factor = float(np.exp(before.mean_log_error - after.mean_log_error))
         violated = self.requirement.violated(self.given)
-        if self.kept:
+        if self.kept and violated:
+            remarks = [
+                f"Yours is kept, though it does not meet the requirements: {violated}. Nothing found does better."
+            ]
+        elif self.kept:
             remarks = ["Yours is better: kept. Nothing was found that is more accurate and meets the requirements."]
         elif violated:
             remarks = [f"Yours does not meet the requirements: {violated}."]

@@ -97,7 +97,6 @@ class Demand:
     coordinates: Coordinates
     times: np.ndarray  # (n,) control samples, s
     lumped: np.ndarray  # (n, nv) -N under perfect tracking, rad/s^2 or m/s^2
-    force: np.ndarray  # (n, nv) generalized force of perfect tracking, N m or N
     ideal_isv: float  # effort of perfect tracking without noise
 
 
@@ -121,6 +120,5 @@ def make_demand(scenario: Scenario, *, points: int = 201) -> Demand:
         coordinates=coordinates,
         times=samples - 0.5 * period,
         lumped=lumped,
-        force=force,
         ideal_isv=float(np.sum(force**2) * period),
     )
