@@ -18,7 +18,7 @@ from ffsm_drake.campaign.prediction import predict_stability
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
-from ffsm_drake.runs.batch import run_together
+from ffsm_drake.runs.batch import batches, run_together
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog
 from ffsm_drake.scenario import Scenario
@@ -68,7 +68,10 @@ class Evaluator:
         if len(cases) > 1:
             # What a case cannot do, or what takes too long, shows when it is run alone.
             with contextlib.suppress(Exception, TimeLimit), time_limit(self._spec.time_limit):
-                logs = run_together([scenario_of(self._spec, case, controller) for case in cases])
+                scenarios = [scenario_of(self._spec, case, controller) for case in cases]
+                for group in batches(scenarios, len(cases)):
+                    for k, log in zip(group, run_together([scenarios[k] for k in group]), strict=True):
+                        logs[k] = log
         share = (time.perf_counter() - start) / len(cases)
         return [self._row(case, controller, log, share) for case, log in zip(cases, logs, strict=True)]
 
@@ -78,10 +81,10 @@ class Evaluator:
         row: Row = dict.fromkeys((*METRICS, *PREDICTIONS))
         try:
             with time_limit(self._spec.time_limit):
-                scenario = scenario_of(self._spec, case, controller)
-                row |= evaluate_run(self._spec, log or self._run(scenario))
+                log = log or self._run(scenario_of(self._spec, case, controller))
+                row |= evaluate_run(self._spec, log)
                 with contextlib.suppress(BlockError):  # a user-supplied block that cannot be linearised: no prediction
-                    row |= dict(zip(PREDICTIONS, predict_stability(scenario), strict=True))
+                    row |= dict(zip(PREDICTIONS, predict_stability(log.scenario), strict=True))
         except (Exception, TimeLimit) as error:
             if isinstance(error, TimeLimit):
                 self._rollouts.pop(controller, None)  # it may be half done

@@ -189,6 +189,8 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
     if not 0.0 < time_limit <= 1e6:
         raise CampaignError(f"time_limit: must be > 0 s and at most 1e6 s, not {time_limit:g}")
     batch = data.get("batch", "auto")
+    if isinstance(batch, str) and batch != "auto":
+        raise CampaignError(f"batch: must be auto or how many runs may share a simulation, not '{batch}'")
     if batch != "auto":
         batch = _whole(batch, place="batch", least=1, most=_LARGEST_BATCH)
     sampling = data.get("sampling", SAMPLINGS[0])

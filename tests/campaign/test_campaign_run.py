@@ -307,14 +307,14 @@ def test_a_controller_that_never_returns_is_a_row(law, tmp_path):
     (tmp_path / f"{module}.py").write_text(BLOCKED)
     controllers = [f"{module}:{law}", "tdc"]
     overrides = {"python_path": [str(tmp_path)], "duration": 0.05}
-    spec = load_spec(write_spec(tmp_path / "s.yaml", controllers=controllers, overrides=overrides, time_limit=0.3))
+    spec = load_spec(write_spec(tmp_path / "s.yaml", controllers=controllers, overrides=overrides, time_limit=1.0))
     evaluator, case = Evaluator(spec), next(make_cases(spec))
     (blocked,), (good,) = (evaluator.evaluate([case], name) for name in controllers)
     assert (blocked["outcome"], blocked["message"]) == (
         "error",
-        "TimeLimit: took longer than 0.3 s of wall time (time_limit)",
+        "TimeLimit: took longer than 1 s of wall time (time_limit)",
     )
-    assert blocked["wall_time"] < 2.0
+    assert blocked["wall_time"] < 5.0
     assert good["outcome"] != "error"
 
 
