@@ -327,7 +327,7 @@ def _one_line_errors(path: Path) -> Iterator[None]:
         yield
     except sqlite3.OperationalError as error:
         raise CampaignError(f"{path}: cannot be used: {one_line(error)}") from error
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter: its messages quote the file's bytes
         raise CampaignError(f"{path}: is damaged or not a campaign's database: {one_line(error)}") from error
 
 

@@ -3,6 +3,8 @@
 from ffsm_drake.scenario.loading import (
     MANIFEST_FILE,
     anchor_paths,
+    differing_keys,
+    flatten,
     is_overridden,
     load_scenario,
     override_scenario,
@@ -39,6 +41,8 @@ from ffsm_drake.scenario.schema import (
 __all__ = [
     "MANIFEST_FILE",
     "anchor_paths",
+    "differing_keys",
+    "flatten",
     "relate_paths",
     "BASE_ROTATIONS",
     "ESTIMATOR_KINDS",

@@ -219,6 +219,11 @@ DAMAGES = {
     "a missing value": ("UPDATE cases SET nominal_error = NULL WHERE case_index = 1", "the cases of case 1"),
     "half a list": ("UPDATE cases SET \"payload.truth.inertia\" = '[1' WHERE case_index = 1", "of case 1 is no value"),
     "another column": ("ALTER TABLE cases RENAME COLUMN nominal_error TO other", "the columns of cases"),
+    "bytes in a column's name": (
+        "PRAGMA writable_schema = 1; UPDATE sqlite_schema SET sql = "
+        "replace(sql, 'results.isv', 'results' || CAST(x'c9' AS TEXT) || 'isv') WHERE name = 'runs'",
+        "damaged",
+    ),
     "no table": ("DROP TABLE software", "cannot be used"),
     "more results than runs": (
         "CREATE TABLE more AS SELECT * FROM results; INSERT INTO more SELECT * FROM results; DROP VIEW runs; "
