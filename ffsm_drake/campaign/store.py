@@ -258,7 +258,13 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
             raise CampaignError(f"{path}: is damaged: it holds no usable specification: {one_line(error)}") from error
         store = Store(connection, path, spec)
         store.check()
-        yield store
+        try:
+            yield store
+        finally:
+            if writing:  # back to a single file, which can be read where nothing may be written; unless others read it
+                with contextlib.suppress(sqlite3.Error):
+                    connection.execute("PRAGMA busy_timeout = 0")
+                    connection.execute("PRAGMA journal_mode = DELETE")
 
 
 def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, folder: Path) -> None:
