@@ -16,7 +16,7 @@ from ffsm_drake.scenario.loading import (
     scenario_to_yaml,
     shipped_scenarios,
 )
-from ffsm_drake.scenario.resolving import schema_fields
+from ffsm_drake.scenario.resolving import schema_fields, shown
 from ffsm_drake.scenario.schema import (
     BASE_ROTATIONS,
     ESTIMATOR_KINDS,
@@ -71,5 +71,6 @@ __all__ = [
     "scenario_to_dict",
     "scenario_to_yaml",
     "schema_fields",
+    "shown",
     "shipped_scenarios",
 ]
