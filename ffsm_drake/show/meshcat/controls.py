@@ -30,6 +30,10 @@ class Controls:
         self._clicks[label] = clicks
         return news
 
+    def all_clicked(self) -> set[str]:
+        """The buttons that were clicked since this was last asked."""
+        return {label for label in self._clicks if self.clicked(label)}
+
     def value(self, label: str) -> float:
         """The slider's value."""
         return float(self._meshcat.GetSliderValue(label))
