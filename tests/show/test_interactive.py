@@ -92,7 +92,7 @@ def dial(meshcat, told):
 
 
 def code_in(line):
-    return float(re.search(r"type (\d{6}) beside", line)[1])
+    return float(re.search(r"type (\d{5}) beside", line)[1])
 
 
 def start(controller="tde_aismc"):
@@ -468,7 +468,7 @@ def test_controls_are_served_where_no_other_page_can_know():
 def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path):
     """Neither a run that the operator has started nor afterwards, though it is told the address and never rests."""
     until(lambda: meshcat.GetNumActiveConnections() == 0)
-    messages = [slider_message(CODE, 123456.0), *map(click_message, [UNLOCK, *COMMANDS, "arrived"])]
+    messages = [slider_message(CODE, 12345.0), *map(click_message, [UNLOCK, *COMMANDS, "arrived"])]
     script = f"""<script>const s = new WebSocket("{meshcat.web_url().replace("http", "ws")}");
         const send = () => {{ for (const m of {[list(m) for m in messages]}) s.send(new Uint8Array(m)) }};
         s.onopen = () => {{ send(); setInterval(send, 20) }};</script>"""
@@ -494,6 +494,7 @@ def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path)
     steps = [lambda _: dial(meshcat, told), let_pass(2), start(), let_pass(20), come, until_idle, is_still_sending]
     hands = Hands(meshcat, *steps, let_pass(20), interrupt)
     own = ForeignPage(meshcat)  # the operator's
+    until(lambda: meshcat.GetNumActiveConnections() == 1)
     try:
         (record,) = run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands)
     finally:

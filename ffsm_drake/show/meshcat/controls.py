@@ -63,8 +63,8 @@ class Controls:
         self._values = {}
 
 
-CODE, UNLOCK = "code, see terminal", "Unlock the controls"
-_DIGITS = 6
+CODE, UNLOCK = "code", "Unlock the controls"
+_DIGITS = 5  # all that the panel shows of a number
 _TRIES = 3
 
 
