@@ -83,6 +83,9 @@ def test_kills_and_an_interruption_change_nothing(spec, database, tmp_path):
     wait_for_end(workers)
     with contextlib.closing(sqlite3.connect(path)) as connection:
         assert connection.execute("SELECT count(*) FROM results WHERE outcome = 'error'").fetchone() == (0,)
+        # Not WAL, which cannot be read where nothing may be written.
+        assert connection.execute("PRAGMA journal_mode").fetchone() == ("delete",)
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
     result = invoke("resume", path, "--workers", "1")
     assert result.exit_code == 0, result.output
     assert table(path) == table(database)

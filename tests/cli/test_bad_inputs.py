@@ -1443,6 +1443,15 @@ def test_a_folder_that_is_gone(tmp_path):
     assert finished.returncode == 2
 
 
+def test_a_home_that_cannot_be_written(tmp_path):
+    script = "from ffsm_drake.cli import main; main(['scenarios'], standalone_mode=False); import matplotlib.pyplot"
+    settings = OWN_PROCESS | {"env": OWN_PROCESS["env"] | {"HOME": "/dev/null"}}
+    for name in ("MPLCONFIGDIR", "XDG_CONFIG_HOME", "XDG_CACHE_HOME"):
+        settings["env"].pop(name, None)
+    finished = ffsm(cwd=tmp_path, command=(sys.executable, "-c", script), **settings)
+    assert (finished.stderr, finished.returncode) == ("", 0)
+
+
 def test_a_name_that_is_no_text(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(main, ["run", "--out", "a\udcff"])

@@ -310,10 +310,17 @@ def test_clicks_while_nothing_runs_do_nothing(meshcat, scenario):
 def test_a_controller_that_cannot_be_loaded_is_one_line_on_the_panel(meshcat, scenario):
     scenario = override_scenario(scenario, ["controller=nowhere:Law"])
     seen = []
-    steps = [start("nowhere:Law"), let_pass(2), lambda hands: seen.append(hands.status), start(), until_idle]
+
+    def look(hands):
+        seen.append(hands.status)
+        # Meshcat pastes labels into a script, between single quotes.
+        assert not [name for name in meshcat.GetButtonNames() if "'" in name or "\\" in name]
+
+    steps = [start("nowhere:Law"), let_pass(2), look, start(), until_idle]
     records = operate(meshcat, scenario, *steps)
     assert [record.scenario.controller for record in records] == ["tde_aismc"]
-    assert "No module named 'nowhere'" in seen[0]
+    assert "No module named \N{RIGHT SINGLE QUOTATION MARK}nowhere" in seen[0]
+    assert not {"'", "\\"} & set(start_button("x'); alert('\\"))
 
 
 # Pages of other sites.

@@ -6,6 +6,11 @@ from collections.abc import Callable
 from pydrake.geometry import Meshcat
 
 
+def label_text(text: str) -> str:
+    """Any text, as a label may hold it: Meshcat pastes labels into a script, between single quotes."""
+    return " ".join(text.replace("\\", "/").replace("'", "\N{RIGHT SINGLE QUOTATION MARK}").split())
+
+
 class Controls:
     """The controls that one user of a Meshcat page has added to it; ``remove`` takes them away again."""
 

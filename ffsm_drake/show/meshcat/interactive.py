@@ -26,7 +26,7 @@ from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.meshcat import set_stage, start_meshcat
 from ffsm_drake.show.meshcat.arrows import Arrow, base_bounding_box
-from ffsm_drake.show.meshcat.controls import CodeLock, Controls
+from ffsm_drake.show.meshcat.controls import CodeLock, Controls, label_text
 from ffsm_drake.show.meshcat.stage import SpacecraftView
 from ffsm_drake.spacecraft.plant import configuration, find_body
 from ffsm_drake.systems.controllers import complete_gains, controller_names
@@ -49,7 +49,7 @@ _LARGEST_DEBT = 0.1  # s by which the simulation may lag behind before it stops 
 
 def start_button(controller: str) -> str:
     """Label of the button that starts a run with a controller."""
-    return f"Start / restart run: {controller}"
+    return f"Start / restart run: {label_text(controller)}"
 
 
 def push_button(axis: str) -> str:
@@ -221,7 +221,7 @@ class _Operator:
 
     def show_status(self, text: str) -> None:
         """Meshcat has no labels: the panel's last button, which does nothing, shows the status."""
-        label = f"[ {text} ]"
+        label = f"[ {label_text(text)} ]"
         if label == self._status:
             return
         self._panel.remove_button(self._status)
