@@ -268,7 +268,9 @@ def run_on_mujoco(scenario: Scenario, *, substeps: int = 1) -> Series:
 
 def run(controller: str) -> tuple[RunRecord, Series]:
     """The package's record, and the loop above, both without measurement noise."""
-    scenario = load_scenario("postcapture", [f"controller={controller}", "sensing.velocity_noise=0", f"duration={COMPARED}"])
+    scenario = load_scenario(
+        "postcapture", [f"controller={controller}", "sensing.velocity_noise=0", f"duration={COMPARED}"]
+    )
     record = simulate(scenario)
     assert record.outcome.completed, record.outcome.message
     return record, run_on_mujoco(scenario)
