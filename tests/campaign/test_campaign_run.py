@@ -86,8 +86,7 @@ def test_kills_and_an_interruption_change_nothing(spec, database, tmp_path):
         # Not WAL, which cannot be read where nothing may be written.
         assert connection.execute("PRAGMA journal_mode").fetchone() == ("delete",)
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
-    result = invoke("resume", path, "--workers", "1")
-    assert result.exit_code == 0, result.output
+    resume_campaign(path, workers=HERE, stop=Stop())
     assert table(path) == table(database)
     assert len(table(path)) == 32
 
