@@ -1,6 +1,6 @@
 """Simulate and evaluate controllers of a free-flying space manipulator that has just captured a piece of debris.
 
-The verbs: ``simulate``, ``simulate_many``, ``compare``, ``analyze``, ``stability``, ``design``, ``run_campaign``.
+The verbs: ``simulate``, ``compare``, ``analyze``, ``stability``, ``design``, ``run_campaign``.
 """
 
 import importlib
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from ffsm_drake.control_design.gains import design
     from ffsm_drake.control_design.stability import stability
     from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, make_closed_loop
-    from ffsm_drake.runs.batch import simulate_many
     from ffsm_drake.runs.record import Outcome, RunRecord
     from ffsm_drake.runs.rollout import Rollout, RunLog
     from ffsm_drake.runs.simulate import compare, simulate
@@ -33,7 +32,6 @@ _HOMES = {
     "control_design.gains": ("design",),
     "control_design.stability": ("stability",),
     "loop.closed_loop": ("ClosedLoop", "add_closed_loop", "make_closed_loop"),
-    "runs.batch": ("simulate_many",),
     "runs.record": ("Outcome", "RunRecord"),
     "runs.rollout": ("Rollout", "RunLog"),
     "runs.simulate": ("compare", "simulate"),
@@ -74,7 +72,6 @@ __all__ = [
     "override_scenario",
     "run_campaign",
     "simulate",
-    "simulate_many",
     "stability",
     "write_outputs",
 ]

@@ -1,4 +1,4 @@
-"""Cases with one controller -> a row for each. This runs in the workers."""
+"""One case and controller -> one row. This runs in the workers."""
 
 import contextlib
 import functools
@@ -9,7 +9,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from ffsm_drake.campaign.prediction import predict_stability
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
-from ffsm_drake.runs.batch import batches, run_together
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog
 from ffsm_drake.scenario import Scenario
@@ -37,15 +36,14 @@ Row = dict[str, Any]
 _ONE_AT_A_TIME = threading.Lock()
 
 
-def evaluate(campaign: str, cases: Sequence[Case], controller: str) -> list[Row]:
-    """Run some cases with one controller, together where they can be; errors become part of the rows.
+def evaluate(campaign: str, case: Case, controller: str) -> Row:
+    """Run one case with one controller; errors become part of the row.
 
-    Takes ``Spec.to_json()``, which a process reads once. Returns for each case the columns ``outcome``,
-    ``outcome_time``, ``message``, METRICS, PREDICTIONS and CIRCUMSTANCES; but for the last, no row depends on which
-    cases came with it.
+    Takes ``Spec.to_json()``, which a process reads once. Returns the columns ``outcome``, ``outcome_time``,
+    ``message``, METRICS, PREDICTIONS and CIRCUMSTANCES.
     """
     with _ONE_AT_A_TIME:
-        return _evaluator(campaign).evaluate(cases, controller)
+        return _evaluator(campaign).evaluate(case, controller)
 
 
 @functools.lru_cache(maxsize=1)
@@ -54,43 +52,29 @@ def _evaluator(campaign: str) -> "Evaluator":
 
 
 class Evaluator:
-    """Evaluates the cases of one campaign, keeping what it built for the next."""
+    """Evaluates the cases of one campaign, one at a time, keeping what it built for the next."""
 
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
         self._rollouts: dict[str, Rollout] = {}
         self._software = " ".join(f"{name} {version}" for name, version in software_versions().items())
 
-    def evaluate(self, cases: Sequence[Case], controller: str) -> list[Row]:
-        """The rows, as the function of the same name returns them."""
-        logs: list[RunLog | None] = [None] * len(cases)
-        start = time.perf_counter()
-        if len(cases) > 1:
-            # What a case cannot do, or what takes too long, shows when it is run alone.
-            with contextlib.suppress(Exception, TimeLimit), time_limit(self._spec.time_limit):
-                scenarios = [scenario_of(self._spec, case, controller) for case in cases]
-                for group in batches(scenarios, len(cases)):
-                    for k, log in zip(group, run_together([scenarios[k] for k in group]), strict=True):
-                        logs[k] = log
-        share = (time.perf_counter() - start) / len(cases)
-        return [self._row(case, controller, log, share) for case, log in zip(cases, logs, strict=True)]
-
-    def _row(self, case: Case, controller: str, log: RunLog | None, spent: float) -> Row:
-        """The row of one case, which is run unless its log is there; ``spent``: s of wall time so far."""
+    def evaluate(self, case: Case, controller: str) -> Row:
+        """One row, as the function of the same name returns it."""
         start = time.perf_counter()
         row: Row = dict.fromkeys((*METRICS, *PREDICTIONS))
         try:
             with time_limit(self._spec.time_limit):
-                log = log or self._run(scenario_of(self._spec, case, controller))
-                row |= evaluate_run(self._spec, log)
+                scenario = scenario_of(self._spec, case, controller)
+                row |= evaluate_run(self._spec, self._run(scenario))
                 with contextlib.suppress(BlockError):  # a user-supplied block that cannot be linearised: no prediction
-                    row |= dict(zip(PREDICTIONS, predict_stability(log.scenario), strict=True))
+                    row |= dict(zip(PREDICTIONS, predict_stability(scenario), strict=True))
         except (Exception, TimeLimit) as error:
             if isinstance(error, TimeLimit):
                 self._rollouts.pop(controller, None)  # it may be half done
             row |= error_row(described(error))
         return row | {
-            "wall_time": spent + time.perf_counter() - start,
+            "wall_time": time.perf_counter() - start,
             "worker": f"{socket.gethostname()}:{os.getpid()}",
             "rss_mib": resident_memory(),
             "software": self._software,

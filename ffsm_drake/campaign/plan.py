@@ -14,7 +14,7 @@ _WINDOW = 1000  # runs over which memory is averaged
 
 
 def plan_text(spec: Spec, *, workers: int) -> str:
-    """A summary of the cases and an estimate of the duration, for which the first cases are run.
+    """A summary of the cases and an estimate of the duration, for which the first case is run.
 
     Raises:
       CampaignError, ModelError, ScenarioError: a value cannot be used.
@@ -24,9 +24,8 @@ def plan_text(spec: Spec, *, workers: int) -> str:
     first = list(itertools.islice(cases, _SHOWN))
     evaluator = Evaluator(spec)
     for controller in spec.controllers:  # the first run pays for imports
-        evaluator.evaluate(first[:1], controller)
-    timed = first[: spec.batch or _SHOWN]
-    seconds = [evaluator.evaluate(timed, controller)[-1]["wall_time"] for controller in spec.controllers]
+        evaluator.evaluate(first[0], controller)
+    seconds = [evaluator.evaluate(first[-1], controller)["wall_time"] for controller in spec.controllers]
     width = max(map(len, spec.names)) + 2
     tolerance = ", ".join(f"{group} {value:g}" for group, value in spec.settled.tolerance.items())
     lines = [

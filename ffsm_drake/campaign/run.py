@@ -5,7 +5,7 @@ import dataclasses
 import itertools
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 from ffsm_drake.campaign.cases import Case, make_cases, scenario_of
@@ -23,7 +23,6 @@ from ffsm_drake.campaign.store import Store, check_columns, create_store, open_s
 from ffsm_drake.common.errors import CampaignError, FfsmError, InterruptedCampaign
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
-from ffsm_drake.runs.batch import BATCH_SIZE
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import make_record
@@ -165,52 +164,24 @@ def _drive(store: Store, workers: Workers, stop: Stop | None, progress: Callable
             progress(Progress(done=before + counted["session"], total=total, elapsed=elapsed, **counted))
 
     report()
-    stop = Stop() if stop is None else stop  # a stop that is not set counts as false
-    pending = total - before
-    size = store.spec.batch or max(1, min(BATCH_SIZE, pending // (2 * workers.in_flight())))
-    lost: list[_Batch] = []
-
-    def run(batches: Iterable[_Batch]) -> None:
-        results = run_tasks(
-            evaluate,
-            batches,
-            arguments=lambda task: (campaign, *task),
-            workers=workers,
-            stop=stop,
-            worn=lambda rows: rows[-1]["rss_mib"] > MEMORY_LIMIT,
-        )
-        with contextlib.closing(results):
-            for (cases, controller), result in results:
-                if isinstance(result, WorkerLost) and len(cases) > 1:
-                    lost.extend(([case], controller) for case in cases)  # one of them is to blame
-                    continue
-                rows = [_LOST] if isinstance(result, WorkerLost) else result
-                for case, row in zip(cases, rows, strict=True):
-                    store.add(case, controller, row)
-                    counted["session"] += 1
-                    counted["failed"] += row["outcome"] == "error"
-                    counted["unsettled"] += row["outcome"] in ("diverged", "not_settled")
-                report()
-
-    run(_batches(store.pending(), size))
-    run(lost)
+    results = run_tasks(
+        evaluate,
+        store.pending(),
+        arguments=lambda task: (campaign, *task),
+        workers=workers,
+        stop=Stop() if stop is None else stop,  # a stop that is not set counts as false
+        worn=lambda row: row["rss_mib"] > MEMORY_LIMIT,
+    )
+    with contextlib.closing(results):
+        for (case, controller), result in results:
+            row = _LOST if isinstance(result, WorkerLost) else result
+            store.add(case, controller, row)
+            counted["session"] += 1
+            counted["failed"] += row["outcome"] == "error"
+            counted["unsettled"] += row["outcome"] in ("diverged", "not_settled")
+            report()
     if before + counted["session"] < total:
         raise InterruptedCampaign(before + counted["session"], total)
-
-
-_Batch = tuple[list[Case], str]  # cases, and the controller that they are run with
-
-
-def _batches(pending: Iterable[tuple[Case, str]], size: int) -> Iterator[_Batch]:
-    """The pending runs, up to ``size`` cases of one controller together."""
-    waiting: dict[str, list[Case]] = {}
-    for case, controller in pending:
-        cases = waiting.setdefault(controller, [])
-        cases.append(case)
-        if len(cases) == size:
-            yield waiting.pop(controller), controller
-    for controller, cases in waiting.items():
-        yield cases, controller
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

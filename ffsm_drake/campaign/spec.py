@@ -41,12 +41,11 @@ from ffsm_drake.systems.registry import find_factory, module_folder
 
 _KEYS = (
     "description", "scenario", "overrides", "controllers", "cases", "seed", "sampling", "parameters", "factors",
-    "derive", "settled", "time_limit", "batch",
+    "derive", "settled", "time_limit",
 )  # fmt: skip
 _MOST_CASES, _MOST_VALUES, _MOST_NUMBERS = 1_000_000, 1000, 20_000_000  # cases, values of a case, points drawn in all
 _LARGEST_SEED = 2**53  # beyond, a number read as floating point is another
 _TIME_LIMIT = 600.0  # s
-_LARGEST_BATCH = 256
 # What the campaign sets by itself.
 _RESERVED = {"random_seed": "follows from 'seed' and the case's number", "controller": "belongs into 'controllers'"}
 
@@ -87,7 +86,6 @@ class Spec:
     derive: Mapping[str, Rule]  # by dotted scenario key, in the order of evaluation
     settled: Settled
     time_limit: float  # s of wall time, after which a run is ended and becomes an error row
-    batch: int | None  # how many runs at most share one simulation; None: as many as are fastest
 
     @property
     def base(self) -> dict[str, Any]:
@@ -123,7 +121,7 @@ class Spec:
     @property
     def fingerprint(self) -> str:
         """SHA-256 of all that shapes a result."""
-        shaping = {key: value for key, value in self.data.items() if key not in ("description", "batch")}
+        shaping = {key: value for key, value in self.data.items() if key != "description"}
         return hashlib.sha256(json.dumps(shaping, sort_keys=True).encode()).hexdigest()
 
 
@@ -196,11 +194,6 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
     time_limit = number(data.get("time_limit", _TIME_LIMIT), place="time_limit")
     if not 0.0 < time_limit <= 1e6:
         raise CampaignError(f"time_limit: must be > 0 s and at most 1e6 s, not {time_limit:g}")
-    batch = data.get("batch", "auto")
-    if isinstance(batch, str) and batch != "auto":
-        raise CampaignError(f"batch: must be auto or how many runs may share a simulation, not '{batch}'")
-    if batch != "auto":
-        batch = _whole(batch, place="batch", least=1, most=_LARGEST_BATCH)
     sampling = data.get("sampling", SAMPLINGS[0])
     if sampling not in SAMPLINGS:
         raise CampaignError(f"sampling: '{sampling}' is unknown; choose one of {', '.join(SAMPLINGS)}")
@@ -227,7 +220,6 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
             data.get("settled", {}), place="settled", base=Scenario(tolerance=data["base"]["tolerance"])
         ),
         time_limit=time_limit,
-        batch=None if batch == "auto" else batch,
     )
     _check_names(spec)
     return spec

@@ -16,14 +16,14 @@ from typing import Any
 
 from pydrake.common import RandomGenerator
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, DiagramBuilder, InputPort, OutputPort, System
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
 from pydrake.systems.primitives import Adder, ZeroOrderHold
 
 from ffsm_drake.loop.blocks import kind_of, make_blocks
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.registry import Factory
@@ -66,14 +66,9 @@ class ClosedLoop:
           root: the diagram that holds the loop.
           root_context: a context of ``root``.
         """
-        root.SetDefaultContext(root_context)
-        self.set_start(root_context)
-
-    def set_start(self, root_context: Context) -> None:
-        """As ``initialize``, in a context at its defaults, and for the systems of this loop alone."""
-        scenario, generator = self.scenario, RandomGenerator(self.scenario.random_seed)
-        for system in (self.plant, *self.blocks.values()):
-            system.SetRandomContext(system.GetMyMutableContextFromRoot(root_context), generator)
+        scenario = self.scenario
+        # First, because it resets every state and parameter of the diagram.
+        root.SetRandomContext(root_context, RandomGenerator(scenario.random_seed))
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         set_payload(self.plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
         self.plant.SetPositions(context, configuration(self.plant, scenario.initial_posture, key="initial_posture"))
@@ -109,75 +104,36 @@ def add_closed_loop(
     """
     if plant is None:
         plant = builder.AddNamedSystem("plant", make_plant(scenario.model))
-    parts = make_parts(scenario, make_nominal_plant(scenario), blocks)
+    coordinates = coordinates_of(plant)
+    for name in ("initial_posture", "target_posture"):
+        configuration(plant, getattr(scenario, name), key=name)
+    for name in ("initial_velocity", "tolerance"):
+        coordinates.check_names(getattr(scenario, name), key=name)
+    parts = make_blocks(scenario, make_nominal_plant(scenario), blocks)
     for system in parts.values():
         builder.AddSystem(system)
-    return wire(builder, scenario, plant, parts, ports_of(parts["controller"]))
+    controller, sensing, reference = parts["controller"], parts["sensing"], parts["reference"]
+    actuation = parts.get("actuation")
 
-
-def make_parts(
-    scenario: Scenario, nominal: PlantModel, blocks: Mapping[str, Factory] | None = None
-) -> dict[str, System]:
-    """All blocks of a closed loop (see ``make_blocks``), the scenario's names checked; errors as there."""
-    for name in ("initial_posture", "target_posture"):
-        configuration(nominal.plant, getattr(scenario, name), key=name)
-    for name in ("initial_velocity", "tolerance"):
-        nominal.coordinates.check_names(getattr(scenario, name), key=name)
-    return make_blocks(scenario, nominal, blocks)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class ControllerPorts:
-    """Where the loop meets its controller, by the names of ``loop.blocks``."""
-
-    inputs: Mapping[str, InputPort]
-    outputs: Mapping[str, tuple[System, str]]  # the system and the name of its output port
-
-
-def ports_of(controller: System) -> ControllerPorts:
-    """The ports of a controller that serves one loop."""
-    inputs = map(controller.get_input_port, range(controller.num_input_ports()))
-    outputs = map(controller.get_output_port, range(controller.num_output_ports()))
-    return ControllerPorts(
-        inputs={port.get_name(): port for port in inputs},
-        outputs={port.get_name(): (controller, port.get_name()) for port in outputs},
-    )
-
-
-def wire(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    plant: MultibodyPlant,
-    parts: Mapping[str, System],
-    controller: ControllerPorts,
-    *,
-    prefix: str = "",
-) -> ClosedLoop:
-    """Wire a plant and blocks that are part of a diagram already into a closed loop.
-
-    ``prefix`` stands before the names of the systems that are added.
-    """
-    coordinates = coordinates_of(plant)
-    sensing, reference, actuation = parts["sensing"], parts["reference"], parts.get("actuation")
     state = plant.get_state_output_port()
     builder.Connect(state, sensing.GetInputPort("state"))
     # What the controller read at its last sample, for the record.
     measurement = ZeroOrderHold(scenario.sample_time, 2 * len(coordinates.names) + 1)
-    builder.AddNamedSystem(f"{prefix}measurement", measurement)
+    builder.AddNamedSystem("measurement", measurement)
     builder.Connect(sensing.GetOutputPort("estimated_state"), measurement.get_input_port())
-    builder.Connect(sensing.GetOutputPort("estimated_state"), controller.inputs["estimated_state"])
-    if sensing.HasOutputPort("measurement_is_new") and "measurement_is_new" in controller.inputs:
-        builder.Connect(sensing.GetOutputPort("measurement_is_new"), controller.inputs["measurement_is_new"])
+    builder.Connect(sensing.GetOutputPort("estimated_state"), controller.GetInputPort("estimated_state"))
+    if sensing.HasOutputPort("measurement_is_new") and controller.HasInputPort("measurement_is_new"):
+        builder.Connect(sensing.GetOutputPort("measurement_is_new"), controller.GetInputPort("measurement_is_new"))
     for name in ("desired_state", "desired_acceleration"):
-        builder.Connect(reference.GetOutputPort(name), controller.inputs[name])
-    commanded = applied = controller.outputs["generalized_force"]
+        builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
+    applied = (controller, "generalized_force")
     if actuation is not None:
-        builder.Connect(commanded[0].GetOutputPort(commanded[1]), actuation.GetInputPort("commanded_force"))
+        builder.Connect(controller.GetOutputPort("generalized_force"), actuation.GetInputPort("commanded_force"))
         if actuation.HasInputPort("state"):
             builder.Connect(state, actuation.GetInputPort("state"))
         applied = (actuation, "applied_force")
-    if "applied_force" in controller.inputs:
-        builder.Connect(applied[0].GetOutputPort(applied[1]), controller.inputs["applied_force"])
+    if controller.HasInputPort("applied_force"):
+        builder.Connect(applied[0].GetOutputPort(applied[1]), controller.GetInputPort("applied_force"))
 
     # External forces act on the plant beside the control: H q'' + C = tau + tau_d.
     forces = {name: system for name, system in parts.items() if kind_of(name) == "forces"}
@@ -191,8 +147,8 @@ def wire(
         else (system, "generalized_force")
         for name, system in forces.items()
     }
-    total = _sum(builder, f"{prefix}total_force", [applied, *acting.values()], coordinates)
-    builder.Connect(total[0].GetOutputPort(total[1]), plant.get_applied_generalized_force_input_port())
+    total = _sum(builder, "total_force", [applied, *acting.values()], coordinates)
+    builder.Connect(total[0].get_output_port(), plant.get_applied_generalized_force_input_port())
 
     sources = {
         "state": (plant, "state"),
@@ -200,13 +156,13 @@ def wire(
         "measurement": (measurement, measurement.get_output_port().get_name()),
         "desired_state": (reference, "desired_state"),
         "desired_acceleration": (reference, "desired_acceleration"),
-        "generalized_force": commanded,
+        "generalized_force": (controller, "generalized_force"),
         "applied_force": applied,
-        "disturbance_force": _sum(builder, f"{prefix}external_force", list(recorded.values()), coordinates),
+        "disturbance_force": _sum(builder, "external_force", list(recorded.values()), coordinates),
     }
     if len(forces) > 1:
         sources |= {f"force_{name.partition('.')[2]}": source for name, source in recorded.items()}
-    sources |= {name: controller.outputs[name] for name in OPTIONAL_OUTPUTS if name in controller.outputs}
+    sources |= {name: (controller, name) for name in OPTIONAL_OUTPUTS if controller.HasOutputPort(name)}
     return ClosedLoop(scenario=scenario, plant=plant, coordinates=coordinates, blocks=parts, sources=sources)
 
 

@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import Context, DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput, Multiplexer
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLogSink
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, one_line
 from ffsm_drake.common.files import same_folder
@@ -86,7 +86,7 @@ class Rollout:
         builder = DiagramBuilder()
         plant = None if meshcat is None else add_combined_plant(builder, scenario.model)
         loop = add_closed_loop(builder, scenario, blocks=blocks, plant=plant)
-        self._log = SignalLog(builder, loop)
+        self._logger, self._logged = _add_logger(builder, loop)
         if meshcat is not None:
             visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), meshcat)
             visualizer.set_name("meshcat_visualizer")
@@ -142,19 +142,19 @@ class Rollout:
         # would have stopped the run; if so, it is run again with the monitor.
         watched = not self._checked_in_log
         interrupted, advance_time = self._advance(monitor, watched=watched)
-        times, series = self._log.read(self._simulator.get_context(), interrupted=interrupted)
+        times, series = self._read_log(interrupted=interrupted)
         if not (watched or interrupted) and (monitor.message or not monitor.bounds(series["state"])):
             monitor.forget()
             interrupted, more_time = self._advance(monitor, watched=True)
             advance_time += more_time
-            times, series = self._log.read(self._simulator.get_context(), interrupted=interrupted)
+            times, series = self._read_log(interrupted=interrupted)
         last = float(times[-1])
         if monitor.coordinate:
             outcome = Outcome(status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message)
         elif interrupted:
             outcome = Outcome(status="interrupted", time=last, message=f"interrupted at t = {last:.2f} s")
         else:
-            outcome = completed(times)
+            outcome = Outcome(status="completed", time=last, message=f"completed {last:g} s")
         return RunLog(
             scenario=scenario,
             outcome=outcome,
@@ -226,6 +226,27 @@ class Rollout:
                 _raise_for(error, self._user_supplied, context.get_time())
         return interrupted, time.perf_counter() - start
 
+    def _read_log(self, *, interrupted: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Sample times and the aligned series (copied)."""
+        loop, context = self.loop, self._simulator.get_context()
+        log = self._logger.FindLog(context)
+        times, rows = log.sample_times().copy(), log.data()
+        if interrupted and times.size == 0:
+            raise KeyboardInterrupt
+        if interrupted and times.size > 1:
+            # Perhaps before the update of the last sample, which is therefore left out.
+            parts = {name: rows[part, 1:] if name in _HELD else rows[part, :-1] for name, part in self._logged.items()}
+            return times[:-1], {name: part.T.copy() for name, part in parts.items()}
+        series = {}
+        for name, part in self._logged.items():
+            if name in _HELD:
+                # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
+                last = loop.diagram.GetOutputPort(name).Eval(context)
+                series[name] = np.vstack([rows[part, 1:].T, last])
+            else:
+                series[name] = rows[part].T.copy()
+        return times, series
+
 
 def user_supplied(scenario: Scenario, blocks: Mapping[str, Factory] | None = None) -> list[str]:
     """The user-supplied parts of a closed loop, in words."""
@@ -236,55 +257,22 @@ def user_supplied(scenario: Scenario, blocks: Mapping[str, Factory] | None = Non
     return [f"{name} '{system}'" for name, system in names.items()]
 
 
-class SignalLog:
-    """Logs a loop's signals at every control sample.
+def _add_logger(builder: DiagramBuilder, loop: ClosedLoop) -> tuple[VectorLogSink, dict[str, slice]]:
+    """A logger of the loop's signals at every control sample, and each one's rows in its log.
 
-    One logger behind a multiplexer costs less than one for each signal.
+    One logger behind a multiplexer costs less than one for each.
     """
-
-    def __init__(self, builder: DiagramBuilder, loop: ClosedLoop, *, prefix: str = "") -> None:
-        """Add it to the diagram of a loop; ``prefix`` stands before the names of its systems."""
-        self._sources = {name: source for name, source in loop.sources.items() if name != "estimated_state"}
-        ports = {source: loop.output_port(name) for name, source in self._sources.items()}  # some signals share a port
-        sizes = [port.size() for port in ports.values()]
-        stacked = builder.AddNamedSystem(f"{prefix}signals", Multiplexer(sizes))
-        for index, port in enumerate(ports.values()):
-            builder.Connect(port, stacked.get_input_port(index))
-        self._logger = LogVectorOutput(stacked.get_output_port(), builder, loop.scenario.sample_time)
-        self._logger.set_name(f"{prefix}log")
-        ends = np.cumsum(sizes).tolist()
-        rows = {source: slice(end - size, end) for source, size, end in zip(ports, sizes, ends, strict=True)}
-        self._rows = {name: rows[source] for name, source in self._sources.items()}
-
-    def read(
-        self, root_context: Context, *, num_samples: int | None = None, interrupted: bool = False
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Sample times and the aligned series (copied), up to the last sample or the first ``num_samples``."""
-        log = self._logger.FindLog(root_context)
-        times, data = log.sample_times().copy(), log.data()
-        if interrupted and times.size == 0:
-            raise KeyboardInterrupt
-        if interrupted and times.size > 1:
-            num_samples = times.size - 1  # the last sample's update may be missing
-        end = times.size if num_samples is None else num_samples
-        series = {}
-        for name, part in self._rows.items():
-            if name not in _HELD:
-                series[name] = data[part, :end].T.copy()
-            elif end < times.size:
-                series[name] = data[part, 1 : end + 1].T.copy()
-            else:
-                # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
-                system, port = self._sources[name]
-                last = system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(root_context))
-                series[name] = np.vstack([data[part, 1:].T, last])
-        return times[:end], series
-
-
-def completed(times: np.ndarray) -> Outcome:
-    """The outcome of a run that was not stopped."""
-    last = float(times[-1])
-    return Outcome(status="completed", time=last, message=f"completed {last:g} s")
+    sources = {name: source for name, source in loop.sources.items() if name != "estimated_state"}  # the measurement
+    ports = {source: loop.output_port(name) for name, source in sources.items()}  # some signals share a port
+    sizes = [port.size() for port in ports.values()]
+    stacked = builder.AddNamedSystem("signals", Multiplexer(sizes))
+    for index, port in enumerate(ports.values()):
+        builder.Connect(port, stacked.get_input_port(index))
+    logger = LogVectorOutput(stacked.get_output_port(), builder, loop.scenario.sample_time)
+    logger.set_name("log")
+    ends = np.cumsum(sizes).tolist()
+    rows = {source: slice(end - size, end) for source, size, end in zip(ports, sizes, ends, strict=True)}
+    return logger, {name: rows[source] for name, source in sources.items()}
 
 
 def _raise_for(error: BaseException, suspects: Sequence[str], time: float) -> NoReturn:

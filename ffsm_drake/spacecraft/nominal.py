@@ -47,26 +47,6 @@ class PlantModel:
         self.plant.SetPositions(self.context, q)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PlantModels:
-    """The plant models of several runs: the k-th row of an array belongs to the k-th model."""
-
-    models: tuple[PlantModel, ...]
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """Names of the generalized velocities."""
-        return self.models[0].coordinates
-
-    def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """The mass matrices (n, nv, nv) in configurations q (n, nq)."""
-        return np.stack([model.calc_mass_matrix(one) for model, one in zip(self.models, q, strict=True)])
-
-    def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The Coriolis and centrifugal terms (n, nv), N m and N."""
-        return np.stack([model.calc_bias(*one) for model, *one in zip(self.models, q, v, strict=True)])
-
-
 def make_nominal_plant(scenario: Scenario) -> PlantModel:
     """The plant with the nominal payload (``payload.nominal``): its mass matrix is the paper's H with a hat."""
     return _make_plant_model(scenario, scenario.payload.nominal)

@@ -349,7 +349,7 @@ def test_a_controller_that_never_returns_is_a_row(law, tmp_path):
     overrides = {"python_path": [str(tmp_path)], "duration": 0.05}
     spec = load_spec(write_spec(tmp_path / "s.yaml", controllers=controllers, overrides=overrides, time_limit=1.0))
     evaluator, case = Evaluator(spec), next(make_cases(spec))
-    (blocked,), (good,) = (evaluator.evaluate([case], name) for name in controllers)
+    blocked, good = (evaluator.evaluate(case, name) for name in controllers)
     assert (blocked["outcome"], blocked["message"]) == (
         "error",
         "TimeLimit: took longer than 1 s of wall time (time_limit)",
@@ -405,9 +405,6 @@ def test_stopping_before_the_start_leaves_all_to_resume(spec, database, tmp_path
         start_campaign(load_spec(spec), tmp_path / "x.db", workers=HERE, stop=stop)
     seen = []
     resume_campaign(tmp_path / "x.db", workers=HERE, stop=Stop(), progress=seen.append)
-    done = [progress.done for progress in seen]
-    assert done[0] == 0
-    assert done[-1] == 32
-    assert done == sorted(set(done))
+    assert [progress.done for progress in seen] == list(range(33))
     assert seen[-1].remaining == 0.0
     assert table(tmp_path / "x.db") == table(database)

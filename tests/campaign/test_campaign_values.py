@@ -91,7 +91,7 @@ def test_a_reused_build_has_the_bits_of_a_fresh_one(tmp_path):
     evaluator = Evaluator(spec)
     for index, value in enumerate((50.0, 250.0, 50.0)):
         case = Case(index=index, seed=index % 2, values={"payload.truth.mass": value})
-        (reused,) = evaluator.evaluate([case], "tdc")
+        reused = evaluator.evaluate(case, "tdc")
         fresh = simulate(scenario_of(spec, case, "tdc"), check_stability=False).metrics
         assert reused["itae"] == fresh["itae"]
         assert reused["isv"] == fresh["isv"]
@@ -99,11 +99,11 @@ def test_a_reused_build_has_the_bits_of_a_fresh_one(tmp_path):
             assert reused[f"peak_error_{group}"] == fresh["peak_error"][group]
             assert reused[f"final_error_{group}"] == fresh["final_error"][group]
             assert reused[f"peak_effort_{group}"] == fresh["peak_effort"][group]
-        assert not differing_columns(reused, evaluate(spec.to_json(), [case], "tdc")[0])
+        assert not differing_columns(reused, evaluate(spec.to_json(), case, "tdc"))
 
 
 def test_a_run_that_cannot_be_is_a_row(spec):
-    (row,) = evaluate(spec.to_json(), [Case(index=0, seed=1, values={"payload.truth.mass": -5.0})], "tdc")
+    row = evaluate(spec.to_json(), Case(index=0, seed=1, values={"payload.truth.mass": -5.0}), "tdc")
     assert row["outcome"] == "error"
     assert row["message"] == "ScenarioError: payload.truth.mass: must be > 0 kg, not -5.0"
     assert all(row[name] is None for name in METRICS)
@@ -111,7 +111,7 @@ def test_a_run_that_cannot_be_is_a_row(spec):
 
 def test_a_diverging_run_says_when(spec):
     case = Case(index=0, seed=1, values={"controllers.tdc.k_d": 400.0})
-    (row,) = evaluate(spec.to_json(), [case], "tdc")
+    row = evaluate(spec.to_json(), case, "tdc")
     assert row["outcome"] == "diverged"
     assert 0.0 < row["outcome_time"] < 0.3
     assert "diverged at t =" in row["message"]

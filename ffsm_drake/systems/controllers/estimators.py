@@ -90,7 +90,7 @@ class KalmanEstimator:
     """
 
     sample_time: float
-    gain: np.ndarray  # (..., nv, 3, 2): correction of [e, e', d] per unit of innovation of (e, e')
+    gain: np.ndarray  # (nv, 3, 2): correction of [e, e', d] per unit of innovation of (e, e')
 
     def initial_state(self) -> State:
         zeros = np.zeros(self.gain.shape[0])
@@ -101,7 +101,7 @@ class KalmanEstimator:
         """One sample; see Estimator."""
         e, e_dot, d = _predict(sample, nominal_mass_matrix, state, step=self.sample_time)
         innovation = np.stack((sample.e - e, sample.e_dot - e_dot), axis=-1)
-        correction = np.einsum("...ijk,...ik->...ij", self.gain, innovation)
+        correction = np.einsum("ijk,...ik->...ij", self.gain, innovation)
         e, e_dot, d = e + correction[..., 0], e_dot + correction[..., 1], d + correction[..., 2]
         estimate = Estimate(e, e_dot, base_force=np.zeros_like(d), base_acceleration=-d)
         return estimate, {
@@ -192,7 +192,7 @@ class CoupledEstimator:
 
     separate: KalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
-    gain: np.ndarray  # (..., 3 n, 2 n): correction of [e, e', f] per unit of innovation of [e, e']
+    gain: np.ndarray  # (3 n, 2 n): correction of [e, e', f] per unit of innovation of [e, e']
 
     def initial_state(self) -> State:
         return {**self.separate.initial_state(), "estimated_force": np.zeros(self.axes.size)}
@@ -206,7 +206,7 @@ class CoupledEstimator:
         innovation = np.concatenate(
             (sample.e[..., self.axes] - old_e, sample.e_dot[..., self.axes] - old_rate), axis=-1
         )
-        of_e, of_rate, of_force = np.split(np.einsum("...ij,...j->...i", self.gain, innovation), 3, axis=-1)
+        of_e, of_rate, of_force = np.split(np.einsum("ij,...j->...i", self.gain, innovation), 3, axis=-1)
         force = state["estimated_force"] + of_force
         # Its effect on the other coordinates is theirs to estimate.
         acting = np.zeros_like(d)

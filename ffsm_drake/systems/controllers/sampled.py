@@ -16,9 +16,7 @@ _ONE = np.ones(1)
 
 
 class SampledController(LeafSystem):
-    """A control law, evaluated once per control period; of one run, or of several at once.
-
-    Of several runs (``runs``) every port and piece of state has the runs' values one after the other.
+    """A control law, evaluated once per control period.
 
     Inputs:
       estimated_state: measured [q; v] (nq + nv).
@@ -31,26 +29,17 @@ class SampledController(LeafSystem):
       generalized_force: tau (nv), held over the period: base torque and force in world axes, joint torques.
       sliding_variable, reaching_gain, switching_gain: where the law's memory has them, (nv).
     Discrete state, updated every ``sample_time``:
-      generalized_force (nv), has_previous (1; 0 before the first update), then the law's memory by name. With several
-      runs also stopped (1 for each that was stopped: its force is zero).
+      generalized_force (nv), has_previous (1; 0 before the first update), then the law's memory by name.
     """
 
-    def __init__(
-        self, law: ControlLaw, *, name: str, coordinates: Coordinates, sample_time: float, runs: int | None = None
-    ) -> None:
-        """Args: a law for ``coordinates``; the system's name; the control period L, s.
-
-        With ``runs`` the law works on arrays (runs, ...), its memory included.
-        """
+    def __init__(self, law: ControlLaw, *, name: str, coordinates: Coordinates, sample_time: float) -> None:
+        """Args: a law for ``coordinates``; the system's name; the control period L, s."""
         super().__init__()
         self.set_name(name)
         self.law = law
-        self.coordinates = coordinates
-        self._runs = () if runs is None else (runs,)
-        num_runs = runs or 1
-        num_velocities = len(coordinates.names) * num_runs
+        num_velocities = len(coordinates.names)
         self._num_positions = len(coordinates.position_names)
-        num_states = self._num_positions * num_runs + num_velocities
+        num_states = self._num_positions + num_velocities
         self._estimated_state = self.DeclareVectorInputPort("estimated_state", num_states)
         self._desired_state = self.DeclareVectorInputPort("desired_state", num_states)
         self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", num_velocities)
@@ -64,13 +53,8 @@ class SampledController(LeafSystem):
             )
         self._force = self.DeclareDiscreteState(np.zeros(num_velocities))
         self._has_previous = self.DeclareDiscreteState(np.zeros(1))
-        initial = {key: np.asarray(value, dtype=float) for key, value in memory.items()}
-        if runs is not None:
-            initial = {key: value.ravel() for key, value in initial.items()}
-        self._memory = {key: self.DeclareDiscreteState(value) for key, value in initial.items()}
-        self._shapes = {"generalized_force": (*self._runs, len(coordinates.names))}
-        self._shapes |= {key: np.shape(memory[key]) for key in memory}
-        self._stopped = None if runs is None else self.DeclareDiscreteState(np.zeros(runs))
+        self._memory = {key: self.DeclareDiscreteState(np.asarray(value, dtype=float)) for key, value in memory.items()}
+        self._shapes = {"generalized_force": (num_velocities,)} | {key: np.shape(memory[key]) for key in memory}
         self.DeclareStateOutputPort("generalized_force", self._force)
         for key in OPTIONAL_OUTPUTS:
             if key in self._memory:
@@ -88,47 +72,31 @@ class SampledController(LeafSystem):
         held = {name: (int(self._memory[name]), value) for name, value in self.law.held().items()}
         return {"has_previous": (int(self._has_previous), 1.0), **held}
 
-    def stop_run(self, context: Context, run: int) -> None:
-        """Give one of several runs no force from the next update on, whatever its law says."""
-        stopped = np.array(context.get_discrete_state(self._stopped).value())
-        stopped[run] = 1.0
-        context.SetDiscreteState(self._stopped, stopped)
-
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
-        runs, split = self._runs, self._num_positions
         estimated = self._estimated_state.Eval(context)
         desired = self._desired_state.Eval(context)
-        desired_acceleration = self._desired_acceleration.Eval(context)
-        value = context.get_discrete_state().value
-        applied = self._applied_force.Eval(context) if self._applied_force.HasValue(context) else value(self._force)
-        is_new = self._is_new.Eval(context) if self._is_new.HasValue(context) else None
-        state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
-        if runs:
-            estimated, desired = estimated.reshape(*runs, -1), desired.reshape(*runs, -1)
-            desired_acceleration, applied = desired_acceleration.reshape(*runs, -1), applied.reshape(*runs, -1)
-            is_new = None if is_new is None else is_new.reshape(*runs, -1)
-            state = {name: values.reshape(self._shapes[name]) for name, values in state.items()}
+        split = self._num_positions
+        # As coordinates.position_error and error_rate, in one step.
         difference = desired - estimated
-        e, e_dot = difference[..., 1:split], difference[..., split:]
-        if runs:
-            for one in zip(e, e_dot, desired, estimated, strict=True):
-                _set_attitude_error(*one, split)
-        else:
-            _set_attitude_error(e, e_dot, desired, estimated, split)
+        e, e_dot = difference[1:split], difference[split:]
+        e[:3] = rotation = rotation_error(desired[:4], estimated[:4])
+        e_dot[:3] = rotation_error_rate(rotation, desired[split : split + 3], estimated[split : split + 3])
+        value = context.get_discrete_state().value
         is_first = not value(self._has_previous).item()
         sample = Sample(
-            estimated[..., :split],
-            estimated[..., split:],
-            desired[..., :split],
-            desired[..., split:],
-            desired_acceleration,
+            estimated[:split],
+            estimated[split:],
+            desired[:split],
+            desired[split:],
+            self._desired_acceleration.Eval(context),
             e,
             e_dot,
-            applied,
+            self._applied_force.Eval(context) if self._applied_force.HasValue(context) else value(self._force),
             is_first,
             # The quaternion has one entry more than the rotation.
-            None if is_new is None else is_new[..., 1:] != 0.0,
+            self._is_new.Eval(context)[1:] != 0.0 if self._is_new.HasValue(context) else None,
         )
+        state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
         if is_first:
             for values in state.values():
                 values.setflags(write=False)  # a law that writes into them is told so once
@@ -143,9 +111,6 @@ class SampledController(LeafSystem):
             self._check(returned)
             discrete_values.set_value(self._has_previous, _ONE)  # unset, a value stays what it was
         force, memory = returned
-        if runs:
-            force = np.where(value(self._stopped)[:, None] > 0.0, 0.0, force).ravel()
-            memory = {name: np.ravel(values) for name, values in memory.items()}
         discrete_values.set_value(self._force, force)
         for name, index in self._memory.items():
             discrete_values.set_value(index, memory[name])
@@ -177,14 +142,6 @@ class SampledController(LeafSystem):
                 ) from error
             if actual != shape:
                 raise BlockError(f"{name}: step returned '{key}' of shape {actual}; it must be {shape}")
-
-
-def _set_attitude_error(
-    e: np.ndarray, e_dot: np.ndarray, desired: np.ndarray, estimated: np.ndarray, split: int
-) -> None:
-    """The rotation vector and its rate in place of the quaternions' differences (coordinates.position_error)."""
-    e[:3] = rotation = rotation_error(desired[:4], estimated[:4])
-    e_dot[:3] = rotation_error_rate(rotation, desired[split : split + 3], estimated[split : split + 3])
 
 
 def _described(returned: object) -> str:
