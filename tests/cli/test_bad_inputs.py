@@ -853,6 +853,12 @@ TABLE = [
         "taken: cannot be written",
         prepare=lambda at: (at / "taken").touch(),
     ),
+    bad(
+        "replay-out-inside-a-file",
+        "replay run --out taken/x.html",
+        "taken: cannot be written",
+        prepare=lambda at: (at / "taken").touch(),
+    ),
     bad("diagram-out-is-a-folder", "diagram --out .", "is a directory"),
     # Run directories.
     bad("no-run", "analyze nothing", "nothing/manifest.json: cannot be read", "give the folder of a run"),
