@@ -73,7 +73,7 @@ def predict(
 def predict_from(linearizer: Linearizer, *, settled_after: float = 5.0) -> Prediction:
     """The prediction for a linearizer's scenario; see ``predict``."""
     scenario, coordinates = linearizer.given, linearizer.loop.coordinates
-    held = expected_gains(scenario)
+    held = expected_gains(linearizer)
     loops = [linearizer.at(part * scenario.reference.duration, held=held) for part in _POSTURES]
     error, force = linearizer.follow(held=held)
     period, count = scenario.sample_time, scenario.num_control_periods

@@ -67,6 +67,10 @@ class SampledController(LeafSystem):
         index = {"generalized_force": self._force, "has_previous": self._has_previous, **self._memory}[name]
         return np.array(context.get_discrete_state(index).value())
 
+    def memory_groups(self) -> Mapping[str, int]:
+        """The discrete group of each piece of the law's memory, by name."""
+        return {name: int(index) for name, index in self._memory.items()}
+
     def held_groups(self) -> Mapping[str, tuple[int, float | None]]:
         """Discrete groups that a linearisation holds, name -> (group, value), see ``ControlLaw.held``."""
         held = {name: (int(self._memory[name]), value) for name, value in self.law.held().items()}
