@@ -57,7 +57,7 @@ class Prediction:
 def predict(
     scenario: Scenario, *, settled_after: float = 5.0, blocks: Mapping[str, Factory] | None = None
 ) -> Prediction:
-    """Predict a run; takes about as long as two runs.
+    """Predict a run; takes about as long as one, longer with slow sensors.
 
     Args:
       scenario: what would be run; K_s is held where adaptation is expected to take it, sign terms are left out.
