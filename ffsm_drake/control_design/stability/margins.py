@@ -26,7 +26,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_t
 from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors
 from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_estimator
 from ffsm_drake.systems.disturbance import make_disturbance
-from ffsm_drake.systems.reference import QuinticMotion, make_motion
+from ffsm_drake.systems.reference import Motion, make_motion
 
 POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of the planned motion that the loop is linearised at
 
@@ -380,7 +380,7 @@ def _lumped_uncertainty_drift(
 
 
 def _mass_matrices(
-    true: PlantModel, nominal: PlantModel, motion: QuinticMotion, time: float
+    true: PlantModel, nominal: PlantModel, motion: Motion, time: float
 ) -> tuple[np.ndarray, np.ndarray]:
     q, _, _ = motion.evaluate(time)
     return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
