@@ -1,6 +1,6 @@
 """Clearance: the smallest distance between parts of the spacecraft that a joint can bring together.
 
-The shapes are the model's collision geometry; of a model without any, its pictures. Left out
+The shapes are the model's collision geometry; of a model without any, its pictures; of a mesh, the convex hull. Left out
 are parts that are fixed to each other (the target and what grasps it), parts that a joint connects, and those with few
 joints between them that are near each other wherever these are, as the links of a wrist.
 """
@@ -9,7 +9,7 @@ import dataclasses
 import itertools
 
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, ProximityProperties, Role
+from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Mesh, ProximityProperties, Role
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
@@ -21,6 +21,8 @@ from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, add_combined_plant, cause_
 # Bodies with few joints between them that are always near, wherever these are, tell nothing of a motion.
 _NEIGHBOURS, _NEAR = 3, 0.2  # joints, m
 _PLACES = 40  # of these joints that are looked at
+
+_MEASURED = (".obj", ".gltf", ".vtk")  # meshes that have a distance, that of their convex hull
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,7 +54,9 @@ class Clearance:
         try:
             if not list(inspector.GetAllGeometryIds(Role.kProximity)):
                 for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
-                    scene_graph.AssignRole(source, geometry, ProximityProperties())
+                    shape = inspector.GetShape(geometry)
+                    if not isinstance(shape, Mesh) or shape.source().extension() in _MEASURED:
+                        scene_graph.AssignRole(source, geometry, ProximityProperties())
             self._diagram = builder.Build()
         except DRAKE_ERRORS as error:
             raise ModelError(f"model: shapes that have no distance: {cause_of(error)}") from error
@@ -62,9 +66,7 @@ class Clearance:
         self._query = scene_graph.get_query_output_port()
         self._bodies = [self.plant.get_body(BodyIndex(i)) for i in range(self.plant.num_bodies())]
         self._shapes_of = {
-            body.index(): list(
-                inspector.GetGeometries(self.plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity)
-            )
+            body.index(): list(inspector.GetGeometries(self.plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity))
             for body in self._bodies
         }
         self._body_of = {shape: body for body in self._bodies for shape in self._shapes_of[body.index()]}

@@ -168,9 +168,7 @@ class InverseDynamics:
         tau[:3], tau[3:6] = moments[0], forces[0]
         return tau
 
-    def linearized(
-        self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def linearized(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """tau (nv, n), and its derivatives by z, rate and acceleration (3, nv, nv, n; row, column)."""
         size, count = z.shape
         inner = [i for i in range(size) if not 3 <= i < NUM_BASE_VELOCITIES]  # nothing depends on place and its rate

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from pydrake.math import BsplineBasis, KnotVectorType, RotationMatrix
 from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import BsplineBasis, KnotVectorType, RotationMatrix
 from pydrake.trajectories import BsplineTrajectory
 
 from ffsm_drake.common.errors import ScenarioError, one_line

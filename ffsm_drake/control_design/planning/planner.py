@@ -5,8 +5,8 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from pydrake.math import RotationMatrix
 from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.control_design.planning.limits import Margin, MotionLimits, margins, motion_limits
@@ -49,9 +49,7 @@ class PlannedMotionReport:
     limits: MotionLimits
 
 
-def plan_motion(
-    scenario: Scenario, *, progress: Callable[[str], None] = lambda line: None
-) -> PlannedMotionReport:
+def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda line: None) -> PlannedMotionReport:
     """Plan the motion that ``scenario.planning`` asks for, with the nominal payload.
 
     Args:
@@ -111,9 +109,7 @@ def plan_motion(
         raise PlanningError(_why_not(failures, scenario, size, least))
     if planning.end_rate > 0.0:
         for settle in _SETTLES:
-            found = _looked_at(
-                dataclasses.replace(plan, settle=settle), model, dynamics, limits, clearance, scenario
-            )
+            found = _looked_at(dataclasses.replace(plan, settle=settle), model, dynamics, limits, clearance, scenario)
             if all(margin.kept for margin in found.margins if margin.quantity != "impulse"):
                 break
     return dataclasses.replace(
@@ -230,7 +226,9 @@ def _looked_at(
             )
         )  # fmt: skip
     last = rows[main][-1]
-    left = _angular_momentum(model, last[:num_positions], last[num_positions : num_positions + plan.control_points.shape[1]])
+    left = _angular_momentum(
+        model, last[:num_positions], last[num_positions : num_positions + plan.control_points.shape[1]]
+    )
     impulses = np.trapezoid(np.abs(force[main]), times[main], axis=0)
     return PlannedMotionReport(
         plan=plan,

@@ -73,7 +73,9 @@ class PlanningProgram:
             program.AddLinearEqualityConstraint(
                 np.array([[-per_segment, per_segment, -rate[i]]]), [0.0], np.r_[points[:2, i], duration]
             )
-            ends = np.array([[-per_segment, per_segment, -planning.end_rate], [-per_segment, per_segment, planning.end_rate]])
+            ends = np.array(
+                [[-per_segment, per_segment, -planning.end_rate], [-per_segment, per_segment, planning.end_rate]]
+            )
             program.AddLinearConstraint(ends, [-np.inf, 0.0], [0.0, np.inf], np.r_[points[-2:, i], duration])
             if np.isfinite([limits.lower[i], limits.upper[i]]).any():
                 program.AddBoundingBoxConstraint(limits.lower[i], limits.upper[i], points[:, i])
@@ -96,9 +98,7 @@ class PlanningProgram:
         for k in range(points.size - 1):
             factor = DEGREE / (knots[k + 1 + DEGREE] - knots[k + 1])
             rows = np.array([[-factor, factor, -limit], [-factor, factor, limit]])
-            self._program.AddLinearConstraint(
-                rows, [-np.inf, 0.0], [0.0, np.inf], np.r_[points[k : k + 2], duration]
-            )
+            self._program.AddLinearConstraint(rows, [-np.inf, 0.0], [0.0, np.inf], np.r_[points[k : k + 2], duration])
 
     def _add_forces(self, touched: np.ndarray) -> None:
         """Forces within their limits, and their impulses."""
@@ -109,10 +109,12 @@ class PlanningProgram:
         if bounded.size:
             scale = allowed[bounded]
 
+            def of_limit(force: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+                slope = gradient[:, bounded] / scale[:, None]
+                return (force[:, bounded] / scale).ravel(), slope.reshape(-1, unknowns.size)
+
             def relative(x: np.ndarray) -> np.ndarray:
-                return self._with_gradient(
-                    x, lambda force, gradient: ((force[:, bounded] / scale).ravel(),
-                                                (gradient[:, bounded] / scale[:, None]).reshape(-1, unknowns.size)))
+                return self._with_gradient(x, of_limit)
 
             ones = np.ones(bounded.size * instants)
             constraint = self._program.AddConstraint(relative, -ones, ones, unknowns)
@@ -121,8 +123,7 @@ class PlanningProgram:
         if limited.size == 0:
             return
         # |tau| <= s in every instant, and T times the trapezoidal sum of s within the limit.
-        sizes = self._sizes = self._program.NewContinuousVariables(instants * limited.size, "size")
-        scale = self._limits.impulse[limited] / 1.0
+        sizes = self._program.NewContinuousVariables(instants * limited.size, "size")
 
         def room(x: np.ndarray) -> np.ndarray:
             inner = unknowns.size
@@ -147,7 +148,7 @@ class PlanningProgram:
         for k in range(limited.size):
             self._program.AddConstraint(
                 lambda x: np.array([x[0] * weights.dot(x[1:])]),
-                [0.0], [float(scale[k])], np.r_[self._duration, sizes[k :: limited.size]],
+                [0.0], [float(self._limits.impulse[limited[k]])], np.r_[self._duration, sizes[k :: limited.size]],
             )  # fmt: skip
 
     def _add_clearance(self, clearance: Clearance, distance: float, touched: np.ndarray) -> None:
@@ -223,17 +224,15 @@ class PlanningProgram:
         if self._cache[0] == key:
             return self._cache[1:]
         points, duration = unknowns[:-1].reshape(self._count, self._size), float(unknowns[-1])
-        z, rate, acceleration = (
-            (rows @ points).T / duration**order for order, rows in enumerate(self.basis)
-        )
+        z, rate, acceleration = ((rows @ points).T / duration**order for order, rows in enumerate(self.basis))
         force, by = self._dynamics.linearized(z, rate, acceleration)
         gradient = np.zeros((self.share.size, self._size, unknowns.size))
         for order in range(3):
             part = np.einsum("ijk,ka->kiaj", by[order], self.basis[order]) / duration**order
             gradient[:, :, :-1] += part.reshape(self.share.size, self._size, -1)
-        gradient[:, :, -1] = -(
-            np.einsum("ijk,jk->ki", by[1], rate) + 2.0 * np.einsum("ijk,jk->ki", by[2], acceleration)
-        ) / duration
+        gradient[:, :, -1] = (
+            -(np.einsum("ijk,jk->ki", by[1], rate) + 2.0 * np.einsum("ijk,jk->ki", by[2], acceleration)) / duration
+        )
         self._cache = (key, force.T, gradient)
         self.evaluations += 1
         if time.monotonic() - self._reported > 1.0:
@@ -251,7 +250,9 @@ class PlanningProgram:
             total = weights @ (force**2).sum(axis=1)
             slope = 2.0 * duration * np.einsum("k,ki,kix->x", weights, force, gradient)
             slope[-1] += total
-            return self._planning.effort_weight * np.array([duration * total]), self._planning.effort_weight * slope[None]
+            return self._planning.effort_weight * np.array([duration * total]), self._planning.effort_weight * slope[
+                None
+            ]
 
         result = self._with_gradient(x, squared)
         return result.item() if result.dtype == object else result[0]

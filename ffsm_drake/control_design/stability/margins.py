@@ -379,9 +379,7 @@ def _lumped_uncertainty_drift(
     return np.gradient(np.array(lumped), times, axis=0)
 
 
-def _mass_matrices(
-    true: PlantModel, nominal: PlantModel, motion: Motion, time: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _mass_matrices(true: PlantModel, nominal: PlantModel, motion: Motion, time: float) -> tuple[np.ndarray, np.ndarray]:
     q, _, _ = motion.evaluate(time)
     return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
 
