@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     """Plan the least-time or least-effort motion to rest within every limit, as 'planning' in SCENARIO says.
 
-    Takes seconds. Prints what the plan takes and how near it comes to each limit. With reference.kind 'optimal' the plan
-    is also written to the file that reference.plan names, and 'run' follows it. Exits with 2 when no motion keeps every
-    limit, and says which is in the way.
+    Takes seconds. Prints what the plan takes and how near it comes to each limit. With reference.kind 'optimal' the
+    plan is also written to the file that reference.plan names, and 'run' follows it. Exits with 2 when no motion keeps
+    every limit, and says which is in the way.
 
     \b
     Examples:

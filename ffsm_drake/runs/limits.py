@@ -114,7 +114,7 @@ class Closest:
 
 
 def plan_clearance(scenario: Scenario) -> Closest | None:
-    """Where the planned motion brings parts nearest to each other; None for a user-supplied one, or where none can meet.
+    """Where the planned motion brings parts nearest to each other; None for a user-supplied one, or if none can meet.
 
     Raises ModelError: the model does not load, or has shapes without a distance.
     """

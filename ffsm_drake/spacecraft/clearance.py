@@ -1,8 +1,8 @@
 """Clearance: the smallest distance between parts of the spacecraft that a joint can bring together.
 
-The shapes are the model's collision geometry; of a model without any, its pictures; of a mesh, the convex hull. Left out
-are parts that are fixed to each other (the target and what grasps it), parts that a joint connects, and those with few
-joints between them that are near each other wherever these are, as the links of a wrist.
+The shapes are the model's collision geometry; of a model without any, its pictures; of a mesh, the convex hull. Left
+out are parts that are fixed to each other (the target and what grasps it), parts that a joint connects, and those with
+few joints between them that are near each other wherever these are, as the links of a wrist.
 """
 
 import dataclasses

@@ -1,7 +1,7 @@
 """Inverse dynamics of many states at once with its derivatives, for optimization.
 
-A base attitude is a rotation vector phi from a fixed attitude R_0, in the world frame: R_WB = exp(phi) R_0. So a motion is
-a curve in R^nv without a constraint, z = [phi, p_WB, joints], in the order of v. It is unique while |phi| < pi.
+A base attitude is a rotation vector phi from a fixed attitude R_0, in the world frame: R_WB = exp(phi) R_0. So a motion
+is a curve in R^nv without a constraint, z = [phi, p_WB, joints], in the order of v. It is unique while |phi| < pi.
 
 Drake's own inverse dynamics takes one state at a time, with automatic differentiation about 1 ms; here NumPy takes all
 states of a motion in one recursion (Newton-Euler, from the base outward and back), with complex-step derivatives. The
@@ -34,7 +34,7 @@ def attitude_motion(
     """Rotation matrices exp(phi) (3, 3, n), angular velocities and accelerations (3, n), world frame.
 
     w = phi' + b phi x phi' + c phi x (phi x phi') with b = (1 - cos a)/a^2, c = (a - sin a)/a^3, a = |phi|: the left
-    Jacobian of SO(3) (Sola et al. 2018, equation (145)); the acceleration is its exact derivative. Complex numbers pass.
+    Jacobian of SO(3) (Sola et al. 2018, equation (145)); the acceleration is its exact derivative. Complex arrays pass.
 
     Args:
       phi, rate, acceleration: rotation vectors (3, n), rad, and their time derivatives.

@@ -1,8 +1,8 @@
 """A plan: a motion as a cubic spline, in a small text file that ``ffsm plan`` writes and the reference reads.
 
-The curve is z(t) = [phi, p_WB, joints] (see ``spacecraft.inverse_dynamics``), a uniform cubic B-spline on [0, duration]. A
-plan may end with small rates; these then die away over ``settle``, so that z, its rate and the posture held at last are
-one smooth motion. q_d, v_d and dv_d/dt are computed from z, z' and z'', so that each is the exact derivative of the last.
+The curve is z(t) = [phi, p_WB, joints] (see ``spacecraft.inverse_dynamics``), a cubic B-spline on [0, duration]. A plan
+may end with small rates; these then die away over ``settle``. q_d, v_d and dv_d/dt are computed from z, z' and z'', so
+that each is the exact derivative of the one before.
 """
 
 import dataclasses

@@ -44,7 +44,8 @@ class Margin:
 
     def __str__(self) -> str:
         side = "below" if self.quantity == "clearance" else "beyond"
-        return f"{self.name}: {self.quantity} {self.value:.4g} {self.unit} at t = {self.time:.3g} s, {side} {self.limit:.4g}"
+        what = f"{self.name}: {self.quantity} {self.value:.4g} {self.unit}"
+        return f"{what} at t = {self.time:.3g} s, {side} {self.limit:.4g}"
 
 
 def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:

@@ -1,8 +1,8 @@
 """The optimal control problem as a mathematical program over a spline's control points.
 
-Unknown are the control points P of z (``systems.plan``) and the duration T. Positions, rates and their limits are linear in
-P and T: a uniform spline stays within the hull of its control points, so that limits on these are kept at all times.
-Force and clearance are looked at in a few instants of every segment.
+Unknown are the control points P of z (``systems.plan``) and the duration T. Positions, rates and their limits are
+linear in these, and a spline stays within the hull of its control points, so that limits on those are kept at all
+times. Force and clearance are looked at in a few instants of every segment.
 """
 
 import time
@@ -24,10 +24,11 @@ from ffsm_drake.systems.plan import DEGREE
 
 _INFLUENCE = 0.1  # m beyond the clearance; nearer parts are seen by the solver
 _INSTANTS = 3  # in which force and clearance are looked at, per segment
+_SUM = 0.005  # share of an impulse that the sum over these instants may miss
 _SHORTEST = 0.05  # s
-_OPTIONS = {
-    "snopt": {"Major iterations limit": 400, "Iterations limit": 200_000, "Major optimality tolerance": 1e-5},
-    "ipopt": {"max_iter": 400, "tol": 1e-5, "hessian_approximation": "limited-memory"},
+_OPTIONS: dict[str, dict[str, float | int | str]] = {
+    "snopt": {"Major iterations limit": 200, "Iterations limit": 100_000, "Major optimality tolerance": 1e-5},
+    "ipopt": {"max_iter": 200, "tol": 1e-5, "hessian_approximation": "limited-memory"},
 }
 
 
@@ -102,7 +103,7 @@ class PlanningProgram:
 
     def _add_forces(self, touched: np.ndarray) -> None:
         """Forces within their limits, and their impulses."""
-        size, instants = self._size, self.share.size
+        instants = self.share.size
         allowed = self._limits.force * (1.0 - self._planning.reserve)
         bounded = np.flatnonzero(np.isfinite(allowed))
         unknowns = np.r_[self._points, self._duration]
@@ -148,7 +149,7 @@ class PlanningProgram:
         for k in range(limited.size):
             self._program.AddConstraint(
                 lambda x: np.array([x[0] * weights.dot(x[1:])]),
-                [0.0], [float(self._limits.impulse[limited[k]])], np.r_[self._duration, sizes[k :: limited.size]],
+                [0.0], [(1.0 - _SUM) * float(self._limits.impulse[limited[k]])], np.r_[self._duration, sizes[k :: limited.size]],
             )  # fmt: skip
 
     def _add_clearance(self, clearance: Clearance, distance: float, touched: np.ndarray) -> None:
