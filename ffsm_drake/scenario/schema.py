@@ -16,7 +16,7 @@ PerCoordinate = dict[str, float]
 BASE_ROTATIONS = ("eigenaxis", "rpy")
 REFERENCE_KINDS = ("quintic", "optimal")
 GOALS = ("target_posture", "stop")
-PLAN_SOLVERS = ("ipopt", "snopt")
+PLAN_SOLVERS = ("snopt", "ipopt")
 ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 
 
@@ -94,7 +94,7 @@ class Planning:
     """
 
     goal: str = "target_posture"  # where it comes to rest, or "stop": wherever that costs least
-    time_weight: float = 1.0  # 1/s; weight of the duration
+    time_weight: float = 1.0  # 1/s; weight of the duration; 0: the motion takes reference.duration
     # 1/(N^2 m^2 s); weight of the integral of the squared force; a little keeps out forces that shorten nothing
     effort_weight: float = 1e-4
     reserve: float = 0.02  # share of the force limits that is left to the controller
@@ -102,7 +102,7 @@ class Planning:
     velocity_limit: PerCoordinate | None = None  # rad/s or m/s; largest rate, beside the URDFs'; null: none
     impulse_limit: PerCoordinate | None = None  # N m s or N s; largest integral of a force's size, each; null: none
     segments: int = 24  # of the spline: more follow the limits closer and take longer
-    solver: str = "ipopt"  # or "snopt"; the other one is tried when it fails
+    solver: str = "snopt"  # or "ipopt"; the other one is tried when it fails
 
 
 @dataclasses.dataclass

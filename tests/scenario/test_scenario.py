@@ -195,7 +195,9 @@ def test_broken_files_name_the_file_and_the_key(tmp_path, text, expected):
 
 
 def test_unknown_scenarios():
-    with pytest.raises(ScenarioError, match=r"choose one of .*paper, postcapture, .*or give a YAML file"):
+    with pytest.raises(
+        ScenarioError, match=r"choose one of .*paper, planar_detumble, postcapture, .*or give a YAML file"
+    ):
         load_scenario("postcaptur")
     with pytest.raises(ScenarioError, match=r"none\.yaml: no such scenario file"):
         load_scenario("none.yaml")

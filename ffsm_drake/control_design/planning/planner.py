@@ -21,6 +21,7 @@ from ffsm_drake.systems.plan import Plan
 
 _INSTANTS = 401  # at which a plan is looked at
 _DURATIONS = np.geomspace(0.05, 1.0, 16)  # of the first guess, as parts of the longest
+_ATTEMPTS, _LESS = 3, 0.005  # at keeping forces between the solver's instants; share by which they are cut beyond need
 _SETTLES = (0.5, 1.0, 2.0, 4.0, 8.0)  # s, in which rates at the end die away
 
 
@@ -95,13 +96,23 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
     solvers = (planning.solver, *({"snopt", "ipopt"} - {planning.solver}))
     failures = []
     for solver in solvers:
-        result, points, duration = problem.solve(guess, solver)
-        plan = Plan(
-            duration=duration, settle=0.0, first_attitude=tuple(q[:4].tolist()), coordinates=coordinates.names,
-            control_points=points,
-        )  # fmt: skip
-        found = _looked_at(plan, model, dynamics, limits, clearance, scenario)
-        if result.is_success() and all(margin.kept for margin in found.margins):
+        unknowns, share = guess, 1.0
+        for _ in range(_ATTEMPTS):
+            problem.tighten(share)
+            result, points, duration = problem.solve(unknowns, solver)
+            plan = Plan(
+                duration=duration, settle=0.0, first_attitude=tuple(q[:4].tolist()), coordinates=coordinates.names,
+                control_points=points,
+            )  # fmt: skip
+            found = _looked_at(plan, model, dynamics, limits, clearance, scenario)
+            kept = result.is_success() and all(margin.kept for margin in found.margins)
+            forces = [abs(margin.value / margin.limit) for margin in found.margins if margin.quantity == "force"]
+            if kept or not result.is_success() or max(forces, default=0.0) <= 1.0:
+                break
+            # Between the instants that the solver looks at, a force is larger: on from here with less of it.
+            share /= max(forces) + _LESS
+            unknowns = np.r_[points.ravel(), duration]
+        if kept:
             break
         failures.append((solver, result.get_solution_result().name.removeprefix("k"), found))
         progress(f"{solver}: {failures[-1][1]}")
@@ -174,7 +185,7 @@ def _first_guess(
 ) -> np.ndarray:
     """The fifth-order polynomial from the start, at its rate, to rest, in the shortest of a few times that fits."""
     best, least = np.empty(0), np.inf
-    for part in _DURATIONS:
+    for part in _DURATIONS if problem.may_be_shorter else (1.0,):
         duration = float(part * longest)
         first = rate * duration
         change = 0.5 * first if free else goal - start

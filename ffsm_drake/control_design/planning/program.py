@@ -12,7 +12,14 @@ import numpy as np
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.math import BsplineBasis, KnotVectorType
 from pydrake.multibody.inverse_kinematics import MinimumDistanceLowerBoundConstraint
-from pydrake.solvers import IpoptSolver, MathematicalProgram, MathematicalProgramResult, SnoptSolver, SolverOptions
+from pydrake.solvers import (
+    IpoptSolver,
+    MathematicalProgram,
+    MathematicalProgramResult,
+    PyFunctionConstraint,
+    SnoptSolver,
+    SolverOptions,
+)
 from pydrake.trajectories import BsplineTrajectory
 
 from ffsm_drake.control_design.planning.limits import MotionLimits
@@ -27,7 +34,12 @@ _INSTANTS = 3  # in which force and clearance are looked at, per segment
 _SUM = 0.005  # share of an impulse that the sum over these instants may miss
 _SHORTEST = 0.05  # s
 _OPTIONS: dict[str, dict[str, float | int | str]] = {
-    "snopt": {"Major iterations limit": 200, "Iterations limit": 100_000, "Major optimality tolerance": 1e-5},
+    "snopt": {
+        "Major iterations limit": 300,
+        "Iterations limit": 100_000,
+        "Major optimality tolerance": 1e-4,
+        "Hessian updates": 100,  # it would forget after 10, and take hundreds of iterations to least effort
+    },
     "ipopt": {"max_iter": 200, "tol": 1e-5, "hessian_approximation": "limited-memory"},
 }
 
@@ -67,17 +79,20 @@ class PlanningProgram:
         self._points = program.NewContinuousVariables(count * size, "point")
         self._duration = program.NewContinuousVariables(1, "duration")
         points, duration = self._points.reshape(count, size), self._duration
-        program.AddBoundingBoxConstraint(_SHORTEST, longest, duration)
+        self.may_be_shorter = planning.time_weight > 0.0
+        shortest = _SHORTEST if planning.time_weight > 0.0 else longest  # effort alone takes all the time there is
+        program.AddBoundingBoxConstraint(shortest, longest, duration)
         program.AddBoundingBoxConstraint(start, start, points[0])
         per_segment = planning.segments * DEGREE  # z'(0) T = per_segment (P_1 - P_0), likewise at the end
         for i in range(size):
             program.AddLinearEqualityConstraint(
                 np.array([[-per_segment, per_segment, -rate[i]]]), [0.0], np.r_[points[:2, i], duration]
             )
-            ends = np.array(
-                [[-per_segment, per_segment, -planning.end_rate], [-per_segment, per_segment, planning.end_rate]]
-            )
-            program.AddLinearConstraint(ends, [-np.inf, 0.0], [0.0, np.inf], np.r_[points[-2:, i], duration])
+            if planning.end_rate > 0.0:
+                ends = np.array([[-per_segment, per_segment, sign * planning.end_rate] for sign in (-1.0, 1.0)])
+                program.AddLinearConstraint(ends, [-np.inf, 0.0], [0.0, np.inf], np.r_[points[-2:, i], duration])
+            else:
+                program.AddLinearEqualityConstraint(np.array([[-1.0, 1.0]]), [0.0], points[-2:, i])
             if np.isfinite([limits.lower[i], limits.upper[i]]).any():
                 program.AddBoundingBoxConstraint(limits.lower[i], limits.upper[i], points[:, i])
             if np.isfinite(limits.rate[i]):
@@ -88,9 +103,8 @@ class PlanningProgram:
         self._add_forces(touched)
         if clearance is not None and clearance.pairs:
             self._add_clearance(clearance, distance, touched)
-        program.AddLinearCost(np.array([planning.time_weight]), 0.0, duration)
-        if planning.effort_weight > 0.0:
-            program.AddCost(self._effort, vars=np.r_[self._points, duration])
+        self._scale = 1.0  # of the cost, which solvers like to be about 1
+        program.AddCost(self._cost, vars=np.r_[self._points, duration])
 
     def _limit_rate(self, points: np.ndarray, duration: np.ndarray, limit: float) -> None:
         """Keep the control points of the rate, which are differences of those of z, within a limit."""
@@ -104,6 +118,7 @@ class PlanningProgram:
     def _add_forces(self, touched: np.ndarray) -> None:
         """Forces within their limits, and their impulses."""
         instants = self.share.size
+        self._forces: PyFunctionConstraint | None = None
         allowed = self._limits.force * (1.0 - self._planning.reserve)
         bounded = np.flatnonzero(np.isfinite(allowed))
         unknowns = np.r_[self._points, self._duration]
@@ -120,6 +135,7 @@ class PlanningProgram:
             ones = np.ones(bounded.size * instants)
             constraint = self._program.AddConstraint(relative, -ones, ones, unknowns)
             constraint.evaluator().SetGradientSparsityPattern(self._pattern(touched, bounded.size))
+            self._forces = constraint.evaluator()
         limited = np.flatnonzero(np.isfinite(self._limits.impulse))
         if limited.size == 0:
             return
@@ -149,8 +165,15 @@ class PlanningProgram:
         for k in range(limited.size):
             self._program.AddConstraint(
                 lambda x: np.array([x[0] * weights.dot(x[1:])]),
-                [0.0], [(1.0 - _SUM) * float(self._limits.impulse[limited[k]])], np.r_[self._duration, sizes[k :: limited.size]],
+                [0.0], [(1.0 - _SUM) * float(self._limits.impulse[limited[k]])],
+                np.r_[self._duration, sizes[k :: limited.size]],
             )  # fmt: skip
+
+    def tighten(self, share: float) -> None:
+        """Keep forces below this share of what they were allowed at first."""
+        if self._forces is not None:
+            bound = np.full(self._forces.num_constraints(), share)
+            self._forces.set_bounds(-bound, bound)
 
     def _add_clearance(self, clearance: Clearance, distance: float, touched: np.ndarray) -> None:
         """Parts keep their distance; this depends on the joints alone."""
@@ -241,19 +264,19 @@ class PlanningProgram:
             self._report(self.evaluations, duration, float(np.max(np.abs(force.T) / self._limits.force)))
         return self._cache[1:]
 
-    def _effort(self, x: np.ndarray) -> np.ndarray:
-        """effort_weight times the integral of the squared force."""
+    def _cost(self, x: np.ndarray) -> np.ndarray:
+        """Weighed duration and integral of the squared force."""
+        planning = self._planning
         weights = np.full(self.share.size, 1.0 / (self.share.size - 1))
         weights[[0, -1]] *= 0.5
 
         def squared(force: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             duration = float((ExtractValue(x).ravel() if x.dtype == object else x)[-1])
             total = weights @ (force**2).sum(axis=1)
-            slope = 2.0 * duration * np.einsum("k,ki,kix->x", weights, force, gradient)
-            slope[-1] += total
-            return self._planning.effort_weight * np.array([duration * total]), self._planning.effort_weight * slope[
-                None
-            ]
+            slope = planning.effort_weight * 2.0 * duration * np.einsum("k,ki,kix->x", weights, force, gradient)
+            slope[-1] += planning.effort_weight * total + planning.time_weight
+            cost = duration * (planning.time_weight + planning.effort_weight * total)
+            return np.array([cost]) / self._scale, slope[None] / self._scale
 
         result = self._with_gradient(x, squared)
         return result.item() if result.dtype == object else result[0]
@@ -270,6 +293,8 @@ class PlanningProgram:
         if first.size > guess.size:
             limited = np.flatnonzero(np.isfinite(self._limits.impulse))
             first[guess.size :] = np.abs(self.evaluate(guess)[0][:, limited]).ravel()
+        self._scale = 1.0
+        self._scale = max(float(self._cost(guess)), 1e-12)
         chosen = SnoptSolver() if solver == "snopt" else IpoptSolver()
         options = SolverOptions()
         for key, value in _OPTIONS[solver].items():
