@@ -7,6 +7,8 @@ import pytest
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.control_design.planning import PlanningError, plan_motion
+from ffsm_drake.runs.limits import LimitWarning
+from ffsm_drake.runs.simulate import prepare
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.plan import load_plan
 from ffsm_drake.systems.reference import make_motion
@@ -123,3 +125,41 @@ def test_the_limit_in_the_way_is_named():
 def test_what_cannot_be_planned_is_named(override, said):
     with pytest.raises((PlanningError, ScenarioError), match=said):
         plan_motion(load_scenario("planar_detumble", [override, *QUICK]))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "no such file; 'ffsm plan' writes it"),
+        ("[1, 2", "is not a plan"),
+        ("duration: 2", "lacks settle, first_attitude, coordinates, control_points"),
+        (
+            "{duration: 2, settle: 0, first_attitude: [1, 0, 0, 0], coordinates: [a], "
+            "control_points: [[1], [2], [3], [4]]}",
+            "is a plan for a, not for base_rotation_x",
+        ),
+        (
+            "{duration: 2, settle: 0, first_attitude: [1, 0, 0, 0], coordinates: [a], control_points: [[1], [2]]}",
+            "its numbers are not those of a plan",
+        ),
+    ],
+)
+def test_a_file_that_is_no_plan_gets_one_line(tmp_path, text, said):
+    path = tmp_path / "plan.yaml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(ScenarioError, match=said) as error:
+        simulate(load_scenario("planar_detumble", [f"reference.plan={path}"]))
+    assert "\n" not in str(error.value)
+
+
+def test_a_plan_from_elsewhere_is_warned_of():
+    with pytest.warns(LimitWarning, match="initial_posture: reference.plan starts 0.1 off in joint_2"):
+        prepare(load_scenario("planar_detumble", ["initial_posture.joints.joint_2=1.3"])).release()
+
+
+def test_parts_that_come_too_near_are_warned_of():
+    with pytest.warns(
+        LimitWarning, match=r"the planned motion: base and debris come within 0.0741 m .*clearance 0.1 m"
+    ):
+        prepare(load_scenario("postcapture", ["clearance=0.1"])).release()
