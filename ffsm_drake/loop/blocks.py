@@ -143,7 +143,7 @@ def block_factory(name: str, scenario: Scenario) -> Factory:
 
 
 def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
-    """Where each block comes from: block -> ``system``; of user-supplied ones and of a plan, ``file`` and ``sha256``."""
+    """Where each block comes from: block -> ``system``; of user-supplied ones and a plan, ``file`` and ``sha256``."""
     names = {name: f"scenario: {name}" for name in ("reference", "sensing", "actuation")}
     names |= {"controller": scenario.controller, DISTURBANCE: "scenario: disturbance"}
     names |= {name: choice.system for name, choice in block_choices(scenario).items()}

@@ -9,6 +9,7 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOC
 from ffsm_drake.spacecraft.joint_limits import joint_limits
 from ffsm_drake.spacecraft.nominal import PlantModel
 
+_ACCURACY = 1e-3  # m; of Drake's distances between cylinders
 _SLACK = 1e-3  # relative; by which a solved plan may pass a limit between the instants that the solver looks at
 
 
@@ -39,7 +40,7 @@ class Margin:
         """Whether the limit is kept, but for what interpolation may add."""
         slack = _SLACK * max(abs(self.limit), 1e-3)
         if self.quantity == "clearance":
-            return self.value >= self.limit - slack
+            return self.value >= self.limit - _ACCURACY
         return abs(self.value) <= abs(self.limit) + slack
 
     def __str__(self) -> str:

@@ -31,14 +31,15 @@ from ffsm_drake.systems.plan import DEGREE
 
 _INFLUENCE = 0.1  # m beyond the clearance; nearer parts are seen by the solver
 _INSTANTS = 3  # in which force and clearance are looked at, per segment
+_ROOM = 0.002  # m beyond the clearance, for what happens between these instants
 _SUM = 0.005  # share of an impulse that the sum over these instants may miss
 _SHORTEST = 0.05  # s
 _OPTIONS: dict[str, dict[str, float | int | str]] = {
     "snopt": {
-        "Major iterations limit": 300,
+        "Major iterations limit": 1000,
         "Iterations limit": 100_000,
         "Major optimality tolerance": 1e-4,
-        "Hessian updates": 100,  # it would forget after 10, and take hundreds of iterations to least effort
+        "Hessian updates": 200,  # it would forget after 10, and take thousands of iterations to least effort
     },
     "ipopt": {"max_iter": 200, "tol": 1e-5, "hessian_approximation": "limited-memory"},
 }
@@ -178,7 +179,7 @@ class PlanningProgram:
     def _add_clearance(self, clearance: Clearance, distance: float, touched: np.ndarray) -> None:
         """Parts keep their distance; this depends on the joints alone."""
         evaluator = MinimumDistanceLowerBoundConstraint(
-            plant=clearance.plant, bound=distance, plant_context=clearance.plant_context,
+            plant=clearance.plant, bound=distance + _ROOM, plant_context=clearance.plant_context,
             influence_distance_offset=_INFLUENCE,
         )  # fmt: skip
         self._distance = evaluator  # which the program only borrows
