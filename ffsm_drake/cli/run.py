@@ -4,6 +4,7 @@ import itertools
 import math
 import sys
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -223,7 +224,8 @@ def _finish(
     distances: Sequence[float] | None = None,
 ) -> int:
     """Report, table and exit code of finished runs."""
-    from ffsm_drake.runs.limits import run_remarks
+    from ffsm_drake.common.errors import ModelError
+    from ffsm_drake.runs.limits import run_clearance, run_remarks
     from ffsm_drake.runs.record import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.tables import results_data, results_table
@@ -231,6 +233,9 @@ def _finish(
     for record in records:
         for remark in run_remarks(record):
             click.echo(f"warning: {record.scenario.controller}: {remark}", err=True)
+        with suppress(ModelError):  # of which the remarks tell
+            if (closest := run_clearance(record)) is not None:
+                click.echo(f"{record.scenario.controller}: nearest to each other: {closest}", err=True)
     if not as_json:
         placed = _places(records)
         shown = None if distances is None else [distances[k] for k in placed]

@@ -1,8 +1,10 @@
 """Commands around scenarios and the installation: new, scenarios, validate, schema, doctor, completion."""
 
+import dataclasses
 import os
 import sys
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -142,13 +144,15 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
       ffsm validate mine.yaml
       ffsm validate postcapture --set payload.truth.mass=-5
     """
-    from ffsm_drake.common.errors import FfsmError
+    from ffsm_drake.common.errors import FfsmError, ModelError
+    from ffsm_drake.runs.limits import plan_clearance
     from ffsm_drake.runs.simulate import prepare
     from ffsm_drake.scenario import load_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
 
     results: dict[str, dict[str, Any]] = {}
     for name in scenarios:
+        closest = None
         try:
             with located_errors(name, overrides), warnings.catch_warnings(record=True) as caught:
                 scenario = load_scenario(name, overrides)
@@ -156,18 +160,22 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
                 rollout = prepare(scenario)
                 rollout.check()
                 loop = rollout.loop
+                with suppress(ModelError):  # of which a warning tells
+                    closest = plan_clearance(scenario)
                 rollout.release()
             results[name] = {
                 "valid": True,
                 "controller": loop.scenario.controller,
                 "coordinates": list(loop.coordinates.names),
+                "nearest": None if closest is None else dataclasses.asdict(closest),
                 "warnings": [str(item.message) for item in caught],
             }
             if not as_json:
                 for text in results[name]["warnings"]:
                     click.echo(f"warning: {name}: {text}", err=True)
                 joints = len(loop.coordinates.joints)
-                click.echo(f"{name}: valid; {loop.scenario.controller}, free base and {joints} joints")
+                nearest = "" if closest is None else f"; plan: {closest}"
+                click.echo(f"{name}: valid; {loop.scenario.controller}, free base and {joints} joints{nearest}")
         except FfsmError as error:
             results[name] = {"valid": False, "error": str(error)}
             if not as_json:

@@ -18,6 +18,7 @@ from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
 from ffsm_drake.scenario import Block, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.actuation import make_actuation
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, make_controller
 from ffsm_drake.systems.disturbance import make_disturbance
@@ -142,7 +143,7 @@ def block_factory(name: str, scenario: Scenario) -> Factory:
 
 
 def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
-    """Where each block comes from: block -> ``system``, and for a user-supplied one ``file`` and its ``sha256``."""
+    """Where each block comes from: block -> ``system``; of user-supplied ones and a plan, ``file`` and ``sha256``."""
     names = {name: f"scenario: {name}" for name in ("reference", "sensing", "actuation")}
     names |= {"controller": scenario.controller, DISTURBANCE: "scenario: disturbance"}
     names |= {name: choice.system for name, choice in block_choices(scenario).items()}
@@ -151,6 +152,9 @@ def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
         sources[name], file = {"system": system}, module_file(system)
         if file is not None:
             sources[name] |= {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+    if scenario.reference.kind == "optimal" and scenario.blocks.reference is None:
+        file = resolve_package(scenario.reference.plan or "")
+        sources["reference"] |= {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
     return sources
 
 

@@ -4,20 +4,22 @@
 """
 
 import dataclasses
+import functools
+import json
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
-from xml.etree import ElementTree
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.scenario import Model, Scenario
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
+from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_error
+from ffsm_drake.spacecraft.joint_limits import JointLimits, joint_limits
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
-from ffsm_drake.spacecraft.plant import configuration, coordinates_of, find_body, make_plant, urdfs_of
-from ffsm_drake.spacecraft.urdf.elements import read_joint
-from ffsm_drake.systems.reference import QuinticMotion
+from ffsm_drake.spacecraft.plant import configuration, coordinates_of, find_body, make_plant, resolve_package, urdfs_of
+from ffsm_drake.systems.reference import Motion, make_motion
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
@@ -25,57 +27,12 @@ if TYPE_CHECKING:
 _POSTURES = 201  # at which the plan is looked at
 _SLACK = 1e-9  # relative; a plan may end at a limit
 _SAME_MASS = 1e-3  # relative
+_SAME_START = 1e-6  # rad, m, and per second
+_INSTANTS = 51  # in which clearance is looked at along a plan; twice as many along a run
 
 
 class LimitWarning(UserWarning):
     """A plan leaves the limits of the model."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class JointLimits:
-    """Limits of the joints, in their order (n); infinite where there are none."""
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]  # "rad" or "m"
-    lower: np.ndarray  # rad or m
-    upper: np.ndarray
-    velocity: np.ndarray  # rad/s or m/s
-    effort: np.ndarray  # N m or N
-
-
-def joint_limits(model: Model, plant: MultibodyPlant) -> JointLimits:
-    """The limits of a model's joints; zero velocity or effort means that it is not known, as URDFs have it.
-
-    Drake keeps no efforts of joints without a transmission, so all are read from the URDFs.
-
-    Raises:
-      ModelError: a URDF cannot be read.
-    """
-    coordinates = coordinates_of(plant)
-    count = len(coordinates.joints)
-    limits = JointLimits(
-        names=coordinates.joints,
-        units=coordinates.joint_units,
-        lower=np.full(count, -np.inf),
-        upper=np.full(count, np.inf),
-        velocity=np.full(count, np.inf),
-        effort=np.full(count, np.inf),
-    )
-    for path in urdfs_of(model):
-        try:
-            elements = list(ElementTree.parse(path).getroot().iter("joint"))
-        except (OSError, ElementTree.ParseError):  # Drake has read it, so that it is not what it seems
-            continue
-        for element in elements:
-            if element.get("name") not in limits.names or element.find("limit") is None:
-                continue
-            try:
-                joint, i = read_joint(element), limits.names.index(element.get("name", ""))
-            except ModelError as error:
-                raise ModelError(f"model: {path}: {error}") from None
-            limits.lower[i], limits.upper[i] = joint.lower, joint.upper
-            limits.velocity[i], limits.effort[i] = joint.velocity, joint.effort
-    return limits
 
 
 def plan_remarks(scenario: Scenario) -> list[str]:
@@ -93,13 +50,13 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     for name in ("initial_posture", "target_posture"):
         q = configuration(model.plant, getattr(scenario, name), key=name)[NUM_BASE_POSITIONS:]
         remarks += _positions(limits, q[None], f"{name}.joints", _no_time)
-    finite = np.isfinite([limits.lower, limits.upper, limits.velocity, limits.effort])
-    if scenario.blocks.reference is not None or not finite.any():
+    if scenario.blocks.reference is not None:
         return remarks
-    motion = QuinticMotion(
-        coordinates=model.coordinates, start=scenario.initial_posture, target=scenario.target_posture,
-        reference=scenario.reference, sample_time=scenario.sample_time,
-    )  # fmt: skip
+    motion = make_motion(scenario, model.coordinates)
+    remarks += _starts_elsewhere(scenario, motion, model.plant)
+    remarks += _clearance(lambda: plan_clearance(scenario), scenario.clearance, "the planned motion")
+    if not np.isfinite([limits.lower, limits.upper, limits.velocity, limits.effort]).any():
+        return remarks
     times = np.linspace(0.0, min(scenario.reference.duration, scenario.duration), _POSTURES)
     rows = motion.rows(times)
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
@@ -136,10 +93,102 @@ def run_remarks(record: "RunRecord") -> list[str]:
     remarks = list(_positions(limits, q, "the run", at))
     remarks += _sizes(limits, v, limits.velocity, "the run", "/s", at)
     remarks += _sizes(limits, tau, limits.effort, "the run applies", " force", at)
+    remarks += _clearance(lambda: run_clearance(record), record.scenario.clearance, "the run")
     shares = [f"{name} in {100.0 * share:.3g} %" for name, share in saturation(record).items()]
     if shares:
         remarks.append(f"saturated at actuation.limit: {', '.join(shares)} of the samples")
     return remarks
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Closest:
+    """Where a motion brings two parts of the spacecraft nearest to each other."""
+
+    first: str  # names of the bodies
+    second: str
+    distance: float  # m; negative: they overlap by this
+    time: float  # s
+
+    def __str__(self) -> str:
+        return f"{self.first} and {self.second} {self.distance:.3g} m apart at t = {self.time:.3g} s"
+
+
+def plan_clearance(scenario: Scenario) -> Closest | None:
+    """Where the planned motion brings parts nearest to each other; None for a user-supplied one, or if none can meet.
+
+    Raises ModelError: the model does not load, or has shapes without a distance.
+    """
+    if scenario.blocks.reference is not None:
+        return None
+    data = scenario_to_dict(scenario)
+    # What it depends on: a run, its report and the next run of the same plan ask for the same.
+    parts = {key: data[key] for key in ("model", "reference", "initial_posture", "target_posture", "duration")}
+    files = urdfs_of(scenario.model)
+    if scenario.reference.kind == "optimal":
+        files = (*files, resolve_package(scenario.reference.plan or ""))
+    return _plan_clearance_of(json.dumps(parts), tuple(file.stat().st_mtime_ns for file in files if file.exists()))
+
+
+@functools.lru_cache(maxsize=64)
+def _plan_clearance_of(text: str, changed: tuple[int, ...]) -> Closest | None:
+    """Of the parts of a scenario as text; ``changed`` is when its files were."""
+    scenario = scenario_from_dict(json.loads(text))
+    clearance = Clearance(scenario.model)
+    motion = make_motion(scenario, coordinates_of(clearance.plant))
+    times = np.linspace(0.0, min(scenario.reference.duration, scenario.duration), _INSTANTS)
+    return _closest(clearance, times, motion.rows(times)[:, : clearance.plant.num_positions()])
+
+
+def run_clearance(record: "RunRecord") -> Closest | None:
+    """Where a run brought parts nearest to each other, looked at in a hundred samples; None where none can meet.
+
+    Raises ModelError: as ``plan_clearance``.
+    """
+    count = record.dataset.sizes["time"]
+    if count == 0:
+        return None
+    chosen = np.unique(np.linspace(0, count - 1, 2 * _INSTANTS - 1).round().astype(int))
+    time, q = (record.dataset[name].values[chosen] for name in ("time", "position"))
+    return _closest(Clearance(record.scenario.model), time, q)
+
+
+def _closest(clearance: Clearance, times: np.ndarray, q: np.ndarray) -> Closest | None:
+    if not clearance.pairs or not np.isfinite(q).all(axis=1).any():
+        return None
+    approach = clearance.along(q)
+    nearest, time = approach.nearest, float(times[approach.index])
+    return Closest(first=nearest.first, second=nearest.second, distance=nearest.distance, time=time)
+
+
+def _clearance(find: Callable[[], Closest | None], threshold: float, what: str) -> Iterator[str]:
+    """Says so when parts come nearer to each other than a threshold, m."""
+    try:
+        closest = find()
+    except ModelError as error:
+        yield f"clearance is not looked at: {error}"
+        return
+    if closest is not None and closest.distance < threshold:
+        pair = f"{closest.first} and {closest.second}"
+        size = f"{abs(closest.distance):.3g} m"
+        state = f"overlap by {size}" if closest.distance < 0.0 else f"come within {size} of each other"
+        yield f"{what}: {pair} {state} at t = {closest.time:.3g} s (clearance {threshold:g} m)"
+
+
+def _starts_elsewhere(scenario: Scenario, motion: Motion, plant: MultibodyPlant) -> Iterator[str]:
+    """Says so when a plan was made for another posture or velocity than the run starts with."""
+    if scenario.reference.kind != "optimal":
+        return
+    q_d, v_d, _ = motion.evaluate(0.0)
+    names = motion.coordinates.names
+    q = configuration(plant, scenario.initial_posture, key="initial_posture")
+    v = motion.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
+    for what, difference in (("initial_posture", position_error(q_d, q)), ("initial_velocity", v_d - v)):
+        worst = int(np.argmax(np.abs(difference)))
+        if abs(difference[worst]) > _SAME_START:
+            yield (
+                f"{what}: reference.plan starts {abs(difference[worst]):.3g} off in {names[worst]}; 'ffsm plan' makes "
+                "one for this scenario"
+            )
 
 
 def saturation(record: "RunRecord") -> dict[str, float]:

@@ -20,6 +20,9 @@ from ffsm_drake.scenario.resolving import schema_fields, shown
 from ffsm_drake.scenario.schema import (
     BASE_ROTATIONS,
     ESTIMATOR_KINDS,
+    GOALS,
+    PLAN_SOLVERS,
+    REFERENCE_KINDS,
     Actuation,
     Block,
     Blocks,
@@ -30,6 +33,7 @@ from ffsm_drake.scenario.schema import (
     Model,
     Payload,
     PerCoordinate,
+    Planning,
     Posture,
     Reference,
     Scenario,
@@ -37,6 +41,7 @@ from ffsm_drake.scenario.schema import (
     controller_key,
     inertia_matrix,
 )
+from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 
 __all__ = [
     "MANIFEST_FILE",
@@ -46,6 +51,11 @@ __all__ = [
     "relate_paths",
     "BASE_ROTATIONS",
     "ESTIMATOR_KINDS",
+    "GOALS",
+    "PLAN_SOLVERS",
+    "REFERENCE_KINDS",
+    "StrictYamlError",
+    "read_yaml",
     "Actuation",
     "Block",
     "Blocks",
@@ -56,6 +66,7 @@ __all__ = [
     "Model",
     "Payload",
     "PerCoordinate",
+    "Planning",
     "Posture",
     "Reference",
     "Scenario",

@@ -189,4 +189,5 @@ def _map_paths(data: dict[str, typing.Any], changed: Callable[[str], str]) -> No
     for key in ("directives", "servicer", "debris"):
         model[key] = path(model[key])
     model["packages"] = {name: path(folder) for name, folder in model["packages"].items()}
+    data["reference"]["plan"] = path(data["reference"]["plan"])
     data["python_path"] = [path(folder) for folder in data["python_path"]]

@@ -14,6 +14,9 @@ from pydrake.systems.analysis import SimulatorConfig
 
 PerCoordinate = dict[str, float]
 BASE_ROTATIONS = ("eigenaxis", "rpy")
+REFERENCE_KINDS = ("quintic", "optimal")
+GOALS = ("target_posture", "stop")
+PLAN_SOLVERS = ("snopt", "ipopt")
 ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 
 
@@ -70,12 +73,36 @@ class Posture:
 
 @dataclasses.dataclass
 class Reference:
-    """The planned motion: a fifth-order polynomial from the initial to the target posture."""
+    """The planned motion: from the initial to the target posture by a fifth-order polynomial, or a plan from a file."""
 
-    duration: float = 20.0  # s; the target posture is held afterwards
+    kind: str = "quintic"  # or "optimal": what ``plan`` holds, which 'ffsm plan' has computed as ``planning`` says
+    # s; the target posture is held afterwards; with optimal, a plan may take no longer
+    duration: float = 20.0
     # how the base turns: "eigenaxis", the shorter way about one fixed axis, or "rpy", roll, pitch and yaw each a
     # polynomial, as in the paper
     base_rotation: str = "eigenaxis"
+    # with optimal: file of the plan, a path from the scenario file's folder or a package:// address
+    plan: str | None = None
+
+
+@dataclasses.dataclass
+class Planning:
+    """What 'ffsm plan' looks for: a motion from the initial posture and velocity to rest, within every limit.
+
+    The limits are those of ``actuation.limit``, the URDFs' of position, velocity and effort, ``clearance`` and the ones
+    here. It minimises time_weight * duration + effort_weight * integral of the squared force, with the nominal payload.
+    """
+
+    goal: str = "target_posture"  # where it comes to rest, or "stop": wherever that costs least
+    time_weight: float = 1.0  # 1/s; weight of the duration; 0: the motion takes reference.duration
+    # 1/(N^2 m^2 s); weight of the integral of the squared force; a little keeps out forces that shorten nothing
+    effort_weight: float = 1e-4
+    reserve: float = 0.02  # share of the force limits that is left to the controller
+    end_rate: float = 0.0  # rad/s or m/s; every rate at the end is at most this, and then dies away
+    velocity_limit: PerCoordinate | None = None  # rad/s or m/s; largest rate, beside the URDFs'; null: none
+    impulse_limit: PerCoordinate | None = None  # N m s or N s; largest integral of a force's size, each; null: none
+    segments: int = 24  # of the spline: more follow the limits closer and take longer
+    solver: str = "snopt"  # or "ipopt"; the other one is tried when it fails
 
 
 @dataclasses.dataclass
@@ -206,6 +233,8 @@ class Scenario:
     # At the start, rad/s or m/s; base_rotation is the angular velocity in world axes. The reference starts at rest.
     initial_velocity: PerCoordinate = _published(all=0.0)
     reference: Reference = dataclasses.field(default_factory=Reference)
+    planning: Planning = dataclasses.field(default_factory=Planning)
+    clearance: float = 0.01  # m; a plan or run in which parts come nearer to each other is warned of, or not planned
     # name of a shipped controller (tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus) or of an installed one, or
     # module:attribute
     controller: str = "tde_aismc"

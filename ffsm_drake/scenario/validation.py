@@ -7,12 +7,22 @@ from pydrake.systems.analysis import GetIntegrationSchemes
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.scenario.resolving import shown
-from ffsm_drake.scenario.schema import BASE_ROTATIONS, ESTIMATOR_KINDS, MassProperties, Scenario, inertia_matrix
+from ffsm_drake.scenario.schema import (
+    BASE_ROTATIONS,
+    ESTIMATOR_KINDS,
+    GOALS,
+    PLAN_SOLVERS,
+    REFERENCE_KINDS,
+    MassProperties,
+    Scenario,
+    inertia_matrix,
+)
 
 _NAME = re.compile(r"[^\W\d]\w*|[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")  # or module:attribute
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # without an error estimate
 MAX_SAMPLES = 10_000_000
 MAX_DELAY = 1000  # control samples
+MIN_SEGMENTS, MAX_SEGMENTS = 4, 100  # of a plan's spline
 MAX_STEPS = 1_000_000_000  # of the integrator; hours
 _BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
 
@@ -43,10 +53,14 @@ def validate(scenario: Scenario) -> None:
     for name in blocks.forces:
         require(name.isidentifier(), f"blocks.forces.{name}", "a force's name must be letters, digits and underscores")
     for key, kind, kinds in (
+        ("reference.kind", scenario.reference.kind, REFERENCE_KINDS),
+        ("planning.goal", scenario.planning.goal, GOALS),
+        ("planning.solver", scenario.planning.solver, PLAN_SOLVERS),
         ("reference.base_rotation", scenario.reference.base_rotation, BASE_ROTATIONS),
         ("estimator.kind", scenario.estimator.kind, ESTIMATOR_KINDS),
     ):
         require(kind in kinds, key, f"'{kind}' is unknown; choose one of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
+    _validate_planning(scenario)
     for name in ("walk", "force_walk"):
         for key, number in getattr(scenario.estimator, name).items():
             require(number > 0, f"estimator.{name}.{key}", f"must be > 0, not {number}")
@@ -93,6 +107,27 @@ def validate(scenario: Scenario) -> None:
         delay = getattr(scenario, place).delay or 0
         problem = f"must be from 0 to {MAX_DELAY} control samples, not {delay}"
         require(0 <= delay <= MAX_DELAY, f"{place}.delay", problem)
+
+
+def _validate_planning(scenario: Scenario) -> None:
+    planning, reference = scenario.planning, scenario.reference
+    require(
+        reference.kind != "optimal" or bool(reference.plan),
+        "reference.plan",
+        "name the plan's file, such as mine.plan.yaml, which 'ffsm plan' writes, or set reference.kind to quintic",
+    )
+    require(scenario.clearance >= 0, "clearance", f"must be >= 0 m, not {scenario.clearance:g}")
+    for name in ("time_weight", "effort_weight", "end_rate"):
+        require(getattr(planning, name) >= 0, f"planning.{name}", f"must be >= 0, not {getattr(planning, name):g}")
+    weighed = planning.time_weight + planning.effort_weight > 0
+    require(weighed, "planning.time_weight", "must be > 0 where effort_weight is 0")
+    require(0 <= planning.reserve < 1, "planning.reserve", f"must be from 0 to below 1, not {planning.reserve:g}")
+    fit = MIN_SEGMENTS <= planning.segments <= MAX_SEGMENTS
+    problem = f"must be from {MIN_SEGMENTS} to {MAX_SEGMENTS}, not {planning.segments}"
+    require(fit, "planning.segments", problem)
+    for name in ("velocity_limit", "impulse_limit"):
+        for key, number in (getattr(planning, name) or {}).items():
+            require(number > 0, f"planning.{name}.{key}", f"must be > 0, not {number}")
 
 
 def _form(name: str) -> str:

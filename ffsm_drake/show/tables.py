@@ -1,6 +1,7 @@
 # ruff: noqa: RUF001, RUF002 (the texts use mathematical signs)
 """Numbers and tables as plain text, and the tables' figures as plain data."""
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 
 if TYPE_CHECKING:  # slow to import
     from ffsm_drake.control_design.gains import Design, DesignPoint
+    from ffsm_drake.control_design.planning import PlannedMotionReport
     from ffsm_drake.control_design.stability.boundaries import Boundaries
     from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
 
@@ -257,4 +259,48 @@ def design_data(found: "Design") -> dict[str, Any]:
         "chosen": figures(found.chosen),
         "before": figures(found.given),
         "found": {kind: figures(point) for kind, point in found.found.items()},
+    }
+
+
+def plan_table(found: "PlannedMotionReport") -> str:
+    """What a plan takes, and how near it comes to each limit, as plain text."""
+    plan = found.plan
+    after = f", and {plan.settle:g} s more for the rates that are left" if plan.settle > 0.0 else ""
+    lines = [
+        f"At rest after {plan.duration:.3f} s{after}; {found.solver}, {found.evaluations} evaluations in "
+        f"{found.solve_time:.1f} s",
+        f"Angular momentum about the centre of mass: {number(found.angular_momentum)} N m s at the start, "
+        f"{number(found.momentum_left)} at {plan.duration:.3f} s"
+        + (f"; base torque alone takes at least {found.least_by_torque:.2f} s" if found.least_by_torque > 0.0 else ""),
+        f"Integral of the squared force (ISV): {number(found.effort)}; impulses: base torque "
+        f"{number(found.impulse['base_rotation'])} N m s, base force {number(found.impulse['base_position'])} N s, "
+        f"joints {number(found.impulse['joints'])}",
+        "",
+    ]
+    rows = [["", "nearest to the limit", "limit", "used", "at"]]
+    for margin in found.margins:
+        share = NONE if margin.quantity in ("clearance", "position") else percent(abs(margin.value / margin.limit))
+        rows.append(
+            [
+                f"{margin.quantity} {margin.name}", f"{margin.value:.4g} {margin.unit}",
+                f"{margin.limit:.4g} {margin.unit}", share, f"{margin.time:.2f} s",
+            ]
+        )  # fmt: skip
+    return "\n".join(lines + aligned(rows))
+
+
+def plan_data(found: "PlannedMotionReport") -> dict[str, Any]:
+    """The same as plain data."""
+    return {
+        "duration": found.plan.duration,
+        "settle": found.plan.settle,
+        "solver": found.solver,
+        "solve_time": found.solve_time,
+        "evaluations": found.evaluations,
+        "isv": found.effort,
+        "impulse": found.impulse,
+        "angular_momentum": found.angular_momentum,
+        "angular_momentum_left": found.momentum_left,
+        "least_by_torque": found.least_by_torque,
+        "margins": [dataclasses.asdict(margin) | {"kept": margin.kept} for margin in found.margins],
     }

@@ -22,6 +22,7 @@ from ffsm_drake.spacecraft.model_files import DRAWABLE, check_collada, files_of
 # The types of C++ exceptions in Python; a violated condition arrives as SystemExit.
 DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError, SystemExit)
 
+OWN_PACKAGE = "package://ffsm_drake/"
 
 _CONDITIONS = {  # in words, where Drake gives C++
     "pos_lower_limits.array() <=": "a joint's lower limit lies above its upper limit",
@@ -35,6 +36,11 @@ def models_dir() -> Path:
     package = Path(__file__).parents[1]
     installed = package / "models"
     return installed if installed.is_dir() else package.parent / "models"
+
+
+def resolve_package(address: str) -> Path:
+    """The file of a path or of a ``package://ffsm_drake/`` address."""
+    return models_dir() / address.removeprefix(OWN_PACKAGE) if address.startswith(OWN_PACKAGE) else Path(address)
 
 
 def add_combined_plant(builder: DiagramBuilder, model: Model) -> MultibodyPlant:

@@ -1,4 +1,4 @@
-"""The planned motion: a fifth-order polynomial from one posture to another, with exact rates and accelerations.
+"""The planned motion, with exact rates and accelerations: a plan from a file, or a fifth-order polynomial.
 
 Position and joints follow q(t) = q_0 + (q_T - q_0) s(t/T). The base turns about the eigenaxis, the fixed axis of the
 rotation from its first to its last attitude, by an angle that follows the same blend; or, as in the paper, its roll,
@@ -15,6 +15,7 @@ from pydrake.systems.primitives import Demultiplexer
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Posture, Reference, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
+from ffsm_drake.systems.plan import Plan, load_plan
 
 _BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
 
@@ -78,8 +79,50 @@ def rpy_motion(
     return np.stack(quaternion, axis=1), np.stack(omega, axis=1), np.stack(alpha, axis=1)
 
 
-class QuinticMotion:
-    """The planned motion as a function of time."""
+class Motion:
+    """A planned motion as a function of time. At control samples it is read from a precomputed block."""
+
+    def __init__(self, coordinates: Coordinates, sample_time: float) -> None:
+        """Args: of the spacecraft; the control period, s."""
+        self.coordinates, self._sample_time = coordinates, sample_time
+        self._first_sample, self._block = 0, np.empty((0, 0))  # a cache: the motion from this control sample on
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+        raise NotImplementedError
+
+    def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """q_d (nq), v_d (nv) and dv_d/dt (nv) at a time in s."""
+        num_positions, num_velocities = len(self.coordinates.position_names), len(self.coordinates.names)
+        q_d, v_d, a_d = np.split(self.row(time).copy(), [num_positions, num_positions + num_velocities])
+        return q_d, v_d, a_d
+
+    def row(self, time: float) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (nq + 2 nv) at a time in s; must not be changed in place."""
+        sample = round(time / self._sample_time)
+        if sample * self._sample_time != time:  # between the control samples
+            return self.rows(np.array([time]))[0]
+        if not 0 <= sample - self._first_sample < len(self._block):
+            self._first_sample = sample
+            self._block = self.rows(self._sample_time * np.arange(sample, sample + _BLOCK))
+        return self._block[sample - self._first_sample]
+
+
+class PlannedMotion(Motion):
+    """The motion of a plan."""
+
+    def __init__(self, plan: Plan, coordinates: Coordinates, sample_time: float) -> None:
+        """Args: the plan; as for ``Motion``."""
+        super().__init__(coordinates, sample_time)
+        self._plan = plan
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """As for ``Motion``."""
+        return self._plan.rows(times)
+
+
+class QuinticMotion(Motion):
+    """A fifth-order polynomial from one posture to another."""
 
     def __init__(
         self,
@@ -90,12 +133,9 @@ class QuinticMotion:
         reference: Reference,
         sample_time: float,
     ) -> None:
-        """Args: start and target posture (SI units), how to move between them; the target is held afterwards.
-
-        At multiples of ``sample_time`` (s) the motion is read from a precomputed block.
-        """
-        self.coordinates = coordinates
-        self._duration, self._sample_time = reference.duration, sample_time
+        """Args: start and target posture (SI units), how to move between them; the target is held afterwards."""
+        super().__init__(coordinates, sample_time)
+        self._duration = reference.duration
         self._eigenaxis: tuple[np.ndarray, np.ndarray] | None = None  # first attitude, rotation vector to the last
         if reference.base_rotation == "eigenaxis":
             base, end = (RollPitchYaw(posture.base_rpy).ToQuaternion().wxyz() for posture in (start, target))
@@ -112,15 +152,6 @@ class QuinticMotion:
             for posture in (start, target)
         )
         self._start, self._change = first, last - first
-        # A cache: the motion at the control samples from self._first_sample on.
-        self._first_sample = 0
-        self._rows = self.rows(sample_time * np.arange(_BLOCK))
-
-    def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """q_d (nq), v_d (nv) and dv_d/dt (nv) at a time in s."""
-        num_positions, num_velocities = len(self.coordinates.position_names), len(self.coordinates.names)
-        q_d, v_d, a_d = np.split(self.row(time).copy(), [num_positions, num_positions + num_velocities])
-        return q_d, v_d, a_d
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
@@ -132,21 +163,11 @@ class QuinticMotion:
             quaternion, omega, alpha = eigenaxis_motion(*self._eigenaxis, (s, ds, dds))
         return np.hstack([quaternion, value[:, 3:], omega, rate[:, 3:], alpha, acceleration[:, 3:]])
 
-    def row(self, time: float) -> np.ndarray:
-        """[q_d; v_d; dv_d/dt] (nq + 2 nv) at a time in s; must not be changed in place."""
-        sample = round(time / self._sample_time)
-        if sample * self._sample_time != time:  # between the control samples
-            return self.rows(np.array([time]))[0]
-        if not 0 <= sample - self._first_sample < _BLOCK:
-            self._first_sample = sample
-            self._rows = self.rows(self._sample_time * np.arange(sample, sample + _BLOCK))
-        return self._rows[sample - self._first_sample]
-
 
 class _MotionSource(LeafSystem):
     """[q_d; v_d; dv_d/dt] in one output: two would be two calls from Drake in every sample."""
 
-    def __init__(self, motion: QuinticMotion) -> None:
+    def __init__(self, motion: Motion) -> None:
         super().__init__()
         self._motion = motion
         size = motion.row(0.0).size
@@ -157,8 +178,11 @@ class _MotionSource(LeafSystem):
         output.SetFromVector(self._motion.row(context.get_time()))
 
 
-def make_motion(scenario: Scenario, coordinates: Coordinates) -> QuinticMotion:
-    """The planned motion of a scenario."""
+def make_motion(scenario: Scenario, coordinates: Coordinates) -> Motion:
+    """The planned motion of a scenario. Raises ScenarioError when its plan cannot be read."""
+    if scenario.reference.kind == "optimal":
+        plan = load_plan(scenario.reference.plan or "", coordinates)
+        return PlannedMotion(plan, coordinates, scenario.sample_time)
     return QuinticMotion(
         coordinates=coordinates,
         start=scenario.initial_posture,

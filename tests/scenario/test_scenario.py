@@ -133,6 +133,16 @@ directives:
         ("disturbance.harmonics.joint_1.amp=1", "unknown key; valid here: amplitude, frequency, phase, bias"),
         ("reference.duration=0", "override: reference.duration: must be > 0 s"),
         ("reference.base_rotation=eigen", "reference.base_rotation: 'eigen' is unknown; choose one of eigenaxis, rpy"),
+        ("reference.kind=best", "reference.kind: 'best' is unknown; choose one of quintic, optimal"),
+        ("reference.kind=optimal", "reference.plan: name the plan's file"),
+        ("clearance=-1", "override: clearance: must be >= 0 m, not -1"),
+        ("planning.goal=rest", "planning.goal: 'rest' is unknown; choose one of target_posture, stop"),
+        ("planning.solver=gurobi", "planning.solver: 'gurobi' is unknown; choose one of snopt, ipopt"),
+        ("planning.reserve=1", "override: planning.reserve: must be from 0 to below 1, not 1"),
+        ("planning.segments=1", "override: planning.segments: must be from 4 to 100, not 1"),
+        ("planning.impulse_limit.joints=0", "override: planning.impulse_limit.joints: must be > 0, not 0"),
+        ("planning.end_rate=-1", "override: planning.end_rate: must be >= 0, not -1"),
+        ("planning={time_weight: 0, effort_weight: 0}", "planning.time_weight: must be > 0 where effort_weight is 0"),
         ("divergence_speed=0", "override: divergence_speed: must be > 0"),
         ("tolerance.joints=0", "override: tolerance.joints: must be > 0, not 0"),
     ],
@@ -195,7 +205,9 @@ def test_broken_files_name_the_file_and_the_key(tmp_path, text, expected):
 
 
 def test_unknown_scenarios():
-    with pytest.raises(ScenarioError, match=r"choose one of .*paper, postcapture, .*or give a YAML file"):
+    with pytest.raises(
+        ScenarioError, match=r"choose one of .*paper, planar_detumble, postcapture, .*or give a YAML file"
+    ):
         load_scenario("postcaptur")
     with pytest.raises(ScenarioError, match=r"none\.yaml: no such scenario file"):
         load_scenario("none.yaml")

@@ -13,7 +13,10 @@ from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.scenario import (
     BASE_ROTATIONS,
     ESTIMATOR_KINDS,
+    GOALS,
+    PLAN_SOLVERS,
     Block,
+    Reference,
     Scenario,
     override_scenario,
     scenario_from_dict,
@@ -67,6 +70,10 @@ SPECIAL = {
     "base_rotation": st.sampled_from(BASE_ROTATIONS),
     "inertia": moments(),
     "delay": st.integers(0, 1000),
+    "goal": st.sampled_from(GOALS),
+    "solver": st.sampled_from(PLAN_SOLVERS),
+    "segments": st.integers(4, 100),
+    "reserve": st.floats(0.0, 0.9),
     **dict.fromkeys(
         ("velocity_period", "position_period", "velocity_delay", "position_delay"),
         WHOLE | st.dictionaries(COORDINATES, WHOLE, max_size=3),
@@ -80,9 +87,15 @@ SPECIAL = {
     ),
 }
 
+REFERENCES = st.fixed_dictionaries(
+    {}, optional={"duration": POSITIVE, "base_rotation": st.sampled_from(BASE_ROTATIONS)}
+) | st.fixed_dictionaries({"kind": st.just("optimal"), "plan": NAME})
+
 
 def values(kind, key=""):
     """Valid plain data of a type of the schema; every key of a group may be left out."""
+    if kind is Reference:
+        return REFERENCES
     if key in SPECIAL:
         return SPECIAL[key]
     if kind is Block:

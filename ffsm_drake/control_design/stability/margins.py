@@ -26,7 +26,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_t
 from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors
 from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_estimator
 from ffsm_drake.systems.disturbance import make_disturbance
-from ffsm_drake.systems.reference import QuinticMotion, make_motion
+from ffsm_drake.systems.reference import Motion, make_motion
 
 _RUN_AWAY = 5.0  # times 2/L: beyond, no loop is stable whose inertia is at least a sixth of the nominal one
 POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of the planned motion that the loop is linearised at
@@ -393,9 +393,7 @@ def _lumped_uncertainty_drift(
     return np.gradient(np.array(lumped), times, axis=0)
 
 
-def _mass_matrices(
-    true: PlantModel, nominal: PlantModel, motion: QuinticMotion, time: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _mass_matrices(true: PlantModel, nominal: PlantModel, motion: Motion, time: float) -> tuple[np.ndarray, np.ndarray]:
     q, _, _ = motion.evaluate(time)
     return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.runs.limits import plan_remarks, run_remarks, saturation
+from ffsm_drake.runs.limits import plan_remarks, run_clearance, run_remarks, saturation
 from ffsm_drake.show.report.results import Result, actuators_act, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
 from ffsm_drake.show.tables import number, percent
@@ -113,6 +113,8 @@ def _limits_left(results: Sequence[Result]) -> list[str]:
         try:
             sentences += [f"Plan: {remark}." for remark in plan_remarks(result.record.scenario)]
             sentences += [f"{name}{remark[:1].upper()}{remark[1:]}." for remark in run_remarks(result.record)]
+            if (closest := run_clearance(result.record)) is not None:
+                sentences.append(f"{name}Nearest to each other: {closest}.")
         except (FfsmError, KeyError) as error:  # a model that does not load any more, a variable that is not there
             sentences.append(f"{name}Limits of the model not compared: {one_line(error)}.")
     return list(dict.fromkeys(sentences))

@@ -1,0 +1,51 @@
+"""The command plan."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ffsm_drake.cli.common import json_option, out_option, print_json, scenario_options, scenario_stem
+
+if TYPE_CHECKING:
+    from ffsm_drake.scenario import Scenario
+
+
+@click.command()
+@scenario_options
+@out_option(help="Where plan.yaml and plan.png go (default: out/<scenario>_plan).")
+@json_option
+def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
+    """Plan the least-time or least-effort motion to rest within every limit, as 'planning' in SCENARIO says.
+
+    Takes seconds. Prints what the plan takes and how near it comes to each limit. With reference.kind 'optimal' the
+    plan is also written to the file that reference.plan names, and 'run' follows it. Exits with 2 when no motion keeps
+    every limit, and says which is in the way.
+
+    \b
+    Examples:
+      ffsm plan planar_detumble
+      ffsm plan mine.yaml --set planning.goal=stop --set planning.effort_weight=0.1
+      ffsm run mine.yaml --set reference.kind=optimal --set reference.plan=out/mine_plan/plan.yaml
+    """
+    from ffsm_drake.common.files import check_writable, written_whole
+    from ffsm_drake.control_design.planning import plan_motion
+    from ffsm_drake.show.figures.plan import plot_plan
+    from ffsm_drake.show.tables import plan_data, plan_table
+
+    directory = out or Path("out") / f"{scenario_stem()}_plan"
+    check_writable(directory)
+    found = plan_motion(scenario, progress=lambda line: click.echo(line, err=True))
+    title = f"{scenario.description}\nMade by 'ffsm plan' with {found.solver}; read by reference.plan."
+    files = [directory / "plan.yaml"]
+    named = scenario.reference.plan
+    if scenario.reference.kind == "optimal" and named is not None and "://" not in named:
+        files.append(Path(named))
+    for file in files:
+        found.plan.save(file, title=title)
+    with written_whole(directory / "plan.png") as temporary:
+        plot_plan(found, scenario).savefig(temporary, dpi=130)
+    if as_json:
+        print_json(plan_data(found) | {"files": list(map(str, files))})
+    else:
+        click.echo(f"{plan_table(found)}\n\nWritten to {', '.join(map(str, files))}; {directory / 'plan.png'}")

@@ -1,0 +1,153 @@
+"""Clearance: the smallest distance between parts of the spacecraft that a joint can bring together.
+
+The shapes are the model's collision geometry; of a model without any, its pictures; of a mesh, the convex hull. Left
+out are parts that are fixed to each other (the target and what grasps it), parts that a joint connects, and those with
+few joints between them that are near each other wherever these are, as the links of a wrist.
+"""
+
+import dataclasses
+import itertools
+
+import numpy as np
+from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Mesh, ProximityProperties, Role
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
+from pydrake.systems.framework import DiagramBuilder
+
+from ffsm_drake.common.errors import ModelError
+from ffsm_drake.scenario import Model
+from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, add_combined_plant, cause_of
+
+# Bodies with few joints between them that are always near, wherever these are, tell nothing of a motion.
+_NEIGHBOURS, _NEAR = 3, 0.2  # joints, m
+_PLACES = 40  # of these joints that are looked at
+
+_MEASURED = (".obj", ".gltf", ".vtk")  # meshes that have a distance, that of their convex hull
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Nearest:
+    """The smallest distance in one configuration."""
+
+    distance: float  # m; negative: they overlap by this; infinite: nothing can meet
+    first: str  # names of the bodies
+    second: str
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Approach:
+    """Where a motion comes nearest to itself."""
+
+    index: int  # of the configuration
+    nearest: Nearest
+
+
+class Clearance:
+    """Distances between the parts of a spacecraft. The scene graph's context is a scratch pad."""
+
+    def __init__(self, model: Model) -> None:
+        """Raises ModelError: the model does not load, or has shapes without a distance."""
+        builder = DiagramBuilder()
+        self.plant: MultibodyPlant = add_combined_plant(builder, model)
+        scene_graph = self._scene_graph = builder.GetSubsystemByName("scene_graph")
+        source, inspector = self.plant.get_source_id(), scene_graph.model_inspector()
+        try:
+            if not list(inspector.GetAllGeometryIds(Role.kProximity)):
+                for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
+                    shape = inspector.GetShape(geometry)
+                    if not isinstance(shape, Mesh) or shape.source().extension() in _MEASURED:
+                        scene_graph.AssignRole(source, geometry, ProximityProperties())
+            self._diagram = builder.Build()
+        except DRAKE_ERRORS as error:
+            raise ModelError(f"model: shapes that have no distance: {cause_of(error)}") from error
+        self._context = self._diagram.CreateDefaultContext()
+        self.plant_context = self.plant.GetMyMutableContextFromRoot(self._context)
+        self._shapes = scene_graph.GetMyContextFromRoot(self._context)
+        self._query = scene_graph.get_query_output_port()
+        self._bodies = [self.plant.get_body(BodyIndex(i)) for i in range(self.plant.num_bodies())]
+        self._shapes_of = {
+            body.index(): list(inspector.GetGeometries(self.plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity))
+            for body in self._bodies
+        }
+        self._body_of = {shape: body for body in self._bodies for shape in self._shapes_of[body.index()]}
+        self.pairs = self._free_pairs()
+        everything = GeometrySet(list(self._body_of))
+        manager = scene_graph.collision_filter_manager(scene_graph.GetMyMutableContextFromRoot(self._context))
+        manager.Apply(CollisionFilterDeclaration().ExcludeWithin(everything))
+        for first, second in self.pairs:
+            parts = [GeometrySet(self._shapes_of[body.index()]) for body in (first, second)]
+            manager.Apply(CollisionFilterDeclaration().AllowBetween(*parts))
+
+    def nearest(self, q: np.ndarray) -> Nearest:
+        """The smallest distance in configuration q (nq)."""
+        self.plant.SetPositions(self.plant_context, q)
+        found = self._query.Eval(self._shapes).ComputeSignedDistancePairwiseClosestPoints(np.inf)
+        if not found:
+            return Nearest(distance=np.inf, first="", second="")
+        least = min(found, key=lambda pair: pair.distance)
+        first, second = sorted(self._body_of[shape].name() for shape in (least.id_A, least.id_B))
+        return Nearest(distance=least.distance, first=first, second=second)
+
+    def along(self, positions: np.ndarray) -> Approach:
+        """Where a motion, configurations (n, nq), comes nearest to itself; not finite ones are passed over."""
+        finite = [(k, self.nearest(q)) for k, q in enumerate(positions) if np.isfinite(q).all()]
+        index, nearest = min(finite, key=lambda item: item[1].distance)
+        return Approach(index=index, nearest=nearest)
+
+    def _free_pairs(self) -> list[tuple[RigidBody, RigidBody]]:
+        """The pairs of bodies with shapes whose distance means something."""
+        plant = self.plant
+        part_of: dict[BodyIndex, int] = {}  # body -> number of the rigid part that it belongs to
+        for body in self._bodies[1:]:
+            if body.index() not in part_of:
+                number = len(set(part_of.values()))
+                part_of |= {each.index(): number for each in plant.GetBodiesWeldedTo(body)}
+        joints_at: dict[int, list[tuple[int, Joint]]] = {}  # rigid part -> the parts that a joint leads to
+        for joint in map(plant.get_joint, plant.GetJointIndices()):
+            if joint.num_velocities() == 1:
+                ends = part_of[joint.parent_body().index()], part_of[joint.child_body().index()]
+                for here, there in (ends, ends[::-1]):
+                    joints_at.setdefault(here, []).append((there, joint))
+        pairs = []
+        shaped = [body for body in self._bodies[1:] if self._shapes_of[body.index()]]
+        for first, second in itertools.combinations(shaped, 2):
+            start, end = part_of[first.index()], part_of[second.index()]
+            if start == end:
+                continue
+            joints = self._between(joints_at, start, end)
+            connected = {frozenset((each.parent_body().index(), each.child_body().index())) for each in joints}
+            if frozenset((first.index(), second.index())) in connected:
+                continue
+            if not 0 < len(joints) <= _NEIGHBOURS or not self._always_near(first, second, joints):
+                pairs.append((first, second))
+        return pairs
+
+    @staticmethod
+    def _between(joints_at: dict[int, list[tuple[int, Joint]]], start: int, end: int) -> tuple[Joint, ...]:
+        """The joints on the way from one rigid part to another."""
+        ways: dict[int, tuple[Joint, ...]] = {start: ()}
+        pending = [start]
+        for part in pending:  # which grows
+            for there, joint in joints_at.get(part, []):
+                if there not in ways:
+                    ways[there] = (*ways[part], joint)
+                    pending.append(there)
+        return ways.get(end, ())
+
+    def _always_near(self, first: RigidBody, second: RigidBody, joints: tuple[Joint, ...]) -> bool:
+        """Whether two bodies are nearer than _NEAR wherever the joints between them are."""
+        q = np.zeros(self.plant.num_positions())
+        q[0] = 1.0
+        shapes = list(itertools.product(self._shapes_of[first.index()], self._shapes_of[second.index()]))
+        generator = np.random.default_rng(0)
+        for _ in range(_PLACES):
+            for joint in joints:
+                lower, upper = float(joint.position_lower_limits()[0]), float(joint.position_upper_limits()[0])
+                if not np.isfinite([lower, upper]).all():
+                    lower, upper = (-1.0, 1.0) if joint.type_name() == "prismatic" else (-np.pi, np.pi)
+                q[joint.position_start()] = generator.uniform(lower, upper)
+            self.plant.SetPositions(self.plant_context, q)
+            query = self._query.Eval(self._shapes)
+            if all(query.ComputeSignedDistancePairClosestPoints(*pair).distance > _NEAR for pair in shapes):
+                return False
+        return True

@@ -1,0 +1,144 @@
+"""A plan: a motion as a cubic spline, in a small text file that ``ffsm plan`` writes and the reference reads.
+
+The curve is z(t) = [phi, p_WB, joints] (see ``spacecraft.inverse_dynamics``), a cubic B-spline on [0, duration]. A plan
+may end with small rates; these then die away over ``settle``. q_d, v_d and dv_d/dt are computed from z, z' and z'', so
+that each is the exact derivative of the one before.
+"""
+
+import dataclasses
+import functools
+from pathlib import Path
+
+import numpy as np
+import yaml
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import BsplineBasis, KnotVectorType, RotationMatrix
+from pydrake.trajectories import BsplineTrajectory
+
+from ffsm_drake.common.errors import ScenarioError, one_line
+from ffsm_drake.common.files import check_regular, write_text
+from ffsm_drake.scenario import StrictYamlError, read_yaml
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.inverse_dynamics import attitude_motion
+from ffsm_drake.spacecraft.plant import resolve_package
+
+DEGREE = 3
+_MAX_SIZE = 1_000_000  # bytes
+_KEYS = ("duration", "settle", "first_attitude", "coordinates", "control_points")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """A planned motion; at rest after ``duration + settle``."""
+
+    duration: float  # s, of the spline
+    settle: float  # s; time in which the rates at its end die away; 0 where there are none
+    first_attitude: tuple[float, float, float, float]  # quaternion (w, x, y, z) of R_0
+    coordinates: tuple[str, ...]  # names of z, which are those of v (nv)
+    control_points: np.ndarray  # (segments + 3, nv), rad and m
+
+    @property
+    def end(self) -> float:
+        """When it has come to rest, s."""
+        return self.duration + self.settle
+
+    @functools.cached_property
+    def _curves(self) -> tuple[BsplineTrajectory, ...]:
+        """z as a function of t / duration, and its derivatives."""
+        points = np.asfortranarray(self.control_points.T)
+        basis = BsplineBasis(DEGREE + 1, points.shape[1], KnotVectorType.kClampedUniform, 0.0, 1.0)
+        curve = BsplineTrajectory(basis, [column[:, None] for column in points.T])
+        rate = curve.MakeDerivative()
+        return curve, rate, rate.MakeDerivative()
+
+    def curve(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """z and its first and second time derivative (nv, n) at times (n,), s."""
+        share = np.clip(times / self.duration, 0.0, 1.0)
+        z, rate, acceleration = (
+            curve.vector_values(share) / self.duration**order for order, curve in enumerate(self._curves)
+        )
+        after = times > self.duration
+        last = rate[:, after]
+        if self.settle > 0.0:
+            u = np.minimum((times[after] - self.duration) / self.settle, 1.0)
+            z[:, after] += last * self.settle * (u - u**3 + 0.5 * u**4)
+            rate[:, after] = last * (1.0 - 3.0 * u**2 + 2.0 * u**3)
+            acceleration[:, after] = last / self.settle * 6.0 * (u**2 - u)
+        else:
+            rate[:, after] = acceleration[:, after] = 0.0
+        return z, rate, acceleration
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,), s."""
+        z, rate, acceleration = self.curve(times)
+        _, w, alpha = attitude_motion(z[:3], rate[:3], acceleration[:3])
+        half = 0.5 * np.sqrt((z[:3] ** 2).sum(axis=0))
+        scalar, vector = np.cos(half), 0.5 * np.sinc(half / np.pi) * z[:3]
+        first, rest = self.first_attitude[0], np.array(self.first_attitude[1:])[:, None]
+        quaternion = np.vstack(
+            [
+                scalar * first - (vector * rest).sum(axis=0),
+                scalar * rest + first * vector + np.cross(vector, rest, axis=0),
+            ]
+        )
+        return np.vstack([quaternion, z[3:], w, rate[3:], alpha, acceleration[3:]]).T
+
+    @property
+    def first_rotation(self) -> RotationMatrix:
+        """R_0."""
+        return RotationMatrix(Quaternion(np.array(self.first_attitude)))
+
+    def save(self, path: Path, *, title: str) -> None:
+        """Write it as text, to the last bit. Raises RecordError when the place cannot be written."""
+        data = {
+            "duration": self.duration,
+            "settle": self.settle,
+            "first_attitude": list(self.first_attitude),
+            "coordinates": list(self.coordinates),
+        }
+        rows = "".join(f"- [{', '.join(map(repr, row))}]\n" for row in self.control_points.tolist())
+        head = "".join(f"# {line}\n" for line in title.splitlines())
+        write_text(path, f"{head}{yaml.safe_dump(data, sort_keys=False, width=120)}control_points:\n{rows}")
+
+
+def load_plan(address: str, coordinates: Coordinates) -> Plan:
+    """Read a plan.
+
+    Args:
+      address: a path or package:// address.
+      coordinates: of the spacecraft, which the plan must have.
+
+    Raises:
+      ScenarioError: it cannot be read, or is for other coordinates.
+    """
+    key = "reference.plan"
+    path = resolve_package(address)
+    try:
+        check_regular(path, limit=_MAX_SIZE)
+        data = read_yaml(path.read_text(encoding="utf-8"))
+        missing = [name for name in _KEYS if name not in data]
+        if missing:
+            raise ValueError(f"lacks {', '.join(missing)}")
+        plan = Plan(
+            duration=float(data["duration"]),
+            settle=float(data["settle"]),
+            first_attitude=tuple(float(part) for part in data["first_attitude"]),  # type: ignore[arg-type]
+            coordinates=tuple(map(str, data["coordinates"])),
+            control_points=np.array(data["control_points"], dtype=float),
+        )
+        points = plan.control_points
+        norm = float(np.linalg.norm(plan.first_attitude))
+        sound = points.ndim == 2 and points.shape[0] > DEGREE and points.shape[1] == len(plan.coordinates)
+        if not (sound and np.isfinite(points).all() and len(plan.first_attitude) == 4 and abs(norm - 1.0) < 1e-6):
+            raise ValueError("its numbers are not those of a plan")
+        if not (0.0 < plan.duration < np.inf and 0.0 <= plan.settle < np.inf):
+            raise ValueError("its duration is not > 0 s")
+    except FileNotFoundError:
+        raise ScenarioError(key, f"{path}: no such file; 'ffsm plan' writes it") from None
+    except (OSError, ValueError, TypeError, StrictYamlError) as error:
+        raise ScenarioError(key, f"{path}: is not a plan: {one_line(error)}; let 'ffsm plan' write it") from error
+    if plan.coordinates != coordinates.names:
+        raise ScenarioError(
+            key, f"{path}: is a plan for {', '.join(plan.coordinates)}, not for {', '.join(coordinates.names)}"
+        )
+    return plan

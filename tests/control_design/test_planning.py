@@ -1,0 +1,165 @@
+"""Planning: limits kept and used, infeasible problems named, plans that run as they were planned."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ffsm_drake import ScenarioError, load_scenario, simulate
+from ffsm_drake.control_design.planning import PlanningError, plan_motion
+from ffsm_drake.runs.limits import LimitWarning
+from ffsm_drake.runs.simulate import prepare
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.plan import load_plan
+from ffsm_drake.systems.reference import make_motion
+
+QUICK = ("planning.segments=8",)
+PUBLISHED = {"least time": 2.95, "with the published impulse": 4.10}  # s
+
+
+@pytest.fixture(scope="module")
+def quick():
+    return plan_motion(load_scenario("planar_detumble", QUICK))
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    scenario = load_scenario("planar_detumble")
+    return load_plan(scenario.reference.plan, make_nominal_plant(scenario).coordinates)
+
+
+def test_least_time_uses_the_limits_and_keeps_them(quick):
+    assert all(margin.kept for margin in quick.margins)
+    used = {margin.name: abs(margin.value / margin.limit) for margin in quick.margins if margin.quantity == "force"}
+    assert min(used[name] for name in ("base_rotation_y", "joint_1", "joint_2", "joint_3")) > 0.95
+    assert quick.least_by_torque < quick.plan.duration < 3.1
+    assert quick.angular_momentum == pytest.approx(3.849, abs=1e-3)  # of the published state
+    assert quick.least_by_torque == pytest.approx(3.849 / 2.5, abs=1e-3)
+
+
+def test_the_shipped_plan_is_shorter_than_published(shipped):
+    assert shipped.duration <= PUBLISHED["least time"]
+
+
+def test_a_plan_starts_as_the_scenario_and_ends_at_rest(quick):
+    scenario = load_scenario("planar_detumble")
+    coordinates = make_nominal_plant(scenario).coordinates
+    first, last = quick.rows[0], quick.rows[-1]
+    nq, nv = len(coordinates.position_names), len(coordinates.names)
+    assert first[:nq] == pytest.approx(np.r_[1, np.zeros(6), -0.72, 1.2, 0.72], abs=1e-9)
+    start = coordinates.vector(scenario.initial_velocity, key="")
+    assert first[nq : nq + nv] == pytest.approx(start, abs=1e-9)
+    assert last[nq:] == pytest.approx(np.zeros(2 * nv), abs=1e-12)
+    at_end = quick.rows[np.searchsorted(quick.times, quick.plan.duration)]
+    assert np.abs(at_end[nq : nq + nv]).max() < 1.001e-3 * 1.1
+
+
+def test_rates_and_accelerations_are_derivatives(shipped):
+    times = np.array([0.4, 1.3, 2.2, shipped.duration + 0.7])
+    step = 1e-5
+    before, here, after = (shipped.rows(times + shift) for shift in (-step, 0.0, step))
+    q, v, a = np.split(here, [10, 19], axis=1)
+    assert (after[:, 4:10] - before[:, 4:10]) / (2 * step) == pytest.approx(v[:, 3:], abs=1e-7)
+    assert (after[:, 10:19] - before[:, 10:19]) / (2 * step) == pytest.approx(a, abs=1e-6)
+    turned = (after[:, :4] - before[:, :4]) / (2 * step)  # q' = 1/2 [0, w] q
+    w, x, y, z = q[:, :4].T
+    matrix = np.array([[-x, -y, -z], [w, z, -y], [-z, w, x], [y, -x, w]])
+    assert turned == pytest.approx(0.5 * np.einsum("ijn,nj->ni", matrix, v[:, :3]), abs=1e-7)
+
+
+def test_a_saved_plan_is_read_back_to_the_last_bit(quick, tmp_path):
+    path = tmp_path / "plan.yaml"
+    quick.plan.save(path, title="a plan")
+    again = load_plan(str(path), make_nominal_plant(load_scenario("planar_detumble")).coordinates)
+    times = np.linspace(0.0, 6.0, 50)
+    assert again.rows(times).tobytes() == quick.plan.rows(times).tobytes()
+
+
+@pytest.mark.parametrize("controller", ["tdc", "tde_aismc"])
+def test_controllers_bring_the_published_case_to_rest(controller):
+    record = simulate(load_scenario("planar_detumble", [f"controller={controller}"]), check_stability=False)
+    assert record.outcome.completed
+    assert np.abs(record.dataset.velocity.values[-1]).max() < 1e-3
+    assert np.abs(record.dataset.error.values[-1]).max() < 1e-5
+    assert np.abs(record.dataset.error.values).max() < 1e-3
+    limit = np.r_[2.5, 2.5, 2.5, 2, 2, 2, 0.5, 0.5, 0.5]
+    assert (np.abs(record.dataset.applied_force.values) <= limit).all()
+
+
+def test_goal_posture_and_effort():
+    """From rest to a posture with all the time there is: less effort than the fifth-order polynomial."""
+    overrides = [
+        "planning.goal=target_posture", "planning.time_weight=0", "planning.effort_weight=1", "planning.end_rate=0",
+        "planning.solver=snopt", "initial_velocity=0", "reference.duration=40", "target_posture.base_rpy=[0, 0.1, 0]",
+        "target_posture.joints={joint_1: -0.6, joint_2: 1.1, joint_3: 0.6}", *QUICK,
+    ]  # fmt: skip
+    scenario = load_scenario("planar_detumble", overrides)
+    found = plan_motion(scenario)
+    assert found.plan.duration == pytest.approx(40.0, rel=1e-3)
+    assert found.rows[-1, 7:10] == pytest.approx([-0.6, 1.1, 0.6], abs=1e-6)
+    assert found.rows[-1, :4] == pytest.approx([np.cos(0.05), 0, np.sin(0.05), 0], abs=1e-6)
+    reference = dataclasses.replace(scenario.reference, kind="quintic")
+    quintic = make_motion(dataclasses.replace(scenario, reference=reference), make_nominal_plant(scenario).coordinates)
+    model = make_nominal_plant(scenario)
+    times = np.linspace(0, 40, 201)
+    q, v, a = np.split(quintic.rows(times), [10, 19], axis=1)
+    damping = np.r_[np.zeros(6), 0.1, 0.1, 0.1] * v
+    force = (model.calc_mass_matrix(q) @ a[..., None])[..., 0] + model.calc_bias(q, v) + damping
+    assert found.effort < 0.95 * np.trapezoid((force**2).sum(axis=1), times)
+
+
+def test_the_limit_in_the_way_is_named():
+    """3.85 N m s in 1.5 s: more than the base's torque and force can take out."""
+    with pytest.raises(PlanningError, match=r"takes 1\.54 s to take out the angular momentum of 3\.85 N m s"):
+        plan_motion(load_scenario("planar_detumble", ["reference.duration=1.5", "planning.segments=5"]))
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("planning.velocity_limit={joint_3: 0.1}", "joint_3 starts at 0.1669 rad/s, beyond its limit of 0.1"),
+        ("clearance=0.3", "initial_posture: hand and link_2 are 0.278 m apart, below clearance"),
+        ("planning.velocity_limit={joint: 1}", "planning.velocity_limit.joint: unknown coordinate"),
+    ],
+)
+def test_what_cannot_be_planned_is_named(override, said):
+    with pytest.raises((PlanningError, ScenarioError), match=said):
+        plan_motion(load_scenario("planar_detumble", [override, *QUICK]))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "no such file; 'ffsm plan' writes it"),
+        ("[1, 2", "is not a plan"),
+        ("duration: 2", "lacks settle, first_attitude, coordinates, control_points"),
+        (
+            "{duration: 2, settle: 0, first_attitude: [1, 0, 0, 0], coordinates: [a], "
+            "control_points: [[1], [2], [3], [4]]}",
+            "is a plan for a, not for base_rotation_x",
+        ),
+        (
+            "{duration: 2, settle: 0, first_attitude: [1, 0, 0, 0], coordinates: [a], control_points: [[1], [2]]}",
+            "its numbers are not those of a plan",
+        ),
+    ],
+)
+def test_a_file_that_is_no_plan_gets_one_line(tmp_path, text, said):
+    path = tmp_path / "plan.yaml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(ScenarioError, match=said) as error:
+        simulate(load_scenario("planar_detumble", [f"reference.plan={path}"]))
+    assert "\n" not in str(error.value)
+
+
+def test_a_plan_from_elsewhere_is_warned_of():
+    with pytest.warns(LimitWarning, match="initial_posture: reference.plan starts 0.1 off in joint_2"):
+        prepare(load_scenario("planar_detumble", ["initial_posture.joints.joint_2=1.3"])).release()
+
+
+def test_parts_that_come_too_near_are_warned_of():
+    with pytest.warns(
+        LimitWarning, match=r"the planned motion: base and debris come within 0.0741 m .*clearance 0.1 m"
+    ):
+        prepare(load_scenario("postcapture", ["clearance=0.1"])).release()

@@ -1,0 +1,89 @@
+"""Clearance: known distances, what is left out, and shapes that agree with the pictures."""
+
+import itertools
+
+import numpy as np
+import pytest
+from pydrake.geometry import Box, Cylinder, Ellipsoid, Role, Sphere
+from pydrake.math import RigidTransform
+
+from ffsm_drake import load_scenario
+from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.plant import configuration
+
+BEYOND = 0.012  # m; by which a picture may stand out of its shape
+
+
+@pytest.fixture(scope="module")
+def planar():
+    return Clearance(load_scenario("planar_detumble").model)
+
+
+def names(clearance):
+    return {frozenset((first.name(), second.name())) for first, second in clearance.pairs}
+
+
+def test_neighbours_and_what_is_grasped_are_left_out(planar):
+    assert frozenset(("hand", "target")) not in names(planar)  # welded
+    assert frozenset(("link_1", "link_2")) not in names(planar)  # a joint connects them
+    assert {frozenset(pair) for pair in (("base", "target"), ("link_1", "hand"), ("base", "link_2"))} <= names(planar)
+
+
+def test_distance_of_a_stretched_arm(planar):
+    """The hand starts 0.7 + 0.3 - 0.01 m from the second joint; the tube of the second link ends after 0.7 m."""
+    nearest = planar.nearest(np.r_[1.0, np.zeros(9)])
+    assert {nearest.first, nearest.second} == {"hand", "link_2"}
+    assert nearest.distance == pytest.approx(0.7 + 0.3 - 0.01 - 0.7, abs=1e-3)
+
+
+def test_overlap_is_negative_and_where_it_is(planar):
+    folded = configuration(planar.plant, load_scenario("planar_detumble").initial_posture, key="")
+    folded[7:] = [2.6, 0.3, 0.0]  # down through the bus
+    nearest = planar.nearest(folded)
+    assert nearest.distance < 0.0
+    assert "base" in (nearest.first, nearest.second)
+    motion = np.array([np.r_[1.0, np.zeros(9)], folded, np.full(10, np.nan)])
+    assert planar.along(motion).index == 1
+
+
+def points_on(shape):
+    """Points of a shape's surface in its own frame."""
+    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    if isinstance(shape, Box):
+        return np.array(list(itertools.product(*[(-s / 2, s / 2) for s in shape.size()])))
+    if isinstance(shape, Cylinder):
+        ring = shape.radius() * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        return np.vstack([np.c_[ring, np.full(24, z)] for z in (-shape.length() / 2, shape.length() / 2)])
+    axes = np.array([shape.radius()] * 3) if isinstance(shape, Sphere) else np.array([shape.a(), shape.b(), shape.c()])
+    assert isinstance(shape, (Sphere, Ellipsoid))
+    rings = [
+        np.c_[np.sin(u) * np.cos(turn), np.sin(u) * np.sin(turn), 0 * turn + np.cos(u)]
+        for u in np.linspace(0, np.pi, 9)
+    ]
+    return axes * np.vstack(rings)
+
+
+@pytest.mark.parametrize("scenario", ["postcapture", "seven_joint", "planar_detumble"])
+def test_shapes_hold_the_pictures(scenario):
+    """Every point of a picture lies in one of its body's shapes, or within a finger's breadth of it."""
+    clearance = Clearance(load_scenario(scenario).model)
+    plant, query = clearance.plant, clearance.plant.get_geometry_query_input_port().Eval(clearance.plant_context)
+    inspector = query.inspector()
+    for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
+        body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
+        own = set(inspector.GetGeometries(inspector.GetFrameId(geometry), Role.kProximity))
+        X_WG = plant.EvalBodyPoseInWorld(clearance.plant_context, body) @ inspector.GetPoseInFrame(geometry)
+        assert isinstance(X_WG, RigidTransform)
+        for point in points_on(inspector.GetShape(geometry)):
+            found = query.ComputeSignedDistanceToPoint(X_WG @ point)
+            nearest = min(item.distance for item in found if item.id_G in own)
+            assert nearest < BEYOND, f"{body.name()}: {inspector.GetName(geometry)} {point}"
+
+
+@pytest.mark.parametrize(("scenario", "distance"), [("postcapture", 0.074), ("seven_joint", 0.208)])
+def test_the_shipped_targets_fold_in_without_touching(scenario, distance):
+    loaded = load_scenario(scenario)
+    clearance = Clearance(loaded.model)
+    nearest = clearance.nearest(configuration(clearance.plant, loaded.target_posture, key=""))
+    assert {nearest.first, nearest.second} == {"base", "debris"}
+    assert nearest.distance == pytest.approx(distance, abs=2e-3)

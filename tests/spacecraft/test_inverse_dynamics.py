@@ -1,0 +1,74 @@
+"""Inverse dynamics of many states at once against Drake's, and its derivatives against differences."""
+
+import numpy as np
+import pytest
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RollPitchYaw
+from pydrake.multibody.tree import MultibodyForces
+from scipy.spatial.transform import Rotation
+
+from ffsm_drake import load_scenario
+from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics, attitude_motion
+from ffsm_drake.spacecraft.nominal import make_true_plant
+
+
+@pytest.fixture(scope="module", params=["postcapture", "seven_joint", "planar_detumble"])
+def model(request):
+    return make_true_plant(load_scenario(request.param))
+
+
+def states(model, count=20):
+    rng = np.random.default_rng(3)
+    return rng.normal(size=(3, len(model.coordinates.names), count)) * np.array([0.8, 0.5, 0.5])[:, None, None]
+
+
+def test_force_is_drakes_with_the_joints_damping(model):
+    first = RollPitchYaw([0.3, -0.5, 1.1]).ToRotationMatrix()
+    z, rate, acceleration = states(model)
+    z[:3, 0] = 1e-6  # where the series takes over
+    tau = InverseDynamics(model, first).force(z, rate, acceleration)
+    rotation, w, alpha = attitude_motion(z[:3], rate[:3], acceleration[:3])
+    plant, context = model.plant, model.context
+    for k in range(z.shape[1]):
+        wxyz = Quaternion(rotation[:, :, k] @ first.matrix()).wxyz()
+        plant.SetPositions(context, np.r_[wxyz, z[3:, k]])
+        plant.SetVelocities(context, np.r_[w[:, k], rate[3:, k]])
+        damping = MultibodyForces(plant)
+        plant.CalcForceElementsContribution(context, damping)
+        expected = plant.CalcInverseDynamics(context, np.r_[alpha[:, k], acceleration[3:, k]], damping)
+        assert tau[:, k] == pytest.approx(expected, rel=1e-11, abs=1e-10)
+
+
+def test_derivatives_are_those_of_differences(model):
+    dynamics = InverseDynamics(model, RollPitchYaw([0.3, -0.5, 1.1]).ToRotationMatrix())
+    given = states(model, count=4)
+    tau, derivative = dynamics.linearized(*given)
+    assert tau == pytest.approx(dynamics.force(*given), rel=1e-14)
+    step = 1e-6
+    for which in range(3):
+        for i in range(given.shape[1]):
+            sides = []
+            for sign in (1, -1):
+                moved = given.copy()
+                moved[which, i] += sign * step
+                sides.append(dynamics.force(*moved))
+            difference = (sides[0] - sides[1]) / (2 * step)
+            assert derivative[which, :, i] == pytest.approx(difference, rel=1e-6, abs=1e-6)
+
+
+def test_rotation_vectors_rates_are_those_of_the_rotation():
+    """Against SciPy's rotations along phi(t) = phi + phi' t + phi'' t^2/2."""
+    phi, rate, acceleration = np.random.default_rng(0).normal(size=(3, 3, 1))
+    step = 1e-5
+
+    def at(time):
+        return Rotation.from_rotvec((phi + rate * time + 0.5 * acceleration * time**2)[:, 0])
+
+    def w(time):
+        return (at(time + step) * at(time - step).inv()).as_rotvec() / (2 * step)
+
+    rotation, omega, alpha = attitude_motion(phi, rate, acceleration)
+    assert rotation[:, :, 0] == pytest.approx(at(0.0).as_matrix(), abs=1e-14)
+    assert omega[:, 0] == pytest.approx(w(0.0), abs=1e-8)
+    later, earlier = 0.01, -0.01
+    assert alpha[:, 0] == pytest.approx((w(later) - w(earlier)) / 0.02, abs=1e-3)
