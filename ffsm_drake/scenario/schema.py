@@ -15,6 +15,9 @@ from pydrake.systems.analysis import SimulatorConfig
 PerCoordinate = dict[str, float]
 BASE_ROTATIONS = ("eigenaxis", "rpy")
 ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
+CAPTURE_AXES = ("target", "world")
+SERVICER_MOTIONS = ("rest", "track_joints", "track_all", "given")
+GRASPING_JOINTS = ("free", "braked")
 
 
 def _published(**values: float) -> PerCoordinate:
@@ -66,6 +69,34 @@ class Posture:
     # rad; roll, pitch, yaw of R_WB: rotations about the world's x, y, z axes in that order
     base_rpy: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
     joints: PerCoordinate = _published(all=0.0)  # rad or m; positions, by joint name
+
+
+@dataclasses.dataclass
+class Approach:
+    """The servicer's motion up to the grasp, without the target: from rest to ``initial_posture``."""
+
+    duration: float = 20.0  # s; the run begins with it; a whole number of control samples
+    posture: Posture = dataclasses.field(default_factory=Posture)  # where the servicer starts, at rest
+
+
+@dataclasses.dataclass
+class Capture:
+    """The grasp of a moving target, in ``initial_posture``, after which the run is what follows from it."""
+
+    # rad/s; angular velocity of the target before the grasp
+    rate: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    # m/s; velocity of the target's centre of mass before the grasp
+    velocity: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    axes: str = "target"  # of rate and velocity: "target", those of the payload body, or "world"
+    # how the servicer moves at the grasp: "rest"; "track_joints" or "track_all": its joints, or base and joints, follow
+    # the grasp frame in weighted least squares; "given": at servicer_velocity
+    servicer: str = "rest"
+    servicer_velocity: PerCoordinate = _published(all=0.0)  # rad/s or m/s; at the grasp, with servicer "given"
+    tracking_length: float = 1.0  # m; tracking weighs 1 rad/s beside the grasp frame as this length times 1 m/s
+    tracking_cost: PerCoordinate = _published(all=1.0)  # s/rad or s/m; of rates that track alike, those of least cost
+    # how the joints meet the target: "free", or "braked", which stops them at the grasp
+    joints: str = "free"
+    approach: Approach | None = None  # the motion up to the grasp; null: the run begins with the grasp
 
 
 @dataclasses.dataclass
@@ -203,8 +234,10 @@ class Scenario:
     payload: Payload = dataclasses.field(default_factory=Payload)
     initial_posture: Posture = dataclasses.field(default_factory=Posture)
     target_posture: Posture = dataclasses.field(default_factory=Posture)
-    # At the start, rad/s or m/s; base_rotation is the angular velocity in world axes. The reference starts at rest.
+    # At the start, rad/s or m/s; base_rotation is the angular velocity in world axes. The reference starts at rest;
+    # with capture, at the velocity after the grasp, to which this is added.
     initial_velocity: PerCoordinate = _published(all=0.0)
+    capture: Capture | None = None  # the grasp of a moving target; null: the target is held and at rest at the start
     reference: Reference = dataclasses.field(default_factory=Reference)
     # name of a shipped controller (tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus) or of an installed one, or
     # module:attribute

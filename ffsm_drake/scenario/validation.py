@@ -7,7 +7,18 @@ from pydrake.systems.analysis import GetIntegrationSchemes
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.scenario.resolving import shown
-from ffsm_drake.scenario.schema import BASE_ROTATIONS, ESTIMATOR_KINDS, MassProperties, Scenario, inertia_matrix
+from ffsm_drake.scenario.schema import (
+    BASE_ROTATIONS,
+    CAPTURE_AXES,
+    ESTIMATOR_KINDS,
+    GRASPING_JOINTS,
+    SERVICER_MOTIONS,
+    Capture,
+    MassProperties,
+    Posture,
+    Scenario,
+    inertia_matrix,
+)
 
 _NAME = re.compile(r"[^\W\d]\w*|[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")  # or module:attribute
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # without an error estimate
@@ -46,7 +57,7 @@ def validate(scenario: Scenario) -> None:
         ("reference.base_rotation", scenario.reference.base_rotation, BASE_ROTATIONS),
         ("estimator.kind", scenario.estimator.kind, ESTIMATOR_KINDS),
     ):
-        require(kind in kinds, key, f"'{kind}' is unknown; choose one of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
+        _require_choice(kind, key, kinds)
     for name in ("walk", "force_walk"):
         for key, number in getattr(scenario.estimator, name).items():
             require(number > 0, f"estimator.{name}.{key}", f"must be > 0, not {number}")
@@ -59,9 +70,9 @@ def validate(scenario: Scenario) -> None:
     for name in ("truth", "nominal"):
         _validate_mass_properties(getattr(scenario.payload, name), f"payload.{name}")
     for name in ("initial_posture", "target_posture"):
-        posture = getattr(scenario, name)
-        for field in ("base_position", "base_rpy"):
-            require(len(getattr(posture, field)) == 3, f"{name}.{field}", "must hold three numbers [x, y, z]")
+        _validate_posture(getattr(scenario, name), name)
+    if scenario.capture is not None:
+        _validate_capture(scenario, scenario.capture)
     for key, number in scenario.initial_velocity.items():
         require(
             abs(number) <= scenario.divergence_speed,
@@ -97,6 +108,57 @@ def validate(scenario: Scenario) -> None:
 
 def _form(name: str) -> str:
     return f"'{name}' must be a name or module:attribute"
+
+
+def _require_choice(choice: str, key: str, valid: tuple[str, ...]) -> None:
+    problem = f"'{choice}' is unknown; choose one of {', '.join(valid)}{did_you_mean(choice, valid)}"
+    require(choice in valid, key, problem)
+
+
+def _validate_posture(posture: Posture, key: str) -> None:
+    for name in ("base_position", "base_rpy"):
+        require(len(getattr(posture, name)) == 3, f"{key}.{name}", "must hold three numbers [x, y, z]")
+
+
+def _validate_capture(scenario: Scenario, capture: Capture) -> None:
+    for name in ("rate", "velocity"):
+        values = getattr(capture, name)
+        require(len(values) == 3, f"capture.{name}", "must hold three numbers [x, y, z]")
+        fastest = max(map(abs, values))
+        bound = f"must be within divergence_speed ({scenario.divergence_speed:g}), not {fastest:g}"
+        require(fastest <= scenario.divergence_speed, f"capture.{name}", bound)
+    for key, choice, valid in (
+        ("axes", capture.axes, CAPTURE_AXES),
+        ("servicer", capture.servicer, SERVICER_MOTIONS),
+        ("joints", capture.joints, GRASPING_JOINTS),
+    ):
+        _require_choice(choice, f"capture.{key}", valid)
+    given = capture.servicer == "given" or not any(capture.servicer_velocity.values())
+    require(
+        given, "capture.servicer_velocity", f"has no effect with servicer: {capture.servicer}; take servicer: given"
+    )
+    require(capture.tracking_length > 0, "capture.tracking_length", f"must be > 0 m, not {capture.tracking_length}")
+    for key, number in capture.tracking_cost.items():
+        require(number > 0, f"capture.tracking_cost.{key}", f"must be > 0, not {number}")
+    require(
+        scenario.reference.base_rotation == "eigenaxis",
+        "reference.base_rotation",
+        f"must be eigenaxis with capture, not {scenario.reference.base_rotation}: the base may turn at the start",
+    )
+    if capture.approach is not None:
+        _validate_posture(capture.approach.posture, "capture.approach.posture")
+        duration, key = capture.approach.duration, "capture.approach.duration"
+        samples = duration / scenario.sample_time
+        require(
+            samples >= 0.5 and abs(samples - round(samples)) < 1e-6,
+            key,
+            f"must be a whole number of control samples of {scenario.sample_time:g} s, not {duration:g} s",
+        )
+        require(
+            duration <= scenario.duration - scenario.sample_time,
+            key,
+            f"must leave time for the stop: the run ends at {scenario.duration:g} s; lengthen duration",
+        )
 
 
 def _validate_simulator_config(scenario: Scenario) -> None:
