@@ -21,9 +21,10 @@ from pydrake.systems.primitives import Adder, ZeroOrderHold
 
 from ffsm_drake.loop.blocks import kind_of, make_blocks
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.registry import Factory
@@ -73,6 +74,9 @@ class ClosedLoop:
         set_payload(self.plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
         self.plant.SetPositions(context, configuration(self.plant, scenario.initial_posture, key="initial_posture"))
         velocity = self.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
+        if scenario.capture is not None:
+            model = PlantModel(plant=self.plant, context=context, coordinates=self.coordinates)
+            velocity += planned_contact(scenario, model).grasp.velocity
         self.plant.SetVelocities(context, velocity)
         state = self.plant.GetPositionsAndVelocities(context)
         for block in self.blocks.values():

@@ -3,21 +3,18 @@
 ``actuation.limit`` is what saturates the force; ``saturation`` says how often it did.
 """
 
-import dataclasses
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
-from xml.etree import ElementTree
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
-from ffsm_drake.common.errors import ModelError
-from ffsm_drake.scenario import Model, Scenario
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
-from ffsm_drake.spacecraft.plant import configuration, coordinates_of, find_body, make_plant, urdfs_of
-from ffsm_drake.spacecraft.urdf.elements import read_joint
-from ffsm_drake.systems.reference import QuinticMotion
+from ffsm_drake.spacecraft.limits import JointLimits, joint_limits
+from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.plant import configuration, find_body, make_plant
+from ffsm_drake.systems.reference import make_motion
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
@@ -29,53 +26,6 @@ _SAME_MASS = 1e-3  # relative
 
 class LimitWarning(UserWarning):
     """A plan leaves the limits of the model."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class JointLimits:
-    """Limits of the joints, in their order (n); infinite where there are none."""
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]  # "rad" or "m"
-    lower: np.ndarray  # rad or m
-    upper: np.ndarray
-    velocity: np.ndarray  # rad/s or m/s
-    effort: np.ndarray  # N m or N
-
-
-def joint_limits(model: Model, plant: MultibodyPlant) -> JointLimits:
-    """The limits of a model's joints; zero velocity or effort means that it is not known, as URDFs have it.
-
-    Drake keeps no efforts of joints without a transmission, so all are read from the URDFs.
-
-    Raises:
-      ModelError: a URDF cannot be read.
-    """
-    coordinates = coordinates_of(plant)
-    count = len(coordinates.joints)
-    limits = JointLimits(
-        names=coordinates.joints,
-        units=coordinates.joint_units,
-        lower=np.full(count, -np.inf),
-        upper=np.full(count, np.inf),
-        velocity=np.full(count, np.inf),
-        effort=np.full(count, np.inf),
-    )
-    for path in urdfs_of(model):
-        try:
-            elements = list(ElementTree.parse(path).getroot().iter("joint"))
-        except (OSError, ElementTree.ParseError):  # Drake has read it, so that it is not what it seems
-            continue
-        for element in elements:
-            if element.get("name") not in limits.names or element.find("limit") is None:
-                continue
-            try:
-                joint, i = read_joint(element), limits.names.index(element.get("name", ""))
-            except ModelError as error:
-                raise ModelError(f"model: {path}: {error}") from None
-            limits.lower[i], limits.upper[i] = joint.lower, joint.upper
-            limits.velocity[i], limits.effort[i] = joint.velocity, joint.effort
-    return limits
 
 
 def plan_remarks(scenario: Scenario) -> list[str]:
@@ -96,11 +46,8 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     finite = np.isfinite([limits.lower, limits.upper, limits.velocity, limits.effort])
     if scenario.blocks.reference is not None or not finite.any():
         return remarks
-    motion = QuinticMotion(
-        coordinates=model.coordinates, start=scenario.initial_posture, target=scenario.target_posture,
-        reference=scenario.reference, sample_time=scenario.sample_time,
-    )  # fmt: skip
-    times = np.linspace(0.0, min(scenario.reference.duration, scenario.duration), _POSTURES)
+    motion = make_motion(scenario, model.coordinates)
+    times = np.linspace(motion.begin, min(motion.end, scenario.duration), _POSTURES)
     rows = motion.rows(times)
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
     q, v, a = rows[:, :nq], rows[:, nq : nq + nv], rows[:, nq + nv :]
@@ -112,7 +59,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
         remarks += _sizes(limits, v[:, NUM_BASE_VELOCITIES:], limits.velocity, "the planned motion", "/s", at)
     if np.isfinite(limits.effort).any():
         tracking = "tracking the planned motion perfectly takes"
-        forces = _inverse_dynamics(model, q, v, a)[:, NUM_BASE_VELOCITIES:]
+        forces = model.calc_inverse_dynamics(q, v, a)[:, NUM_BASE_VELOCITIES:]
         remarks += _sizes(limits, forces, limits.effort, tracking, " force", at)
     return remarks
 
@@ -152,11 +99,6 @@ def saturation(record: "RunRecord") -> dict[str, float]:
     limit = np.array([given.get(n, given.get(g, given.get("all", np.inf))) for n, g in zip(names, groups, strict=True)])
     shares = (np.abs(data["generalized_force"].values) > limit).mean(axis=0)
     return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0.0}
-
-
-def _inverse_dynamics(model: PlantModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """H a + C (n, nv), N m and N."""
-    return (model.calc_mass_matrix(q) @ a[..., None])[..., 0] + model.calc_bias(q, v)
 
 
 def _no_time(sample: int) -> str:

@@ -17,7 +17,9 @@ from ffsm_drake.scenario.loading import (
 from ffsm_drake.scenario.resolving import schema_fields
 from ffsm_drake.scenario.schema import (
     BASE_ROTATIONS,
+    CAPTURE_AXES,
     ESTIMATOR_KINDS,
+    GOALS,
     Actuation,
     Approach,
     Block,
@@ -35,6 +37,7 @@ from ffsm_drake.scenario.schema import (
     Scenario,
     Sensing,
     controller_key,
+    from_grasp,
     inertia_matrix,
 )
 
@@ -43,7 +46,9 @@ __all__ = [
     "anchor_paths",
     "relate_paths",
     "BASE_ROTATIONS",
+    "CAPTURE_AXES",
     "ESTIMATOR_KINDS",
+    "GOALS",
     "Actuation",
     "Approach",
     "Block",
@@ -60,6 +65,7 @@ __all__ = [
     "Reference",
     "Scenario",
     "Sensing",
+    "from_grasp",
     "inertia_matrix",
     "is_overridden",
     "load_scenario",

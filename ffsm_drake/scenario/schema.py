@@ -17,6 +17,7 @@ BASE_ROTATIONS = ("eigenaxis", "rpy")
 ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 CAPTURE_AXES = ("target", "world")
 SERVICER_MOTIONS = ("rest", "track_joints", "track_all", "given")
+GOALS = ("target_posture", "stop")
 GRASPING_JOINTS = ("free", "braked")
 
 
@@ -103,7 +104,12 @@ class Capture:
 class Reference:
     """The planned motion: a fifth-order polynomial from the initial to the target posture."""
 
-    duration: float = 20.0  # s; the target posture is held afterwards
+    # s; the posture at its end is held afterwards; auto (or null): the shortest that the limits of the actuators and of
+    # the model's joints allow with the nominal payload
+    duration: float | None = 20.0
+    reserve: float = 0.3  # with duration auto: the share of every force and velocity limit that the motion leaves free
+    # where it ends: "target_posture", or "stop", wherever the motion from the velocity at the start is cheapest
+    goal: str = "target_posture"
     # how the base turns: "eigenaxis", the shorter way about one fixed axis, or "rpy", roll, pitch and yaw each a
     # polynomial, as in the paper
     base_rotation: str = "eigenaxis"
@@ -259,9 +265,27 @@ class Scenario:
         """Number of whole control periods within the duration."""
         return math.floor(self.duration / self.sample_time + 1e-9)
 
+    @property
+    def grasp_time(self) -> float:
+        """When the target is grasped, s; 0 where it is held from the start."""
+        return 0.0 if self.capture is None or self.capture.approach is None else self.capture.approach.duration
+
+    @property
+    def planned_end(self) -> float | None:
+        """When the planned motion ends, s; None where that is still to be found."""
+        return None if self.reference.duration is None else self.grasp_time + self.reference.duration
+
     def tolerance_of(self, *names: str) -> float:
         """The tolerance of what goes by several names (a coordinate's own, its group's): that of the first known."""
         return next((self.tolerance[name] for name in (*names, "all") if name in self.tolerance), 1e-3)
+
+
+def from_grasp(scenario: Scenario) -> Scenario:
+    """The scenario from the grasp on, without an approach; one without a capture as it is."""
+    if scenario.capture is None or scenario.grasp_time == 0.0:
+        return scenario
+    held = dataclasses.replace(scenario.capture, approach=None)
+    return dataclasses.replace(scenario, duration=scenario.duration - scenario.grasp_time, capture=held)
 
 
 def controller_key(controller: str) -> str:

@@ -11,6 +11,7 @@ from ffsm_drake.scenario.schema import (
     BASE_ROTATIONS,
     CAPTURE_AXES,
     ESTIMATOR_KINDS,
+    GOALS,
     GRASPING_JOINTS,
     SERVICER_MOTIONS,
     Capture,
@@ -43,7 +44,9 @@ def validate(scenario: Scenario) -> None:
     )
     require(scenario.num_control_periods >= 1, "sample_time", f"must be at most duration ({scenario.duration} s)")
     require(scenario.divergence_speed > 0, "divergence_speed", "must be > 0")
-    require(scenario.reference.duration > 0, "reference.duration", "must be > 0 s")
+    duration, reserve = scenario.reference.duration, scenario.reference.reserve
+    require(duration is None or duration > 0, "reference.duration", "must be > 0 s, or auto")
+    require(0 <= reserve < 1, "reference.reserve", f"must be from 0 to below 1, not {reserve:g}")
     require(bool(_NAME.fullmatch(scenario.controller)), "controller", _form(scenario.controller))
     blocks = scenario.blocks
     filled = {name: getattr(blocks, name) for name in ("reference", "sensing", "actuation")}
@@ -55,6 +58,7 @@ def validate(scenario: Scenario) -> None:
         require(name.isidentifier(), f"blocks.forces.{name}", "a force's name must be letters, digits and underscores")
     for key, kind, kinds in (
         ("reference.base_rotation", scenario.reference.base_rotation, BASE_ROTATIONS),
+        ("reference.goal", scenario.reference.goal, GOALS),
         ("estimator.kind", scenario.estimator.kind, ESTIMATOR_KINDS),
     ):
         _require_choice(kind, key, kinds)

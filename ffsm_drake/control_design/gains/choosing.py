@@ -185,7 +185,7 @@ def _with_estimator(scenario: Scenario, **settings: Any) -> Scenario:
 
 def _radius(scenario: Scenario) -> float:
     with Linearizer(scenario) as linearizer:
-        return max(linearizer.at(part * scenario.reference.duration).spectral_radius for part in (0.0, 1.0))
+        return max(linearizer.at(linearizer.motion.part(share)).spectral_radius for share in (0.0, 1.0))
 
 
 def _held_back(point: DesignPoint, requirement: Requirement, search: "AxisSearch | None") -> str:

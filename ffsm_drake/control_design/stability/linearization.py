@@ -84,7 +84,7 @@ class Linearizer:
             sample_time=scenario.sample_time,
             leave_out=lambda system, group: system is controller and group in held,
         )
-        self._motion = make_motion(self.scenario, self.loop.coordinates)
+        self.motion = make_motion(self.scenario, self.loop.coordinates)
 
     def __enter__(self) -> Self:
         return self
@@ -105,7 +105,7 @@ class Linearizer:
         held = held or {}
         self._context.SetTimeStateAndParametersFrom(self._start)
         self._context.SetTime(first * period)
-        q_d, v_d, _ = self._motion.evaluate(first * period)
+        q_d, v_d, _ = self.motion.evaluate(first * period)
         state = np.concatenate([q_d, v_d])
         self._plant.SetPositionsAndVelocities(self._plant_context, state)
         self._set_initial_state(state)
@@ -135,7 +135,7 @@ class Linearizer:
         """
         count, nv = self.scenario.num_control_periods, len(self.loop.coordinates.names)
         error, force = np.full((count, nv), np.nan), np.full((count, nv), np.nan)
-        desired = self._motion.rows(np.arange(count) * self.scenario.sample_time)[:, : 2 * nv + 1]
+        desired = self.motion.rows(np.arange(count) * self.scenario.sample_time)[:, : 2 * nv + 1]
         self._context.SetTimeStateAndParametersFrom(self._start)
         with contextlib.suppress(Exception, SystemExit), np.errstate(over="ignore", invalid="ignore"):
             for index in range(count):
