@@ -12,6 +12,7 @@ polynomial of a rotation vector from its first attitude, world frame, along the 
 """
 
 import abc
+import dataclasses
 import math
 
 import numpy as np
@@ -23,7 +24,7 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.duration import shortest_duration
 
 _BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
@@ -300,6 +301,15 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
         return stop
     approach = quintic(capture.approach.duration, capture.approach.posture, -contact.velocity)
     return CaptureMotion(approach=approach, stop=stop, sample_time=scenario.sample_time)
+
+
+def timed(scenario: Scenario) -> Scenario:
+    """The scenario with the duration of its planned motion in s, where it is ``auto``; errors as ``make_motion``."""
+    if scenario.reference.duration is not None:
+        return scenario
+    motion = make_motion(scenario, make_nominal_plant(scenario).coordinates)
+    reference = dataclasses.replace(scenario.reference, duration=motion.end - motion.begin)
+    return dataclasses.replace(scenario, reference=reference)
 
 
 def make_reference(scenario: Scenario, coordinates: Coordinates) -> Diagram:

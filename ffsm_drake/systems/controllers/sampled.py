@@ -67,6 +67,23 @@ class SampledController(LeafSystem):
         index = {"generalized_force": self._force, "has_previous": self._has_previous, **self._memory}[name]
         return np.array(context.get_discrete_state(index).value())
 
+    def resume(
+        self, context: Context, before: "SampledController", context_before: Context, reference: np.ndarray
+    ) -> None:
+        """Go on where another controller has come to, as at the first sample: velocities and reference have jumped.
+
+        Args:
+          context: of this controller.
+          before: the other, of the same law for another payload.
+          context_before: of that.
+          reference: [q_d; v_d] (nq + nv) at the instant of going on.
+        """
+        memory = {name: before.state(context_before, name) for name in self._memory}
+        memory = dict(self.law.resume(memory, before.law, reference))
+        context.SetDiscreteState(self._force, before.state(context_before, "generalized_force"))
+        for name, index in self._memory.items():
+            context.SetDiscreteState(index, np.asarray(memory[name], dtype=float))
+
     def held_groups(self) -> Mapping[str, tuple[int, float | None]]:
         """Discrete groups that a linearisation holds, name -> (group, value), see ``ControlLaw.held``."""
         held = {name: (int(self._memory[name]), value) for name, value in self.law.held().items()}
