@@ -28,7 +28,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.registry import Factory
 
-_NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])
+NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, before the grasp
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,14 +36,18 @@ class GraspLog:
     """What happened at the grasp, and the target before it; world axes, SI units."""
 
     sample: int  # index of the first sample of the run at which the target is held
-    contact: Contact
+    contact: Contact | None  # None: the run ended before
     payload: MassProperties  # the target's, in the frame P of the payload body where the model welds it
     target: np.ndarray  # (sample, 13) [quaternion, p_WP; w_WP, v_WP] of the target at the samples before
-    offset: np.ndarray  # (6) where P was at the grasp, from where the model welds it: rotation vector, position
-    mismatch: np.ndarray  # (6) of the target from the end effector, at its origin: angular velocity, velocity
+    # (6) where P was at the grasp, from where the model welds it: rotation vector, position
+    offset: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
+    # (6) of the target from the end effector, at its origin: angular velocity, velocity
+    mismatch: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
 
-    def ledger(self, time: float, coordinates: Coordinates) -> dict[str, Any]:
-        """The grasp in plain numbers; ``time`` (s) is that of the sample."""
+    def ledger(self, time: float, coordinates: Coordinates) -> dict[str, Any] | None:
+        """The grasp in plain numbers, where there was one; ``time`` (s) is that of the sample."""
+        if self.contact is None:
+            return None
         contact, grasp = self.contact, self.contact.grasp
         brakes = {
             name: float(impulse)
@@ -127,7 +131,6 @@ class CaptureRollout:
                 contact=contact,
                 payload=chosen.payload.truth,
                 target=np.empty((0, 13)),
-                offset=np.zeros(6),
                 mismatch=mismatch,
             )
             return dataclasses.replace(log, grasp=grasp)
@@ -139,7 +142,7 @@ class CaptureRollout:
             leg=Leg(last=sample, begin=handover.start, end=handover.keep),
         )
         if not approach.outcome.completed:
-            return dataclasses.replace(approach, scenario=chosen)
+            return dataclasses.replace(approach, scenario=chosen, grasp=handover.ungrasped(approach.time.size))
         log = self._stop.run(scenario, progress=progress, leg=Leg(first=sample, begin=handover.grasp))
         return dataclasses.replace(
             log,
@@ -192,6 +195,11 @@ class _Handover:
         position = configuration(loop.plant, capture.approach.posture, key="capture.approach.posture")
         velocity = loop.coordinates.vector(self._scenario.initial_velocity, key="initial_velocity", default=0.0)
         loop.set_state(root_context, np.concatenate([position, velocity]))
+
+    def ungrasped(self, samples: int) -> GraspLog:
+        """Of a run that ended after so many samples, before the grasp."""
+        payload = self._scenario.payload.truth
+        return GraspLog(sample=samples, contact=None, payload=payload, target=self._path[:samples])
 
     def keep(self, loop: ClosedLoop, root_context: Context) -> None:
         """Keep the loop before the grasp as it stands there."""
@@ -276,7 +284,7 @@ def _without_target(scenario: Scenario) -> Scenario:
     """The scenario with nothing in the gripper, of which only the part before the grasp means anything."""
     return dataclasses.replace(
         scenario,
-        payload=dataclasses.replace(scenario.payload, truth=_NOTHING, nominal=_NOTHING),
+        payload=dataclasses.replace(scenario.payload, truth=NOTHING, nominal=NOTHING),
         reference=dataclasses.replace(scenario.reference, duration=1.0),
     )
 

@@ -84,7 +84,7 @@ def prepare(
 
 def make_record(log: RunLog, *, start: float, blocks: Mapping[str, Factory] | None = None) -> RunRecord:
     """The record of a run that began at the wall time ``start`` (``time.perf_counter``), with the factories it had."""
-    scenario = repeatable_scenario(log.scenario, blocks or {})
+    scenario, grasp = repeatable_scenario(log.scenario, blocks or {}), log.grasp
     return RunRecord(
         scenario=scenario,
         outcome=log.outcome,
@@ -92,6 +92,7 @@ def make_record(log: RunLog, *, start: float, blocks: Mapping[str, Factory] | No
         wall_time=log.wall_time | {"total": time.perf_counter() - start},
         software=software_versions(),
         blocks=block_sources(scenario),
+        grasp=None if grasp is None else grasp.ledger(scenario.grasp_time, log.coordinates),
     )
 
 
