@@ -136,8 +136,8 @@ def add_closed_loop(
     if plant is None:
         plant = builder.AddNamedSystem("plant", make_plant(scenario.model))
     coordinates = coordinates_of(plant)
-    for name in ("initial_posture", "target_posture"):
-        configuration(plant, getattr(scenario, name), key=name)
+    for name, posture in scenario.postures.items():
+        configuration(plant, posture, key=name)
     for name in ("initial_velocity", "tolerance"):
         coordinates.check_names(getattr(scenario, name), key=name)
     parts = make_blocks(scenario, make_nominal_plant(scenario), blocks)

@@ -40,8 +40,8 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     model = make_true_plant(scenario)
     limits = joint_limits(scenario.model, model.plant)
     remarks = [*_cut_short(scenario), *_overridden_mass(scenario, model.plant)]
-    for name in ("initial_posture", "target_posture"):
-        q = configuration(model.plant, getattr(scenario, name), key=name)[NUM_BASE_POSITIONS:]
+    for name, posture in scenario.postures.items():
+        q = configuration(model.plant, posture, key=name)[NUM_BASE_POSITIONS:]
         remarks += _positions(limits, q[None], f"{name}.joints", _no_time)
     finite = np.isfinite([limits.lower, limits.upper, limits.velocity, limits.effort])
     if scenario.blocks.reference is not None or not finite.any():

@@ -266,6 +266,14 @@ class Scenario:
         return math.floor(self.duration / self.sample_time + 1e-9)
 
     @property
+    def postures(self) -> dict[str, Posture]:
+        """Every posture that the scenario gives, by key."""
+        found = {"initial_posture": self.initial_posture, "target_posture": self.target_posture}
+        if self.capture is not None and self.capture.approach is not None:
+            found["capture.approach.posture"] = self.capture.approach.posture
+        return found
+
+    @property
     def grasp_time(self) -> float:
         """When the target is grasped, s; 0 where it is held from the start."""
         return 0.0 if self.capture is None or self.capture.approach is None else self.capture.approach.duration

@@ -73,8 +73,8 @@ def validate(scenario: Scenario) -> None:
     _validate_simulator_config(scenario)
     for name in ("truth", "nominal"):
         _validate_mass_properties(getattr(scenario.payload, name), f"payload.{name}")
-    for name in ("initial_posture", "target_posture"):
-        _validate_posture(getattr(scenario, name), name)
+    for name, posture in scenario.postures.items():
+        _validate_posture(posture, name)
     if scenario.capture is not None:
         _validate_capture(scenario, scenario.capture)
     for key, number in scenario.initial_velocity.items():
@@ -150,7 +150,6 @@ def _validate_capture(scenario: Scenario, capture: Capture) -> None:
         f"must be eigenaxis with capture, not {scenario.reference.base_rotation}: the base may turn at the start",
     )
     if capture.approach is not None:
-        _validate_posture(capture.approach.posture, "capture.approach.posture")
         duration, key = capture.approach.duration, "capture.approach.duration"
         samples = duration / scenario.sample_time
         require(

@@ -162,7 +162,9 @@ def test_every_controller_goes_through_the_grasp(controller):
     overrides = ["disturbance.amplitude_scale=0", f"controller={controller}", "duration=2.5"]
     gains = "{k_d: 14, k_s: 14}" if controller == "asmc" else "{k_d: 10, k_p: 25}"
     overrides += [f"controllers.{controller}={gains}"]
-    overrides += ["sensing.velocity_noise=1e-6"] if controller == "computed_torque" else []
+    overrides += (
+        ["sensing.velocity_noise=1e-6", "sensing.position_noise=1e-6"] if controller == "computed_torque" else []
+    )
     overrides += ["controllers.aismc.k_s_initial=5", "controllers.aismc.k_s_max=5"] if controller == "aismc" else []
     log = make_rollout(override_scenario(SCENARIO, overrides)).run()
     assert log.outcome.completed

@@ -114,8 +114,8 @@ def camera_pose(
     """
     context = plant.CreateDefaultContext()
     points = []
-    for name in ("initial_posture", "target_posture"):
-        plant.SetPositions(context, configuration(plant, getattr(scenario, name), key=name))
+    for name, posture in scenario.postures.items():
+        plant.SetPositions(context, configuration(plant, posture, key=name))
         points += [_outline(plant, context, inspector, BodyIndex(k)) for k in range(1, plant.num_bodies())]  # no world
     p_WP = np.concatenate(points)
     center = 0.5 * (p_WP.min(axis=0) + p_WP.max(axis=0))
