@@ -58,6 +58,13 @@ class GraspLog:
             "before": (contact.momentum_before, contact.spin_before, grasp.energy_before, contact.velocity),
             "after": (contact.momentum_after, contact.spin_after, grasp.energy_after, grasp.velocity),
         }
+        compliant = contact.compliant
+        found = {} if compliant is None else {
+            "peak_force": compliant.peak_force,  # N
+            "peak_torque": compliant.peak_torque,  # N m
+            "peak_stretch": compliant.peak_stretch,  # m
+            "time": compliant.time,  # s
+        }  # fmt: skip
         return {
             "time": time,
             "impulse": contact.impulse[3:].tolist(),  # on the target, N s
@@ -73,6 +80,7 @@ class GraspLog:
                 }
                 for side, (momentum, spin, energy, velocity) in sides.items()
             },
+            "compliant": found,
             "miss": {
                 "position": float(np.linalg.norm(self.offset[3:])),  # m
                 "angle": float(np.linalg.norm(self.offset[:3])),  # rad

@@ -81,6 +81,16 @@ class Approach:
 
 
 @dataclasses.dataclass
+class Compliance:
+    """The gripper as springs and dampers, for the force and the time of the grasp; the run takes the plastic grasp."""
+
+    stiffness: float = 1e5  # N/m
+    damping: float = 2e3  # N s/m
+    rotational_stiffness: float = 1e4  # N m/rad
+    rotational_damping: float = 1e2  # N m s/rad
+
+
+@dataclasses.dataclass
 class Capture:
     """The grasp of a moving target, in ``initial_posture``, after which the run is what follows from it."""
 
@@ -97,6 +107,7 @@ class Capture:
     tracking_cost: PerCoordinate = _published(all=1.0)  # s/rad or s/m; of rates that track alike, those of least cost
     # how the joints meet the target: "free", or "braked", which stops them at the grasp
     joints: str = "free"
+    compliance: Compliance | None = None  # of the gripper, for the force of the grasp; null: it is not computed
     approach: Approach | None = None  # the motion up to the grasp; null: the run begins with the grasp
 
 

@@ -1,5 +1,6 @@
 """Checks of every value that need no plant."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -149,6 +150,9 @@ def _validate_capture(scenario: Scenario, capture: Capture) -> None:
         "reference.base_rotation",
         f"must be eigenaxis with capture, not {scenario.reference.base_rotation}: the base may turn at the start",
     )
+    for field in dataclasses.fields(capture.compliance) if capture.compliance is not None else ():
+        number = getattr(capture.compliance, field.name)
+        require(number > 0, f"capture.compliance.{field.name}", f"must be > 0, not {number:g}")
     if capture.approach is not None:
         duration, key = capture.approach.duration, "capture.approach.duration"
         samples = duration / scenario.sample_time

@@ -8,7 +8,7 @@ from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.grasp import Grasp, plastic_grasp, shift_moment
+from ffsm_drake.spacecraft.grasp import CompliantGrasp, Grasp, compliant_grasp, plastic_grasp, shift_moment
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
 
@@ -27,6 +27,7 @@ class Contact:
     momentum_after: np.ndarray
     spin_before: np.ndarray  # (3) angular momentum of both about their centre of mass, N m s
     spin_after: np.ndarray
+    compliant: CompliantGrasp | None  # with a compliance of the gripper
 
 
 def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
@@ -105,16 +106,33 @@ def contact_at(
     jacobian = plant.CalcJacobianSpatialVelocity(
         context, JacobianWrtVariable.kV, body.body_frame(), origin, world, world
     )
+    target_inertia = inertia.CopyToFullMatrix6()
+    braked = range(NUM_BASE_VELOCITIES, velocity.size) if capture.joints == "braked" else ()
     grasp = plastic_grasp(
         mass_matrix=mass_matrix,
         jacobian=jacobian,
-        target_inertia=inertia.CopyToFullMatrix6(),
+        target_inertia=target_inertia,
         velocity=velocity,
         target_velocity=target_velocity,
-        braked=range(NUM_BASE_VELOCITIES, velocity.size) if capture.joints == "braked" else (),
+        braked=braked,
     )
     effector = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
     p_WE = effector.CalcPoseInWorld(context).translation()
+    compliant = None
+    if capture.compliance is not None:
+        # [w; v_E] = moved [w; v_P]
+        moved, back = (_moved(sign * (p_WE - X_WP.translation())) for sign in (1.0, -1.0))
+        of = capture.compliance
+        compliant = compliant_grasp(
+            mass_matrix=mass_matrix,
+            jacobian=moved @ jacobian,
+            target_inertia=back.T @ target_inertia @ back,
+            velocity=velocity,
+            target_velocity=moved @ target_velocity,
+            stiffness=np.repeat([of.rotational_stiffness, of.stiffness], 3),
+            damping=np.repeat([of.rotational_damping, of.damping], 3),
+            braked=braked,
+        )
     p_WC = plant.CalcCenterOfMassPositionInWorld(context)
     p_WB = q[4:7]
     return Contact(
@@ -127,7 +145,16 @@ def contact_at(
         momentum_after=shift_moment(grasp.momentum_after, -p_WB),
         spin_before=shift_moment(grasp.momentum_before, p_WC - p_WB)[:3],
         spin_after=shift_moment(grasp.momentum_after, p_WC - p_WB)[:3],
+        compliant=compliant,
     )
+
+
+def _moved(offset: np.ndarray) -> np.ndarray:
+    """The matrix (6, 6) from [w; v] at a point of a body to [w; v] at one that lies ``offset`` (3, m) from it."""
+    x, y, z = offset
+    matrix = np.eye(6)
+    matrix[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return matrix
 
 
 def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:

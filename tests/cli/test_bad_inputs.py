@@ -601,6 +601,11 @@ TABLE = [
         "validate tumbling_capture --set payload.body=servicer::link_5",
         "payload.body: 'servicer::link_5' is a body of the servicer; capture takes a target of one body",
     ),
+    bad(
+        "soft-gripper",
+        "validate tumbling_capture --set capture.compliance.damping=0",
+        "capture.compliance.damping: must be > 0, not 0",
+    ),
     bad("no-goal", "validate tumbling_capture --set reference.goal=rest", "reference.goal: 'rest' is unknown"),
     bad(
         "no-reserve",

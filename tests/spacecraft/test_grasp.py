@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake.common.errors import ModelError, ScenarioError
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix, load_scenario
 from ffsm_drake.spacecraft.capture import contact_at, planned_contact, target_twist
-from ffsm_drake.spacecraft.grasp import plastic_grasp
+from ffsm_drake.spacecraft.grasp import compliant_grasp, plastic_grasp
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 
@@ -203,6 +203,44 @@ def test_the_base_has_no_brakes() -> None:
             mass_matrix=np.eye(7), jacobian=np.zeros((6, 7)), target_inertia=np.eye(6), velocity=np.zeros(7),
             target_velocity=np.zeros(6), braked=[5],
         )  # fmt: skip
+
+
+@pytest.mark.parametrize("joints", ["free", "braked"])
+def test_a_stiff_gripper_gives_the_impulse_of_the_plastic_grasp(joints: str) -> None:
+    scenario = tumbling(5.0, "capture.compliance.stiffness=1e5", f"capture.joints={joints}", "capture.servicer=rest")
+    contact = planned_contact(scenario, make_true_plant(scenario))
+    assert contact.compliant is not None
+    # The brakes act on joints that are at rest already.
+    assert_allclose(contact.compliant.impulse, contact.impulse, rtol=1e-9, atol=1e-12)
+    stiffer = tumbling(
+        5.0, f"capture.joints={joints}", "capture.servicer=rest",
+        "capture.compliance={stiffness: 4e5, damping: 4e3, rotational_stiffness: 4e4, rotational_damping: 200}",
+    )  # fmt: skip
+    other = planned_contact(stiffer, make_true_plant(stiffer)).compliant
+    assert other is not None
+    # Four times as stiff, twice as damped: everything happens twice as fast, with twice the force.
+    assert other.time == pytest.approx(0.5 * contact.compliant.time, rel=0.02)
+    assert other.peak_force == pytest.approx(2.0 * contact.compliant.peak_force, rel=1e-3)
+    assert other.peak_torque == pytest.approx(2.0 * contact.compliant.peak_torque, rel=1e-3)
+    assert other.peak_stretch == pytest.approx(0.5 * contact.compliant.peak_stretch, rel=1e-3)
+
+
+def test_a_gripper_between_two_masses_is_a_damped_oscillator() -> None:
+    """One direction of a free base of 3 kg and a target of 6 kg, weakly damped: F = v sqrt(k m), m the reduced mass."""
+    base, target, k = np.eye(7) * 3.0, np.eye(6) * 6.0, 50.0
+    jacobian = np.eye(6, 7)
+    grasp = compliant_grasp(
+        mass_matrix=base + jacobian.T @ target @ jacobian, jacobian=jacobian, target_inertia=target,
+        velocity=np.zeros(7), target_velocity=np.array([0.0, 0, 0, 0.7, 0, 0]), stiffness=np.full(6, k),
+        damping=np.full(6, 1e-4),
+    )  # fmt: skip
+    reduced = 3.0 * 6.0 / 9.0
+    assert grasp.peak_force == pytest.approx(0.7 * np.sqrt(k * reduced), rel=1e-3)
+    assert grasp.peak_stretch == pytest.approx(0.7 * np.sqrt(reduced / k), rel=1e-3)
+    assert grasp.peak_torque == 0.0
+    # The energy falls as exp(-c t / m).
+    assert grasp.time == pytest.approx(np.log(1e4) * reduced / 1e-4, rel=0.02)
+    assert_allclose(grasp.impulse, [0, 0, 0, -0.7 * reduced, 0, 0], atol=1e-12)
 
 
 def mujoco_weld(
