@@ -290,8 +290,10 @@ def seen_from(properties: MassProperties, X_QP: RigidTransform) -> MassPropertie
 
 def _without_target(scenario: Scenario) -> Scenario:
     """The scenario with nothing in the gripper, of which only the part before the grasp means anything."""
+    capture = None if scenario.capture is None else dataclasses.replace(scenario.capture, compliance=None)
     return dataclasses.replace(
         scenario,
+        capture=capture,
         payload=dataclasses.replace(scenario.payload, truth=NOTHING, nominal=NOTHING),
         reference=dataclasses.replace(scenario.reference, duration=1.0),
     )

@@ -84,10 +84,10 @@ class Approach:
 class Compliance:
     """The gripper as springs and dampers, for the force and the time of the grasp; the run takes the plastic grasp."""
 
-    stiffness: float = 1e5  # N/m
-    damping: float = 2e3  # N s/m
+    stiffness: float = 5e4  # N/m
+    damping: float = 1e3  # N s/m
     rotational_stiffness: float = 1e4  # N m/rad
-    rotational_damping: float = 1e2  # N m s/rad
+    rotational_damping: float = 500.0  # N m s/rad
 
 
 @dataclasses.dataclass

@@ -88,7 +88,7 @@ class CompliantGrasp:
     peak_force: float  # N
     peak_torque: float  # N m
     peak_stretch: float  # m; of the gripper
-    time: float  # s; until 1e-4 of the energy that the grasp takes is left between gripper and target
+    time: float  # s; until 1 % of the energy that the grasp takes is left between gripper and target
     impulse: np.ndarray  # (6) on the target, about the gripper's point: angular, linear; that of the plastic grasp
 
 
@@ -125,7 +125,7 @@ def compliant_grasp(
     force = stiffness[:, None] * offset + damping[:, None] * speed
     reduced = np.linalg.inv(mobility)
     energy = 0.5 * ((speed * (reduced @ speed)).sum(axis=0) + (stiffness[:, None] * offset**2).sum(axis=0))
-    over = np.flatnonzero(energy > 1e-4 * energy[0])
+    over = np.flatnonzero(energy > 1e-2 * energy[0])
     return CompliantGrasp(
         peak_force=float(np.linalg.norm(force[3:], axis=0).max()),
         peak_torque=float(np.linalg.norm(force[:3], axis=0).max()),

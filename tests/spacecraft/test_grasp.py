@@ -207,14 +207,14 @@ def test_the_base_has_no_brakes() -> None:
 
 @pytest.mark.parametrize("joints", ["free", "braked"])
 def test_a_stiff_gripper_gives_the_impulse_of_the_plastic_grasp(joints: str) -> None:
-    scenario = tumbling(5.0, "capture.compliance.stiffness=1e5", f"capture.joints={joints}", "capture.servicer=rest")
+    scenario = tumbling(5.0, "capture.compliance.stiffness=5e4", f"capture.joints={joints}", "capture.servicer=rest")
     contact = planned_contact(scenario, make_true_plant(scenario))
     assert contact.compliant is not None
     # The brakes act on joints that are at rest already.
     assert_allclose(contact.compliant.impulse, contact.impulse, rtol=1e-9, atol=1e-12)
     stiffer = tumbling(
         5.0, f"capture.joints={joints}", "capture.servicer=rest",
-        "capture.compliance={stiffness: 4e5, damping: 4e3, rotational_stiffness: 4e4, rotational_damping: 200}",
+        "capture.compliance={stiffness: 2e5, damping: 2e3, rotational_stiffness: 4e4, rotational_damping: 1000}",
     )  # fmt: skip
     other = planned_contact(stiffer, make_true_plant(stiffer)).compliant
     assert other is not None
@@ -239,7 +239,7 @@ def test_a_gripper_between_two_masses_is_a_damped_oscillator() -> None:
     assert grasp.peak_stretch == pytest.approx(0.7 * np.sqrt(reduced / k), rel=1e-3)
     assert grasp.peak_torque == 0.0
     # The energy falls as exp(-c t / m).
-    assert grasp.time == pytest.approx(np.log(1e4) * reduced / 1e-4, rel=0.02)
+    assert grasp.time == pytest.approx(np.log(100) * reduced / 1e-4, rel=0.02)
     assert_allclose(grasp.impulse, [0, 0, 0, -0.7 * reduced, 0, 0], atol=1e-12)
 
 
