@@ -1,11 +1,11 @@
 """The command ``ffsm``, which is ``python -m ffsm_drake``."""
 
+import _signal  # type: ignore[import-not-found]  # what ``signal`` is made of; built in, so that no time passes
 import os
-import signal
 
-for _number in (signal.SIGINT, signal.SIGTERM):  # before the next import: Ctrl-C may fall into any of them
-    if signal.getsignal(_number) != signal.SIG_IGN:
-        signal.signal(_number, lambda number, frame: os._exit(128 + number))
+for _number in (_signal.SIGINT, _signal.SIGTERM):  # before the next import: Ctrl-C may fall into any of them
+    if _signal.getsignal(_number) != _signal.SIG_IGN:
+        _signal.signal(_number, lambda number, frame: os._exit(128 + number))
 
 from ffsm_drake.common.interrupts import handle_signals, ignore_signals  # noqa: E402
 

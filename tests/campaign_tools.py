@@ -15,7 +15,6 @@ from ffsm_drake.campaign.run import start_campaign
 from ffsm_drake.campaign.spec import load_spec
 from ffsm_drake.common.workers import Stop, Workers, local_workers
 
-DRIVER = "from ffsm_drake.cli.campaign import campaign; campaign(prog_name='ffsm campaign')"
 SMALL = {
     "description": "a small campaign",
     "scenario": "postcapture",
@@ -73,7 +72,7 @@ def count(database: Path) -> int:
 
 def start_driver(*arguments: str) -> subprocess.Popen:
     return subprocess.Popen(
-        [sys.executable, "-c", DRIVER, *arguments],
+        [sys.executable, "-m", "ffsm_drake", "campaign", *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
     )  # fmt: skip
 

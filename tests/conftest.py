@@ -19,9 +19,13 @@ def pytest_configure(config):
     config.addinivalue_line("filterwarnings", "ignore::ffsm_drake.control_design.stability.StabilityWarning")
 
 
+# The modules that take longest; the longest starts first, so that no worker ends alone with one.
+LONGEST = ("flight", "bad_inputs", "linearization", "reproduction", "campaign_run", "example", "noise_study", "report")
+
+
 def pytest_collection_modifyitems(items):
-    # The modules that take longest start first, so that no worker ends alone with one.
-    items.sort(key=lambda item: item.path.name not in ("test_example.py", "test_reproduction.py", "test_report.py"))
+    order = {f"test_{name}.py": number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(order)))
 
 
 @functools.cache

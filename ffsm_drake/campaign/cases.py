@@ -9,7 +9,7 @@ from typing import Any
 from ffsm_drake.campaign.dispersion import Value, case_seed, get_value, set_value, unit_points
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.common.errors import CampaignError
-from ffsm_drake.scenario import Scenario, scenario_from_dict
+from ffsm_drake.scenario import Scenario, scenario_from_dict, shown
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ def _operand(spec: Spec, values: Mapping[str, Any], source: str) -> Value:
     value = values[source] if source in values else get_value(spec.base, source)
     numbers = value if isinstance(value, list) else [value]
     if not all(isinstance(item, (int, float)) and not isinstance(item, bool) for item in numbers):
-        raise CampaignError(f"{source} must be a number or a list of numbers, not {value!r}")
+        raise CampaignError(f"{source} must be a number or a list of numbers, not {shown(value)}")
     return value
 
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import CampaignError
+from ffsm_drake.scenario import shown
 
 SAMPLINGS = ("latin_hypercube", "sobol", "random")
 # Keeps quantiles of unbounded distributions finite: SciPy's points may touch zero.
@@ -176,7 +177,7 @@ def number(data: Any, *, place: str) -> float:
     except OverflowError:
         raise CampaignError(f"{place}: must be finite, not a number of hundreds of digits") from None
     except ValueError:
-        raise CampaignError(f"{place}: must be a number, not {data!r}") from None
+        raise CampaignError(f"{place}: must be a number, not {shown(data)}") from None
     if not math.isfinite(value):
         raise CampaignError(f"{place}: must be finite, not {value}")
     return value
@@ -187,7 +188,7 @@ def check_plain(data: Any, *, place: str) -> None:
     if isinstance(data, Mapping):
         for key, value in data.items():
             if not isinstance(key, str) or not key.isprintable() or not key:
-                raise CampaignError(f"{place}: key {key!r} must be printable text")
+                raise CampaignError(f"{place}: key {shown(key)} must be printable text")
             check_plain(value, place=f"{place}.{key}")
     elif isinstance(data, list):
         for i, value in enumerate(data):
@@ -225,7 +226,7 @@ def _kind_of(data: Any, key: str, fields: Mapping[str, tuple[str, ...]], *, plac
 def _names(data: Any, *, place: str) -> tuple[str, ...]:
     names = data if isinstance(data, list) else [data]
     if not names or not all(isinstance(name, str) for name in names):
-        raise CampaignError(f"{place}: must name other values, not {data!r}")
+        raise CampaignError(f"{place}: must name other values, not {shown(data)}")
     return tuple(names)
 
 

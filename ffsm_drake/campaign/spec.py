@@ -25,7 +25,15 @@ from ffsm_drake.campaign.dispersion import (
 )
 from ffsm_drake.common.errors import CampaignError, ScenarioError, one_line
 from ffsm_drake.common.files import check_regular
-from ffsm_drake.scenario import Scenario, anchor_paths, load_scenario, relate_paths, scenario_to_dict, shipped_scenarios
+from ffsm_drake.scenario import (
+    Scenario,
+    anchor_paths,
+    load_scenario,
+    relate_paths,
+    scenario_to_dict,
+    shipped_scenarios,
+    shown,
+)
 from ffsm_drake.scenario.loading import MAX_FILE_SIZE
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 from ffsm_drake.spacecraft.coordinates import GROUPS
@@ -246,7 +254,7 @@ def _base(data: Mapping[str, Any], *, folder: Path) -> dict[str, Any]:
     """The resolved scenario as plain data, fixed overrides included."""
     name = data.get("scenario", "postcapture")
     if not isinstance(name, str):
-        raise CampaignError(f"scenario: must be a shipped name or a file, not {name!r}")
+        raise CampaignError(f"scenario: must be a shipped name or a file, not {shown(name)}")
     overrides = _section(data, "overrides")
     for key in overrides:
         _check_not_reserved(key, place="overrides")
@@ -260,7 +268,7 @@ def _section(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     if section is None:
         return {}
     if not isinstance(section, Mapping):
-        raise CampaignError(f"{name}: must be a mapping, not {section!r}")
+        raise CampaignError(f"{name}: must be a mapping, not {shown(section)}")
     return section
 
 
@@ -277,7 +285,7 @@ def _controllers(data: Any) -> tuple[str, ...]:
     names = data if isinstance(data, list) else [data]
     for name in names:
         if not isinstance(name, str):
-            raise CampaignError(f"controllers: must be names, or module:attribute, not {name!r}")
+            raise CampaignError(f"controllers: must be names, or module:attribute, not {shown(name)}")
     if not names or len(set(names)) < len(names):
         raise CampaignError("controllers: must name at least one, each once")
     return tuple(names)

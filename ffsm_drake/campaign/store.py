@@ -258,7 +258,13 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
             raise CampaignError(f"{path}: is damaged: it holds no usable specification: {one_line(error)}") from error
         store = Store(connection, path, spec)
         store.check()
-        yield store
+        try:
+            yield store
+        finally:
+            if writing:  # back to a single file, which can be read where nothing may be written; unless others read it
+                with contextlib.suppress(sqlite3.Error):
+                    connection.execute("PRAGMA busy_timeout = 0")
+                    connection.execute("PRAGMA journal_mode = DELETE")
 
 
 def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, folder: Path) -> None:
@@ -327,7 +333,7 @@ def _one_line_errors(path: Path) -> Iterator[None]:
         yield
     except sqlite3.OperationalError as error:
         raise CampaignError(f"{path}: cannot be used: {one_line(error)}") from error
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter: its messages quote the file's bytes
         raise CampaignError(f"{path}: is damaged or not a campaign's database: {one_line(error)}") from error
 
 

@@ -1,5 +1,6 @@
 """The command line ``ffsm``: parses, calls, prints. Nothing heavy is imported before a command runs."""
 
+import logging
 import os
 import sys
 from pathlib import Path
@@ -33,6 +34,7 @@ def main() -> None:
     for name, threads in ONE_THREAD.items():
         os.environ.setdefault(name, threads)  # read when NumPy loads
     os.environ["MPLBACKEND"] = "agg"  # figures go to files, whatever the user's windows are made with
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it remarks on a home that cannot be written
     try:
         folder = str(Path.cwd())
     except FileNotFoundError:

@@ -3,7 +3,7 @@
 import itertools
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,7 +31,10 @@ if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.scenario import Scenario
 
-_out = out_option(help="Default: out/ and the scenario's name, with the controller's where another is chosen.")
+_out = out_option(
+    help="Default: out/ and the scenario's name, with the controller's where another is chosen. A run that is there "
+    "already is replaced, with a warning if its settings were others."
+)
 _report = click.option("--report/--no-report", default=True, show_default=True, help="Write report.html.")
 
 
@@ -66,6 +69,7 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
     if report or meshcat or controls:
         check_pictures(scenario.model)
     if not controls:
+        _tell_replaced([(directory, scenario)], directory)
         record = _watch(scenario) if meshcat else _simulate(scenario)
         record.save(directory)
         code = _finish([record], directory, as_json=as_json, report=report)
@@ -79,10 +83,8 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
     from ffsm_drake.show.meshcat.interactive import run_interactive
 
     click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
-    count = itertools.count(1)
-    records = run_interactive(
-        scenario, open_browser=True, keep=lambda record: record.save(directory / f"run_{next(count)}")
-    )
+    folders = (folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists())
+    records = run_interactive(scenario, open_browser=True, keep=lambda record: record.save(next(folders)))
     sys.exit(_finish(records, directory, as_json=as_json, report=report) if records else EXIT_GOOD)
 
 
@@ -130,6 +132,7 @@ def compare(
     if report:
         check_pictures(base.model)
     scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]  # checked before any of them runs
+    _tell_replaced(zip([directory / folder for folder in folders], scenarios, strict=True), directory)
     records: list[RunRecord] = []
     for chosen, folder in zip(scenarios, folders, strict=True):
         with located_errors(scenario, overrides):
@@ -161,6 +164,28 @@ def _stem_of(scenario: "Scenario") -> str:
 
     own = load_scenario(click.get_current_context().params["scenario"]).controller
     return scenario_stem() + ("" if scenario.controller == own else f"_{controller_key(scenario.controller)}")
+
+
+def _tell_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) -> None:
+    """Say so, in a line, when one of the runs planned in a directory will take the place of one with other settings."""
+    from ffsm_drake.common.errors import FfsmError
+    from ffsm_drake.runs.simulate import repeatable_scenario
+    from ffsm_drake.scenario import MANIFEST_FILE, differing_keys, load_scenario
+
+    for folder, scenario in planned:
+        if not (folder / MANIFEST_FILE).exists():
+            continue
+        new = repeatable_scenario(scenario, {})
+        try:
+            keys = differing_keys(load_scenario(str(folder)), new)
+        except FfsmError:
+            old = "a run that cannot be read"
+        else:
+            if not keys:
+                continue
+            old = f"a run with other settings ({', '.join(keys[:3])}{', ...' if len(keys) > 3 else ''})"
+        click.echo(f"warning: {directory}: {old} will be replaced; to keep it, give another --out", err=True)
+        return
 
 
 def _watch(scenario: "Scenario") -> "RunRecord":
@@ -199,6 +224,7 @@ def _finish(
 ) -> int:
     """Report, table and exit code of finished runs."""
     from ffsm_drake.runs.limits import run_remarks
+    from ffsm_drake.runs.record import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.tables import results_data, results_table
 
@@ -211,10 +237,12 @@ def _finish(
         click.echo(results_table([records[k] for k in placed], shown))
     if report:
         write_outputs(records, directory, figures=False, recording=False, distances=distances)
+    else:
+        (directory / REPORT_FILE).unlink(missing_ok=True)  # of earlier runs
     if as_json:
         print_json({"directory": str(directory), "runs": results_data(records, distances)})
     else:
-        click.echo(f"\nWritten to {directory}" + (f"; open {directory / 'report.html'}" if report else ""))
+        click.echo(f"\nWritten to {directory}" + (f"; open {directory / REPORT_FILE}" if report else ""))
     statuses = {record.outcome.status for record in records}
     if "interrupted" in statuses:
         return exit_code()

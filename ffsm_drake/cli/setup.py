@@ -134,6 +134,9 @@ def scenarios(name: str | None, as_json: bool) -> None:
 def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bool) -> None:
     """Check scenarios, their models and controllers, as 'run' does, without a run. Exits with 2 if one cannot be used.
 
+    An unstable loop, or a plan that leaves the joints' limits, can be run: it is a warning, and exits with 0, as 'run'
+    warns and goes on. With --json, 'warnings' lists them.
+
     \b
     Examples:
       ffsm validate mine.yaml

@@ -8,12 +8,15 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+_LONGEST = 1500  # characters of an error that quotes what it was given
+
 
 class FfsmError(Exception):
-    """Base of every error caused by bad input; its text is one line."""
+    """Base of every error caused by bad input; its text is one line, and its middle left out where that is endless."""
 
     def __init__(self, text: str) -> None:
-        super().__init__(" ".join(text.splitlines()))
+        line = " ".join(text.splitlines())
+        super().__init__(line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}")
 
 
 class ScenarioError(FfsmError):

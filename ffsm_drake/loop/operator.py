@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
@@ -74,7 +75,7 @@ class OperatorInputs(LeafSystem):
             self.DeclareVectorOutputPort(
                 name,
                 num_velocities,
-                lambda context, output, index=index: self._calc_force(context, output, index),
+                partial(weak_callback(self._calc_force), index),
                 {
                     self.input_port_ticket(self._disturbance.get_index()),
                     self.input_port_ticket(self._state.get_index()),
@@ -87,7 +88,7 @@ class OperatorInputs(LeafSystem):
         values.set_value(self._acting, context.get_discrete_state(self._next).value())
         values.set_value(self._next, self._poll(context.get_time(), q))
 
-    def _calc_force(self, context: Context, output: BasicVector, index: int) -> None:
+    def _calc_force(self, index: int, context: Context, output: BasicVector) -> None:
         scale, *push = context.get_discrete_state(index).value()
         force = scale * self._disturbance.Eval(context)
         if any(push):

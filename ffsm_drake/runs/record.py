@@ -7,6 +7,8 @@ import json
 import math
 import os
 import platform
+import re
+import warnings
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,14 +23,16 @@ if TYPE_CHECKING:
 
 DATASET_FILE = "record.nc"
 METRICS_FILE = "metrics.json"
+REPORT_FILE = "report.html"
 FORMAT = 3
-_IDENTIFIER = "record_sha256"  # of record.nc, in the files that go with it
+IDENTIFIER = "record_sha256"  # of record.nc, in the files that go with it; in reports an attribute of their head
+_HEAD = 100_000  # bytes of a report within which that is
 _MAX_TEXT = 10_000_000  # bytes, of manifest and metrics
 _MAX_RECORD = 100_000_000_000  # bytes
 _MAX_PER_SAMPLE = 100_000  # bytes, unpacked
 # What is made from a record and tells nothing of the next one.
 OUTPUTS = (
-    "report.html", "recording.html", "analysis.json", "analysis.png",
+    REPORT_FILE, "recording.html", "analysis.json", "analysis.png",
     *(f"{name}.png" for name in ("trajectories", "errors", "efforts", "gains")),
 )  # fmt: skip
 _BY_COORDINATE, _BY_POSITION, _BY_AXIS = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
@@ -56,6 +60,10 @@ VARIABLES = {
 }
 _COORDINATES = ("time", "coordinate", "position_name", "axis", "group", "unit")
 _STATUSES = ("completed", "diverged", "interrupted")
+
+
+class StaleReportWarning(UserWarning):
+    """A report beside a record shows another run."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -89,6 +97,8 @@ class RunRecord:
     # block -> where it comes from: ``system``; for a user-supplied one ``file`` and its ``sha256``
     blocks: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
     grasp: dict[str, Any] | None = None  # of a run with a capture; see ``GraspLog.ledger``
+    # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and reports carry
+    identifier: str = dataclasses.field(default="", init=False)
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
@@ -138,14 +148,17 @@ class RunRecord:
                 self.dataset.to_netcdf(folder / DATASET_FILE, engine="netcdf4", format="NETCDF4", encoding=encoding)
             except RuntimeError as error:  # the netCDF library's error for a full disk
                 raise OSError(one_line(error)) from error
-            identifier = {_IDENTIFIER: _digest(folder / DATASET_FILE)}
+            identifier = _digest(folder / DATASET_FILE)
             for name, data in ((METRICS_FILE, metrics), (MANIFEST_FILE, manifest)):
-                (folder / name).write_text(to_json(data | identifier), encoding="utf-8")
+                (folder / name).write_text(to_json(data | {IDENTIFIER: identifier}), encoding="utf-8")
+        object.__setattr__(self, "identifier", identifier)
         return directory
 
     @classmethod
     def load(cls, directory: str | Path) -> "RunRecord":
         """Read back what ``save`` wrote.
+
+        Warns (StaleReportWarning) of a report of another run in the folder, or of another comparison above it.
 
         Raises:
           RecordError: a file is missing or cannot be used.
@@ -192,13 +205,14 @@ class RunRecord:
         except Exception as error:  # xarray and HDF5 raise many types for a damaged file
             raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
         _check_dataset(dataset, path)
-        if manifest.get(_IDENTIFIER) != digest:
+        if manifest.get(IDENTIFIER) != digest:
             raise RecordError(f"{path}: is not the record that {MANIFEST_FILE} goes with, or was changed; run it again")
         _check_metrics(directory / METRICS_FILE, digest)
+        _check_reports(directory, digest)
         for source in blocks.values():
             if "file" in source:
                 source["file"] = str((directory / source["file"]).resolve())
-        return cls(
+        record = cls(
             scenario=scenario,
             outcome=outcome,
             dataset=dataset,
@@ -207,6 +221,8 @@ class RunRecord:
             blocks=blocks,
             grasp=grasp,
         )
+        object.__setattr__(record, "identifier", digest)
+        return record
 
 
 def _checked_outcome(data: Any) -> Outcome:
@@ -239,8 +255,28 @@ def _check_metrics(path: Path, digest: str) -> None:
         return  # nothing here reads them
     except (OSError, ValueError, RecursionError) as error:
         raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
-    if not isinstance(metrics, dict) or metrics.get(_IDENTIFIER) != digest:
+    if not isinstance(metrics, dict) or metrics.get(IDENTIFIER) != digest:
         raise RecordError(f"{path}: does not go with {DATASET_FILE} beside it; run it again")
+
+
+def _check_reports(directory: Path, digest: str) -> None:
+    """Warn of a report in a run's folder, or of a comparison one above it, that shows another run in its place."""
+    for page, folder in ((directory / REPORT_FILE, ""), (directory.absolute().parent / REPORT_FILE, directory.name)):
+        try:
+            check_regular(page, limit=_MAX_RECORD)
+            with page.open("rb") as file:
+                head = file.read(_HEAD).decode("utf-8", "replace")
+        except OSError:
+            continue
+        found = re.search(f'<meta name="{IDENTIFIER}" content="([^"]*)">', head)
+        shown = [word.rpartition("=") for word in found[1].split()] if found else []
+        digests = [shown_digest for controller, _, shown_digest in shown if folder in ("", controller)]
+        if digests and digest not in digests:
+            warnings.warn(
+                f"{page} shows another run than the {DATASET_FILE} of {directory}; make it anew",
+                StaleReportWarning,
+                stacklevel=3,
+            )
 
 
 def _check_dataset(dataset: "xr.Dataset", path: Path) -> None:

@@ -37,7 +37,8 @@ def simulate(
       scenario: what to run.
       blocks: block -> factory (BlockSetup -> Drake system, for the controller also a control law) in place of what the
         scenario says, such as ``{"sensing": Vicon, "forces.friction": Friction}``. The record's scenario names what can
-        be imported by name, so that the run can be repeated from its record.
+        be imported by name, so that the run can be repeated from its record. The diagram is freed with the run: of a
+        system that a factory keeps, the attributes may be read afterwards, but not its place in the diagram.
       meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate`` to pace it).
       progress: called with (simulated time, duration) in s, once per simulated second.
       check_stability: look ahead, as ``prepare`` does.
@@ -51,8 +52,7 @@ def simulate(
     try:
         return make_record(rollout.run(progress=progress), blocks=blocks, start=start)
     finally:
-        if not blocks:  # what they made may still be in use elsewhere
-            rollout.release()
+        rollout.release()
 
 
 def prepare(

@@ -3,6 +3,8 @@
 from ffsm_drake.scenario.loading import (
     MANIFEST_FILE,
     anchor_paths,
+    differing_keys,
+    flatten,
     is_overridden,
     load_scenario,
     override_scenario,
@@ -14,7 +16,7 @@ from ffsm_drake.scenario.loading import (
     scenario_to_yaml,
     shipped_scenarios,
 )
-from ffsm_drake.scenario.resolving import schema_fields
+from ffsm_drake.scenario.resolving import schema_fields, shown
 from ffsm_drake.scenario.schema import (
     BASE_ROTATIONS,
     CAPTURE_AXES,
@@ -44,6 +46,8 @@ from ffsm_drake.scenario.schema import (
 __all__ = [
     "MANIFEST_FILE",
     "anchor_paths",
+    "differing_keys",
+    "flatten",
     "relate_paths",
     "BASE_ROTATIONS",
     "CAPTURE_AXES",
@@ -77,5 +81,6 @@ __all__ = [
     "scenario_to_dict",
     "scenario_to_yaml",
     "schema_fields",
+    "shown",
     "shipped_scenarios",
 ]

@@ -98,6 +98,24 @@ def scenario_to_dict(scenario: Scenario) -> dict[str, typing.Any]:
     return data
 
 
+def flatten(data: Mapping[str, typing.Any], prefix: str = "") -> dict[str, typing.Any]:
+    """Nested mappings as one, with dotted keys."""
+    flat: dict[str, typing.Any] = {}
+    for key, value in data.items():
+        if isinstance(value, Mapping) and value:
+            flat |= flatten(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def differing_keys(*scenarios: Scenario) -> list[str]:
+    """The dotted keys, but for the description, in which scenarios are not all the same."""
+    flat = [flatten(scenario_to_dict(scenario)) for scenario in scenarios]
+    keys = {key for one in flat for key in one} - {"description"}
+    return sorted(key for key in keys if len({repr(one.get(key)) for one in flat}) > 1)
+
+
 def scenario_to_yaml(scenario: Scenario) -> str:
     """The whole scenario as YAML text: what ``load_scenario`` reads back from a file."""
     text: str = yaml.safe_dump(scenario_to_dict(scenario), sort_keys=False)

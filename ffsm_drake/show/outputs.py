@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ffsm_drake.common.files import write_text
-from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.runs.record import REPORT_FILE, RunRecord
 
-REPORT_FILE = "report.html"
 RECORDING_FILE = "recording.html"
 
 

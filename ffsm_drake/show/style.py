@@ -3,11 +3,11 @@
 import dataclasses
 import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import scenario_to_dict
+from ffsm_drake.scenario import differing_keys, flatten, scenario_to_dict
 
 # Okabe and Ito's palette: told apart by the colour-blind, and with the line styles also in grey print.
 VERMILION, BLUE, GREEN, PURPLE = "#D55E00", "#0072B2", "#009E73", "#CC79A7"
@@ -99,8 +99,7 @@ def labels_of(records: Sequence[RunRecord]) -> list[str]:
     labels = [label_of(record.scenario.controller) for record in records]
     if len(set(labels)) < len(labels):
         flat = [flatten(scenario_to_dict(record.scenario)) for record in records]
-        keys = {key for one in flat for key in one} - {"controller", "description"}
-        varying = sorted(key for key in keys if len({repr(one.get(key)) for one in flat}) > 1)
+        varying = [key for key in differing_keys(*(record.scenario for record in records)) if key != "controller"]
         if 1 <= len(varying) <= 2:
             labels = [
                 ", ".join([label, *(f"{_short(key)} = {_shown(one.get(key))}" for key in varying)])
@@ -109,17 +108,6 @@ def labels_of(records: Sequence[RunRecord]) -> list[str]:
     if len(set(labels)) < len(labels):
         labels = [f"{label}, run {number}" for number, label in enumerate(labels, start=1)]
     return labels
-
-
-def flatten(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as one, with dotted keys."""
-    flat: dict[str, Any] = {}
-    for key, value in data.items():
-        if isinstance(value, Mapping) and value:
-            flat |= flatten(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat
 
 
 def _short(key: str) -> str:

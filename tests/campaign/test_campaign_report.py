@@ -177,7 +177,8 @@ class Reader(html.parser.HTMLParser):
         ]
 
 
-def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path):
+def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monkeypatch):
+    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 2)
     result = CliRunner().invoke(
         campaign, ["report", str(database), "--out", str(tmp_path), "--map", "nominal_error", "payload.truth.mass"]
     )

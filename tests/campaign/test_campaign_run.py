@@ -9,6 +9,7 @@ import signal
 import sqlite3
 import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -34,7 +35,7 @@ from ffsm_drake.campaign.store import create_store, open_store
 from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.common.errors import CampaignError, InterruptedCampaign
 from ffsm_drake.common.time_limit import time_limit
-from ffsm_drake.common.workers import Stop
+from ffsm_drake.common.workers import Stop, Workers
 
 linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
 
@@ -62,7 +63,7 @@ def one_line_error(result, said):
 
 @linux
 def test_kills_and_an_interruption_change_nothing(spec, database, tmp_path):
-    """One of two workers is killed, then the driver; Ctrl-C interrupts what resumes; what resumes that finishes."""
+    """One of two workers is killed, then the driver; SIGTERM interrupts what resumes; what resumes that finishes."""
     path = tmp_path / "disturbed.db"
     driver = start_driver("run", str(spec), "--database", str(path), "--workers", "2")
     workers = wait_for_results(driver, path, 2)
@@ -74,18 +75,52 @@ def test_kills_and_an_interruption_change_nothing(spec, database, tmp_path):
     wait_for_end(workers)
     driver = start_driver("resume", str(path), "--workers", "1")
     workers = wait_for_results(driver, path, count(path) + 2)
-    os.killpg(driver.pid, signal.SIGINT)  # as a terminal does: the workers get it too
+    driver.terminate()
     output, _ = driver.communicate(timeout=60)
-    assert driver.returncode == 130, output
+    assert driver.returncode == 143, output
     assert f"interrupted with {count(path)} of 32 runs stored" in output
     assert "Traceback" not in output
     wait_for_end(workers)
     with contextlib.closing(sqlite3.connect(path)) as connection:
         assert connection.execute("SELECT count(*) FROM results WHERE outcome = 'error'").fetchone() == (0,)
-    result = invoke("resume", path, "--workers", "1")
-    assert result.exit_code == 0, result.output
+        # Not WAL, which cannot be read where nothing may be written.
+        assert connection.execute("PRAGMA journal_mode").fetchone() == ("delete",)
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+    resume_campaign(path, workers=HERE, stop=Stop())
     assert table(path) == table(database)
     assert len(table(path)) == 32
+
+
+KILLED = """
+import dataclasses, faulthandler, os, signal
+from ffsm_drake import ControlLaw
+
+@dataclasses.dataclass(frozen=True)
+class Kills(ControlLaw):
+    def step(self, sample, state):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+class Faults(Kills):
+    def step(self, sample, state):
+        faulthandler.disable()
+        os.kill(os.getpid(), signal.SIGSEGV)
+"""
+
+
+def test_a_controller_killed_by_a_signal_is_a_row(tmp_path):
+    (tmp_path / "killed.py").write_text(KILLED)
+    controllers = ["tdc", "killed:Kills", "killed:Faults"]
+    overrides = {"python_path": [str(tmp_path)], "duration": 0.05}
+    spec = load_spec(write_spec(tmp_path / "s.yaml", controllers=controllers, overrides=overrides, cases=2))
+    forked = Workers(  # from this process, which has loaded everything
+        open=lambda: ProcessPoolExecutor(1, mp_context=get_context("fork")), in_flight=lambda: 2, renewable=True
+    )
+    start_campaign(spec, tmp_path / "x.db", workers=forked)
+    with open_store(tmp_path / "x.db") as store:
+        counts = {name: sorted(kind for kind, n in each.items() if n) for name, each in store.counts().items()}
+        assert store.num_results() == 6
+        assert "the worker process died each time it ran this" in store.result(1, "killed:Faults")["message"]
+    assert counts == {"tdc": ["settled"], "killed:Kills": ["error"], "killed:Faults": ["error"]}
 
 
 def test_a_failing_case_is_a_row(tmp_path):
@@ -219,6 +254,11 @@ DAMAGES = {
     "a missing value": ("UPDATE cases SET nominal_error = NULL WHERE case_index = 1", "the cases of case 1"),
     "half a list": ("UPDATE cases SET \"payload.truth.inertia\" = '[1' WHERE case_index = 1", "of case 1 is no value"),
     "another column": ("ALTER TABLE cases RENAME COLUMN nominal_error TO other", "the columns of cases"),
+    "bytes in a column's name": (
+        "PRAGMA writable_schema = 1; UPDATE sqlite_schema SET sql = "
+        "replace(sql, 'results.isv', 'results' || CAST(x'c9' AS TEXT) || 'isv') WHERE name = 'runs'",
+        "damaged",
+    ),
     "no table": ("DROP TABLE software", "cannot be used"),
     "more results than runs": (
         "CREATE TABLE more AS SELECT * FROM results; INSERT INTO more SELECT * FROM results; DROP VIEW runs; "
@@ -307,14 +347,14 @@ def test_a_controller_that_never_returns_is_a_row(law, tmp_path):
     (tmp_path / f"{module}.py").write_text(BLOCKED)
     controllers = [f"{module}:{law}", "tdc"]
     overrides = {"python_path": [str(tmp_path)], "duration": 0.05}
-    spec = load_spec(write_spec(tmp_path / "s.yaml", controllers=controllers, overrides=overrides, time_limit=0.3))
+    spec = load_spec(write_spec(tmp_path / "s.yaml", controllers=controllers, overrides=overrides, time_limit=1.0))
     evaluator, case = Evaluator(spec), next(make_cases(spec))
     blocked, good = (evaluator.evaluate(case, name) for name in controllers)
     assert (blocked["outcome"], blocked["message"]) == (
         "error",
-        "TimeLimit: took longer than 0.3 s of wall time (time_limit)",
+        "TimeLimit: took longer than 1 s of wall time (time_limit)",
     )
-    assert blocked["wall_time"] < 2.0
+    assert blocked["wall_time"] < 5.0
     assert good["outcome"] != "error"
 
 

@@ -144,6 +144,8 @@ BAD = {
     ),
     "a name that is no text": (changed("parameters", **{"a\0b": {"distribution": "choice"}}), "must be printable"),
     "a date": ({"scenario": datetime.date(2024, 1, 1)}, "scenario: must be a number, text, list or mapping"),
+    "a long text": ({"cases": 5000 * "x"}, "cases: must be a number, not 'xxx"),
+    "a long name": ({"sampling": 5000 * "x"}, "is unknown; choose one of"),
     "no time": ({"time_limit": 0}, "time_limit: must be > 0 s"),
 }  # fmt: skip
 
@@ -156,6 +158,7 @@ def test_a_bad_specification_is_one_line(name, tmp_path):
     assert result.exit_code == 2, result.output
     assert said in result.output
     assert result.output.count("\n") == 1
+    assert len(result.output) < 2000
     assert not (tmp_path / "x.db").exists()
 
 

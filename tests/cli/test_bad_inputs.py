@@ -13,6 +13,7 @@ import socket
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -25,8 +26,10 @@ from ffsm_drake import RecordError, RunRecord, load_scenario, simulate
 from ffsm_drake.analysis import analyze
 from ffsm_drake.cli import main
 from ffsm_drake.common import files
+from ffsm_drake.runs.record import StaleReportWarning
 from ffsm_drake.show.figures import run as run_figures
 from ffsm_drake.show.figures.analysis import plot_analysis
+from ffsm_drake.show.report.page import render_report
 
 SHORT = "--set duration=0.05"
 
@@ -1215,6 +1218,30 @@ def test_files_of_two_runs_are_refused(tmp_path, good_run, run, name):
         RunRecord.load(other)
 
 
+def test_a_report_of_another_run_is_noticed(tmp_path, run):
+    """One in the run's folder that was copied; that of a comparison above, whose runs were made anew one by one."""
+    records = [run("postcapture", "duration=0.1", f"controller={name}") for name in ("tdc", "asmc")]
+    folders = [record.save(tmp_path / record.scenario.controller) for record in records]
+    page = render_report(records[:1])
+    assert f"SHA-256 of record.nc</dt><dd>{records[0].identifier}" in page.replace("</dt>\n", "</dt>")
+    for folder in (tmp_path, folders[0]):
+        (folder / "report.html").write_text(page)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        loaded = [RunRecord.load(folder) for folder in folders]
+    for folder, record in zip(folders, loaded, strict=True):
+        assert record.identifier == json.loads((folder / "metrics.json").read_text())["record_sha256"]
+    (folders[1] / "report.html").write_text(page)
+    with pytest.warns(StaleReportWarning, match=r"asmc/report.html shows another run than the record.nc of .*asmc"):
+        RunRecord.load(folders[1])
+    run("postcapture", "duration=0.05", "controller=tdc").save(folders[0])  # removes its own report only
+    with pytest.warns(StaleReportWarning) as told:
+        RunRecord.load(folders[0])
+    assert [str(item.message).partition(" shows")[0] for item in told] == [str(tmp_path / "report.html")]
+    CliRunner().invoke(main, shlex.split(f"compare -c tdc --no-report {SHORT} --out {shlex.quote(str(tmp_path))}"))
+    assert not (tmp_path / "report.html").exists()
+
+
 # Runs that end early keep their record.
 
 
@@ -1422,6 +1449,33 @@ def test_a_duration_between_samples_is_told():
 # What surrounds a run.
 
 
+def test_a_run_with_other_settings_is_not_replaced_in_silence(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def told(words, *more):
+        result = CliRunner().invoke(main, [*words.split(), "--no-report", *SHORT.split(), *more])
+        assert result.exit_code == 0, result.output
+        return [line for line in warned(result.stderr) if "replaced" in line]
+
+    def record():
+        return Path("out/postcapture/record.nc").read_bytes()
+
+    assert told("run") == []
+    first = record()
+    assert told("run") == []
+    assert record() == first
+    (line,) = told("run", "--seed", "4", "--set", "sensing.delay=1")
+    assert "a run with other settings (random_seed, sensing.delay) will be replaced" in line
+    assert record() != first
+    Path("out/postcapture/manifest.json").write_text("{")
+    (line,) = told("run")
+    assert "a run that cannot be read will be replaced" in line
+    assert record() == first
+    assert told("compare -c tdc -c asmc") == []
+    (line,) = told("compare -c tdc -c asmc", "--seed", "4")  # for both
+    assert "out/compare_postcapture: a run with other settings (random_seed) will be replaced" in line
+
+
 def test_a_controller_that_leaves_the_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
@@ -1450,6 +1504,15 @@ def test_a_folder_that_is_gone(tmp_path):
     finished = ffsm("validate", "postcapture", cwd=tmp_path / "gone", command=(sys.executable, "-c", script))
     assert finished.stderr == "error: the current folder has been deleted; change to another one\n"
     assert finished.returncode == 2
+
+
+def test_a_home_that_cannot_be_written(tmp_path):
+    script = "from ffsm_drake.cli import main; main(['scenarios'], standalone_mode=False); import matplotlib.pyplot"
+    settings = OWN_PROCESS | {"env": OWN_PROCESS["env"] | {"HOME": "/dev/null"}}
+    for name in ("MPLCONFIGDIR", "XDG_CONFIG_HOME", "XDG_CACHE_HOME"):
+        settings["env"].pop(name, None)
+    finished = ffsm(cwd=tmp_path, command=(sys.executable, "-c", script), **settings)
+    assert (finished.stderr, finished.returncode) == ("", 0)
 
 
 def test_a_name_that_is_no_text(tmp_path, monkeypatch):

@@ -3,10 +3,13 @@
 import gc
 import weakref
 
+import numpy as np
 import pytest
+from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import load_scenario, make_nominal_plant, simulate
 from ffsm_drake.campaign.evaluate import resident_memory
+from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.systems.controllers import make_controller
 
@@ -31,17 +34,47 @@ def test_a_released_rollout_is_freed(overrides):
     assert log.metrics["isv"] > 0  # what it logged stays
 
 
-def test_simulating_again_and_again_takes_no_more_memory():
+class Idle(LeafSystem):
+    """A controller as one would write it: its callback keeps it for ever, but not the loop that it was in."""
+
+    def __init__(self, setup):
+        super().__init__()
+        for name, size in (("estimated_state", 23), ("desired_state", 23), ("desired_acceleration", 11)):
+            self.DeclareVectorInputPort(name, size)
+        self.DeclareStateOutputPort("generalized_force", self.DeclareDiscreteState(11))
+        self.DeclarePeriodicDiscreteUpdateEvent(setup.sample_time, 0.0, self.update)
+
+    def update(self, context, values):
+        pass
+
+
+@pytest.mark.parametrize("blocks", [None, {"controller": Idle}], ids=["shipped", "user-supplied"])
+def test_simulating_again_and_again_takes_no_more_memory(blocks):
     """Without a release it would be 2.3 MiB a call."""
     scenario = load_scenario("postcapture", ["duration=0.02"])
 
     def memory_after(calls):
         for _ in range(calls):
-            simulate(scenario)
+            simulate(scenario, blocks=blocks)
         return resident_memory()
 
     before = memory_after(3)
     assert memory_after(8) < before + 8.0
+
+
+def test_the_operators_disturbance_is_freed():
+    made = []
+
+    def operated(setup):
+        hands = {"initial": np.array([1.0, 0.0, 0.0, 0.0]), "poll": lambda time, q: np.array([2.0, 1.0, 0.0, 0.0])}
+        disturbance = make_operated_disturbance(setup, **hands)
+        made.extend(weakref.ref(part) for part in (disturbance, setup, *disturbance.GetSystems()))
+        return disturbance
+
+    scenario = load_scenario("postcapture", ["duration=0.05"])
+    simulate(scenario, blocks={"forces.disturbance": operated}, check_stability=False)
+    gc.collect()
+    assert [part() for part in made] == [None] * 4
 
 
 def test_a_system_that_was_never_wired_is_freed():

@@ -116,12 +116,15 @@ def fail_if_odd(task):
 
 INTERRUPTED = """
 import sys, time
+from ffsm_drake.common.interrupts import exit_code, handle_signals
 from ffsm_drake.common.workers import map_tasks
 if __name__ == "__main__":
+    handle_signals()
     try:
         map_tasks(time.sleep, [0.1] * 600, workers=int(sys.argv[1]), progress=lambda *call: print(call[0], flush=True))
     except KeyboardInterrupt:
         print("interrupted")
+        sys.exit(exit_code())
 """
 
 
@@ -137,7 +140,7 @@ def test_signals_stop_after_the_tasks_under_way(tmp_path, workers, sent):
     assert process.stdout.readline() == "1\n"
     os.killpg(process.pid, sent)  # the workers get it too, as from a terminal
     output, _ = process.communicate(timeout=60)
-    assert process.returncode == 0, output
+    assert process.returncode == 128 + sent, output
     assert output.splitlines()[-1] == "interrupted"
     assert len(output.splitlines()) < 20
     assert "Traceback" not in output

@@ -39,7 +39,9 @@ def test_it_flies(run, controller, seed):
 
 def test_the_coupled_estimate_is_worth_its_matrix(run):
     """28 % less effort beyond the ideal 366.2 than one filter for each coordinate, and more accurate joints."""
-    records = [run("flight_sensors", "controller=tdc", f"estimator.kind={kind}") for kind in ("kalman", "coupled")]
+    variants = ["random_seed=0", "estimator.kind=coupled"]  # the first is looked at by others, too
+    records = [run("flight_sensors", "controller=tdc", variant) for variant in variants]
+    assert [record.scenario.estimator.kind for record in records] == ["kalman", "coupled"]
     separate, coupled = (rms_after(record) for record in records)
     assert records[1].metrics["isv"] < min(392.0, records[0].metrics["isv"])
     assert coupled["joints"] < min(5.0e-6, 0.6 * separate["joints"])
@@ -73,18 +75,16 @@ def test_slow_late_navigation_and_a_biased_gyro(run, controller):
 def test_it_flies_with_a_wrong_payload(run, controller, belief):
     inertia = [0.167 * belief] * 3
     payload = (f"payload.nominal.mass={belief}", f"payload.nominal.inertia={inertia}")
-    record = run("flight_sensors", f"controller={controller}", *payload)
+    record = run("flight_sensors", f"controller={controller}", "duration=10", *payload)
     assert record.outcome.completed
-    assert record.metrics["isv"] <= 480
+    assert record.metrics["isv"] <= 1.3 * make_demand(record.scenario).ideal_isv
 
 
 @pytest.mark.parametrize("scale", ["frequency_scale", "amplitude_scale"])
 def test_it_flies_under_other_disturbances(run, scale):
-    override = f"disturbance.{scale}=3"
-    ideal = make_demand(load_scenario("flight_sensors", [override])).ideal_isv
-    record = run("flight_sensors", override)
+    record = run("flight_sensors", f"disturbance.{scale}=3", "duration=10")
     assert record.outcome.completed
-    assert record.metrics["isv"] <= 1.1 * ideal + 50
+    assert record.metrics["isv"] <= 1.1 * make_demand(record.scenario).ideal_isv + 25
 
 
 @pytest.mark.parametrize("controller", ["tde_aismc", "tdc"])
@@ -95,9 +95,9 @@ def test_the_published_estimate_does_not_fly(run, controller):
         "tde_aismc": ["controllers.tde_aismc.k_d=100", "controllers.tde_aismc.k_p={all: 100, base_position: 200}",
                       "controllers.tde_aismc.k_s_initial=80", "controllers.tde_aismc.k_s_max=90"],
     }[controller]  # fmt: skip
-    record = run("flight_sensors", f"controller={controller}", "estimator.kind=one_sample", *published)
+    record = run("flight_sensors", f"controller={controller}", "estimator.kind=one_sample", "duration=5", *published)
     commanded, applied = (record.dataset[name].values for name in ("generalized_force", "applied_force"))
-    assert record.metrics["isv"] > 1e5
+    assert record.metrics["isv"] > 2e4
     assert (np.abs(commanded) > np.abs(applied) + 1e-9)[:, 3:6].mean() > 0.5  # saturated more than half of the time
 
 
@@ -132,23 +132,18 @@ def test_perfect_tracking_effort_is_that_of_a_noiseless_run(run):
     assert demand.ideal_isv == pytest.approx(simulated, rel=2e-3)
 
 
-@pytest.fixture
-def _few_prices(monkeypatch):
-    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.08, 0.022, 0.006))
-
-
-@pytest.mark.usefixtures("_few_prices")
-def test_design_beats_the_hand_made_gains():
+def test_design_beats_the_hand_made_gains(monkeypatch):
     """No more error in any group, at no more effort, than w = 2, 5, 10 rad/s with walks 1e-3, 1e-3, 1e-2."""
+    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.08, 0.022, 0.006))
     hand_made = load_scenario(
         "flight_sensors",
-        ["controller=tdc", "controllers.tdc.k_d={base_position: 4, base_rotation: 10, joints: 20}",
+        ["duration=8", "controller=tdc", "controllers.tdc.k_d={base_position: 4, base_rotation: 10, joints: 20}",
          "controllers.tdc.k_p={base_position: 4, base_rotation: 25, joints: 100}",
          "estimator.walk={base_position: 1e-3, base_rotation: 1e-3, joints: 1e-2}"],
     )  # fmt: skip
-    found = design(hand_made, budget=405.0)
+    found = design(hand_made, budget=188.6)
     assert not found.kept
-    assert found.chosen.prediction.isv <= 405.0 < found.given.prediction.isv
+    assert found.chosen.prediction.isv <= 188.6 < found.given.prediction.isv
     before, after = found.given.prediction.by_group(), found.chosen.prediction.by_group()
     for name in before:
         assert after[name] <= before[name] * 1.001, name
@@ -167,7 +162,6 @@ def test_design_beats_the_hand_made_gains():
     assert record.metrics["isv"] == pytest.approx(found.chosen.prediction.isv, rel=0.02)
 
 
-@pytest.mark.usefixtures("_few_prices")
 def test_design_from_the_shell(tmp_path, monkeypatch):
     """With one price: the whole front, and the search along it, are looked at above."""
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.2,))
@@ -198,8 +192,9 @@ def test_design_from_the_shell(tmp_path, monkeypatch):
     assert (tmp_path / "design.png").stat().st_size > 20_000
 
 
-@pytest.mark.usefixtures("_few_prices")
-def test_design_says_when_a_budget_cannot_be_met(tmp_path):
+def test_design_says_when_a_budget_cannot_be_met(tmp_path, monkeypatch):
+    """With one price, the highest: what costs least is what is asked for."""
+    monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.2,))
     short = ["--set", "duration=6"]
     arguments = ["design", "flight_sensors", "-c", "tdc", "--budget", "50", "--out", str(tmp_path), *short]
     result = CliRunner().invoke(main, arguments)

@@ -8,7 +8,9 @@ import weakref
 
 import numpy as np
 import pytest
-from pydrake.systems.framework import LeafSystem
+from pydrake.common import RandomDistribution
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import Gain, RandomSource
 
 from ffsm_drake import ControlLaw, gain, load_scenario, simulate
 from ffsm_drake.common.errors import BlockError
@@ -134,6 +136,47 @@ def test_what_it_cannot_linearise_is_refused(actuators, words):
         Linearizer(load_scenario("postcapture"), blocks={"actuation": actuators}) as linearizer,
     ):
         linearizer.at(0.0)
+
+
+def noise(setup):
+    """A force that is noise and nothing else: its output is that of the source itself."""
+    builder = DiagramBuilder()
+    source = builder.AddSystem(RandomSource(RandomDistribution.kGaussian, len(setup.coordinates.names), 0.01))
+    builder.ExportOutput(source.get_output_port(), "generalized_force")
+    return builder.Build()
+
+
+def half_of_noise(setup):
+    """Noise that the block hears itself."""
+    builder, size = DiagramBuilder(), len(setup.coordinates.names)
+    source = builder.AddSystem(RandomSource(RandomDistribution.kGaussian, size, 0.01))
+    half = builder.AddSystem(Gain(0.5, size))
+    builder.Connect(source.get_output_port(), half.get_input_port())
+    builder.ExportOutput(half.get_output_port(), "generalized_force")
+    return builder.Build()
+
+
+@pytest.mark.parametrize("force", [noise, half_of_noise])
+def test_the_run_without_noise_has_none(force):
+    """It is the simulation without noise, also where a force is noise."""
+    silent = load_scenario("postcapture", ["controller=tdc", "sensing.velocity_noise=0", "duration=1"])
+    error = simulate(silent, check_stability=False).dataset["error"].values[:-1]
+    noisy = load_scenario("postcapture", ["controller=tdc", "duration=1"])
+    with Linearizer(noisy, blocks={"forces.noise": force}) as linearizer:
+        followed, _ = linearizer.follow()
+    assert np.abs(followed - error).max() < 1e-6 * np.abs(error).max()
+
+
+def test_another_payload_is_that_of_another_scenario():
+    """At rest, where the plant is as near to the plan with one payload as with another."""
+    light = ["payload.truth.mass=48", "payload.truth.inertia=[8, 8, 8]"]
+    scenario, lighter = (load_scenario("postcapture", ["controller=tdc", *truth]) for truth in ([], light))
+    with Linearizer(scenario) as linearizer, Linearizer(lighter) as other:
+        own = linearizer.at(0.0).spectral_radius
+        found = linearizer.at(0.0, truth=lighter.payload.truth).spectral_radius
+        assert found == pytest.approx(other.at(0.0).spectral_radius, abs=2e-5)
+        assert own < 1.0 < found
+        assert linearizer.at(0.0).spectral_radius == own
 
 
 def test_it_is_freed():

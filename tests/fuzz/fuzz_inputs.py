@@ -9,6 +9,7 @@ import json
 import math
 import re
 import shutil
+import time
 import warnings
 from pathlib import Path
 
@@ -18,15 +19,25 @@ from campaign_tools import SMALL, run_here, write_spec
 from click.testing import CliRunner
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
+from outside_urdfs import OUTSIDE, arm_alone, stage
 
-from ffsm_drake import load_scenario, simulate
+from ffsm_drake import RunRecord, load_scenario, simulate
 from ffsm_drake.cli import main
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.scenario import shipped_scenarios
+from ffsm_drake.show.report.page import render_report
 from ffsm_drake.spacecraft.plant import models_dir
 
-LONGEST = 30.0  # s, for one input
-SHARES = {"scenario": 0.35, "campaign": 0.15, "urdf": 0.2, "database": 0.15, "record": 0.15}  # of the inputs
+LONGEST = 30.0  # s of processor time for one input, however busy the machine is
+WAIT = 120.0  # s, after which it waits for what never comes
+SHARES = {
+    "scenario": 0.3,
+    "campaign": 0.15,
+    "urdf": 0.15,
+    "new": 0.1,
+    "database": 0.15,
+    "record": 0.15,
+}  # of the inputs
 
 HOSTILE = st.sampled_from(
     [None, True, False, 0, -1, 1, 3, 2**63, 10**400, -0.0, 0.5, 1e-320, 1e-9, 1e9, 1e308, math.inf, -math.inf, math.nan,
@@ -131,25 +142,28 @@ def fuzz(request, tmp_path, monkeypatch):
     return run
 
 
-def invoke(*words, good=(0,)):
-    """A command's exit status, which is that of a good result or, with one line, 2."""
-    before = {*Path().iterdir()}
+def invoke(*words, good=(0,), keep=False):
+    """A command's exit status, which is that of a good result or, with one line, 2; with ``keep``, ``out`` stays."""
+    before, start = {*Path().iterdir()}, time.process_time()
     try:
-        with time_limit(LONGEST), warnings.catch_warnings():
+        with time_limit(WAIT), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             result = CliRunner().invoke(main, [str(word) for word in words])
     except TimeLimit:
         raise AssertionError(f"{words[0]} did not end") from None
+    assert time.process_time() - start < LONGEST, f"{words[0]} takes too long"
     assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
     assert "Traceback" not in result.output
     assert result.exit_code in (*good, 2), result.output
     if result.exit_code == 2:
         errors = [line for line in result.stderr.splitlines() if not line.startswith(("warning: ", "Usage: ", "Try "))]
-        errors = [line for line in errors if line and " of 0.0" not in line]
+        errors = [line for line in errors if line and not re.search(r": +\d+ of [\d.e-]+ s$", line)]  # progress
         assert len(errors) == 1, result.stderr
         assert len(errors[0]) < 2000, errors[0]
         assert {*Path().iterdir()} == before, "refused, but something was written"
-    shutil.rmtree("out", ignore_errors=True)
+    assert {*Path().iterdir()} - before <= {Path("out")}, "something was written elsewhere"
+    if not keep:
+        shutil.rmtree("out", ignore_errors=True)
     return result.exit_code
 
 
@@ -168,7 +182,7 @@ def test_scenarios(fuzz):
         mutated = given if isinstance(given, bytes) else yaml.safe_dump(given, allow_unicode=True)
         file = write("s.yaml", mutated)
         if invoke("validate", file) == 0:
-            with time_limit(LONGEST):
+            with time_limit(WAIT):
                 scenario = load_scenario(file)
             if scenario.num_control_periods < 100:
                 assert invoke("run", file, "--no-report", "--out", "out", good=(0, 3)) != 2, "valid, but not run"
@@ -203,20 +217,53 @@ def test_urdfs(fuzz):
     fuzz("urdf", mutated_urdf(goods), check)
 
 
+def test_new(fuzz):
+    """What ``new`` writes is valid."""
+    servicers = [(models_dir() / "urdf" / f"{name}.urdf").read_text() for name in ("servicer", "ssrms_servicer")]
+    servicers += [make() for make in OUTSIDE.values()]
+    targets = [(models_dir() / "urdf" / "debris.urdf").read_text(), stage()]
+    on_a_bus = ["--bus-mass", 400]
+    options = st.sampled_from([[], [], on_a_bus, ["--target", 30], ["--tip", "link_3"], ["--target", "t.urdf"]])
+
+    def check(given):
+        servicer, target, words = given
+        write("r.urdf", servicer)
+        write("t.urdf", target)
+        if invoke("new", "out", "--urdf", "r.urdf", *words, keep=True) == 0:
+            assert invoke("validate", "out/out.yaml") == 0, "written, but not valid"
+
+    text = st.sampled_from(targets)
+    fuzz(
+        "new",
+        st.one_of(
+            st.tuples(mutated_urdf(servicers), text, options),
+            st.tuples(mutated_urdf([arm_alone()]), text, st.just(on_a_bus)),
+            st.tuples(st.sampled_from(servicers), mutated_urdf(targets), st.just(["--target", "t.urdf"])),
+            st.tuples(mutated_bytes(servicers[2].encode()), text, options),
+        ),
+        check,
+    )
+
+
 def test_databases(fuzz):
-    changes = {"cases": 2, "overrides": {"duration": 0.02}}
+    # A single sampled number: the map of two takes many seconds.
+    mass = {"payload.truth.mass": SMALL["parameters"]["payload.truth.mass"]}
+    changes = {"cases": 2, "overrides": {"duration": 0.02}, "parameters": mass, "factors": {}, "derive": {}}
     good = run_here(write_spec(Path("good.yaml"), **changes), Path("good.db")).read_bytes()
 
     def check(given):
         write("d.db", given)
         if invoke("campaign", "status", "d.db") == 0:
             invoke("campaign", "rerun", "d.db", "--case", "1", "--no-recording", "--out", "out", good=(0, 3))
+            invoke("campaign", "report", "d.db", "--out", "out")
 
     fuzz("database", mutated_bytes(good), check)
 
 
 def test_records(fuzz):
     folder = simulate(load_scenario("postcapture", ["duration=0.05"]), check_stability=False).save(Path("good"))
+    record = RunRecord.load(folder)
+    write(folder / "report.html", render_report([record])[:20_000])
     files = {path.name: path.read_bytes() for path in folder.iterdir()}
     manifest = json.loads(files["manifest.json"])
 

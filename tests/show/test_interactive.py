@@ -92,7 +92,7 @@ def dial(meshcat, told):
 
 
 def code_in(line):
-    return float(re.search(r"type (\d{6}) beside", line)[1])
+    return float(re.search(r"type (\d{5}) beside", line)[1])
 
 
 def start(controller="tde_aismc"):
@@ -310,10 +310,17 @@ def test_clicks_while_nothing_runs_do_nothing(meshcat, scenario):
 def test_a_controller_that_cannot_be_loaded_is_one_line_on_the_panel(meshcat, scenario):
     scenario = override_scenario(scenario, ["controller=nowhere:Law"])
     seen = []
-    steps = [start("nowhere:Law"), let_pass(2), lambda hands: seen.append(hands.status), start(), until_idle]
+
+    def look(hands):
+        seen.append(hands.status)
+        # Meshcat pastes labels into a script, between single quotes.
+        assert not [name for name in meshcat.GetButtonNames() if "'" in name or "\\" in name]
+
+    steps = [start("nowhere:Law"), let_pass(2), look, start(), until_idle]
     records = operate(meshcat, scenario, *steps)
     assert [record.scenario.controller for record in records] == ["tde_aismc"]
-    assert "No module named 'nowhere'" in seen[0]
+    assert "No module named \N{RIGHT SINGLE QUOTATION MARK}nowhere" in seen[0]
+    assert not {"'", "\\"} & set(start_button("x'); alert('\\"))
 
 
 # Pages of other sites.
@@ -386,6 +393,27 @@ def test_a_foreign_page_cannot_push_or_stop_a_run(meshcat, scenario):
     assert record.dataset.identical(simulate(scenario).dataset)
 
 
+def test_a_page_that_comes_while_the_controls_are_read_is_not_obeyed(meshcat, scenario, monkeypatch):
+    until(lambda: meshcat.GetNumActiveConnections() == 0)
+    pages, told = [], []
+    moved = Controls.moved
+
+    def come(controls, label):
+        if label == MASS and not pages and any(name.startswith("[ running") for name in meshcat.GetButtonNames()):
+            pages.append(ForeignPage(meshcat))
+            foreign_clicks(meshcat, pages[0])
+        return moved(controls, label)
+
+    meshcat.Delete()
+    monkeypatch.setattr(Controls, "moved", come)
+    hands = Hands(meshcat, lambda _: dial(meshcat, told), let_pass(2), start(), until_idle, interrupt)
+    (record,) = run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands)
+    pages[0].close()
+    assert "A page has joined or left" in told[-1]
+    assert record.dataset.identical(simulate(scenario).dataset)
+    assert record.outcome.status == "completed"
+
+
 def test_the_right_code_unlocks_for_a_single_page_only(meshcat):
     meshcat.Delete()
     until(lambda: meshcat.GetNumActiveConnections() == 0)
@@ -445,13 +473,14 @@ def test_controls_are_served_where_no_other_page_can_know():
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path):
-    """It is even told the address."""
+    """Neither a run that the operator has started nor afterwards, though it is told the address and never rests."""
     until(lambda: meshcat.GetNumActiveConnections() == 0)
-    messages = [slider_message(CODE, 123456.0), *map(click_message, [UNLOCK, *COMMANDS, "arrived"])]
+    messages = [slider_message(CODE, 12345.0), *map(click_message, [UNLOCK, *COMMANDS, "arrived"])]
     script = f"""<script>const s = new WebSocket("{meshcat.web_url().replace("http", "ws")}");
-        s.onopen = () => {{ for (const m of {[list(m) for m in messages]}) s.send(new Uint8Array(m)) }};</script>"""
+        const send = () => {{ for (const m of {[list(m) for m in messages]}) s.send(new Uint8Array(m)) }};
+        s.onopen = () => {{ send(); setInterval(send, 20) }};</script>"""
     (tmp_path / "foreign.html").write_text(script)
-    started = []
+    started, told = [], []
 
     def come(hands):
         meshcat.AddButton("arrived")
@@ -462,18 +491,25 @@ def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path)
                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )
         )  # fmt: skip
-        until(lambda: meshcat.GetButtonClicks("arrived") == 1, seconds=60.0)
-        meshcat.DeleteButton("arrived")
+        until(lambda: meshcat.GetButtonClicks("arrived") >= 1, seconds=60.0)
+
+    def is_still_sending(hands):
+        clicks = meshcat.GetButtonClicks("arrived")
+        return lambda hands: meshcat.GetButtonClicks("arrived") > clicks
 
     meshcat.Delete()
-    told = []
+    steps = [lambda _: dial(meshcat, told), let_pass(2), start(), let_pass(20), come, until_idle, is_still_sending]
+    hands = Hands(meshcat, *steps, let_pass(20), interrupt)
+    own = ForeignPage(meshcat)  # the operator's
+    until(lambda: meshcat.GetNumActiveConnections() == 1)
     try:
-        records = run_interactive(
-            scenario, meshcat=meshcat, tell=told.append, wait=Hands(meshcat, come, let_pass(20), interrupt)
-        )
+        (record,) = run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands)
     finally:
+        own.close()
         for process in started:
             process.terminate()
             process.wait(timeout=20.0)
-    assert records == []
-    assert "That was another code" in told[1]
+        meshcat.DeleteButton("arrived")
+    assert "A page has joined or left, so the controls are locked" in told[2]
+    assert record.outcome.status == "completed"
+    assert record.dataset.identical(simulate(scenario).dataset)

@@ -138,8 +138,9 @@ def value(text):
 
 
 @pytest.fixture(scope="module")
-def text(short):
+def text(short, tmp_path_factory):
     """The whole page of a run that went well."""
+    short.save(tmp_path_factory.mktemp("text"))  # gives it the identifier that the page carries
     return render_report([short])
 
 

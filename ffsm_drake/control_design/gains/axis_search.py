@@ -153,7 +153,8 @@ class _Axis:
         self.controller, self.etas, self.kalman = scenario.controller, etas, kind == "kalman"
         self.period = scenario.sample_time
         self.duration = demand.times.size * self.period
-        self.demand = demand.lumped[:, part]
+        # Of the run's demand, padded: by it the error is a product.
+        self.spectrum = np.fft.rfft(demand.lumped[:, part].T, 2 * demand.times.size)
         self.late = demand.times + self.period > min(5.0, 0.25 * self.duration)  # at the end of each sample
         # The group's worst sensors.
         self.noise = tuple(
@@ -165,6 +166,9 @@ class _Axis:
         # What a unit of Hhat^-1 tau costs: columns of Hhat at mid-motion.
         self.weight = float((_mass_matrices(scenario, [0.5])[0][1] ** 2).sum(axis=0)[part].sum())
         self.integral = self.controller in ("aismc", "tde_aismc")
+        # The search comes back to a design, with another estimate of the same gains from its beginning.
+        self._costs = dict[bytes, tuple[float, float]]()
+        self._designs = dict[tuple[float, bytes], np.ndarray]()
 
     def start(self) -> np.ndarray:
         """Logarithms of a first guess: a slow loop that is stable for any sensors."""
@@ -177,6 +181,12 @@ class _Axis:
 
     def cost(self, x: np.ndarray) -> tuple[float, float]:
         """Mean square error (rad^2 or m^2) and effort of the noise (ISV); infinite outside the stable region."""
+        key = x.tobytes()
+        if key not in self._costs:
+            self._costs[key] = self._cost(x)
+        return self._costs[key]
+
+    def _cost(self, x: np.ndarray) -> tuple[float, float]:
         group, gain = self.read(x), None
         if self.kalman:
             position, velocity = self.assumed
@@ -195,16 +205,22 @@ class _Axis:
         covariance = loop.covariance(position_noise=self.noise[0], velocity_noise=self.noise[1])
         force = loop.force @ covariance @ loop.force
         # The error's response to the demand of one sample, its length doubled until it covers the run.
-        count = len(self.demand)
+        count = self.late.size
         columns, power = loop.f[:, None], loop.a
         while columns.shape[1] < count:
             columns, power = np.hstack([columns, power @ columns]), power @ power
-        response = np.fft.rfft(columns[:1, :count].T, 2 * count, axis=0)
-        error = np.fft.irfft(response * np.fft.rfft(self.demand, 2 * count, axis=0), axis=0)[:count]
-        return float((error[self.late] ** 2).mean() + covariance[0, 0]), float(self.duration * force * self.weight)
+        response = np.fft.rfft(columns[0, :count], 2 * count)
+        error = np.fft.irfft(response * self.spectrum)[:, :count]
+        return float((error[:, self.late] ** 2).mean() + covariance[0, 0]), float(self.duration * force * self.weight)
 
     def minimize(self, price: float, start: np.ndarray) -> np.ndarray:
         """The design (logarithms) that is best for a price of effort."""
+        key = price, start.tobytes()
+        if key not in self._designs:
+            self._designs[key] = self._minimize(price, start)
+        return self._designs[key]
+
+    def _minimize(self, price: float, start: np.ndarray) -> np.ndarray:
 
         def objective(x: np.ndarray) -> float:
             square, effort = self.cost(x)

@@ -16,7 +16,7 @@ payload of the range. Where they come from depends on the law:
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from ffsm_drake.control_design.gains.variation import PRICES_VARIED, varied
 from ffsm_drake.control_design.limit import Limit, find_limit
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.margins import has_closed_form
-from ffsm_drake.control_design.stability.prediction import Prediction, make_demand, predict
+from ffsm_drake.control_design.stability.prediction import Prediction, make_demand, predict, predict_from
 from ffsm_drake.scenario import Estimator, Scenario
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 
@@ -124,11 +124,12 @@ def design(
     )
 
     def evaluate(candidate: Scenario) -> DesignPoint:
-        return DesignPoint(
-            scenario=candidate,
-            prediction=predict(candidate),
-            radius_by_mass={mass: _radius(with_true_mass(candidate, mass)) for mass in (masses[0], masses[-1])},
-        )
+        with Linearizer(candidate) as linearizer:
+            return DesignPoint(
+                scenario=candidate,
+                prediction=predict_from(linearizer),
+                radius_by_mass=_radius_by_mass(linearizer, (masses[0], masses[-1])),
+            )
 
     given, found, searches = evaluate(scenario), dict[str, DesignPoint](), dict[str, AxisSearch]()
     by_formula = scenario.controller in PAPER_LAWS
@@ -161,7 +162,8 @@ def design(
     if requirement.violated(chosen).startswith("ISV"):
         cheapest = f"the cheapest gains found need {chosen.prediction.isv:.1f}"
         raise ScenarioError("budget", f"ISV {requirement.budget:.1f} cannot be met; {cheapest}")
-    radius_by_mass = {mass: _radius(with_true_mass(chosen.scenario, mass)) for mass in masses}
+    with Linearizer(chosen.scenario) as linearizer:
+        radius_by_mass = _radius_by_mass(linearizer, masses)
     search_of_chosen = next(
         (searches[kind] for kind, point in found.items() if point is chosen and kind in searches), None
     )
@@ -183,9 +185,13 @@ def _with_estimator(scenario: Scenario, **settings: Any) -> Scenario:
     return dataclasses.replace(scenario, estimator=dataclasses.replace(scenario.estimator, **settings))
 
 
-def _radius(scenario: Scenario) -> float:
-    with Linearizer(scenario) as linearizer:
-        return max(linearizer.at(linearizer.motion.part(share)).spectral_radius for share in (0.0, 1.0))
+def _radius_by_mass(linearizer: Linearizer, masses: Sequence[float]) -> dict[float, float]:
+    """The larger spectral radius at both ends of the plan, by true payload mass (kg)."""
+    truths = {mass: with_true_mass(linearizer.given, mass).payload.truth for mass in masses}
+    ends = [linearizer.motion.part(share) for share in (0.0, 1.0)]
+    return {
+        mass: max(linearizer.at(time, truth=truth).spectral_radius for time in ends) for mass, truth in truths.items()
+    }
 
 
 def _held_back(point: DesignPoint, requirement: Requirement, search: "AxisSearch | None") -> str:

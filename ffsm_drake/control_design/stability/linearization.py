@@ -26,11 +26,12 @@ from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.loop.closed_loop import make_closed_loop
-from ffsm_drake.scenario import Actuation, Estimator, PerCoordinate, Scenario, Sensing
-from ffsm_drake.spacecraft.coordinates import rotation_error
+from ffsm_drake.scenario import Actuation, Estimator, MassProperties, PerCoordinate, Scenario, Sensing, from_grasp
+from ffsm_drake.spacecraft.coordinates import position_errors, rotation_error
+from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers.estimators import assumed_noise
-from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.reference import make_motion, timed
 from ffsm_drake.systems.registry import Factory
 
 # Of a difference: rad, m, and per s; of other states relative to their size.
@@ -47,6 +48,7 @@ class Linearizer:
 
         Errors as for ``add_closed_loop``; BlockError for a block with continuous or abstract state.
         """
+        self.given = scenario = timed(from_grasp(scenario))  # before the actuators' limits are taken away
         sensing, estimator = smooth_sensing(scenario), scenario.estimator
         if sensing is not scenario.sensing:  # the estimator goes on to assume what it assumed
             estimator = _with_assumptions(scenario)
@@ -85,6 +87,7 @@ class Linearizer:
             leave_out=lambda system, group: system is controller and group in held,
         )
         self.motion = make_motion(self.scenario, self.loop.coordinates)
+        self._updates = dict[Hashable, tuple[_Update, ...]]()
 
     def __enter__(self) -> Self:
         return self
@@ -92,32 +95,28 @@ class Linearizer:
     def __exit__(self, *exception: object) -> None:
         untie(self.loop.diagram)  # which Drake would otherwise keep
 
-    def at(self, time: float, *, held: Mapping[str, np.ndarray] | None = None) -> LinearLoop:
+    def at(
+        self, time: float, *, held: Mapping[str, np.ndarray] | None = None, truth: MassProperties | None = None
+    ) -> LinearLoop:
         """The loop near an instant of the planned motion, with the plant on it.
+
+        What the update at the sample does is kept: the same instant with another true payload costs only its motion,
+        from where the scenario's own has come by then. At rest that changes a spectral radius by about 1e-5.
 
         Args:
           time: s; a control sample is taken.
           held: of the controller's memory that is held (``ControlLaw.held``), name -> value in place of its own.
+          truth: of the payload, in place of the scenario's.
 
         Raises BlockError: a block fails.
         """
         period, first = self.scenario.sample_time, round(time / self.scenario.sample_time)
-        held = held or {}
-        self._context.SetTimeStateAndParametersFrom(self._start)
-        self._context.SetTime(first * period)
-        q_d, v_d, _ = self.motion.evaluate(first * period)
-        state = np.concatenate([q_d, v_d])
-        self._plant.SetPositionsAndVelocities(self._plant_context, state)
-        self._set_initial_state(state)
         index = first + _WARM_UP
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                for earlier in range(first, index):
-                    self._quiet(held)
-                    self._memory.update(earlier)
-                    self._move(earlier)
-                self._quiet(held)
-                samples = self._samples(index)
+                updates = self._updates_from(first, held or {})
+                maps = {update: self._map(update, truth) for update in dict.fromkeys(updates)}
+                samples = tuple(maps[update] for update in updates)
         except FfsmError:
             raise
         except (Exception, SystemExit) as error:  # Drake refuses some numbers that are not finite by SystemExit
@@ -133,18 +132,37 @@ class Linearizer:
 
         Args: as for ``at``.
         """
-        count, nv = self.scenario.num_control_periods, len(self.loop.coordinates.names)
-        error, force = np.full((count, nv), np.nan), np.full((count, nv), np.nan)
-        desired = self.motion.rows(np.arange(count) * self.scenario.sample_time)[:, : 2 * nv + 1]
-        self._context.SetTimeStateAndParametersFrom(self._start)
+        count, nv, period = (
+            self.scenario.num_control_periods,
+            len(self.loop.coordinates.names),
+            self.scenario.sample_time,
+        )
+        states, force = np.full((count, nv + 1), np.nan), np.full((count, nv), np.nan)
+        desired = self.motion.rows(np.arange(count) * period)[:, : nv + 1]
+        context, simulator = self._start.Clone(), self._simulator
+        silent = _silence(self._noise.systems, self.loop.diagram, context)
+        if silent:  # as a run goes, which is faster
+            simulator = Simulator(self.loop.diagram, context)
+            ApplySimulatorConfig(self.scenario.simulator_config, simulator)
+            context = simulator.get_mutable_context()
+            simulator.Initialize()
+        else:
+            context = self._context
+            context.SetTimeStateAndParametersFrom(self._start)
+        plant_context = self._plant.GetMyContextFromRoot(context)
+        controller_context = self.loop.blocks["controller"].GetMyMutableContextFromRoot(context)
         with contextlib.suppress(Exception, SystemExit), np.errstate(over="ignore", invalid="ignore"):
             for index in range(count):
-                error[index] = _difference(desired[index], self._plant_state())[:nv]
-                self._quiet(held or {})
-                self._memory.update(index)
-                force[index] = self._force.Eval(self._controller_context)
-                self._move(index)
-        return error, force
+                states[index] = self._plant.GetPositions(plant_context)
+                self._hold(controller_context, held or {})
+                if silent:
+                    simulator.AdvanceTo((index + 1) * period)
+                else:
+                    self._noise.write(np.zeros(self._noise.size))
+                    self._memory.update(index)
+                    self._move(index)
+                force[index] = self._force.Eval(controller_context)
+        return position_errors(desired, states), force
 
     def _set_initial_state(self, state: np.ndarray) -> None:
         for block in self.loop.blocks.values():
@@ -154,10 +172,13 @@ class Linearizer:
     def _quiet(self, held: Mapping[str, np.ndarray]) -> None:
         """No noise at the next sample, and the controller's held memory at its values."""
         self._noise.write(np.zeros(self._noise.size))
+        self._hold(self._controller_context, held)
+
+    def _hold(self, controller_context: Context, held: Mapping[str, np.ndarray]) -> None:
         for name, (group, value) in self._held.items():
             starting = self._start_of_controller.get_discrete_state(group).value()
             given = starting if value is None else np.full_like(starting, value)
-            self._controller_context.SetDiscreteState(group, held.get(name, given))
+            controller_context.SetDiscreteState(group, held.get(name, given))
 
     def _move(self, index: int) -> None:
         """From just after the update at the control sample ``index`` to just before the next."""
@@ -165,35 +186,71 @@ class Linearizer:
         self._simulator.Initialize()
         self._simulator.AdvanceTo((index + 1) * self.scenario.sample_time)
 
-    def _samples(self, index: int) -> tuple[SampleMap, ...]:
-        """The maps of one common period from the control sample ``index`` on, which the context stands just before."""
-        before, kinds = self._context.Clone(), dict[Hashable, SampleMap]()
-        updates = [self._memory.kind(index + i) for i in range(self._memory.common_period)]
-        for i, kind in enumerate(updates):
-            if kind not in kinds:
-                self._context.SetTimeStateAndParametersFrom(before)
-                self._context.SetTime((index + i) * self.scenario.sample_time)
-                kinds[kind] = self._map(index + i)
-        return tuple(kinds[kind] for kind in updates)
+    def _updates_from(self, first: int, held: Mapping[str, np.ndarray]) -> tuple["_Update", ...]:
+        """The updates of one common period, from the end of a warm-up that begins on the plan at a control sample."""
+        key = (first, *((name, value.tobytes()) for name, value in held.items()))
+        if key not in self._updates:
+            self._context.SetTimeStateAndParametersFrom(self._start)
+            self._context.SetTime(first * self.scenario.sample_time)
+            q_d, v_d, _ = self.motion.evaluate(first * self.scenario.sample_time)
+            state = np.concatenate([q_d, v_d])
+            self._plant.SetPositionsAndVelocities(self._plant_context, state)
+            self._set_initial_state(state)
+            index = first + _WARM_UP
+            for earlier in range(first, index):
+                self._quiet(held)
+                self._memory.update(earlier)
+                self._move(earlier)
+            self._quiet(held)
+            before, kinds = self._context.Clone(), dict[Hashable, _Update]()
+            indices = range(index, index + self._memory.common_period)
+            for each, kind in zip(indices, map(self._memory.kind, indices), strict=True):
+                if kind not in kinds:
+                    self._context.SetTimeStateAndParametersFrom(before)
+                    self._context.SetTime(each * self.scenario.sample_time)
+                    kinds[kind] = self._update(each)
+            self._updates[key] = tuple(kinds[self._memory.kind(each)] for each in indices)
+        return self._updates[key]
 
-    def _map(self, index: int) -> SampleMap:
-        """The map of the control sample ``index``, which the context stands just before."""
-        nv = len(self.loop.coordinates.names)
-        before, state = self._context.Clone(), self._plant_state()
-        memory = self._memory.read()
+    def _update(self, index: int) -> "_Update":
+        """The update at the control sample ``index``, which the context stands just before; it is made."""
+        nv, memory, state = len(self.loop.coordinates.names), self._memory.read(), self._plant_state()
         size = 2 * nv + memory.size
+        parts = [*self._memory.parts, *(slice(memory.size + p.start, memory.size + p.stop) for p in self._noise.parts)]
+        groups = [slice(0, 2 * nv), *(slice(2 * nv + part.start, 2 * nv + part.stop) for part in parts)]
+        memory_steps = _STEP * np.maximum(1.0, np.abs(memory))
+        steps = np.concatenate([np.full(2 * nv, _STEP), memory_steps, np.ones(self._noise.size)])
+        owner = np.repeat(np.arange(len(groups)), [group.stop - group.start for group in groups])
+        written = np.zeros(steps.size)
 
         def update(x: np.ndarray) -> np.ndarray:
-            """The memory after the sample's update; x is followed by the noise."""
-            self._context.SetTimeStateAndParametersFrom(before)
-            self._plant.SetPositionsAndVelocities(self._plant_context, _moved(state, x[: 2 * nv]))
-            self._memory.write(memory + x[2 * nv : size])
-            self._noise.write(x[size:])
-            self._memory.update(index)
-            return self._memory.read()
+            """The memory after the sample's update; x is followed by the noise.
 
-        updated = update(np.zeros(size + self._noise.size))
-        after = self._context.Clone()
+            Only what differs from the last x is written, so that Drake computes only what depends on it.
+            """
+            for k in set(owner[x != written].tolist()):
+                if k == 0:
+                    self._plant.SetPositionsAndVelocities(self._plant_context, _moved(state, x[: 2 * nv]))
+                elif k <= len(self._memory.parts):
+                    self._memory.write_part(k - 1, memory[parts[k - 1]] + x[groups[k]])
+                else:
+                    self._noise.write_part(k - 1 - len(self._memory.parts), x[groups[k]])
+            written[:] = x
+            return self._memory.after(index)
+
+        jacobian = _jacobian(update, groups, steps)
+        update(np.zeros(steps.size))
+        self._memory.update(index)
+        kept = [group for group in groups if group.stop <= size]
+        return _Update(index=index, after=self._context.Clone(), groups=kept, steps=steps[:size], jacobian=jacobian)
+
+    def _map(self, update: "_Update", truth: MassProperties | None) -> SampleMap:
+        """The map of a control sample: its update and the motion up to the next."""
+        nv, size = len(self.loop.coordinates.names), update.steps.size
+        self._context.SetTimeStateAndParametersFrom(update.after)
+        if truth is not None:
+            set_payload(self._plant, self._plant_context, body=self.scenario.payload.body, properties=truth)
+        after, state, updated = self._context.Clone(), self._plant_state(), self._memory.read()
 
         def move(x: np.ndarray) -> np.ndarray:
             """[q; v] of the plant at the next sample, and the controller's force until then."""
@@ -201,29 +258,8 @@ class Linearizer:
             self._plant.SetPositionsAndVelocities(self._plant_context, _moved(state, x[: 2 * nv]))
             self._memory.write(updated + x[2 * nv :])
             force = self._force.Eval(self._controller_context).copy()
-            self._move(index)
+            self._move(update.index)
             return np.concatenate([self._plant_state(), force])
-
-        memory_steps = _STEP * np.maximum(1.0, np.abs(memory))
-        steps = np.concatenate([np.full(2 * nv, _STEP), memory_steps, np.ones(self._noise.size)])
-        parts = [*self._memory.parts, *(slice(memory.size + p.start, memory.size + p.stop) for p in self._noise.parts)]
-        groups = [slice(0, 2 * nv), *(slice(2 * nv + part.start, 2 * nv + part.stop) for part in parts)]
-
-        def derivative(function: Callable[[np.ndarray], np.ndarray], number: int) -> np.ndarray:
-            center = function(np.zeros(number))
-            jacobian = np.zeros((center.size, number))
-            for group in groups:
-                if group.stop > number:
-                    continue
-                trial = np.zeros(number)
-                trial[group] = steps[group] * np.linspace(1.0, 2.0, group.stop - group.start)
-                if np.array_equal(function(trial), center):
-                    continue  # a group that does not matter to it
-                for i in range(group.start, group.stop):
-                    x = np.zeros(number)
-                    x[i] = steps[i]
-                    jacobian[:, i] = (function(x) - center) / steps[i]
-            return jacobian
 
         base = move(np.zeros(size))
         if not np.array_equal(self._memory.read(), updated):
@@ -233,17 +269,28 @@ class Linearizer:
             reached = move(x)
             return np.concatenate([_difference(reached[:-nv], base[:-nv]), reached[-nv:]])
 
-        motion, of_update = derivative(change, size), derivative(update, size + self._noise.size)
+        motion = _jacobian(change, update.groups, update.steps)
         # From [x; w] to [x+; u], by way of the memory after the update.
-        whole = motion[:, 2 * nv :] @ of_update
+        whole = motion[:, 2 * nv :] @ update.jacobian
         whole[:, : 2 * nv] += motion[:, : 2 * nv]
-        both = np.vstack([whole[: 2 * nv], of_update])
+        both = np.vstack([whole[: 2 * nv], update.jacobian])
         force = whole[2 * nv :]
         return SampleMap(a=both[:, :size], b=both[:, size:], c=force[:, :size], d=force[:, size:])
 
     def _plant_state(self) -> np.ndarray:
         state: np.ndarray = self._plant.GetPositionsAndVelocities(self._plant_context).copy()
         return state
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class _Update:
+    """What the update of a control sample makes of the plant's state and the memory, [x; w], to first order."""
+
+    index: int
+    after: Context
+    groups: Sequence[slice]  # of x: the plant's state, then each group of the memory
+    steps: np.ndarray  # of the differences, of x
+    jacobian: np.ndarray  # of the memory after it by [x; w]
 
 
 class _Memory:
@@ -257,23 +304,26 @@ class _Memory:
         sample_time: float,
         leave_out: Callable[[System, int], bool] = lambda system, group: False,
     ) -> None:
-        self.size, self.parts = 0, list[slice]()
+        self.systems, self.size, self.parts = systems, 0, list[slice]()
         self._groups: list[tuple[Context, int]] = []
         self._updated: list[tuple[System, Context, float, float]] = []  # with period and offset in control samples
+        self._parts_of: list[list[tuple[int, slice]]] = []  # of each of them its groups, and where they stand
         # A system may behave differently from sample to sample: it says how by ``phase`` and ``phase_period``.
         self._phased = [system for system in systems if hasattr(system, "phase_period")]
         for system in systems:
-            context = system.GetMyMutableContextFromRoot(root_context)
+            context, parts = system.GetMyMutableContextFromRoot(root_context), list[tuple[int, slice]]()
             for group in range(context.num_discrete_state_groups()):
                 if not leave_out(system, group):
                     width = context.get_discrete_state(group).size()
-                    self._groups.append((context, group))
-                    self.parts.append(slice(self.size, self.size + width))
+                    parts.append((group, slice(self.size, self.size + width)))
                     self.size += width
+            self.parts += [part for _, part in parts]
+            self._groups += [(context, group) for group, _ in parts]
             timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
             if timing is not None:
                 period, offset = timing.period_sec() / sample_time, timing.offset_sec() / sample_time
                 self._updated.append((system, context, period, offset))
+                self._parts_of.append(parts)
         periods = [max(1, round(period)) for _, _, period, _ in self._updated]
         self.common_period = math.lcm(*periods, *(system.phase_period for system in self._phased))
         every_sample = all(abs(period - 1.0) + abs(offset) < 1e-6 for _, _, period, offset in self._updated)
@@ -301,12 +351,26 @@ class _Memory:
             for i, group in enumerate(groups):
                 context.SetDiscreteState(i, group)
 
+    def after(self, index: int) -> np.ndarray:
+        """What ``read`` would give after the update of a control sample, which is not made."""
+        result = self.read()
+        for (system, context, _, _), parts, due in zip(self._updated, self._parts_of, self.which(index), strict=True):
+            if due:
+                values = system.EvalUniquePeriodicDiscreteUpdate(context)
+                for group, part in parts:
+                    result[part] = values.value(group)
+        return result
+
     def read(self) -> np.ndarray:
         return np.concatenate([context.get_discrete_state(group).value() for context, group in self._groups] or [[]])
 
     def write(self, values: np.ndarray) -> None:
         for (context, group), part in zip(self._groups, self.parts, strict=True):
             context.SetDiscreteState(group, values[part])
+
+    def write_part(self, number: int, values: np.ndarray) -> None:
+        context, group = self._groups[number]
+        context.SetDiscreteState(group, values)
 
 
 def smooth_sensing(scenario: Scenario) -> Sensing:
@@ -341,6 +405,41 @@ def _with_assumptions(scenario: Scenario) -> Estimator:
         position_noise=dict(zip(coordinates.names, position, strict=True)),
         velocity_noise=dict(zip(coordinates.names, velocity, strict=True)),
     )
+
+
+def _jacobian(function: Callable[[np.ndarray], np.ndarray], groups: Sequence[slice], steps: np.ndarray) -> np.ndarray:
+    """Differences of a function at zero by ``steps``, without those groups of its argument that do not matter to it."""
+    center = function(np.zeros(steps.size))
+    jacobian = np.zeros((center.size, steps.size))
+    for group in groups:
+        trial = np.zeros(steps.size)
+        trial[group] = steps[group] * np.linspace(1.0, 2.0, group.stop - group.start)
+        if np.array_equal(function(trial), center):
+            continue
+        for i in range(group.start, group.stop):
+            x = np.zeros(steps.size)
+            x[i] = steps[i]
+            jacobian[:, i] = (function(x) - center) / steps[i]
+    return jacobian
+
+
+def _silence(sources: Sequence[RandomSource], diagram: Diagram, context: Context) -> bool:
+    """Fix what hears the sources to zero. False where that is not seen: an output of a block that is noise itself."""
+    heard = list[System]()
+    for part in _diagrams(diagram):
+        for (system, number), (source, _) in part.connection_map().items():
+            if source in sources:
+                port = system.get_input_port(number)
+                port.FixValue(system.GetMyMutableContextFromRoot(context), np.zeros(port.size()))
+                heard.append(source)
+    return all(source in heard for source in sources)
+
+
+def _diagrams(system: System) -> Iterator[Diagram]:
+    if isinstance(system, Diagram):
+        yield system
+        for part in system.GetSystems():
+            yield from _diagrams(part)
 
 
 def _leaves(system: System) -> Iterator[System]:

@@ -66,12 +66,16 @@ def predict(
 
     Raises: as ``Linearizer`` and ``Linearizer.at``.
     """
-    scenario = from_grasp(scenario)
-    held = expected_gains(scenario)
     with Linearizer(scenario, blocks=blocks) as linearizer:
-        loops = [linearizer.at(linearizer.motion.part(share), held=held) for share in _POSTURES]
-        coordinates, radius = linearizer.loop.coordinates, max(loop.spectral_radius for loop in loops)
-        error, force = linearizer.follow(held=held)
+        return predict_from(linearizer, settled_after=settled_after)
+
+
+def predict_from(linearizer: Linearizer, *, settled_after: float = 5.0) -> Prediction:
+    """The prediction for a linearizer's scenario; see ``predict``."""
+    scenario, coordinates = linearizer.given, linearizer.loop.coordinates
+    held = expected_gains(scenario)
+    loops = [linearizer.at(linearizer.motion.part(share), held=held) for share in _POSTURES]
+    error, force = linearizer.follow(held=held)
     period, count = scenario.sample_time, scenario.num_control_periods
     if not np.isfinite(force).all():  # it diverges without noise, too
         error, force = np.full_like(error, np.inf), np.full_like(force, np.inf)
@@ -82,7 +86,7 @@ def predict(
     settled = np.arange(count) * period > settled_after
     return Prediction(
         coordinates=coordinates,
-        spectral_radius=radius,
+        spectral_radius=max(loop.spectral_radius for loop in loops),
         rms_error=np.sqrt((error[settled] ** 2).mean(axis=0) + of_error),
         noise_error=np.sqrt(of_error),
         noise_force=np.sqrt(of_force),

@@ -6,6 +6,11 @@ from collections.abc import Callable
 from pydrake.geometry import Meshcat
 
 
+def label_text(text: str) -> str:
+    """Any text, as a label may hold it: Meshcat pastes labels into a script, between single quotes."""
+    return " ".join(text.replace("\\", "/").replace("'", "\N{RIGHT SINGLE QUOTATION MARK}").split())
+
+
 class Controls:
     """The controls that one user of a Meshcat page has added to it; ``remove`` takes them away again."""
 
@@ -29,6 +34,10 @@ class Controls:
         news = clicks != self._clicks[label]
         self._clicks[label] = clicks
         return news
+
+    def all_clicked(self) -> set[str]:
+        """The buttons that were clicked since this was last asked."""
+        return {label for label in self._clicks if self.clicked(label)}
 
     def value(self, label: str) -> float:
         """The slider's value."""
@@ -59,8 +68,8 @@ class Controls:
         self._values = {}
 
 
-CODE, UNLOCK = "code, see terminal", "Unlock the controls"
-_DIGITS = 6
+CODE, UNLOCK = "code", "Unlock the controls"
+_DIGITS = 5  # all that the panel shows of a number
 _TRIES = 3
 
 

@@ -26,7 +26,7 @@ from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.meshcat import set_stage, start_meshcat
 from ffsm_drake.show.meshcat.arrows import Arrow, base_bounding_box
-from ffsm_drake.show.meshcat.controls import CodeLock, Controls
+from ffsm_drake.show.meshcat.controls import CodeLock, Controls, label_text
 from ffsm_drake.show.meshcat.stage import SpacecraftView
 from ffsm_drake.spacecraft.plant import configuration, find_body
 from ffsm_drake.systems.controllers import complete_gains, controller_names
@@ -49,7 +49,7 @@ _LARGEST_DEBT = 0.1  # s by which the simulation may lag behind before it stops 
 
 def start_button(controller: str) -> str:
     """Label of the button that starts a run with a controller."""
-    return f"Start / restart run: {controller}"
+    return f"Start / restart run: {label_text(controller)}"
 
 
 def push_button(axis: str) -> str:
@@ -167,6 +167,7 @@ class _Operator:
         self._paused = False
         # Controller whose start button was clicked; without an operator the run starts by itself.
         self._requested = "" if tell is not None else scenario.controller
+        self._pushed: set[str] = set()  # axes along which a push was asked for
         self._pushes: list[_Push] = []
         self._scale = 1.0
         self._events: list[str] = []
@@ -220,7 +221,7 @@ class _Operator:
 
     def show_status(self, text: str) -> None:
         """Meshcat has no labels: the panel's last button, which does nothing, shows the status."""
-        label = f"[ {text} ]"
+        label = f"[ {label_text(text)} ]"
         if label == self._status:
             return
         self._panel.remove_button(self._status)
@@ -238,8 +239,7 @@ class _Operator:
         scenario, controller, mass = self._scenario, self._requested, self._values[MASS]
         self._requested, self.stopped_run, self._paused = "", False, False
         self._pushes, self._events, self._scale, self._arrow_until = [], [], 1.0, 0.0
-        for axis in _AXES:
-            self._clicked(push_button(axis))  # before the run: pushes nothing
+        self._pushed.clear()  # before the run: pushes nothing
         if controller != scenario.controller:
             self._events.append(f"controller {controller} (scenario: {scenario.controller})")
             scenario = dataclasses.replace(scenario, controller=controller)
@@ -323,27 +323,33 @@ class _Operator:
 
     def _read_page(self) -> None:
         """What the page asks for, unless it is locked."""
-        if self._lock is None or not self._lock.check():
-            if self._controls is not None:
-                self._controls.remove()
-                self._controls = None
+        if not self._is_unlocked():
             return
         if self._controls is None:
             self._controls = self._add_controls()
             if self._status.startswith("[ locked"):
                 self.show_status("ready: click a start button")
+        clicked = self._controls.all_clicked()
+        moved = {label: self._controls.value(label) for label in self._values if self._controls.moved(label)}
+        if not self._is_unlocked():  # what was read may be that of a page that has just come
+            return
         for name in self._controllers:
-            if self._clicked(start_button(name)):
+            if start_button(name) in clicked:
                 self._requested = name
-        if self._clicked(PAUSE):
+        if PAUSE in clicked:
             self._paused = not self._paused
-        self._quit = self._quit or self._clicked(QUIT)
-        for label in self._values:
-            if self._controls.moved(label):
-                self._values[label] = self._controls.value(label)
+        self._quit = self._quit or QUIT in clicked
+        self._pushed |= {axis for axis in _AXES if push_button(axis) in clicked}
+        self._values |= moved
 
-    def _clicked(self, label: str) -> bool:
-        return self._controls is not None and self._controls.clicked(label)
+    def _is_unlocked(self) -> bool:
+        """Whether the page may command; if not, its controls go."""
+        if self._lock is not None and self._lock.check():
+            return True
+        if self._controls is not None:
+            self._controls.remove()
+            self._controls = None
+        return False
 
     def _note_scale(self, when: str) -> None:
         scale = self._values[DISTURBANCE]
@@ -353,7 +359,7 @@ class _Operator:
 
     def _read_pushes(self, start: float) -> None:
         for axis, direction in _AXES.items():
-            if self._clicked(push_button(axis)) and (impulse := self._values[IMPULSE]) != 0.0:
+            if axis in self._pushed and (impulse := self._values[IMPULSE]) != 0.0:
                 samples = max(1, round(_PUSH_DURATION / self._scenario.sample_time))
                 duration = samples * self._scenario.sample_time
                 self._pushes.append(_Push(impulse / duration * np.array(direction), samples))
@@ -363,6 +369,7 @@ class _Operator:
                 self._events.append(
                     f"from t = {start:.2f} s: push of {impulse:g} N s along {axis} on {body} within {duration:g} s"
                 )
+        self._pushed.clear()
 
     def _draw(self, now: float, q: np.ndarray) -> None:
         wall = time.perf_counter()

@@ -10,7 +10,8 @@ from ffsm_drake.analysis import Finding, analyze
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import write_text
 from ffsm_drake.control_design.stability import Margins, stability
-from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.runs.record import IDENTIFIER, RunRecord
+from ffsm_drake.scenario import controller_key
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import rankings, table, table_notes
@@ -108,6 +109,10 @@ def render_report(
     content: Json = {
         "title": title or description,
         "kicker": "; ".join(descriptions) if title or len(descriptions) > 1 else "free-flying space manipulator",
+        "identifier": IDENTIFIER,
+        "shown": [
+            (controller_key(record.scenario.controller), record.identifier) for record in records if record.identifier
+        ],
         "results": results,
         "summary": _summary(results),
         "settled_rule": f"Settled means: over the last {SETTLED_OVER:g} s every error stays within {settled}.",

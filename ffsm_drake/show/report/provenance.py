@@ -11,9 +11,8 @@ from typing import Any
 import yaml
 
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import load_scenario, portable_scenario, scenario_to_dict, shipped_scenarios
+from ffsm_drake.scenario import flatten, load_scenario, portable_scenario, scenario_to_dict, shipped_scenarios
 from ffsm_drake.show.report.results import Result
-from ffsm_drake.show.style import flatten
 from ffsm_drake.show.tables import number
 
 _MOST_OVERRIDES = 8  # in a command that is still read
@@ -40,6 +39,8 @@ def provenance(results: Sequence[Result], folder: Path) -> list[dict[str, Any]]:
         ]
         if record.wall_time.get("advance_to", 0.0) > 0.0:
             facts.append(("Speed", f"{record.realtime_factor:.0f} times real time"))
+        if record.identifier:
+            facts.append(("SHA-256 of record.nc", record.identifier))
         items.append({
             "result": result, "facts": facts, "scenario": text, "file": file,
             "command": _command(flatten(data), shipped, file),
