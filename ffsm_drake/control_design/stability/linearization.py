@@ -31,6 +31,7 @@ from ffsm_drake.spacecraft.coordinates import position_errors, rotation_error
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers.estimators import assumed_noise
+from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.reference import make_motion, timed
 from ffsm_drake.systems.registry import Factory
 
@@ -150,7 +151,10 @@ class Linearizer:
             context = self._context
             context.SetTimeStateAndParametersFrom(self._start)
         plant_context = self._plant.GetMyContextFromRoot(context)
-        controller_context = self.loop.blocks["controller"].GetMyMutableContextFromRoot(context)
+        controller = self.loop.blocks["controller"]
+        controller_context = controller.GetMyMutableContextFromRoot(context)
+        if isinstance(controller, SampledController):  # no sample counts as a first one here
+            controller.remember_velocity(controller_context, self.motion.evaluate(0.0)[1])
         with contextlib.suppress(Exception, SystemExit), np.errstate(over="ignore", invalid="ignore"):
             for index in range(count):
                 states[index] = self._plant.GetPositions(plant_context)

@@ -67,6 +67,12 @@ class SampledController(LeafSystem):
         index = {"generalized_force": self._force, "has_previous": self._has_previous, **self._memory}[name]
         return np.array(context.get_discrete_state(index).value())
 
+    def remember_velocity(self, context: Context, velocity: np.ndarray) -> None:
+        """Set what the memory holds of the velocity (nv) a sample ago, wanted or measured."""
+        for name in ("delayed_desired_velocity", "delayed_velocity"):
+            if name in self._memory:
+                context.SetDiscreteState(self._memory[name], velocity)
+
     def resume(
         self, context: Context, before: "SampledController", context_before: Context, reference: np.ndarray
     ) -> None:
