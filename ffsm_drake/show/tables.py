@@ -86,7 +86,7 @@ def grasp_line(grasp: Mapping[str, Any]) -> str:
     miss, compliant = grasp["miss"], grasp["compliant"]
     gripper = (
         f"; the gripper bears at most {compliant['peak_force']:.3g} N and {compliant['peak_torque']:.3g} N m, over in "
-        f"{1e3 * compliant['time']:.2g} ms"
+        f"{1e3 * compliant['time']:.3g} ms"
         if compliant
         else ""
     )

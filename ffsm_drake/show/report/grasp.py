@@ -34,9 +34,10 @@ def grasp_of(result: Result) -> dict[str, Any] | None:
         [f"{name} [{units[name]}/s]", number(rate), number(after["velocity"][name])]
         for name, rate in before["velocity"].items()
     ]
+    sentence = grasp_line(grasp)
     return {
         "result": result,
-        "sentence": grasp_line(grasp),
+        "sentence": sentence[:1].upper() + sentence[1:],
         "ledger": rows,
         "rates": rates,
         "phases": _phases(record.metrics.get("phases", {})),
