@@ -24,7 +24,7 @@ from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.spacecraft.capture import Contact, contact_at, planned_contact, target_body
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
-from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.registry import Factory
 
@@ -181,7 +181,7 @@ class _Handover:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self.sample = round(scenario.grasp_time / scenario.sample_time)
-        model = make_true_plant(scenario)
+        model = make_nominal_plant(scenario)
         planned = planned_contact(scenario, model)
         self._reference = np.concatenate([planned.q, planned.grasp.velocity])
         # The target's own motion up to where it is to be met.

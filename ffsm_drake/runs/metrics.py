@@ -16,10 +16,11 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     """All metrics of a run's dataset (see RunRecord.dataset), as plain numbers.
 
     Keys: those of ``tracking_metrics``, and
-      phases: of a run with a capture, those of ``tracking_metrics`` by phase, each with its own time.
       momentum_residual: largest norm, over the run or its phases, of the momentum's change minus the impulse of the
         external forces, ``linear`` (N s) and ``angular`` (N m s, about the world's origin): what the integrator got
         wrong.
+      phases: of a run with a capture, by phase,
+        those of ``tracking_metrics``, each with its own time.
     """
     tracking = tracking_metrics(
         time=dataset["time"].values,

@@ -325,12 +325,10 @@ def _raise_for(error: BaseException, suspects: Sequence[str], time: float) -> No
 def _built_from(scenario: Scenario) -> dict[str, Any]:
     """The part of a scenario that goes into the build, as plain data; the rest is set in a run's context."""
     neutral = Scenario()
-    # After a grasp the planned motion begins at a velocity that depends on the payload.
-    truth = neutral.payload.truth if scenario.capture is None else scenario.payload.truth
     return scenario_to_dict(
         dataclasses.replace(
             scenario,
-            payload=dataclasses.replace(scenario.payload, truth=truth),
+            payload=dataclasses.replace(scenario.payload, truth=neutral.payload.truth),
             **{name: getattr(neutral, name) for name in _OF_THE_CONTEXT},
         )
     )

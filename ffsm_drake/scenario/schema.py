@@ -252,7 +252,7 @@ class Scenario:
     initial_posture: Posture = dataclasses.field(default_factory=Posture)
     target_posture: Posture = dataclasses.field(default_factory=Posture)
     # At the start, rad/s or m/s; base_rotation is the angular velocity in world axes. The reference starts at rest;
-    # with capture, at the velocity after the grasp, to which this is added.
+    # with capture, at the velocity that the grasp leaves with the nominal payload. This is added to the true one.
     initial_velocity: PerCoordinate = _published(all=0.0)
     capture: Capture | None = None  # the grasp of a moving target; null: the target is held and at rest at the start
     reference: Reference = dataclasses.field(default_factory=Reference)

@@ -24,7 +24,7 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.duration import shortest_duration
 
 _BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
@@ -272,13 +272,13 @@ class _MotionSource(LeafSystem):
 
 
 def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
-    """The planned motion of a scenario; with a capture from the velocity that the grasp leaves.
+    """The planned motion of a scenario; with a capture from the velocity after the grasp of the nominal payload.
 
     Raises:
       ModelError, ScenarioError: no grasp of the target, or no motion within the limits, can be computed.
     """
     capture, reference = scenario.capture, scenario.reference
-    contact = None if capture is None else planned_contact(scenario, make_true_plant(scenario))
+    contact = None if capture is None else planned_contact(scenario, make_nominal_plant(scenario))
     target = None if reference.goal == "stop" else scenario.target_posture
 
     def quintic(duration: float, posture: Posture | None, velocity: np.ndarray | None) -> QuinticMotion:

@@ -227,7 +227,11 @@ def test_a_run_has_the_bits_of_a_fresh_build(rollout, log):
     for one, same in ((again, log), (changed, fresh)):
         assert all(np.array_equal(one.series[name], values) for name, values in same.series.items())
     assert not np.array_equal(changed.error, log.error[: changed.error.shape[0]])
-    assert not rollout.accepts(override_scenario(SCENARIO, ["payload.truth.mass=90"]))  # the motion begins elsewhere
+    heavy = override_scenario(SCENARIO, ["payload.truth.mass=120", "duration=2.2"])
+    assert rollout.accepts(heavy)
+    one, same = rollout.run(heavy), make_rollout(heavy).run()
+    assert all(np.array_equal(one.series[name], values) for name, values in same.series.items())
+    assert not rollout.accepts(override_scenario(SCENARIO, ["payload.nominal.mass=90"]))
 
 
 def test_without_an_approach_it_begins_with_the_grasp():
@@ -237,7 +241,9 @@ def test_without_an_approach_it_begins_with_the_grasp():
     assert set(record.dataset["phase"].values.tolist()) == {"stop"}
     expected = contact.grasp.velocity + 1e-3 * (np.arange(11) == 7)
     assert_allclose(record.dataset["velocity"].values[0], expected, atol=1e-15)
-    assert_allclose(record.dataset["desired_velocity"].values[0], contact.grasp.velocity, atol=1e-15)
+    planned = planned_contact(scenario, make_nominal_plant(scenario)).grasp.velocity
+    assert_allclose(record.dataset["desired_velocity"].values[0], planned, atol=1e-15)
+    assert np.abs(planned - contact.grasp.velocity).max() > 1e-4  # which the controller is not told
     assert record.grasp["time"] == 0.0
     assert record.grasp["miss"]["position"] == 0.0
 

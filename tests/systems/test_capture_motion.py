@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.spacecraft.capture import planned_contact
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.reference import make_motion, rotation_vector_motion
 
 NQ, NV = 12, 11
@@ -23,8 +23,8 @@ LIMITS = "actuation.limit={base_position: 22, base_rotation: 10, joints: 5}"
 
 def motion_of(*overrides):
     scenario = load_scenario("flight_sensors", [*TUMBLE, *overrides])
-    true = make_true_plant(scenario)
-    return make_motion(scenario, true.coordinates), planned_contact(scenario, true), scenario
+    nominal = make_nominal_plant(scenario)
+    return make_motion(scenario, nominal.coordinates), planned_contact(scenario, nominal), scenario
 
 
 def parts(row):
