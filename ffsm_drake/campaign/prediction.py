@@ -35,8 +35,9 @@ def predict_stability(scenario: Scenario, *, postures: int = 1) -> tuple[float, 
     scenario = from_grasp(scenario)
     times = _most_overestimated(scenario)[:postures]
     with Linearizer(scenario) as linearizer:
-        starting = max(linearizer.at(time).spectral_radius for time in times)
-        held = expected_gains(scenario) if starting < 1.0 else {}
+        loops = [linearizer.at(time) for time in times]
+        starting = max(loop.spectral_radius for loop in loops)
+        held = expected_gains(linearizer, loops[0]) if starting < 1.0 else {}
         expected = max(linearizer.at(time, held=held).spectral_radius for time in times) if held else starting
     return starting, expected
 

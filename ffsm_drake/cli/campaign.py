@@ -185,10 +185,12 @@ def report(source: str, database: Path | None, out: Path | None, axes: tuple[str
       ffsm campaign report mine.db --map payload.truth.mass nominal_error
     """
     from ffsm_drake.campaign.store import open_store
+    from ffsm_drake.common.files import check_writable
     from ffsm_drake.show.campaign.page import write_report
 
     with open_store(_locate(source, database)) as store:
         folder = out or store.path.with_suffix("").with_name(f"{store.path.stem}-report")
+        check_writable(folder)  # before the evaluation, which takes a while
         written = write_report(store, folder, axes=axes, progress=count_progress("controllers predicted"))
         click.echo(written.summary)
         click.echo(f"\nWritten to {folder}: {', '.join(path.name for path in written.files)}")

@@ -89,13 +89,16 @@ def replay(run: Path, speed: float, ghost: bool, path: bool, forces: bool, live:
       ffsm replay out/postcapture --speed 2 --no-ghost --out slides/motion.html
       ffsm replay out/postcapture --live
     """
+    from ffsm_drake.common.files import check_writable
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.show.meshcat import replay_live, write_recording
 
+    file = out or run / "recording.html"
+    if not live:
+        check_writable(file.parent)
     record = RunRecord.load(run)
     if live:
         replay_live(record, speed=speed, ghost=ghost, path=path, forces=forces, open_browser=True)
         return
-    file = out or run / "recording.html"
     write_recording(record, file, speed=speed, ghost=ghost, path=path, forces=forces)
     click.echo(f"Written to {file}")

@@ -64,7 +64,7 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     mass = make_true_plant(scenario).calc_mass_matrix(q)
     walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
     with Linearizer(scenario) as linearizer:
-        loop = linearizer.at(time, held=expected_gains(scenario))
+        loop = linearizer.at(time, held=expected_gains(linearizer))
     response = loop.with_random_walk(walk, mass).noise_response(count)
     sensing = smooth_sensing(scenario)
     position, velocity = (

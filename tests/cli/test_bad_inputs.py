@@ -916,6 +916,12 @@ TABLE = [
         "taken: cannot be written",
         prepare=lambda at: (at / "taken").touch(),
     ),
+    bad(
+        "replay-out-inside-a-file",
+        "replay run --out taken/x.html",
+        "taken: cannot be written",
+        prepare=lambda at: (at / "taken").touch(),
+    ),
     bad("diagram-out-is-a-folder", "diagram --out .", "is a directory"),
     # Run directories.
     bad("no-run", "analyze nothing", "nothing/manifest.json: cannot be read", "give the folder of a run"),
@@ -1507,7 +1513,8 @@ def test_a_folder_that_is_gone(tmp_path):
 
 
 def test_a_home_that_cannot_be_written(tmp_path):
-    script = "from ffsm_drake.cli import main; main(['scenarios'], standalone_mode=False); import matplotlib.pyplot"
+    script = "from ffsm_drake.cli import main; main(['schema'], standalone_mode=False); "
+    script += "import matplotlib; matplotlib.get_configdir()"
     settings = OWN_PROCESS | {"env": OWN_PROCESS["env"] | {"HOME": "/dev/null"}}
     for name in ("MPLCONFIGDIR", "XDG_CONFIG_HOME", "XDG_CACHE_HOME"):
         settings["env"].pop(name, None)

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from collections.abc import Mapping
 from typing import Self
 
 import numpy as np
@@ -44,6 +45,7 @@ class LinearLoop:
     time: float  # s
     sample_time: float  # s
     samples: tuple[SampleMap, ...]  # of one common period of all blocks
+    memory: Mapping[str, slice] = dataclasses.field(default_factory=dict)  # of the controller: name -> its part of x
 
     @functools.cached_property
     def a(self) -> np.ndarray:
@@ -84,7 +86,8 @@ class LinearLoop:
     def noise_response(self, samples: int) -> dict[str, np.ndarray]:
         """Standard deviations (nv) under the noise after a number of control samples from a start without error.
 
-        Keys ``error`` (rad, m), ``error_rate`` (per s) and ``force`` (N m, N). A power of two covers ``samples``: a
+        Keys ``error`` (rad, m), ``error_rate`` (per s) and ``force`` (N m, N); ``sliding_variable`` (as it is, after a
+        sample's update) where the controller has one. A power of two covers ``samples``: a
         loop that contracts has reached its stationary values by then; what walks at random or grows has come that far.
         """
         nv = len(self.coordinates.names)
@@ -102,6 +105,11 @@ class LinearLoop:
             of_force += (np.einsum("ij,jk,ik->i", c, covariance, c) + (d**2).sum(axis=1)) / len(maps)
             covariance = a @ covariance @ a.T + b @ b.T
         variances = {"error": of_state[:nv], "error_rate": of_state[nv : 2 * nv], "force": of_force}
+        if "sliding_variable" in self.memory:
+            part, sample = self.memory["sliding_variable"], self.samples[0]
+            row = sample.a[part][:, keep]
+            variances["sliding_variable"] = np.einsum("ij,jk,ik->i", row, covariance, row)
+            variances["sliding_variable"] += (sample.b[part] ** 2).sum(axis=1)
         return {
             name: np.sqrt(np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf))
             for name, values in variances.items()

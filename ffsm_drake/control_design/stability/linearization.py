@@ -87,6 +87,13 @@ class Linearizer:
             sample_time=scenario.sample_time,
             leave_out=lambda system, group: system is controller and group in held,
         )
+        nv = len(self.loop.coordinates.names)
+        groups: Mapping[str, int] = getattr(controller, "memory_groups", dict)()
+        self._parts_of_memory = {
+            name: slice(2 * nv + part.start, 2 * nv + part.stop)
+            for name, group in groups.items()
+            if (part := self._memory.part_of(controller, group)) is not None
+        }
         self.motion = make_motion(self.scenario, self.loop.coordinates)
         self._updates = dict[Hashable, tuple[_Update, ...]]()
 
@@ -126,7 +133,13 @@ class Linearizer:
                 raise BlockError(f"{self.scenario.controller}: the loop cannot be linearised: {reason}") from error
             unknown = np.full((2 * len(self.loop.coordinates.names),) * 2, np.nan)  # diverged within the warm-up
             samples = (SampleMap(a=unknown, b=unknown, c=unknown, d=unknown),)
-        return LinearLoop(coordinates=self.loop.coordinates, time=index * period, sample_time=period, samples=samples)
+        return LinearLoop(
+            coordinates=self.loop.coordinates,
+            time=index * period,
+            sample_time=period,
+            samples=samples,
+            memory=self._parts_of_memory,
+        )
 
     def follow(self, *, held: Mapping[str, np.ndarray] | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The run without noise: true error at the samples and force from each to the next (n, nv), NaN once it fails.
@@ -310,6 +323,7 @@ class _Memory:
     ) -> None:
         self.systems, self.size, self.parts = systems, 0, list[slice]()
         self._groups: list[tuple[Context, int]] = []
+        self._where = dict[tuple[System, int], slice]()
         self._updated: list[tuple[System, Context, float, float]] = []  # with period and offset in control samples
         self._parts_of: list[list[tuple[int, slice]]] = []  # of each of them its groups, and where they stand
         # A system may behave differently from sample to sample: it says how by ``phase`` and ``phase_period``.
@@ -319,7 +333,8 @@ class _Memory:
             for group in range(context.num_discrete_state_groups()):
                 if not leave_out(system, group):
                     width = context.get_discrete_state(group).size()
-                    parts.append((group, slice(self.size, self.size + width)))
+                    self._where[system, group] = slice(self.size, self.size + width)
+                    parts.append((group, self._where[system, group]))
                     self.size += width
             self.parts += [part for _, part in parts]
             self._groups += [(context, group) for group, _ in parts]
@@ -332,6 +347,10 @@ class _Memory:
         self.common_period = math.lcm(*periods, *(system.phase_period for system in self._phased))
         every_sample = all(abs(period - 1.0) + abs(offset) < 1e-6 for _, _, period, offset in self._updated)
         self._always = (True,) * len(self._updated) if every_sample else ()
+
+    def part_of(self, system: System, group: int) -> slice | None:
+        """Where a system's discrete group stands; None where it was left out."""
+        return self._where.get((system, group))
 
     def kind(self, index: int) -> Hashable:
         """Equal for control samples that do the same."""

@@ -28,6 +28,7 @@ from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_esti
 from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.reference import PlannedMotion, make_motion
 
+_RUN_AWAY = 5.0  # times 2/L: beyond, no loop is stable whose inertia is at least a sixth of the nominal one
 POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of the planned motion that the loop is linearised at
 
 
@@ -136,9 +137,9 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
     times = np.linspace(motion.begin, motion.end, postures)
     eta = np.array([inertia_ratios(*_mass_matrices(true, nominal, motion, time)) for time in times])
     instants = [motion.part(share) for share in POSTURES]
-    axes = _axis_margins(scenario, true, nominal, eta) if has_closed_form(scenario) else None
     with Linearizer(scenario) as linearizer:
         loops = expected = tuple(linearizer.at(time) for time in instants)
+        axes = _axis_margins(scenario, true, nominal, eta, loops[0]) if has_closed_form(scenario) else None
         if axes is not None and axes.forecast_k_s.max() > axes.law.k_s.max():
             held = {"reaching_gain": axes.forecast_k_s.max(axis=0)}
             expected = tuple(linearizer.at(time, held=held) for time in instants)
@@ -173,7 +174,9 @@ def has_closed_form(scenario: Scenario) -> bool:
     )
 
 
-def _axis_margins(scenario: Scenario, true: PlantModel, nominal: PlantModel, eta: np.ndarray) -> AxisMargins:
+def _axis_margins(
+    scenario: Scenario, true: PlantModel, nominal: PlantModel, eta: np.ndarray, loop: LinearLoop
+) -> AxisMargins:
     law, sampling = law_gains(scenario, nominal.coordinates), sampling_of(scenario, nominal.coordinates)
 
     # Coordinates with the same gains have the same limits.
@@ -192,7 +195,7 @@ def _axis_margins(scenario: Scenario, true: PlantModel, nominal: PlantModel, eta
     filters = () if sampling.kalman_gain is None else sampling.kalman_gain.reshape(law.k_d.size, -1).T
     kinds = list(zip(*(column.tolist() for column in (law.k_d, law.k_p, law.k_s, *filters)), strict=True))
     table = np.array([limits(*gains) for gains in kinds])
-    forecast_times, forecast_k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal)
+    forecast_times, forecast_k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal, loop)
     return AxisMargins(
         sampling=sampling,
         law=law,
@@ -235,18 +238,21 @@ def _warning(scenario: Scenario, linearizer: Linearizer) -> str:
     return f"K_s {bound}, but the sampled loop is stable only below about {limit:.0f} 1/s; set k_s_max, or {remedy}"
 
 
-def expected_gains(scenario: Scenario) -> dict[str, np.ndarray]:
+def expected_gains(linearizer: Linearizer, loop: LinearLoop | None = None) -> dict[str, np.ndarray]:
     """What adaptation is expected to make of a law's held gains (``Linearizer.at``): every K_s at its largest.
 
-    Empty where nothing adapts or no forecast is known.
+    ``loop`` is that at the starting gains, where it is known; default: at the start. Empty where nothing adapts or no
+    forecast is known.
     """
+    scenario = linearizer.given
     if not has_closed_form(scenario):
         return {}
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     law, sampling = law_gains(scenario, nominal.coordinates), sampling_of(scenario, nominal.coordinates)
     if np.array_equal(law.k_s_max, law.k_s):
         return {}
-    _, k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal, points=51)
+    loop = linearizer.at(0.0) if loop is None else loop
+    _, k_s = forecast_reaching_gain(scenario, law, sampling, true, nominal, loop, points=51)
     return {"reaching_gain": k_s.max(axis=0)}
 
 
@@ -256,15 +262,18 @@ def forecast_reaching_gain(
     sampling: Sampling,
     true: PlantModel,
     nominal: PlantModel,
+    loop: LinearLoop,
     *,
     points: int = 101,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where laws (9) and (21) are expected to take K_s: times (p,) in s, K_s (p, nv) in 1/s.
 
     The laws see |s|. Its steady part follows the planned motion: what a steadily changing N leaves of s (-Ntilde / K_s
-    for the one-sample estimate, with Ntilde the change of N over one sample). The noise part is Gaussian with the
-    one-axis loop's deviation at eta = 1; the sign term adds its own oscillation at half the sampling rate. The mean of
-    the law over that distribution is integrated.
+    for the one-sample estimate, with Ntilde the change of N over one sample). The noise part is Gaussian: its deviation
+    at the starting gains is that of ``loop``, and changes with K_s as that of the one-axis loop does whose eta is the
+    coordinate's own entry of H^-1 Hhat at the time of ``loop``. The sign
+    term adds its own oscillation at half the sampling rate. The mean of the law over that distribution is integrated. A
+    K_s that grows past all that this covers is given as the largest that it can become.
     """
     times = np.linspace(0.0, scenario.num_control_periods * scenario.sample_time, points)
     coordinates = nominal.coordinates
@@ -281,21 +290,26 @@ def forecast_reaching_gain(
     square = scenario.controller == "aismc"
 
     # Per coordinate, the deviation of s and the sign term's amplitude against K_s, on a grid.
-    grid = np.linspace(1.0, 2.0 / scenario.sample_time, 30)
-    response = _sliding_response(law, grid, noise, sampling)
+    grid = np.linspace(1.0, 2.0 / scenario.sample_time, 20)
+    motion = make_motion(scenario, coordinates)
+    eta = np.diagonal(np.linalg.solve(*_mass_matrices(true, nominal, motion, loop.time)))
+    response = _sliding_response(law, grid, noise, sampling, eta)
+    alone = np.array([np.interp(law.k_s[i], grid, response["deviation"][:, i]) for i in range(law.k_s.size)])
+    wired = loop.noise_response(scenario.num_control_periods).get("sliding_variable", alone)
+    factor = np.divide(wired, alone, out=np.ones_like(alone), where=np.isfinite(wired) & (alone > 0.0))
 
     k_s = np.empty((points, law.k_s.size))
     k_s[0] = law.k_s
     for j in range(points - 1):
         for i in range(law.k_s.size):
             now = k_s[j, i]
-            sigma = np.interp(now, grid, response["deviation"][:, i])
+            sigma = factor[i] * np.interp(now, grid, response["deviation"][:, i])
             chatter = switching[i] * np.interp(now, grid, response["sign_amplitude"][:, i])
             mean = math.hypot(drift[j, i] * np.interp(now, grid, response["drift_gain"][:, i]), chatter)
             threshold = now * now / beta[i] if square else now / beta[i]
             rate = alpha[i] * _mean_signed_magnitude(mean, sigma, threshold)
             k_s[j + 1, i] = min(max(now + rate * (times[j + 1] - times[j]), 0.0), law.k_s_max[i], grid[-1])
-    return times, k_s
+    return times, np.where(k_s < grid[-1], k_s, np.minimum(law.k_s_max, _RUN_AWAY * grid[-1]))
 
 
 def _mean_signed_magnitude(mean: float, sigma: float, threshold: float) -> float:
@@ -316,7 +330,7 @@ def _mean_signed_magnitude(mean: float, sigma: float, threshold: float) -> float
 
 
 def _sliding_response(
-    law: LawGains, grid: np.ndarray, noise: list[np.ndarray], sampling: Sampling
+    law: LawGains, grid: np.ndarray, noise: list[np.ndarray], sampling: Sampling, eta: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Response of one axis's s to its inputs, per K_s of the grid and coordinate.
 
@@ -329,7 +343,7 @@ def _sliding_response(
     def at(k_s: float, i: int) -> tuple[float, float, float]:
         k_d, k_p, position, velocity = (float(values[i]) for values in (law.k_d, law.k_p, *noise))
         gains = LoopGains(k_v=k_d + k_s, k_p=k_p + k_s * k_d, k_i=k_s * k_p)
-        loop = axis_loop(gains, sampling=sampling.axis(i))
+        loop = axis_loop(gains, sampling=sampling.axis(i), eta=float(eta[i]))
         if loop.spectral_radius > 1.0 - 1e-9:
             return math.nan, math.nan, math.nan
         covariance = loop.covariance(position_noise=position, velocity_noise=velocity)
@@ -351,7 +365,7 @@ def _sliding_response(
         return math.sqrt(max(variance, 0.0)), abs(drift), abs(alternating)
 
     # Coordinates with equal values are computed once.
-    kinds = [law.k_d, law.k_p, *noise]
+    kinds = [law.k_d, law.k_p, *noise, eta]
     if sampling.kalman_gain is not None:
         kinds += list(sampling.kalman_gain.reshape(law.k_d.size, -1).T)
     _, first, inverse = np.unique(np.array(kinds).T, axis=0, return_index=True, return_inverse=True)

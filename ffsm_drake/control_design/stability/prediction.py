@@ -57,7 +57,7 @@ class Prediction:
 def predict(
     scenario: Scenario, *, settled_after: float = 5.0, blocks: Mapping[str, Factory] | None = None
 ) -> Prediction:
-    """Predict a run; takes about as long as two runs.
+    """Predict a run; takes about as long as one, longer with slow sensors.
 
     Args:
       scenario: what would be run; K_s is held where adaptation is expected to take it, sign terms are left out.
@@ -73,7 +73,7 @@ def predict(
 def predict_from(linearizer: Linearizer, *, settled_after: float = 5.0) -> Prediction:
     """The prediction for a linearizer's scenario; see ``predict``."""
     scenario, coordinates = linearizer.given, linearizer.loop.coordinates
-    held = expected_gains(scenario)
+    held = expected_gains(linearizer)
     loops = [linearizer.at(linearizer.motion.part(share), held=held) for share in _POSTURES]
     error, force = linearizer.follow(held=held)
     period, count = scenario.sample_time, scenario.num_control_periods

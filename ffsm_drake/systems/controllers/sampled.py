@@ -90,6 +90,10 @@ class SampledController(LeafSystem):
         for name, index in self._memory.items():
             context.SetDiscreteState(index, np.asarray(memory[name], dtype=float))
 
+    def memory_groups(self) -> Mapping[str, int]:
+        """The discrete group of each piece of the law's memory, by name."""
+        return {name: int(index) for name, index in self._memory.items()}
+
     def held_groups(self) -> Mapping[str, tuple[int, float | None]]:
         """Discrete groups that a linearisation holds, name -> (group, value), see ``ControlLaw.held``."""
         held = {name: (int(self._memory[name]), value) for name, value in self.law.held().items()}
