@@ -212,7 +212,7 @@ def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
     random = np.random.default_rng(seed)
     samples = []
     for k in range(_SAMPLES):
-        q_d, v_d, a_d = reference.evaluate(0.3 * scenario.reference.duration + k * scenario.sample_time)
+        q_d, v_d, a_d = reference.evaluate(reference.part(0.3) + k * scenario.sample_time)
         noise = 1e-3 * random.standard_normal((3, len(coordinates.names)))
         q, v = q_d.copy(), v_d + noise[1]
         q[4:] += noise[0, 3:]

@@ -8,7 +8,9 @@ import numpy as np
 
 from ffsm_drake.analysis import estimation
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.scenario import from_grasp
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import gain_vectors
 
@@ -49,8 +51,11 @@ class Evidence:
 
     def __init__(self, record: RunRecord) -> None:
         self.record = record
-        self.scenario = record.scenario
-        self.data = finite_part(record.dataset)
+        self.scenario = from_grasp(record.scenario)
+        phases = phases_of(record.dataset)
+        if phases and "stop" not in phases:
+            raise FfsmError("the run ended before the grasp; there is nothing to analyse")
+        self.data = finite_part(phases.get("stop", record.dataset))
         self.time = self.data["time"].values
         self.period = float(record.dataset.attrs["sample_time"])
         self.nominal = make_nominal_plant(self.scenario)

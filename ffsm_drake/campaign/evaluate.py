@@ -18,6 +18,7 @@ from ffsm_drake.campaign.prediction import predict_stability
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
+from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog
 from ffsm_drake.scenario import Scenario
@@ -56,7 +57,7 @@ class Evaluator:
 
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
-        self._rollouts: dict[str, Rollout] = {}
+        self._rollouts: dict[str, Rollout | CaptureRollout] = {}
         self._software = " ".join(f"{name} {version}" for name, version in software_versions().items())
 
     def evaluate(self, case: Case, controller: str) -> Row:
@@ -86,7 +87,7 @@ class Evaluator:
             rollout.release()
             rollout = None
         if rollout is None:
-            self._rollouts[scenario.controller] = rollout = Rollout(scenario)
+            self._rollouts[scenario.controller] = rollout = make_rollout(scenario)
         return rollout.run(scenario)
 
 

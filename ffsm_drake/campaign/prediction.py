@@ -17,7 +17,7 @@ from ffsm_drake.common.errors import CampaignError, FfsmError
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.margins import POSTURES, expected_gains
 from ffsm_drake.control_design.stability.sampled_loop import inertia_ratios
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.reference import make_motion
 
@@ -32,6 +32,7 @@ def predict_stability(scenario: Scenario, *, postures: int = 1) -> tuple[float, 
     reach. The postures are those of the planned motion with the most over-estimated inertia, ``postures`` of five.
     Raises ModelError, ScenarioError or BlockError where a value cannot be used or a block cannot be linearised.
     """
+    scenario = from_grasp(scenario)
     times = _most_overestimated(scenario)[:postures]
     with Linearizer(scenario) as linearizer:
         loops = [linearizer.at(time) for time in times]
@@ -45,7 +46,7 @@ def _most_overestimated(scenario: Scenario) -> list[float]:
     """Times (s) of the postures, the one with the largest inertia ratio first."""
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     reference = make_motion(scenario, nominal.coordinates)
-    times = [part * scenario.reference.duration for part in POSTURES]
+    times = [reference.part(share) for share in POSTURES]
     postures = {time: reference.evaluate(time)[0] for time in times}
     ratio = {
         time: inertia_ratios(true.calc_mass_matrix(q), nominal.calc_mass_matrix(q))[-1] for time, q in postures.items()

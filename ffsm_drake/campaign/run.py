@@ -23,8 +23,8 @@ from ffsm_drake.campaign.store import Store, check_columns, create_store, open_s
 from ffsm_drake.common.errors import CampaignError, FfsmError, InterruptedCampaign
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
+from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import make_record
 
 # A process that has grown to this is replaced: Drake keeps every diagram with a system written in Python alive, some
@@ -88,7 +88,7 @@ def check_cases(spec: Spec) -> None:
         for case in itertools.islice(make_cases(spec), _TRIED):
             try:
                 with time_limit(spec.time_limit):
-                    Rollout(scenario_of(spec, case, controller)).release()
+                    make_rollout(scenario_of(spec, case, controller)).release()
                 break
             except TimeLimit as error:
                 raise CampaignError(f"controllers: building the loop with '{controller}' {error}") from None
@@ -204,7 +204,7 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
     start, log, rollout = time.perf_counter(), None, None
     try:
         with time_limit(store.spec.time_limit):
-            rollout = Rollout(scenario_of(store.spec, case, controller))
+            rollout = make_rollout(scenario_of(store.spec, case, controller))
             log = rollout.run()
         if log.outcome.status == "interrupted":
             raise KeyboardInterrupt

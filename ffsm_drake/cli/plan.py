@@ -25,7 +25,7 @@ def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     \b
     Examples:
       ffsm plan planar_detumble
-      ffsm plan mine.yaml --set planning.goal=stop --set planning.effort_weight=0.1
+      ffsm plan mine.yaml --set reference.goal=stop --set planning.effort_weight=0.1
       ffsm run mine.yaml --set reference.kind=optimal --set reference.plan=out/mine_plan/plan.yaml
     """
     from ffsm_drake.common.files import check_writable, written_whole

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
-from ffsm_drake.scenario import Posture, Reference
+from ffsm_drake.scenario import Posture
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body, find_body, find_frame
@@ -150,7 +150,12 @@ def _timed(true: PlantModel, servicer: Servicer, initial: Posture, target: Postu
     """The motion with a duration whose peak rates and forces are moderate."""
     coordinates = true.coordinates
     unit_time = QuinticMotion(
-        coordinates=coordinates, start=initial, target=target, reference=Reference(duration=1.0), sample_time=1.0 / 40.0
+        coordinates=coordinates,
+        start=initial,
+        target=target,
+        duration=1.0,
+        base_rotation="eigenaxis",
+        sample_time=1.0 / 40.0,
     )
     matrices, forces, rates = [], [], []
     for time in np.linspace(0.0, 1.0, 41):

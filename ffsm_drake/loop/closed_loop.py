@@ -14,6 +14,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
@@ -21,11 +22,13 @@ from pydrake.systems.primitives import Adder, ZeroOrderHold
 
 from ffsm_drake.loop.blocks import kind_of, make_blocks
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS
+from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.registry import Factory
 
 # Signals of every closed loop. OPTIONAL_OUTPUTS come on top that the controller gives, and "force_<name>" for each
@@ -71,13 +74,41 @@ class ClosedLoop:
         root.SetRandomContext(root_context, RandomGenerator(scenario.random_seed))
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         set_payload(self.plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
-        self.plant.SetPositions(context, configuration(self.plant, scenario.initial_posture, key="initial_posture"))
+        position = configuration(self.plant, scenario.initial_posture, key="initial_posture")
         velocity = self.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
-        self.plant.SetVelocities(context, velocity)
-        state = self.plant.GetPositionsAndVelocities(context)
+        if scenario.capture is not None:
+            model = PlantModel(plant=self.plant, context=context, coordinates=self.coordinates)
+            velocity += planned_contact(scenario, model).grasp.velocity
+        self.set_state(root_context, np.concatenate([position, velocity]))
+
+    def set_state(self, root_context: Context, state: np.ndarray) -> None:
+        """Put the plant into a state [q; v], and the blocks into one in which nothing else was before."""
+        self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(root_context), state)
         for block in self.blocks.values():
             if hasattr(block, "set_initial_state"):
                 block.set_initial_state(block.GetMyMutableContextFromRoot(root_context), state)
+
+    def resume(
+        self, root_context: Context, before: "ClosedLoop", context_before: Context, reference: np.ndarray
+    ) -> None:
+        """Let the blocks go on where those of another loop, of the same scenario but for its payload, have come to.
+
+        Args:
+          root_context: of this loop.
+          before: the other loop.
+          context_before: of that.
+          reference: [q_d; v_d] with which this loop's motion begins.
+        """
+        for name, block in self.blocks.items():
+            other = before.blocks[name]
+            context, source = (
+                block.GetMyMutableContextFromRoot(root_context),
+                other.GetMyContextFromRoot(context_before),
+            )
+            if isinstance(block, SampledController):
+                block.resume(context, other, source, reference)
+            else:
+                context.SetStateAndParametersFrom(source)
 
 
 def add_closed_loop(
@@ -105,8 +136,8 @@ def add_closed_loop(
     if plant is None:
         plant = builder.AddNamedSystem("plant", make_plant(scenario.model))
     coordinates = coordinates_of(plant)
-    for name in ("initial_posture", "target_posture"):
-        configuration(plant, getattr(scenario, name), key=name)
+    for name, posture in scenario.postures.items():
+        configuration(plant, posture, key=name)
     for name in ("initial_velocity", "tolerance"):
         coordinates.check_names(getattr(scenario, name), key=name)
     parts = make_blocks(scenario, make_nominal_plant(scenario), blocks)

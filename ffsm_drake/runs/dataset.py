@@ -3,12 +3,17 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RotationMatrix
 
+from ffsm_drake.runs.capture import NOTHING, GraspLog
 from ffsm_drake.runs.rollout import RunLog
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate
+from ffsm_drake.spacecraft.grasp import shift_moment
+from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
-from ffsm_drake.spacecraft.plant import find_frame
+from ffsm_drake.spacecraft.plant import find_body, find_frame
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,7 +29,10 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     desired_position, desired_velocity = np.split(series["desired_state"], [num_positions], axis=1)
     measured_position, measured_velocity = np.split(series["measurement"], [num_positions], axis=1)
     model = make_true_plant(scenario)
-    momentum, energy = _momentum_and_energy(model, series["state"])
+    if log.grasp is None:
+        momentum, energy = _momentum_and_energy(model, series["state"])
+    else:
+        momentum, energy = _through_the_grasp(log, log.grasp, model)
     end_effector, desired_end_effector = (_end_effector(model, scenario, q) for q in (position, desired_position))
     unit = "rad (rotations) or m (translations)"
     force = "N m (rotations) or N (translations)"
@@ -73,7 +81,7 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     for name in series:
         if name.startswith("force_"):  # several external forces act, and disturbance_force is their sum
             variables[name] = (by_coordinate, series[name], f"external force '{name[6:]}' at this instant", force)
-    return xr.Dataset(
+    dataset = xr.Dataset(
         {
             name: (dims, values, {"long_name": meaning, "units": units})
             for name, (dims, values, meaning, units) in variables.items()
@@ -93,6 +101,7 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
             "random_seed": scenario.random_seed,
         },
     )
+    return dataset if log.grasp is None else _with_phases(dataset, log, log.grasp, model)
 
 
 def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -108,6 +117,46 @@ def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndar
         momentum[i] = plant.CalcSpatialMomentumInWorldAboutPoint(context, origin).get_coeffs()
         energy[i] = plant.CalcKineticEnergy(context)
     return momentum, energy
+
+
+def _through_the_grasp(log: RunLog, grasp: GraspLog, model: PlantModel) -> tuple[np.ndarray, np.ndarray]:
+    """As ``_momentum_and_energy``, of servicer and target together, on both sides of the grasp."""
+    states, held = log.series["state"], grasp.payload
+    context, body = model.context, log.scenario.payload.body
+    set_payload(model.plant, context, body=body, properties=NOTHING)
+    momentum, energy = _momentum_and_energy(model, states[: grasp.sample])
+    set_payload(model.plant, context, body=body, properties=held)
+    of_both, energy_of_both = _momentum_and_energy(model, states[grasp.sample :])
+    M_PPo_P = spatial_inertia(log.scenario.payload.truth)
+    for i, state in enumerate(grasp.target):
+        M_PPo_W = M_PPo_P.ReExpress(RotationMatrix(Quaternion(state[:4] / np.linalg.norm(state[:4]))))
+        of_target = M_PPo_W.CopyToFullMatrix6() @ state[7:]
+        energy[i] += 0.5 * state[7:] @ of_target
+        momentum[i] += shift_moment(of_target, -state[4:7])
+    return np.concatenate([momentum, of_both]), np.concatenate([energy, energy_of_both])
+
+
+def _with_phases(dataset: "xr.Dataset", log: RunLog, grasp: GraspLog, model: PlantModel) -> "xr.Dataset":
+    """The dataset with the coordinate ``phase`` along time and the target's pose, held or not."""
+    count, states = grasp.sample, log.series["state"]
+    body = find_body(model.plant, log.scenario.payload.body, key="payload.body")
+    pose = np.empty((len(states), 7))
+    pose[:count] = grasp.target[:, :7]
+    pose[count:] = np.nan
+    for i, state in enumerate(states[count:], start=count):
+        if np.isfinite(state).all():
+            model.plant.SetPositionsAndVelocities(model.context, state)
+            X_WP = body.EvalPoseInWorld(model.context)
+            pose[i] = *X_WP.rotation().ToQuaternion().wxyz(), *X_WP.translation()
+    pose[:, :4] *= np.sign(pose[:, :1]) + (pose[:, :1] == 0.0)  # one of the two quaternions of a rotation
+    dataset["target_position"] = (
+        ("time", "axis"), pose[:, 4:], {"long_name": "origin of the target's frame in the world frame", "units": "m"},
+    )  # fmt: skip
+    dataset["target_quaternion"] = (
+        ("time", "quaternion"), pose[:, :4], {"long_name": "attitude of the target's frame in the world", "units": "1"},
+    )  # fmt: skip
+    phase = ["approach"] * count + ["stop"] * (len(states) - count)
+    return dataset.assign_coords(phase=("time", phase), quaternion=["w", "x", "y", "z"])
 
 
 def _end_effector(model: PlantModel, scenario: Scenario, positions: np.ndarray) -> np.ndarray:

@@ -14,12 +14,13 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
+from ffsm_drake.spacecraft.capture import velocity_at_start
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_error
 from ffsm_drake.spacecraft.joint_limits import JointLimits, joint_limits
-from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, find_body, make_plant, resolve_package, urdfs_of
-from ffsm_drake.systems.reference import Motion, make_motion
+from ffsm_drake.systems.reference import PlannedMotion, make_motion
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
@@ -47,8 +48,8 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     model = make_true_plant(scenario)
     limits = joint_limits(scenario.model, model.plant)
     remarks = [*_cut_short(scenario), *_overridden_mass(scenario, model.plant)]
-    for name in ("initial_posture", "target_posture"):
-        q = configuration(model.plant, getattr(scenario, name), key=name)[NUM_BASE_POSITIONS:]
+    for name, posture in scenario.postures.items():
+        q = configuration(model.plant, posture, key=name)[NUM_BASE_POSITIONS:]
         remarks += _positions(limits, q[None], f"{name}.joints", _no_time)
     if scenario.blocks.reference is not None:
         return remarks
@@ -57,7 +58,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     remarks += _clearance(lambda: plan_clearance(scenario), scenario.clearance, "the planned motion")
     if not np.isfinite([limits.lower, limits.upper, limits.velocity, limits.effort]).any():
         return remarks
-    times = np.linspace(0.0, min(scenario.reference.duration, scenario.duration), _POSTURES)
+    times = np.linspace(motion.begin, min(motion.end, scenario.duration), _POSTURES)
     rows = motion.rows(times)
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
     q, v, a = rows[:, :nq], rows[:, nq : nq + nv], rows[:, nq + nv :]
@@ -69,7 +70,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
         remarks += _sizes(limits, v[:, NUM_BASE_VELOCITIES:], limits.velocity, "the planned motion", "/s", at)
     if np.isfinite(limits.effort).any():
         tracking = "tracking the planned motion perfectly takes"
-        forces = _inverse_dynamics(model, q, v, a)[:, NUM_BASE_VELOCITIES:]
+        forces = model.calc_inverse_dynamics(q, v, a)[:, NUM_BASE_VELOCITIES:]
         remarks += _sizes(limits, forces, limits.effort, tracking, " force", at)
     return remarks
 
@@ -122,7 +123,9 @@ def plan_clearance(scenario: Scenario) -> Closest | None:
         return None
     data = scenario_to_dict(scenario)
     # What it depends on: a run, its report and the next run of the same plan ask for the same.
-    parts = {key: data[key] for key in ("model", "reference", "initial_posture", "target_posture", "duration")}
+    keys = ("model", "reference", "initial_posture", "target_posture", "duration", "sample_time", "capture")
+    shortest = ("payload", "actuation") if scenario.capture or scenario.reference.duration is None else ()
+    parts = {key: data[key] for key in (*keys, *shortest)}
     files = urdfs_of(scenario.model)
     if scenario.reference.kind == "optimal":
         files = (*files, resolve_package(scenario.reference.plan or ""))
@@ -135,19 +138,24 @@ def _plan_clearance_of(text: str, changed: tuple[int, ...]) -> Closest | None:
     scenario = scenario_from_dict(json.loads(text))
     clearance = Clearance(scenario.model)
     motion = make_motion(scenario, coordinates_of(clearance.plant))
-    times = np.linspace(0.0, min(scenario.reference.duration, scenario.duration), _INSTANTS)
+    times = np.linspace(motion.begin, min(motion.end, scenario.duration), _INSTANTS)
     return _closest(clearance, times, motion.rows(times)[:, : clearance.plant.num_positions()])
 
 
 def run_clearance(record: "RunRecord") -> Closest | None:
     """Where a run brought parts nearest to each other, looked at in a hundred samples; None where none can meet.
 
+    Of a run with a capture only what follows the grasp: before it the target is not where the model has it.
+
     Raises ModelError: as ``plan_clearance``.
     """
     count = record.dataset.sizes["time"]
-    if count == 0:
+    held = (
+        np.flatnonzero(record.dataset["phase"].values == "stop") if "phase" in record.dataset.coords else range(count)
+    )
+    if len(held) == 0:
         return None
-    chosen = np.unique(np.linspace(0, count - 1, 2 * _INSTANTS - 1).round().astype(int))
+    chosen = np.unique(np.linspace(held[0], count - 1, 2 * _INSTANTS - 1).round().astype(int))
     time, q = (record.dataset[name].values[chosen] for name in ("time", "position"))
     return _closest(Clearance(record.scenario.model), time, q)
 
@@ -174,14 +182,14 @@ def _clearance(find: Callable[[], Closest | None], threshold: float, what: str) 
         yield f"{what}: {pair} {state} at t = {closest.time:.3g} s (clearance {threshold:g} m)"
 
 
-def _starts_elsewhere(scenario: Scenario, motion: Motion, plant: MultibodyPlant) -> Iterator[str]:
+def _starts_elsewhere(scenario: Scenario, motion: PlannedMotion, plant: MultibodyPlant) -> Iterator[str]:
     """Says so when a plan was made for another posture or velocity than the run starts with."""
     if scenario.reference.kind != "optimal":
         return
-    q_d, v_d, _ = motion.evaluate(0.0)
+    q_d, v_d, _ = motion.evaluate(motion.begin)
     names = motion.coordinates.names
     q = configuration(plant, scenario.initial_posture, key="initial_posture")
-    v = motion.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
+    v = velocity_at_start(scenario, make_nominal_plant(scenario))
     for what, difference in (("initial_posture", position_error(q_d, q)), ("initial_velocity", v_d - v)):
         worst = int(np.argmax(np.abs(difference)))
         if abs(difference[worst]) > _SAME_START:
@@ -201,11 +209,6 @@ def saturation(record: "RunRecord") -> dict[str, float]:
     limit = np.array([given.get(n, given.get(g, given.get("all", np.inf))) for n, g in zip(names, groups, strict=True)])
     shares = (np.abs(data["generalized_force"].values) > limit).mean(axis=0)
     return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0.0}
-
-
-def _inverse_dynamics(model: PlantModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """H a + C (n, nv), N m and N."""
-    return (model.calc_mass_matrix(q) @ a[..., None])[..., 0] + model.calc_bias(q, v)
 
 
 def _no_time(sample: int) -> str:

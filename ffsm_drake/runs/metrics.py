@@ -16,8 +16,11 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     """All metrics of a run's dataset (see RunRecord.dataset), as plain numbers.
 
     Keys: those of ``tracking_metrics``, and
-      momentum_residual: largest norm over the run of the momentum's change minus the impulse of the external forces,
-        ``linear`` (N s) and ``angular`` (N m s, about the world's origin): what the integrator got wrong.
+      momentum_residual: largest norm, over the run or its phases, of the momentum's change minus the impulse of the
+        external forces, ``linear`` (N s) and ``angular`` (N m s, about the world's origin): what the integrator got
+        wrong.
+      phases: of a run with a capture, by phase,
+        those of ``tracking_metrics``, each with its own time.
     """
     tracking = tracking_metrics(
         time=dataset["time"].values,
@@ -26,11 +29,32 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
         period=float(dataset.attrs["sample_time"]),
         group=dataset["group"].values.tolist(),
     )
-    return tracking | {
-        "momentum_residual": {
-            name: float(np.linalg.norm(residual, axis=1).max()) for name, residual in momentum_residual(dataset).items()
-        },
+    phases = phases_of(dataset)
+    residuals = [momentum_residual(part) for part in phases.values()] or [momentum_residual(dataset)]
+    sizes = {
+        name: max(float(np.linalg.norm(residual[name], axis=1).max()) for residual in residuals)
+        for name in residuals[0]
     }
+    if phases:
+        tracking["phases"] = {
+            name: tracking_metrics(
+                time=part["time"].values - part["time"].values[0],
+                error=part["error"].values,
+                effort=part["generalized_force"].values,
+                period=float(part.attrs["sample_time"]),
+                group=part["group"].values.tolist(),
+            )
+            for name, part in phases.items()
+        }
+    return tracking | {"momentum_residual": sizes}
+
+
+def phases_of(dataset: "xr.Dataset") -> "dict[str, xr.Dataset]":
+    """The parts of a run with a capture, by phase; empty for one without."""
+    if "phase" not in dataset.coords:
+        return {}
+    phase = dataset["phase"].values.astype(str)
+    return {str(name): dataset.isel(time=phase == name) for name in dict.fromkeys(phase)}
 
 
 def tracking_metrics(

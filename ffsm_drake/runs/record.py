@@ -96,6 +96,7 @@ class RunRecord:
     software: dict[str, str]
     # block -> where it comes from: ``system``; for a user-supplied one ``file`` and its ``sha256``
     blocks: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
+    grasp: dict[str, Any] | None = None  # of a run with a capture; see ``GraspLog.ledger``
     # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and reports carry
     identifier: str = dataclasses.field(default="", init=False)
 
@@ -140,6 +141,8 @@ class RunRecord:
             },
             "scenario": portable_scenario(self.scenario, directory),
         }
+        if self.grasp is not None:
+            manifest["grasp"] = self.grasp
         with published(directory, outdated=OUTPUTS) as folder:
             try:
                 self.dataset.to_netcdf(folder / DATASET_FILE, engine="netcdf4", format="NETCDF4", encoding=encoding)
@@ -178,6 +181,9 @@ class RunRecord:
                 str(name): {str(key): str(text) for key, text in dict(source).items()}
                 for name, source in dict(manifest["blocks"]).items()
             }
+            grasp = manifest.get("grasp")
+            if not isinstance(grasp, dict | None):
+                raise TypeError("grasp must be an object")
         except FfsmError as error:
             raise RecordError(f"{path}: {one_line(error).removeprefix(f'{path}: ')}") from error
         except OSError as error:
@@ -213,6 +219,7 @@ class RunRecord:
             wall_time=wall_time,
             software=software,
             blocks=blocks,
+            grasp=grasp,
         )
         object.__setattr__(record, "identifier", digest)
         return record

@@ -6,12 +6,12 @@ import functools
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLogSink
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, one_line
@@ -27,6 +27,9 @@ from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates, position_errors
 from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.registry import Factory, is_shipped
+
+if TYPE_CHECKING:
+    from ffsm_drake.runs.capture import GraspLog
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
 _HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable")
@@ -48,6 +51,7 @@ class RunLog:
     time: np.ndarray  # (n,), control samples t_k, s
     series: Mapping[str, np.ndarray]
     wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
+    grasp: "GraspLog | None" = None  # of a run with a capture, unless it ended before
 
     @property
     def generalized_force(self) -> np.ndarray:
@@ -70,6 +74,19 @@ class RunLog:
             period=self.scenario.sample_time,
             group=self.coordinates.group_of,
         )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Leg:
+    """The part of a run that a rollout makes: the control samples between which it lies, and what happens at its ends.
+
+    The update of the last sample belongs to the leg that follows; without ``last`` the run ends as ever.
+    """
+
+    first: int = 0
+    last: int | None = None
+    begin: Callable[[ClosedLoop, Context], None] | None = None  # with the loop, initialized, and its context
+    end: Callable[[ClosedLoop, Context], None] | None = None
 
 
 class Rollout:
@@ -114,7 +131,11 @@ class Rollout:
         return _built_from(scenario) == self._built_for
 
     def run(
-        self, scenario: Scenario | None = None, *, progress: Callable[[float, float], None] | None = None
+        self,
+        scenario: Scenario | None = None,
+        *,
+        progress: Callable[[float, float], None] | None = None,
+        leg: Leg | None = None,
     ) -> RunLog:
         """Run from the start, with the built scenario or one that ``accepts`` takes.
 
@@ -124,12 +145,13 @@ class Rollout:
         Args:
           scenario: what to run; None for the built one.
           progress: called with (simulated time, duration) in s, once per simulated second.
+          leg: the part of the run to make; None for all of it.
 
         Raises:
           ScenarioError: the scenario needs another build.
         """
         start = time.perf_counter()
-        loop = self.loop
+        loop, leg = self.loop, leg or Leg()
         if scenario is not None:
             if not self.accepts(scenario):
                 raise ScenarioError(
@@ -141,13 +163,13 @@ class Rollout:
         # A monitor calls Python in every step. Where all steps are in the log, that shows afterwards whether a monitor
         # would have stopped the run; if so, it is run again with the monitor.
         watched = not self._checked_in_log
-        interrupted, advance_time = self._advance(monitor, watched=watched)
-        times, series = self._read_log(interrupted=interrupted)
+        interrupted, advance_time = self._advance(monitor, leg, watched=watched)
+        times, series = self._read_log(unfinished=interrupted or leg.last is not None)
         if not (watched or interrupted) and (monitor.message or not monitor.bounds(series["state"])):
             monitor.forget()
-            interrupted, more_time = self._advance(monitor, watched=True)
+            interrupted, more_time = self._advance(monitor, leg, watched=True)
             advance_time += more_time
-            times, series = self._read_log(interrupted=interrupted)
+            times, series = self._read_log(unfinished=interrupted or leg.last is not None)
         last = float(times[-1])
         if monitor.coordinate:
             outcome = Outcome(status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message)
@@ -181,7 +203,7 @@ class Rollout:
         except (Exception, GeneratorExit, SystemExit) as error:
             _raise_for(error, self._user_supplied, 0.0)
 
-    def _advance(self, monitor: Monitor, *, watched: bool) -> tuple[bool, float]:
+    def _advance(self, monitor: Monitor, leg: Leg, *, watched: bool) -> tuple[bool, float]:
         """Run from the start to the end, or to divergence, which ``monitor`` then reports.
 
         Returns: whether it was interrupted from the keyboard, and the wall time spent advancing, s.
@@ -190,11 +212,16 @@ class Rollout:
         simulator.reset_context(loop.diagram.CreateDefaultContext())
         context = simulator.get_mutable_context()
         loop.initialize(loop.diagram, context)
+        if leg.first:
+            context.SetTime(leg.first * loop.scenario.sample_time)
+        if leg.begin is not None:
+            leg.begin(loop, context)
         if watched:
             simulator.set_monitor(monitor)
         else:
             simulator.clear_monitor()
-        sample_time, num_periods = loop.scenario.sample_time, loop.scenario.num_control_periods
+        sample_time = loop.scenario.sample_time
+        last = loop.scenario.num_control_periods if leg.last is None else leg.last
         # Stops at control samples do not change the steps.
         stop_periods = max(1, round(1.0 / sample_time))
         start = time.perf_counter()
@@ -206,14 +233,17 @@ class Rollout:
             with interruptible() as interruption, same_folder(), unremarked:
                 signals = interruption.number
                 simulator.Initialize()
-                for period in (*range(0, num_periods, stop_periods), num_periods):
+                for period in (*range(leg.first, last, stop_periods), last):
                     simulator.AdvanceTo(period * sample_time)
                     if interruption.number != signals:  # and the exception was lost
                         raise KeyboardInterrupt
                     if monitor.message or not monitor.check(context):
                         break
                     monitor.report(context)
-                simulator.AdvancePendingEvents()  # the control update of the last sample
+                if leg.last is None:
+                    simulator.AdvancePendingEvents()  # the control update of the last sample
+                elif leg.end is not None and not monitor.message:
+                    leg.end(loop, context)
         except KeyboardInterrupt:
             interrupted = True
         except FfsmError:
@@ -226,14 +256,14 @@ class Rollout:
                 _raise_for(error, self._user_supplied, context.get_time())
         return interrupted, time.perf_counter() - start
 
-    def _read_log(self, *, interrupted: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _read_log(self, *, unfinished: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Sample times and the aligned series (copied)."""
         loop, context = self.loop, self._simulator.get_context()
         log = self._logger.FindLog(context)
         times, rows = log.sample_times().copy(), log.data()
-        if interrupted and times.size == 0:
+        if unfinished and times.size == 0:
             raise KeyboardInterrupt
-        if interrupted and times.size > 1:
+        if unfinished and times.size > 1:
             # Perhaps before the update of the last sample, which is therefore left out.
             parts = {name: rows[part, 1:] if name in _HELD else rows[part, :-1] for name, part in self._logged.items()}
             return times[:-1], {name: part.T.copy() for name, part in parts.items()}

@@ -9,12 +9,14 @@ from pydrake.geometry import Meshcat
 
 from ffsm_drake.common.files import same_folder
 from ffsm_drake.loop.blocks import block_choices, block_sources
+from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.dataset import make_dataset
 from ffsm_drake.runs.limits import LimitWarning, plan_remarks
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog, user_supplied
 from ffsm_drake.scenario import Block, Scenario
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+from ffsm_drake.systems.reference import timed
 from ffsm_drake.systems.registry import Factory, address_of, module_folder
 
 
@@ -59,7 +61,7 @@ def prepare(
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
     check_stability: bool = True,
-) -> Rollout:
+) -> Rollout | CaptureRollout:
     """All that ``simulate`` does before it runs; arguments and errors as there.
 
     With ``check_stability`` it warns (StabilityWarning) when the sampled loop starts unstable or its adaptation may
@@ -67,6 +69,8 @@ def prepare(
     or the plan leaves the joints' limits, or the scenario overrides the target's mass.
     """
     with same_folder():
+        if "reference" not in (blocks or {}) and scenario.blocks.reference is None:
+            scenario = timed(scenario)
         if check_stability:
             for remark in plan_remarks(scenario):
                 warnings.warn(remark, LimitWarning, stacklevel=3)
@@ -75,12 +79,12 @@ def prepare(
 
             if remark := stability_warning(scenario):
                 warnings.warn(remark, StabilityWarning, stacklevel=3)
-        return Rollout(scenario, blocks=blocks, meshcat=meshcat)
+        return make_rollout(scenario, blocks=blocks, meshcat=meshcat)
 
 
 def make_record(log: RunLog, *, start: float, blocks: Mapping[str, Factory] | None = None) -> RunRecord:
     """The record of a run that began at the wall time ``start`` (``time.perf_counter``), with the factories it had."""
-    scenario = repeatable_scenario(log.scenario, blocks or {})
+    scenario, grasp = repeatable_scenario(log.scenario, blocks or {}), log.grasp
     return RunRecord(
         scenario=scenario,
         outcome=log.outcome,
@@ -88,6 +92,7 @@ def make_record(log: RunLog, *, start: float, blocks: Mapping[str, Factory] | No
         wall_time=log.wall_time | {"total": time.perf_counter() - start},
         software=software_versions(),
         blocks=block_sources(scenario),
+        grasp=None if grasp is None else grasp.ledger(scenario.grasp_time, log.coordinates),
     )
 
 

@@ -81,7 +81,8 @@ def _schema(kind: Any, default: Any) -> dict[str, Any]:
         return {"description": meaning, **result} if meaning else result
     origin, args = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        return {"anyOf": [_schema(args[0], default), {"type": "null"}]}
+        auto = [{"const": "auto"}] if args[0] is float else []
+        return {"anyOf": [_schema(args[0], default), *auto, {"type": "null"}]}
     if kind == PerCoordinate:
         by_name = {"type": "object", "additionalProperties": {"type": "number"}}
         return {"anyOf": [{"type": "number"}, by_name]} | ({"default": default} if default else {})

@@ -71,7 +71,7 @@ def resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: str
     if origin in (typing.Union, types.UnionType):  # the only unions of the schema are optional values
         if default is None and schema_fields(args[0]) is not None:
             default = as_dict(args[0]())
-        return None if data is None else resolve(args[0], default, data, path)
+        return None if data is None or (data == "auto" and args[0] is float) else resolve(args[0], default, data, path)
     if origin is dict:
         if args[1] is float and isinstance(data, (list, tuple)):
             raise ScenarioError(

@@ -15,9 +15,12 @@ from pydrake.systems.analysis import SimulatorConfig
 PerCoordinate = dict[str, float]
 BASE_ROTATIONS = ("eigenaxis", "rpy")
 REFERENCE_KINDS = ("quintic", "optimal")
-GOALS = ("target_posture", "stop")
 PLAN_SOLVERS = ("snopt", "ipopt")
 ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
+CAPTURE_AXES = ("target", "world")
+SERVICER_MOTIONS = ("rest", "track_joints", "track_all", "given")
+GOALS = ("target_posture", "stop")
+GRASPING_JOINTS = ("free", "braked")
 
 
 def _published(**values: float) -> PerCoordinate:
@@ -72,12 +75,55 @@ class Posture:
 
 
 @dataclasses.dataclass
+class Approach:
+    """The servicer's motion up to the grasp, without the target: from rest to ``initial_posture``."""
+
+    duration: float = 20.0  # s; the run begins with it; a whole number of control samples
+    posture: Posture = dataclasses.field(default_factory=Posture)  # where the servicer starts, at rest
+
+
+@dataclasses.dataclass
+class Compliance:
+    """The gripper as springs and dampers, for the force and the time of the grasp; the run takes the plastic grasp."""
+
+    stiffness: float = 5e4  # N/m; of the spring at the grasp
+    damping: float = 1e3  # N s/m; of the damper beside it
+    rotational_stiffness: float = 1e4  # N m/rad; likewise, against turning
+    rotational_damping: float = 500.0  # N m s/rad; likewise
+
+
+@dataclasses.dataclass
+class Capture:
+    """The grasp of a moving target, in ``initial_posture``, after which the run is what follows from it."""
+
+    # rad/s; angular velocity of the target before the grasp
+    rate: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    # m/s; velocity of the target's centre of mass before the grasp
+    velocity: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    axes: str = "target"  # of rate and velocity: "target", those of the payload body, or "world"
+    # how the servicer moves at the grasp: "rest"; "track_joints" or "track_all": its joints, or base and joints, follow
+    # the grasp frame in weighted least squares; "given": at servicer_velocity
+    servicer: str = "rest"
+    servicer_velocity: PerCoordinate = _published(all=0.0)  # rad/s or m/s; at the grasp, with servicer "given"
+    tracking_length: float = 1.0  # m; tracking weighs 1 rad/s beside the grasp frame as this length times 1 m/s
+    tracking_cost: PerCoordinate = _published(all=1.0)  # s/rad or s/m; of rates that track alike, those of least cost
+    # how the joints meet the target: "free", or "braked", which stops them at the grasp
+    joints: str = "free"
+    compliance: Compliance | None = None  # of the gripper, for the force of the grasp; null: it is not computed
+    approach: Approach | None = None  # the motion up to the grasp; null: the run begins with the grasp
+
+
+@dataclasses.dataclass
 class Reference:
     """The planned motion: from the initial to the target posture by a fifth-order polynomial, or a plan from a file."""
 
     kind: str = "quintic"  # or "optimal": what ``plan`` holds, which 'ffsm plan' has computed as ``planning`` says
-    # s; the target posture is held afterwards; with optimal, a plan may take no longer
-    duration: float = 20.0
+    # s; the posture at its end is held afterwards; a plan may take no longer; auto (or null): the shortest that all the
+    # limits of actuators and joints allow with the nominal payload
+    duration: float | None = 20.0
+    reserve: float = 0.3  # with duration auto: the share of every force and velocity limit that the motion leaves free
+    # where it ends: "target_posture", or "stop", wherever the motion from the velocity at the start is cheapest
+    goal: str = "target_posture"
     # how the base turns: "eigenaxis", the shorter way about one fixed axis, or "rpy", roll, pitch and yaw each a
     # polynomial, as in the paper
     base_rotation: str = "eigenaxis"
@@ -87,13 +133,13 @@ class Reference:
 
 @dataclasses.dataclass
 class Planning:
-    """What 'ffsm plan' looks for: a motion from the initial posture and velocity to rest, within every limit.
+    """What 'ffsm plan' looks for: a motion from the initial posture and velocity to ``reference.goal``, at rest, within
+    every limit.
 
     The limits are those of ``actuation.limit``, the URDFs' of position, velocity and effort, ``clearance`` and the ones
     here. It minimises time_weight * duration + effort_weight * integral of the squared force, with the nominal payload.
     """
 
-    goal: str = "target_posture"  # where it comes to rest, or "stop": wherever that costs least
     time_weight: float = 1.0  # 1/s; weight of the duration; 0: the motion takes reference.duration
     # 1/(N^2 m^2 s); weight of the integral of the squared force; a little keeps out forces that shorten nothing
     effort_weight: float = 1e-4
@@ -230,8 +276,10 @@ class Scenario:
     payload: Payload = dataclasses.field(default_factory=Payload)
     initial_posture: Posture = dataclasses.field(default_factory=Posture)
     target_posture: Posture = dataclasses.field(default_factory=Posture)
-    # At the start, rad/s or m/s; base_rotation is the angular velocity in world axes. The reference starts at rest.
+    # At the start, rad/s or m/s; base_rotation is the angular velocity in world axes. The reference starts at rest;
+    # with capture, at the velocity that the grasp leaves with the nominal payload. This is added to the true one.
     initial_velocity: PerCoordinate = _published(all=0.0)
+    capture: Capture | None = None  # the grasp of a moving target; null: the target is held and at rest at the start
     reference: Reference = dataclasses.field(default_factory=Reference)
     planning: Planning = dataclasses.field(default_factory=Planning)
     clearance: float = 0.01  # m; a plan or run in which parts come nearer to each other is warned of, or not planned
@@ -255,9 +303,35 @@ class Scenario:
         """Number of whole control periods within the duration."""
         return math.floor(self.duration / self.sample_time + 1e-9)
 
+    @property
+    def postures(self) -> dict[str, Posture]:
+        """Every posture that the scenario gives, by key."""
+        found = {"initial_posture": self.initial_posture, "target_posture": self.target_posture}
+        if self.capture is not None and self.capture.approach is not None:
+            found["capture.approach.posture"] = self.capture.approach.posture
+        return found
+
+    @property
+    def grasp_time(self) -> float:
+        """When the target is grasped, s; 0 where it is held from the start."""
+        return 0.0 if self.capture is None or self.capture.approach is None else self.capture.approach.duration
+
+    @property
+    def planned_end(self) -> float | None:
+        """When the planned motion ends, s; None where that is still to be found."""
+        return None if self.reference.duration is None else self.grasp_time + self.reference.duration
+
     def tolerance_of(self, *names: str) -> float:
         """The tolerance of what goes by several names (a coordinate's own, its group's): that of the first known."""
         return next((self.tolerance[name] for name in (*names, "all") if name in self.tolerance), 1e-3)
+
+
+def from_grasp(scenario: Scenario) -> Scenario:
+    """The scenario from the grasp on, without an approach; one without a capture as it is."""
+    if scenario.capture is None or scenario.grasp_time == 0.0:
+        return scenario
+    held = dataclasses.replace(scenario.capture, approach=None)
+    return dataclasses.replace(scenario, duration=scenario.duration - scenario.grasp_time, capture=held)
 
 
 def controller_key(controller: str) -> str:

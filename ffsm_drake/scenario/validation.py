@@ -1,5 +1,6 @@
 """Checks of every value that need no plant."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -9,11 +10,16 @@ from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.scenario.resolving import shown
 from ffsm_drake.scenario.schema import (
     BASE_ROTATIONS,
+    CAPTURE_AXES,
     ESTIMATOR_KINDS,
     GOALS,
+    GRASPING_JOINTS,
     PLAN_SOLVERS,
     REFERENCE_KINDS,
+    SERVICER_MOTIONS,
+    Capture,
     MassProperties,
+    Posture,
     Scenario,
     inertia_matrix,
 )
@@ -42,7 +48,9 @@ def validate(scenario: Scenario) -> None:
     )
     require(scenario.num_control_periods >= 1, "sample_time", f"must be at most duration ({scenario.duration} s)")
     require(scenario.divergence_speed > 0, "divergence_speed", "must be > 0")
-    require(scenario.reference.duration > 0, "reference.duration", "must be > 0 s")
+    duration, reserve = scenario.reference.duration, scenario.reference.reserve
+    require(duration is None or duration > 0, "reference.duration", "must be > 0 s, or auto")
+    require(0 <= reserve < 1, "reference.reserve", f"must be from 0 to below 1, not {reserve:g}")
     require(bool(_NAME.fullmatch(scenario.controller)), "controller", _form(scenario.controller))
     blocks = scenario.blocks
     filled = {name: getattr(blocks, name) for name in ("reference", "sensing", "actuation")}
@@ -54,12 +62,12 @@ def validate(scenario: Scenario) -> None:
         require(name.isidentifier(), f"blocks.forces.{name}", "a force's name must be letters, digits and underscores")
     for key, kind, kinds in (
         ("reference.kind", scenario.reference.kind, REFERENCE_KINDS),
-        ("planning.goal", scenario.planning.goal, GOALS),
         ("planning.solver", scenario.planning.solver, PLAN_SOLVERS),
         ("reference.base_rotation", scenario.reference.base_rotation, BASE_ROTATIONS),
+        ("reference.goal", scenario.reference.goal, GOALS),
         ("estimator.kind", scenario.estimator.kind, ESTIMATOR_KINDS),
     ):
-        require(kind in kinds, key, f"'{kind}' is unknown; choose one of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
+        _require_choice(kind, key, kinds)
     _validate_planning(scenario)
     for name in ("walk", "force_walk"):
         for key, number in getattr(scenario.estimator, name).items():
@@ -72,10 +80,10 @@ def validate(scenario: Scenario) -> None:
     _validate_simulator_config(scenario)
     for name in ("truth", "nominal"):
         _validate_mass_properties(getattr(scenario.payload, name), f"payload.{name}")
-    for name in ("initial_posture", "target_posture"):
-        posture = getattr(scenario, name)
-        for field in ("base_position", "base_rpy"):
-            require(len(getattr(posture, field)) == 3, f"{name}.{field}", "must hold three numbers [x, y, z]")
+    for name, posture in scenario.postures.items():
+        _validate_posture(posture, name)
+    if scenario.capture is not None:
+        _validate_capture(scenario, scenario.capture)
     for key, number in scenario.initial_velocity.items():
         require(
             abs(number) <= scenario.divergence_speed,
@@ -132,6 +140,59 @@ def _validate_planning(scenario: Scenario) -> None:
 
 def _form(name: str) -> str:
     return f"'{name}' must be a name or module:attribute"
+
+
+def _require_choice(choice: str, key: str, valid: tuple[str, ...]) -> None:
+    problem = f"'{choice}' is unknown; choose one of {', '.join(valid)}{did_you_mean(choice, valid)}"
+    require(choice in valid, key, problem)
+
+
+def _validate_posture(posture: Posture, key: str) -> None:
+    for name in ("base_position", "base_rpy"):
+        require(len(getattr(posture, name)) == 3, f"{key}.{name}", "must hold three numbers [x, y, z]")
+
+
+def _validate_capture(scenario: Scenario, capture: Capture) -> None:
+    for name in ("rate", "velocity"):
+        values = getattr(capture, name)
+        require(len(values) == 3, f"capture.{name}", "must hold three numbers [x, y, z]")
+        fastest = max(map(abs, values))
+        bound = f"must be within divergence_speed ({scenario.divergence_speed:g}), not {fastest:g}"
+        require(fastest <= scenario.divergence_speed, f"capture.{name}", bound)
+    for key, choice, valid in (
+        ("axes", capture.axes, CAPTURE_AXES),
+        ("servicer", capture.servicer, SERVICER_MOTIONS),
+        ("joints", capture.joints, GRASPING_JOINTS),
+    ):
+        _require_choice(choice, f"capture.{key}", valid)
+    given = capture.servicer == "given" or not any(capture.servicer_velocity.values())
+    require(
+        given, "capture.servicer_velocity", f"has no effect with servicer: {capture.servicer}; take servicer: given"
+    )
+    require(capture.tracking_length > 0, "capture.tracking_length", f"must be > 0 m, not {capture.tracking_length}")
+    for key, number in capture.tracking_cost.items():
+        require(number > 0, f"capture.tracking_cost.{key}", f"must be > 0, not {number}")
+    require(
+        scenario.reference.base_rotation == "eigenaxis",
+        "reference.base_rotation",
+        f"must be eigenaxis with capture, not {scenario.reference.base_rotation}: the base may turn at the start",
+    )
+    for field in dataclasses.fields(capture.compliance) if capture.compliance is not None else ():
+        number = getattr(capture.compliance, field.name)
+        require(number > 0, f"capture.compliance.{field.name}", f"must be > 0, not {number:g}")
+    if capture.approach is not None:
+        duration, key = capture.approach.duration, "capture.approach.duration"
+        samples = duration / scenario.sample_time
+        require(
+            samples >= 0.5 and abs(samples - round(samples)) < 1e-6,
+            key,
+            f"must be a whole number of control samples of {scenario.sample_time:g} s, not {duration:g} s",
+        )
+        require(
+            duration <= scenario.duration - scenario.sample_time,
+            key,
+            f"must leave time for the stop: the run ends at {scenario.duration:g} s; lengthen duration",
+        )
 
 
 def _validate_simulator_config(scenario: Scenario) -> None:

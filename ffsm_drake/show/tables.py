@@ -76,7 +76,29 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
     for k, record in enumerate(records, start=2):
         if not record.outcome.completed:
             lines[k] += f"  ({record.outcome.status} at {record.outcome.time:.2f} s)"
+    lines += [grasp_line(record.grasp) for record in records if record.grasp is not None]
     return "\n".join(lines)
+
+
+def grasp_line(grasp: Mapping[str, Any]) -> str:
+    """The grasp of a run (``RunRecord.grasp``) in one line."""
+    size = {key: math.hypot(*grasp[key]) for key in ("impulse", "angular_impulse")}
+    before, after = (grasp[side]["kinetic_energy"] for side in ("before", "after"))
+    brakes = max(map(abs, grasp["brake_impulse"].values()), default=0.0)
+    miss, compliant = grasp["miss"], grasp["compliant"]
+    gripper = (
+        f"; the gripper bears at most {compliant['peak_force']:.3g} N and {compliant['peak_torque']:.3g} N m, over in "
+        f"{1e3 * compliant['time']:.3g} ms"
+        if compliant
+        else ""
+    )
+    return (
+        f"grasp at t = {grasp['time']:g} s: impulse {size['impulse']:.3g} N s and {size['angular_impulse']:.3g} N m s"
+        + (f", of a brake at most {brakes:.3g} N m s" if brakes else "")
+        + f", kinetic energy {before:.4g} to {after:.4g} J; missed by {1e3 * miss['position']:.2g} mm and "
+        f"{1e3 * miss['angle']:.2g} mrad, met at {1e3 * miss['velocity']:.2g} mm/s and "
+        f"{1e3 * miss['angular_velocity']:.2g} mrad/s{gripper}"
+    )
 
 
 def results_data(records: Sequence[RunRecord], distances: Sequence[float] | None = None) -> list[dict[str, Any]]:
@@ -89,6 +111,7 @@ def results_data(records: Sequence[RunRecord], distances: Sequence[float] | None
             "time": record.outcome.time,
             "message": record.outcome.message,
             "metrics": record.metrics,
+            **({} if record.grasp is None else {"grasp": record.grasp}),
             **distance,
         }
         for record, distance in zip(records, of_each, strict=True)

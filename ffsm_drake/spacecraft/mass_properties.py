@@ -13,7 +13,9 @@ _SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues, between rounding an
 
 
 def spatial_inertia(properties: MassProperties) -> SpatialInertia:
-    """M_PPo_P of a payload: spatial inertia about its frame's origin, in its own axes."""
+    """M_PPo_P of a payload: spatial inertia about its frame's origin, in its own axes; zero for a mass of zero."""
+    if properties.mass == 0.0:
+        return SpatialInertia.Zero()
     inertia = inertia_matrix(properties)
     central = RotationalInertia(
         Ixx=inertia[0, 0], Iyy=inertia[1, 1], Izz=inertia[2, 2], Ixy=inertia[0, 1], Ixz=inertia[0, 2], Iyz=inertia[1, 2]

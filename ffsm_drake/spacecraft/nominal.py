@@ -41,6 +41,10 @@ class PlantModel:
         self.plant.SetVelocities(self.context, v)
         return self.plant.CalcBiasTerm(self.context)
 
+    def calc_inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """The force H a + C (..., nv) that gives accelerations a (..., nv), N m and N."""
+        return (self.calc_mass_matrix(q) @ a[..., None])[..., 0] + self.calc_bias(q, v)
+
     def _set_positions(self, q: np.ndarray) -> None:
         if not math.isfinite(q.dot(q)):  # on which Drake ends the process
             raise ValueError("the configuration q is not finite")

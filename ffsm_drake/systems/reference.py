@@ -5,7 +5,15 @@ rotation from its first to its last attitude, by an angle that follows the same 
 pitch and yaw follow it. Angular velocity and acceleration are exact either way. With zero boundary rates and
 accelerations the blend is s(x) = 10 x^3 - 15 x^4 + 6 x^5 (Section 4 of the paper; peak speed 1.875 D/T, peak
 acceleration 5.7735 D/T^2).
+
+After the grasp of a moving target the motion begins at the velocity v_0 that the grasp leaves, to which the blend
+g(x) = T x (1 - x)^3 (1 + 3 x) belongs: q(t) = q_0 + (q_T - q_0) s + v_0 g. The base's attitude follows the same
+polynomial of a rotation vector from its first attitude, world frame, along the eigenaxis when v_0 is zero.
 """
+
+import abc
+import dataclasses
+import math
 
 import numpy as np
 from pydrake.math import RollPitchYaw
@@ -13,8 +21,11 @@ from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuil
 from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.scenario import Posture, Reference, Scenario
+from ffsm_drake.scenario import Posture, Scenario
+from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.duration import shortest_duration
 from ffsm_drake.systems.plan import Plan, load_plan
 
 _BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
@@ -27,6 +38,20 @@ def quintic_blend(time: np.ndarray | float, duration: float) -> tuple[np.ndarray
         x * x * x * (10.0 + x * (6.0 * x - 15.0)),
         30.0 * x * x * (1.0 + x * (x - 2.0)) / duration,
         60.0 * x * (1.0 + x * (2.0 * x - 3.0)) / (duration * duration),
+    )
+
+
+def quintic_stop(time: np.ndarray | float, duration: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How far something of unit velocity at the start goes, until it is back there at rest: g in s, g', g'' in 1/s.
+
+    g(x) = T x (1 - x)^3 (1 + 3 x), x = t/T: fifth order, without acceleration at either end; constant outside [0, T].
+    """
+    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+    y = 1.0 - x
+    return (
+        duration * x * y * y * y * (1.0 + 3.0 * x),
+        y * y * (1.0 + x * (2.0 - 15.0 * x)),
+        -12.0 * x * y * (3.0 - 5.0 * x) / duration,
     )
 
 
@@ -46,6 +71,39 @@ def eigenaxis_motion(
     scalar = w * first[0] - (v * first[1:]).sum(axis=1, keepdims=True)
     vector = w * first[1:] + first[0] * v + np.cross(v, first[1:])
     return np.hstack([scalar, vector]), ds * rotation, dds * rotation
+
+
+# Of (1 - cos h)/h^2 and (h - sin h)/h^3 in powers of -h^2, highest first: they converge for every h, and with so many
+# terms are exact to rounding for h up to a full turn.
+_A, _B = (np.array([1.0 / math.factorial(2 * k + n) for k in range(24, -1, -1)]) for n in (2, 3))
+
+
+def rotation_vector_motion(
+    first: np.ndarray, vector: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations alpha_WB_W (n, 3).
+
+    R_WB = exp(p) R_first has w = p' + a p x p' + b p x (p x p') with a = (1 - cos h)/h^2, b = (h - sin h)/h^3, h = |p|:
+    the left Jacobian of SO(3) (Sola et al. 2018, equation (145)).
+
+    Args:
+      first: quaternion (4,) of the first attitude.
+      vector: rotation vector p from the first attitude (n, 3), world frame, rad; its size up to a full turn.
+      rate, acceleration: its time derivatives (n, 3).
+    """
+    square = -(vector * vector).sum(axis=1, keepdims=True)
+    square_rate = -2.0 * (vector * rate).sum(axis=1, keepdims=True)
+    a, b = np.polyval(_A, square), np.polyval(_B, square)
+    a_rate, b_rate = (np.polyval(np.polyder(of), square) * square_rate for of in (_A, _B))
+    turn, turn_rate = np.cross(vector, rate), np.cross(vector, acceleration)
+    twice = np.cross(vector, turn)
+    twice_rate = np.cross(rate, turn) + np.cross(vector, turn_rate)
+    omega = rate + a * turn + b * twice
+    alpha = acceleration + a_rate * turn + a * turn_rate + b_rate * twice + b * twice_rate
+    half = 0.5 * np.sqrt(-square)
+    w, v = np.cos(half), 0.5 * np.sinc(half / np.pi) * vector
+    scalar = w * first[0] - (v * first[1:]).sum(axis=1, keepdims=True)
+    return np.hstack([scalar, w * first[1:] + first[0] * v + np.cross(v, first[1:])]), omega, alpha
 
 
 def rpy_motion(
@@ -79,17 +137,27 @@ def rpy_motion(
     return np.stack(quaternion, axis=1), np.stack(omega, axis=1), np.stack(alpha, axis=1)
 
 
-class Motion:
-    """A planned motion as a function of time. At control samples it is read from a precomputed block."""
+class PlannedMotion(abc.ABC):
+    """A planned motion as a function of time; a subclass gives ``rows``."""
 
-    def __init__(self, coordinates: Coordinates, sample_time: float) -> None:
-        """Args: of the spacecraft; the control period, s."""
-        self.coordinates, self._sample_time = coordinates, sample_time
-        self._first_sample, self._block = 0, np.empty((0, 0))  # a cache: the motion from this control sample on
+    def __init__(self, *, coordinates: Coordinates, sample_time: float, begin: float = 0.0, end: float) -> None:
+        """Args: what moves; the control period, s; when the motion with the target held begins, and its end, s.
 
+        At multiples of ``sample_time`` the motion is read from a precomputed block.
+        """
+        self.coordinates, self.begin, self.end = coordinates, begin, end
+        self._sample_time = sample_time
+        # A cache: the motion at the control samples from self._first_sample on.
+        self._first_sample = 0
+        self._rows = self.rows(sample_time * np.arange(_BLOCK))
+
+    @abc.abstractmethod
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-        raise NotImplementedError
+
+    def part(self, share: float) -> float:
+        """The time at which a share (0 to 1) of the motion with the target held has passed, s."""
+        return self.begin + share * (self.end - self.begin)
 
     def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """q_d (nq), v_d (nv) and dv_d/dt (nv) at a time in s."""
@@ -102,46 +170,33 @@ class Motion:
         sample = round(time / self._sample_time)
         if sample * self._sample_time != time:  # between the control samples
             return self.rows(np.array([time]))[0]
-        if not 0 <= sample - self._first_sample < len(self._block):
+        if not 0 <= sample - self._first_sample < _BLOCK:
             self._first_sample = sample
-            self._block = self.rows(self._sample_time * np.arange(sample, sample + _BLOCK))
-        return self._block[sample - self._first_sample]
+            self._rows = self.rows(self._sample_time * np.arange(sample, sample + _BLOCK))
+        return self._rows[sample - self._first_sample]
 
 
-class PlannedMotion(Motion):
-    """The motion of a plan."""
-
-    def __init__(self, plan: Plan, coordinates: Coordinates, sample_time: float) -> None:
-        """Args: the plan; as for ``Motion``."""
-        super().__init__(coordinates, sample_time)
-        self._plan = plan
-
-    def rows(self, times: np.ndarray) -> np.ndarray:
-        """As for ``Motion``."""
-        return self._plan.rows(times)
-
-
-class QuinticMotion(Motion):
-    """A fifth-order polynomial from one posture to another."""
+class QuinticMotion(PlannedMotion):
+    """A fifth-order polynomial from one posture to another, or to wherever it costs least to come to rest."""
 
     def __init__(
         self,
         *,
         coordinates: Coordinates,
         start: Posture,
-        target: Posture,
-        reference: Reference,
+        target: Posture | None,
+        duration: float,
+        base_rotation: str,
         sample_time: float,
+        velocity: np.ndarray | None = None,
     ) -> None:
-        """Args: start and target posture (SI units), how to move between them; the target is held afterwards."""
-        super().__init__(coordinates, sample_time)
-        self._duration = reference.duration
-        self._eigenaxis: tuple[np.ndarray, np.ndarray] | None = None  # first attitude, rotation vector to the last
-        if reference.base_rotation == "eigenaxis":
-            base, end = (RollPitchYaw(posture.base_rpy).ToQuaternion().wxyz() for posture in (start, target))
-            self._eigenaxis = base, np.array(rotation_error(end, base))
-        # Roll, pitch, yaw, position, joints.
-        first, last = (
+        """Args: start and target posture (SI units), how to move between them; the target is held afterwards.
+
+        Without a target it ends where the integral of the acceleration's square, in any constant metric, is least.
+        ``velocity`` (nv) at the start is zero without; ``base_rotation`` "rpy" takes none.
+        """
+        self._duration = duration
+        vectors = [
             np.concatenate(
                 [
                     posture.base_rpy,
@@ -149,25 +204,77 @@ class QuinticMotion(Motion):
                     coordinates.vector(posture.joints, key="joints", default=0.0)[6:],
                 ]
             )
-            for posture in (start, target)
-        )
-        self._start, self._change = first, last - first
+            for posture in (start, target or start)
+        ]
+        # Roll, pitch, yaw, position, joints; with an eigenaxis a rotation vector from the first attitude, world frame.
+        self._start, self._change = vectors[0], vectors[1] - vectors[0]
+        self._velocity = velocity if velocity is not None and velocity.any() else None
+        self._first: np.ndarray | None = None  # the first attitude, a quaternion
+        if base_rotation == "eigenaxis":
+            self._first, end = (
+                RollPitchYaw(posture.base_rpy).ToQuaternion().wxyz() for posture in (start, target or start)
+            )
+            self._start[:3], self._change[:3] = 0.0, rotation_error(end, self._first)
+        if target is None and self._velocity is not None:
+            self._change = (0.5 * duration) * self._velocity
+        super().__init__(coordinates=coordinates, sample_time=sample_time, end=duration)
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
         s, ds, dds = (column[:, None] for column in quintic_blend(times, self._duration))
         value, rate, acceleration = self._start + s * self._change, ds * self._change, dds * self._change
-        if self._eigenaxis is None:
+        if self._velocity is not None:
+            g, dg, ddg = (column[:, None] for column in quintic_stop(times, self._duration))
+            value += g * self._velocity
+            rate += dg * self._velocity
+            acceleration += ddg * self._velocity
+        if self._first is None:
             quaternion, omega, alpha = rpy_motion(value[:, :3], rate[:, :3], acceleration[:, :3])
+        elif self._velocity is None:
+            quaternion, omega, alpha = eigenaxis_motion(self._first, self._change[:3], (s, ds, dds))
         else:
-            quaternion, omega, alpha = eigenaxis_motion(*self._eigenaxis, (s, ds, dds))
+            quaternion, omega, alpha = rotation_vector_motion(
+                self._first, value[:, :3], rate[:, :3], acceleration[:, :3]
+            )
         return np.hstack([quaternion, value[:, 3:], omega, rate[:, 3:], alpha, acceleration[:, 3:]])
+
+
+class SplineMotion(PlannedMotion):
+    """The motion of a plan."""
+
+    def __init__(self, plan: Plan, *, coordinates: Coordinates, sample_time: float) -> None:
+        """Args: the plan; of the spacecraft; the control period, s."""
+        self._plan = plan
+        super().__init__(coordinates=coordinates, sample_time=sample_time, end=plan.end)
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+        return self._plan.rows(times)
+
+
+class CaptureMotion(PlannedMotion):
+    """Up to the grasp, at ``begin``, one motion run backwards; another from there on."""
+
+    def __init__(self, *, approach: QuinticMotion, stop: PlannedMotion, sample_time: float) -> None:
+        """Args: from the velocity at the grasp, reversed, to the posture at the start; from the grasp to rest."""
+        self._approach, self._stop = approach, stop
+        begin = approach.end
+        super().__init__(coordinates=stop.coordinates, sample_time=sample_time, begin=begin, end=begin + stop.end)
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+        num_positions, num_velocities = len(self.coordinates.position_names), len(self.coordinates.names)
+        before = self._approach.end - times
+        backwards = self._approach.rows(before)
+        backwards[:, num_positions : num_positions + num_velocities] *= -1.0
+        held = times > self.begin - 1e-9  # samples are multiples of the period, to rounding
+        return np.where(held[:, None], self._stop.rows(times - self._approach.end), backwards)
 
 
 class _MotionSource(LeafSystem):
     """[q_d; v_d; dv_d/dt] in one output: two would be two calls from Drake in every sample."""
 
-    def __init__(self, motion: Motion) -> None:
+    def __init__(self, motion: PlannedMotion) -> None:
         super().__init__()
         self._motion = motion
         size = motion.row(0.0).size
@@ -178,18 +285,51 @@ class _MotionSource(LeafSystem):
         output.SetFromVector(self._motion.row(context.get_time()))
 
 
-def make_motion(scenario: Scenario, coordinates: Coordinates) -> Motion:
-    """The planned motion of a scenario. Raises ScenarioError when its plan cannot be read."""
-    if scenario.reference.kind == "optimal":
-        plan = load_plan(scenario.reference.plan or "", coordinates)
-        return PlannedMotion(plan, coordinates, scenario.sample_time)
-    return QuinticMotion(
-        coordinates=coordinates,
-        start=scenario.initial_posture,
-        target=scenario.target_posture,
-        reference=scenario.reference,
-        sample_time=scenario.sample_time,
-    )
+def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
+    """The planned motion of a scenario; with a capture from the velocity after the grasp of the nominal payload.
+
+    Raises:
+      ModelError, ScenarioError: no grasp of the target, or no motion within the limits, can be computed, or the plan
+        cannot be read.
+    """
+    capture, reference = scenario.capture, scenario.reference
+    contact = None if capture is None else planned_contact(scenario, make_nominal_plant(scenario))
+    target = None if reference.goal == "stop" else scenario.target_posture
+
+    def quintic(duration: float, posture: Posture | None, velocity: np.ndarray | None) -> QuinticMotion:
+        return QuinticMotion(
+            coordinates=coordinates,
+            start=scenario.initial_posture,
+            target=posture,
+            duration=duration,
+            base_rotation=reference.base_rotation,
+            sample_time=scenario.sample_time,
+            velocity=velocity,
+        )
+
+    velocity = None if contact is None else contact.grasp.velocity
+    duration = reference.duration
+    stop: PlannedMotion
+    if reference.kind == "optimal":
+        plan = load_plan(reference.plan or "", coordinates)
+        stop = SplineMotion(plan, coordinates=coordinates, sample_time=scenario.sample_time)
+    else:
+        if duration is None:
+            duration = shortest_duration(scenario, lambda duration: quintic(duration, target, velocity))
+        stop = quintic(duration, target, velocity)
+    if capture is None or contact is None or capture.approach is None:
+        return stop
+    approach = quintic(capture.approach.duration, capture.approach.posture, -contact.velocity)
+    return CaptureMotion(approach=approach, stop=stop, sample_time=scenario.sample_time)
+
+
+def timed(scenario: Scenario) -> Scenario:
+    """The scenario with the duration of its planned motion in s, where it is ``auto``; errors as ``make_motion``."""
+    if scenario.reference.duration is not None:
+        return scenario
+    motion = make_motion(scenario, make_nominal_plant(scenario).coordinates)
+    reference = dataclasses.replace(scenario.reference, duration=motion.end - motion.begin)
+    return dataclasses.replace(scenario, reference=reference)
 
 
 def make_reference(scenario: Scenario, coordinates: Coordinates) -> Diagram:

@@ -557,6 +557,69 @@ TABLE = [
         "design flight_sensors --payload-range 9 5",
         "payload range: must be two masses 0 < LOW < HIGH",
     ),
+    # Captures.
+    bad(
+        "capture-vector", "validate tumbling_capture --set capture.rate=[1,2]", "capture.rate: must hold three numbers"
+    ),
+    bad(
+        "fast-capture", "validate tumbling_capture --set capture.rate=[0,11,0]", "must be within divergence_speed (10)"
+    ),
+    bad(
+        "capture-motion",
+        "validate tumbling_capture --set capture.servicer=track",
+        "capture.servicer: 'track' is unknown; choose one of rest, track_joints, track_all, given",
+    ),
+    bad(
+        "capture-velocity",
+        "validate tumbling_capture --set capture.servicer_velocity.joint_1=0.1",
+        "capture.servicer_velocity: has no effect with servicer: track_joints",
+    ),
+    bad(
+        "capture-coordinate",
+        "validate tumbling_capture --set capture.tracking_cost.joint_7=1",
+        "capture.tracking_cost.joint_7: unknown coordinate",
+    ),
+    bad(
+        "capture-rpy",
+        "validate tumbling_capture --set reference.base_rotation=rpy",
+        "reference.base_rotation: must be eigenaxis with capture, not rpy",
+    ),
+    bad(
+        "capture-odd-approach",
+        "validate tumbling_capture --set capture.approach.duration=19.995",
+        "capture.approach.duration: must be a whole number of control samples of 0.01 s, not 19.995 s",
+    ),
+    bad(
+        "capture-long-approach",
+        "validate tumbling_capture --set capture.approach.duration=45",
+        "capture.approach.duration: must leave time for the stop: the run ends at 45 s",
+    ),
+    bad(
+        "capture-stowed-joint",
+        "validate tumbling_capture --set capture.approach.posture.joints.joint_9=1",
+        "capture.approach.posture.joints.joint_9: unknown coordinate",
+    ),
+    bad(
+        "capture-of-itself",
+        "validate tumbling_capture --set payload.body=servicer::link_5",
+        "payload.body: 'servicer::link_5' is a body of the servicer; capture takes a target of one body",
+    ),
+    bad(
+        "soft-gripper",
+        "validate tumbling_capture --set capture.compliance.damping=0",
+        "capture.compliance.damping: must be > 0, not 0",
+    ),
+    bad("no-goal", "validate tumbling_capture --set reference.goal=rest", "reference.goal: 'rest' is unknown"),
+    bad(
+        "no-reserve",
+        "validate tumbling_capture --set reference.reserve=1",
+        "reference.reserve: must be from 0 to below",
+    ),
+    bad(
+        "auto-without-limits",
+        "validate tumbling_capture --set reference.duration=auto --set actuation.limit=null",
+        "reference.duration: auto needs a limit of force or velocity",
+    ),
     # Models.
     model("no-such-servicer", "model: {servicer: none.urdf}\n", "model.servicer: ", "none.urdf: no such file"),
     model("folder-as-servicer", "model: {servicer: .}\n", "model.servicer: ", "is a folder; give a file"),

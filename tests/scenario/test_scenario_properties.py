@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.scenario import (
     BASE_ROTATIONS,
+    CAPTURE_AXES,
     ESTIMATOR_KINDS,
     GOALS,
     PLAN_SOLVERS,
@@ -70,13 +71,18 @@ SPECIAL = {
     "base_rotation": st.sampled_from(BASE_ROTATIONS),
     "inertia": moments(),
     "delay": st.integers(0, 1000),
-    "goal": st.sampled_from(GOALS),
     "solver": st.sampled_from(PLAN_SOLVERS),
     "segments": st.integers(4, 100),
-    "reserve": st.floats(0.0, 0.9),
     **dict.fromkeys(
         ("velocity_period", "position_period", "velocity_delay", "position_delay"),
         WHOLE | st.dictionaries(COORDINATES, WHOLE, max_size=3),
+    ),
+    "reserve": st.floats(0.0, 0.99),
+    "goal": st.sampled_from(GOALS),
+    "capture": st.none()
+    | st.fixed_dictionaries(
+        {"rate": st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3)},
+        optional={"axes": st.sampled_from(CAPTURE_AXES), "servicer": st.sampled_from(("rest", "track_all"))},
     ),
     "model": st.fixed_dictionaries(
         {}, optional={"directives": NAME, "end_effector": TEXT, "packages": st.dictionaries(NAME, NAME, max_size=2)}
@@ -119,7 +125,14 @@ def values(kind, key=""):
     return {float: POSITIVE, bool: st.booleans(), str: TEXT}[kind]
 
 
-SCENARIOS = values(Scenario).map(scenario_from_dict)
+def consistent(data):
+    """With a capture the base turns about an eigenaxis."""
+    if data.get("capture") is not None:
+        data.setdefault("reference", {})["base_rotation"] = "eigenaxis"
+    return data
+
+
+SCENARIOS = values(Scenario).map(consistent).map(scenario_from_dict)
 
 JSON = st.recursive(
     st.none()

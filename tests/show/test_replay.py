@@ -15,6 +15,7 @@ from ffsm_drake.show.meshcat import LiveReplay, live, recording_html, replay_liv
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.live import PLAY, QUIT, SPEED, TIME
 from ffsm_drake.show.meshcat.replay_view import ReplayView
+from ffsm_drake.show.report.page import render_report
 
 
 @pytest.fixture(scope="module")
@@ -274,3 +275,36 @@ def test_replay_live_runs_until_it_is_told_to_stop(meshcat, record, monkeypatch,
     replay_live(record, speed=4.0, meshcat=meshcat, ghost=False)
     assert len(shown) == 5
     assert meshcat.GetButtonNames() == []
+
+
+@pytest.fixture
+def captured(run):
+    near = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
+    posture = f"{{base_position: [0.1, 0.3, -0.2], base_rpy: [0.11, 0.08, -0.1], joints: {near}}}"
+    return run("tumbling_capture", "duration=2.5", f"capture.approach={{duration: 2, posture: {posture}}}")
+
+
+def test_up_to_the_grasp_the_target_is_apart(meshcat, captured):
+    shown, data = view(meshcat, captured), captured.dataset
+    path = "/drake/visualizer/debris/debris" if meshcat.HasPath("/drake/visualizer/debris/debris") else None
+    path = path or "visualizer/debris/debris"
+    for time, phase in ((1.0, "approach"), (2.3, "stop")):
+        shown.show(time)
+        sample = data.isel(time=round(time / 0.01))
+        assert str(sample["phase"].values) == phase
+        matrix = transform(meshcat, path)
+        assert matrix[:3, 3] == pytest.approx(sample["target_position"].values, abs=1e-6)
+        attitude = RotationMatrix(Quaternion(sample["target_quaternion"].values)).matrix()
+        assert matrix[:3, :3] == pytest.approx(attitude, abs=1e-6)
+    apart = np.linalg.norm(data["target_position"].values - data["end_effector_position"].values, axis=1)
+    assert np.abs(apart[:50] - 0.5).min() > 0.01  # not yet at the grasp, 0.5 m from its centre
+    assert apart[200:] == pytest.approx(0.5, abs=2e-3)
+    assert "grasp at t = 2 s" in recording_html(captured)
+
+
+def test_the_report_tells_of_the_grasp(captured):
+    page = render_report([captured])
+    assert '<section id="grasp">' in page
+    assert "Angular momentum about the centre of mass [N m s]" in page
+    assert f"Grasp at t = 2 s: impulse {np.linalg.norm(captured.grasp['impulse']):.3g} N s" in page
+    assert page.count("<td") > 40

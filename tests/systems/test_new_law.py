@@ -94,7 +94,7 @@ def test_the_live_panel():
 
     def wait(_):
         if UNLOCK in meshcat.GetButtonNames():
-            meshcat.SetSliderValue(CODE, float(re.search(r"\d{6}", told[-1])[0]))
+            meshcat.SetSliderValue(CODE, float(re.search(r"type (\d{5}) beside", told[-1])[1]))
             click(meshcat, UNLOCK)
             return
         status = next(name for name in meshcat.GetButtonNames() if name.startswith("[ "))

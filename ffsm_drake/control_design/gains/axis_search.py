@@ -247,7 +247,7 @@ def _mass_matrices(scenario: Scenario, parts: list[float]) -> list[tuple[np.ndar
     """(H, Hhat) at fractions of the planned motion."""
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     motion = make_motion(scenario, nominal.coordinates)
-    configurations = [motion.evaluate(part * scenario.reference.duration)[0] for part in parts]
+    configurations = [motion.evaluate(motion.part(share))[0] for share in parts]
     return [(true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)) for q in configurations]
 
 

@@ -188,7 +188,7 @@ def _with_estimator(scenario: Scenario, **settings: Any) -> Scenario:
 def _radius_by_mass(linearizer: Linearizer, masses: Sequence[float]) -> dict[float, float]:
     """The larger spectral radius at both ends of the plan, by true payload mass (kg)."""
     truths = {mass: with_true_mass(linearizer.given, mass).payload.truth for mass in masses}
-    ends = [0.0, linearizer.given.reference.duration]
+    ends = [linearizer.motion.part(share) for share in (0.0, 1.0)]
     return {
         mass: max(linearizer.at(time, truth=truth).spectral_radius for time in ends) for mass, truth in truths.items()
     }

@@ -8,10 +8,11 @@ import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
-from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.control_design.planning.limits import Margin, MotionLimits, margins, motion_limits
 from ffsm_drake.control_design.planning.program import PlanningProgram
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.capture import velocity_at_start
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, rotation_error
 from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
@@ -67,10 +68,13 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
     limits = motion_limits(scenario, model)
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
     target = configuration(model.plant, scenario.target_posture, key="target_posture")
-    rate = coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
+    rate = velocity_at_start(scenario, model)
+    longest = scenario.reference.duration
+    if longest is None:
+        raise ScenarioError("reference.duration", "is auto; a plan needs the longest time that it may take, s")
     start, goal = np.r_[np.zeros(3), q[4:]], np.r_[np.zeros(3), target[4:]]
     goal[:3] = rotation_error(target[:4], q[:4])
-    free = planning.goal == "stop"
+    free = scenario.reference.goal == "stop"
     clearance = Clearance(scenario.model)
     momentum = _angular_momentum(model, q, rate)
     size = float(np.linalg.norm(momentum))
@@ -88,10 +92,10 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
 
     problem = PlanningProgram(
         dynamics=dynamics, planning=planning, limits=limits, start=start, rate=rate, goal=None if free else goal,
-        longest=scenario.reference.duration, clearance=clearance if scenario.clearance > 0.0 else None,
+        longest=longest, clearance=clearance if scenario.clearance > 0.0 else None,
         distance=scenario.clearance, report=report,
     )  # fmt: skip
-    guess = _first_guess(problem, limits, start, rate, goal, free=free, longest=scenario.reference.duration)
+    guess = _first_guess(problem, limits, start, rate, goal, free=free, longest=longest)
     progress(f"first guess: fifth-order polynomial of {guess[-1]:.2f} s")
     solvers = (planning.solver, *({"snopt", "ipopt"} - {planning.solver}))
     failures = []
@@ -264,7 +268,7 @@ def _why_not(
 ) -> str:
     """One line: which limit is in the way."""
     longest = scenario.reference.duration
-    if least > longest:
+    if longest is not None and least > longest:
         return (
             f"no plan: base torque within actuation.limit takes {least:.3g} s to take out the angular momentum of "
             f"{momentum:.3g} N m s, more than reference.duration ({longest:g} s)"

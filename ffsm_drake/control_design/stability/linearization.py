@@ -26,12 +26,13 @@ from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.loop.closed_loop import make_closed_loop
-from ffsm_drake.scenario import Actuation, Estimator, MassProperties, PerCoordinate, Scenario, Sensing
+from ffsm_drake.scenario import Actuation, Estimator, MassProperties, PerCoordinate, Scenario, Sensing, from_grasp
 from ffsm_drake.spacecraft.coordinates import position_errors, rotation_error
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers.estimators import assumed_noise
-from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.controllers.sampled import SampledController
+from ffsm_drake.systems.reference import make_motion, timed
 from ffsm_drake.systems.registry import Factory
 
 # Of a difference: rad, m, and per s; of other states relative to their size.
@@ -48,7 +49,7 @@ class Linearizer:
 
         Errors as for ``add_closed_loop``; BlockError for a block with continuous or abstract state.
         """
-        self.given = scenario
+        self.given = scenario = timed(from_grasp(scenario))  # before the actuators' limits are taken away
         sensing, estimator = smooth_sensing(scenario), scenario.estimator
         if sensing is not scenario.sensing:  # the estimator goes on to assume what it assumed
             estimator = _with_assumptions(scenario)
@@ -93,7 +94,7 @@ class Linearizer:
             for name, group in groups.items()
             if (part := self._memory.part_of(controller, group)) is not None
         }
-        self._motion = make_motion(self.scenario, self.loop.coordinates)
+        self.motion = make_motion(self.scenario, self.loop.coordinates)
         self._updates = dict[Hashable, tuple[_Update, ...]]()
 
     def __enter__(self) -> Self:
@@ -151,7 +152,7 @@ class Linearizer:
             self.scenario.sample_time,
         )
         states, force = np.full((count, nv + 1), np.nan), np.full((count, nv), np.nan)
-        desired = self._motion.rows(np.arange(count) * period)[:, : nv + 1]
+        desired = self.motion.rows(np.arange(count) * period)[:, : nv + 1]
         context, simulator = self._start.Clone(), self._simulator
         silent = _silence(self._noise.systems, self.loop.diagram, context)
         if silent:  # as a run goes, which is faster
@@ -163,7 +164,10 @@ class Linearizer:
             context = self._context
             context.SetTimeStateAndParametersFrom(self._start)
         plant_context = self._plant.GetMyContextFromRoot(context)
-        controller_context = self.loop.blocks["controller"].GetMyMutableContextFromRoot(context)
+        controller = self.loop.blocks["controller"]
+        controller_context = controller.GetMyMutableContextFromRoot(context)
+        if isinstance(controller, SampledController):  # no sample counts as a first one here
+            controller.remember_velocity(controller_context, self.motion.evaluate(0.0)[1])
         with contextlib.suppress(Exception, SystemExit), np.errstate(over="ignore", invalid="ignore"):
             for index in range(count):
                 states[index] = self._plant.GetPositions(plant_context)
@@ -205,7 +209,7 @@ class Linearizer:
         if key not in self._updates:
             self._context.SetTimeStateAndParametersFrom(self._start)
             self._context.SetTime(first * self.scenario.sample_time)
-            q_d, v_d, _ = self._motion.evaluate(first * self.scenario.sample_time)
+            q_d, v_d, _ = self.motion.evaluate(first * self.scenario.sample_time)
             state = np.concatenate([q_d, v_d])
             self._plant.SetPositionsAndVelocities(self._plant_context, state)
             self._set_initial_state(state)

@@ -20,13 +20,13 @@ from ffsm_drake.control_design.stability.sampled_loop import (
     tolerated_eta,
 )
 from ffsm_drake.loop.blocks import block_choices
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors
 from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_estimator
 from ffsm_drake.systems.disturbance import make_disturbance
-from ffsm_drake.systems.reference import Motion, make_motion
+from ffsm_drake.systems.reference import PlannedMotion, make_motion
 
 _RUN_AWAY = 5.0  # times 2/L: beyond, no loop is stable whose inertia is at least a sixth of the nominal one
 POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of the planned motion that the loop is linearised at
@@ -131,11 +131,12 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block cannot be loaded, built, wired or run.
     """
+    scenario = from_grasp(scenario)
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     coordinates, motion = nominal.coordinates, make_motion(scenario, nominal.coordinates)
-    times = np.linspace(0.0, scenario.reference.duration, postures)
+    times = np.linspace(motion.begin, motion.end, postures)
     eta = np.array([inertia_ratios(*_mass_matrices(true, nominal, motion, time)) for time in times])
-    instants = [part * scenario.reference.duration for part in POSTURES]
+    instants = [motion.part(share) for share in POSTURES]
     with Linearizer(scenario) as linearizer:
         loops = expected = tuple(linearizer.at(time) for time in instants)
         axes = _axis_margins(scenario, true, nominal, eta, loops[0]) if has_closed_form(scenario) else None
@@ -211,6 +212,7 @@ def stability_warning(scenario: Scenario) -> str:
 
     A fast check at the start of the motion, made by ``simulate`` before a run without user-supplied blocks.
     """
+    scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
         return _warning(scenario, linearizer)
 
@@ -393,7 +395,9 @@ def _lumped_uncertainty_drift(
     return np.gradient(np.array(lumped), times, axis=0)
 
 
-def _mass_matrices(true: PlantModel, nominal: PlantModel, motion: Motion, time: float) -> tuple[np.ndarray, np.ndarray]:
+def _mass_matrices(
+    true: PlantModel, nominal: PlantModel, motion: PlannedMotion, time: float
+) -> tuple[np.ndarray, np.ndarray]:
     q, _, _ = motion.evaluate(time)
     return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
 

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.margins import expected_gains
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.disturbance import make_disturbance
@@ -74,7 +74,7 @@ def predict_from(linearizer: Linearizer, *, settled_after: float = 5.0) -> Predi
     """The prediction for a linearizer's scenario; see ``predict``."""
     scenario, coordinates = linearizer.given, linearizer.loop.coordinates
     held = expected_gains(linearizer)
-    loops = [linearizer.at(part * scenario.reference.duration, held=held) for part in _POSTURES]
+    loops = [linearizer.at(linearizer.motion.part(share), held=held) for share in _POSTURES]
     error, force = linearizer.follow(held=held)
     period, count = scenario.sample_time, scenario.num_control_periods
     if not np.isfinite(force).all():  # it diverges without noise, too
@@ -107,6 +107,7 @@ class Demand:
 
 def make_demand(scenario: Scenario, *, points: int = 201) -> Demand:
     """The demand of a scenario. Raises ModelError or ScenarioError where its model or a value cannot be used."""
+    scenario = from_grasp(scenario)
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     coordinates, period = nominal.coordinates, scenario.sample_time
     reference = make_motion(scenario, coordinates)

@@ -79,6 +79,8 @@ def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: floa
     """The page with a title and a caption: which run, how fast, what the arrows mean."""
     title = record.scenario.description or "Run"
     lines = [f"<b>{html.escape(title)}</b>", f"{record.scenario.controller}: {html.escape(record.outcome.message)}"]
+    if record.grasp is not None and record.grasp["time"] > 0.0:
+        lines.append(f"grasp at t = {record.grasp['time']:g} s")
     if speed != 1.0:
         lines.append(f"{speed:g} times real time")
     if view.arrows is not None:

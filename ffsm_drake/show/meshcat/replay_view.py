@@ -1,7 +1,9 @@
 """A record on Meshcat's stage, one sample at a time: what the recorded page and the live replay share."""
 
 import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
 from pydrake.geometry import Meshcat, Rgba
+from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.record import RunRecord
@@ -28,6 +30,12 @@ class ReplayView:
         dataset = dataset.isel(time=slice(count))
         self.times = dataset["time"].values
         self._positions = dataset["position"].values
+        # Before a grasp the target is a body of its own.
+        self._target: np.ndarray | None = None
+        if "phase" in dataset.coords:
+            free = dataset.isel(time=dataset["phase"].values.astype(str) == "approach")
+            self._target = np.hstack([free["target_quaternion"].values, free["target_position"].values])
+            self._target_body = record.scenario.payload.body
         set_stage(meshcat, record.scenario, ghost=ghost)
         self.spacecraft = SpacecraftView(meshcat, record.scenario.model, frames_per_second=frames_per_second)
         if path and count > 1:
@@ -49,6 +57,10 @@ class ReplayView:
         """Show the sample at or next after a time of the run, s."""
         sample = min(int(np.searchsorted(self.times, time - 1e-9)), self.times.size - 1)
         self.spacecraft.show(self._positions[sample], time=time_in_recording or 0.0)
+        if self._target is not None and sample < len(self._target):
+            pose = self._target[sample]
+            X_WP = RigidTransform(Quaternion(pose[:4] / np.linalg.norm(pose[:4])), pose[4:])
+            self.spacecraft.place(self._target_body, X_WP, time_in_recording=time_in_recording)
         if self.arrows is not None:
             self.arrows.show(sample, time_in_recording=time_in_recording)
 

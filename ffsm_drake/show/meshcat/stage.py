@@ -22,13 +22,14 @@ from pydrake.geometry import (
     SceneGraph,
     SceneGraphInspector,
 )
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.scenario import Model, Scenario
-from ffsm_drake.spacecraft.plant import add_combined_plant, configuration
+from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, find_body
 
 _VIEW = np.array([0.5843, -0.7176, 0.3793])  # unit vector from what the camera looks at to the camera
 _TANGENT = 0.85 * math.tan(math.radians(37.5))  # Meshcat shows 37.5 degrees up and down; some of it stays free
@@ -113,8 +114,8 @@ def camera_pose(
     """
     context = plant.CreateDefaultContext()
     points = []
-    for name in ("initial_posture", "target_posture"):
-        plant.SetPositions(context, configuration(plant, getattr(scenario, name), key=name))
+    for name, posture in scenario.postures.items():
+        plant.SetPositions(context, configuration(plant, posture, key=name))
         points += [_outline(plant, context, inspector, BodyIndex(k)) for k in range(1, plant.num_bodies())]  # no world
     p_WP = np.concatenate(points)
     center = 0.5 * (p_WP.min(axis=0) + p_WP.max(axis=0))
@@ -159,6 +160,7 @@ class SpacecraftView:
         self.scene_graph = builder.GetSubsystemByName("scene_graph")
         params = MeshcatVisualizerParams()
         params.publish_period = 1.0 / frames_per_second
+        self._meshcat, self._prefix = meshcat, params.prefix
         self.visualizer = MeshcatVisualizer.AddToBuilder(builder, self.scene_graph, meshcat, params)
         self._diagram = builder.Build()
         self._context = self._diagram.CreateDefaultContext()
@@ -170,6 +172,13 @@ class SpacecraftView:
         self._context.SetTime(time)
         self.plant.SetPositions(self._plant_context, q)
         self._diagram.ForcedPublish(self._context)
+
+    def place(self, body: str, X_WB: RigidTransform, *, time_in_recording: float | None = None) -> None:
+        """Show a body (scoped name) apart from the rest; until the next ``show``."""
+        frame = self.plant.GetBodyFrameIdOrThrow(find_body(self.plant, body, key="payload.body").index())
+        name = self.scene_graph.model_inspector().GetName(frame)
+        path = f"{self._prefix}/{name.replace('::', '/')}"
+        self._meshcat.SetTransform(path, X_WB, time_in_recording)
 
     def position_of(self, frame: Frame, point: np.ndarray) -> np.ndarray:
         """A point (3) of a frame of ``plant``, in world (3), in the configuration that is shown, m."""

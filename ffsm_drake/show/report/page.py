@@ -15,6 +15,7 @@ from ffsm_drake.scenario import controller_key
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import rankings, table, table_notes
+from ffsm_drake.show.report.grasp import grasp_of
 from ffsm_drake.show.report.provenance import provenance, software
 from ffsm_drake.show.report.results import SETTLED_OVER, Result, results_of
 from ffsm_drake.show.report.stability_panels import stability_views
@@ -124,6 +125,7 @@ def render_report(
             for key, (heading, text, nothing) in _SECTIONS.items()
         ],
         "views": views,
+        "grasps": [grasp for result in results if (grasp := grasp_of(result)) is not None],
         "thinning": _thinning(thin),
         "findings": [_findings(result) for result in results],
         "stability": [_stability(result, *margin) for result, margin in zip(results, margins, strict=True)],

@@ -119,10 +119,9 @@ def _evaluate(record: RunRecord) -> tuple[Status, str]:
     error = values_of(record, "error")
     if error is None:
         return "unsettled", f"Completed {outcome.time:g} s; the record holds no errors."
-    if outcome.time < scenario.reference.duration - 1e-9:
-        return "unsettled", (
-            f"Completed {outcome.time:g} s, before the planned motion ends at {scenario.reference.duration:g} s."
-        )
+    end = scenario.planned_end
+    if end is not None and outcome.time < end - 1e-9:
+        return "unsettled", f"Completed {outcome.time:g} s, before the planned motion ends at {end:g} s."
     late = record.dataset["time"].values >= outcome.time - SETTLED_OVER - 1e-9
     units, names, groups = (record.dataset[name].values.astype(str) for name in ("unit", "coordinate", "group"))
     peaks = np.abs(error[late]).max(axis=0)

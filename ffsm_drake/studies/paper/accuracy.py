@@ -88,7 +88,7 @@ def integral_surface_gains_an_order(results: Results) -> Evaluated:
 @claim("The integral surface is what eliminates steady-state errors; ordinary surfaces keep them.", "Sections 1 and 4")
 def integral_surface_removes_steady_errors(results: Results) -> Evaluated:
     at_rest = results.run("bounded", PROPOSED, variant="at rest")
-    motion = at_rest.case.scenario(results.overrides).reference.duration
+    motion = at_rest.case.scenario(results.overrides).reference.duration or math.nan
     left = both(
         lambda setting: {name: results.run(setting, name, variant="at rest").resting_error for name in CONTROLLERS}
     )

@@ -63,6 +63,17 @@ class Estimator(Protocol):
         """
         ...
 
+    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
+        """What changes of the memory at the grasp of a target, by name; the next sample counts as a first one.
+
+        Args:
+          state: the memory up to then.
+          ratio: Hhat^-1 Hhat (nv, nv) of after and before: the acceleration that the same force gives now, and the
+            velocity error that is left of one before, as the grasp keeps momentum.
+          v_d: (nv) the reference's velocity after the grasp.
+        """
+        ...
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class OneSampleEstimator:
@@ -80,6 +91,10 @@ class OneSampleEstimator:
         acceleration = np.zeros_like(change) if sample.is_first else change * (1.0 / self.sample_time)
         estimate = Estimate(sample.e, sample.e_dot, base_force=sample.applied_force, base_acceleration=acceleration)
         return estimate, {"delayed_velocity": sample.v}
+
+    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
+        """See Estimator. The force of the last sample goes on by itself, and what was before a first is not used."""
+        return {}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -110,6 +125,11 @@ class KalmanEstimator:
             "estimated_negative_n": d,
             "delayed_desired_velocity": sample.v_d,
         }
+
+    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
+        """See Estimator."""
+        names = ("estimated_error_rate", "estimated_negative_n")
+        return {name: ratio @ state[name] for name in names}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -161,11 +181,7 @@ class LateKalmanEstimator:
         nv, bias, past = self.delay.size // 2, state["estimated_velocity_bias"], state["past"]
         e, e_dot, d = _predict(sample, nominal_mass_matrix, state, step=self.sample_time)
         if not sample.is_first:
-            # What was is as it was, against a reference that has moved on.
-            old_v_d = state["delayed_desired_velocity"]
-            moved = np.concatenate((0.5 * self.sample_time * (sample.v_d + old_v_d), sample.v_d - old_v_d), axis=-1)
-            before = np.concatenate((state["estimated_error"], state["estimated_error_rate"], past), axis=-1)
-            past = before[..., self._source] + moved[..., self._owner]
+            past = self._moved_past(state, sample.v_d)
         x = np.concatenate((e, e_dot, past), axis=-1)
         expected = x[..., self._measured]
         position, rate = sample.e - expected[..., :nv], sample.e_dot - (expected[..., nv:] - bias)
@@ -184,6 +200,21 @@ class LateKalmanEstimator:
             "delayed_desired_velocity": sample.v_d,
             "past": past,
         }
+
+    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
+        """See Estimator. What is measured late is from before the grasp for a while, against the velocity after it."""
+        names = ("estimated_error_rate", "estimated_negative_n")
+        return {name: ratio @ state[name] for name in names} | {
+            "past": self._moved_past(state, v_d),
+        }
+
+    def _moved_past(self, state: State, v_d: np.ndarray) -> np.ndarray:
+        """What was is as it was, against a reference that has moved on to the velocity v_d."""
+        old_v_d = state["delayed_desired_velocity"]
+        moved = np.concatenate((0.5 * self.sample_time * (v_d + old_v_d), v_d - old_v_d), axis=-1)
+        before = np.concatenate((state["estimated_error"], state["estimated_error_rate"], state["past"]), axis=-1)
+        past: np.ndarray = before[..., self._source] + moved[..., self._owner]
+        return past
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -215,6 +246,10 @@ class CoupledEstimator:
         d[..., self.axes] = -np.linalg.solve(nominal_mass_matrix, acting[..., None])[..., self.axes, 0]
         kept = {"estimated_error": e, "estimated_error_rate": e_dot, "estimated_negative_n": d}
         return estimate._replace(e=e, e_dot=e_dot, base_acceleration=-d), {**after, **kept, "estimated_force": force}
+
+    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
+        """See Estimator. The force that is estimated goes on as it is."""
+        return self.separate.resume(state, ratio, v_d)
 
 
 def _predict(

@@ -41,7 +41,7 @@ class Sample(NamedTuple):  # made in every control update: a frozen dataclass ta
     e: np.ndarray  # (..., nv) q_d - q, the base's attitude as a rotation vector
     e_dot: np.ndarray  # (..., nv) rate of e: v_d - v but for the attitude, see coordinates.error_rate
     applied_force: np.ndarray  # (..., nv) what acted over the last period; zero at the first sample
-    is_first: bool  # whether there was no sample before
+    is_first: bool  # whether there was no sample before, or a grasp since
     # (..., 2 nv) whether this sample brings a new measurement of each position, then of each velocity; None: of all
     is_new: np.ndarray | None = None
 
@@ -104,6 +104,18 @@ class ControlLaw(abc.ABC):
 
         Returns: the generalized force tau (..., nv; N m and N), held until the next sample, and the memory by then.
         """
+
+    def resume(self, state: State, before: "ControlLaw", reference: np.ndarray) -> State:
+        """The memory with which this law goes on where another has come to, after the grasp of a target; as it was.
+
+        The next sample is a first one: velocities and reference have jumped since the last.
+
+        Args:
+          state: the other's memory, by name.
+          before: the other, of the same gains, with the model without the target.
+          reference: [q_d; v_d] (nq + nv) at the grasp, the velocity that after it.
+        """
+        return state
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "ControlLaw":

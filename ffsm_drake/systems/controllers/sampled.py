@@ -67,6 +67,29 @@ class SampledController(LeafSystem):
         index = {"generalized_force": self._force, "has_previous": self._has_previous, **self._memory}[name]
         return np.array(context.get_discrete_state(index).value())
 
+    def remember_velocity(self, context: Context, velocity: np.ndarray) -> None:
+        """Set what the memory holds of the velocity (nv) a sample ago, wanted or measured."""
+        for name in ("delayed_desired_velocity", "delayed_velocity"):
+            if name in self._memory:
+                context.SetDiscreteState(self._memory[name], velocity)
+
+    def resume(
+        self, context: Context, before: "SampledController", context_before: Context, reference: np.ndarray
+    ) -> None:
+        """Go on where another controller has come to, as at the first sample: velocities and reference have jumped.
+
+        Args:
+          context: of this controller.
+          before: the other, of the same law for another payload.
+          context_before: of that.
+          reference: [q_d; v_d] (nq + nv) at the instant of going on.
+        """
+        memory = {name: before.state(context_before, name) for name in self._memory}
+        memory = dict(self.law.resume(memory, before.law, reference))
+        context.SetDiscreteState(self._force, before.state(context_before, "generalized_force"))
+        for name, index in self._memory.items():
+            context.SetDiscreteState(index, np.asarray(memory[name], dtype=float))
+
     def memory_groups(self) -> Mapping[str, int]:
         """The discrete group of each piece of the law's memory, by name."""
         return {name: int(index) for name, index in self._memory.items()}

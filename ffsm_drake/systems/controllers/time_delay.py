@@ -32,6 +32,15 @@ class InjectedDynamics(abc.ABC):
         """What of the memory a linearisation holds; see ControlLaw."""
         return {}
 
+    def resume(self, state: State, ratio: np.ndarray) -> State:
+        """What changes of the memory at the grasp of a target, by name.
+
+        Args:
+          state: the memory up to then.
+          ratio: Hhat^-1 Hhat (nv, nv) of after and before: the acceleration that the same force gives now.
+        """
+        return {}
+
     @abc.abstractmethod
     def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
         """One control sample; arrays (..., nv).
@@ -67,6 +76,15 @@ class TimeDelayControl(ControlLaw):
 
     def held(self) -> Mapping[str, float | None]:
         return self.dynamics.held()
+
+    def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
+        """See ControlLaw: what stands for an acceleration goes on as the force that it took."""
+        if not isinstance(before, TimeDelayControl):
+            return state
+        q = reference[: (reference.size + 1) // 2]
+        ratio = np.linalg.solve(self.model.calc_mass_matrix(q), before.model.calc_mass_matrix(q))
+        changed = self.estimator.resume(state, ratio, reference[q.size :])
+        return {**state, **changed, **self.dynamics.resume(state, ratio)}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         mass_matrix = self.model.calc_mass_matrix(sample.q)  # which refuses what is not finite

@@ -51,6 +51,10 @@ class Asmc(InjectedDynamics):
     def held(self) -> Mapping[str, float | None]:
         return {"switching_gain": 0.0}
 
+    def resume(self, state: State, ratio: np.ndarray) -> State:
+        """See InjectedDynamics. G goes on as a bound of forces."""
+        return {"switching_gain": np.abs(ratio) @ state["switching_gain"]}
+
     def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see InjectedDynamics."""
         g = state["switching_gain"]

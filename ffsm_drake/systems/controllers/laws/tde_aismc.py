@@ -8,6 +8,8 @@ import numpy as np
 from ffsm_drake.systems.controllers.law import State, gain
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
+_SMALLEST_SCALE = 1e-9  # 1/s^3, of K_s K_P where it is divided by
+
 
 def reaching_gain_rate(s: np.ndarray, k_s: np.ndarray, *, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """dK_s/dt (..., nv) of equation (9): zero at |s| = K_s / beta."""
@@ -72,6 +74,14 @@ class TdeAismc(InjectedDynamics):
 
     def held(self) -> Mapping[str, float | None]:
         return {"reaching_gain": None, "switching_gain": 0.0}
+
+    def resume(self, state: State, ratio: np.ndarray) -> State:
+        """See InjectedDynamics. K_s K_P times the integral goes on as a force, G as a bound of forces."""
+        scale = np.maximum(state["reaching_gain"] * self.k_p, _SMALLEST_SCALE)
+        return {
+            "integral_error": ratio @ (scale * state["integral_error"]) / scale,
+            "switching_gain": np.abs(ratio) @ state["switching_gain"],
+        }
 
     def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see InjectedDynamics."""

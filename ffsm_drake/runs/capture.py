@@ -1,0 +1,310 @@
+"""Runs with a capture: the servicer without the target up to the grasp, then both as one, with the same controller.
+
+Each side of the grasp is a closed loop of its own, with its own nominal model. At the grasp sensors, actuators and
+forces go on as they are, the controller as its law says (``ControlLaw.resume``), and the servicer's velocity jumps. The
+target is held where the gripper meets it: what the arm misses it by is part of the payload from then on.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput
+
+from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.runs.rollout import Leg, Rollout, RunLog
+from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
+from ffsm_drake.spacecraft.capture import Contact, contact_at, planned_contact, target_body
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.plant import configuration, find_frame
+from ffsm_drake.systems.registry import Factory
+
+NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, before the grasp
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class GraspLog:
+    """What happened at the grasp, and the target before it; world axes, SI units."""
+
+    sample: int  # index of the first sample of the run at which the target is held
+    contact: Contact | None  # None: the run ended before
+    payload: MassProperties  # the target's, in the frame P of the payload body where the model welds it
+    target: np.ndarray  # (sample, 13) [quaternion, p_WP; w_WP, v_WP] of the target at the samples before
+    # (6) where P was at the grasp, from where the model welds it: rotation vector, position
+    offset: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
+    # (6) of the target from the end effector, at its origin: angular velocity, velocity
+    mismatch: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
+
+    def ledger(self, time: float, coordinates: Coordinates) -> dict[str, Any] | None:
+        """The grasp in plain numbers, where there was one; ``time`` (s) is that of the sample."""
+        if self.contact is None:
+            return None
+        contact, grasp = self.contact, self.contact.grasp
+        brakes = {
+            name: float(impulse)
+            for name, impulse in zip(coordinates.names, grasp.brake_impulse, strict=True)
+            if impulse != 0.0
+        }
+        sides = {
+            "before": (contact.momentum_before, contact.spin_before, grasp.energy_before, contact.velocity),
+            "after": (contact.momentum_after, contact.spin_after, grasp.energy_after, grasp.velocity),
+        }
+        compliant = contact.compliant
+        found = {} if compliant is None else {
+            "peak_force": compliant.peak_force,  # N
+            "peak_torque": compliant.peak_torque,  # N m
+            "peak_stretch": compliant.peak_stretch,  # m
+            "time": compliant.time,  # s
+        }  # fmt: skip
+        return {
+            "time": time,
+            "impulse": contact.impulse[3:].tolist(),  # on the target, N s
+            "angular_impulse": contact.impulse[:3].tolist(),  # about the end effector, N m s
+            "brake_impulse": brakes,  # by joint, N m s or N s
+            **{
+                side: {
+                    "linear_momentum": momentum[3:].tolist(),  # N s
+                    "angular_momentum": momentum[:3].tolist(),  # about the world's origin, N m s
+                    "spin": spin.tolist(),  # about the centre of mass, N m s
+                    "kinetic_energy": energy,  # J
+                    "velocity": dict(zip(coordinates.names, velocity.tolist(), strict=True)),  # rad/s and m/s
+                }
+                for side, (momentum, spin, energy, velocity) in sides.items()
+            },
+            "compliant": found,
+            "miss": {
+                "position": float(np.linalg.norm(self.offset[3:])),  # m
+                "angle": float(np.linalg.norm(self.offset[:3])),  # rad
+                "velocity": float(np.linalg.norm(self.mismatch[3:])),  # m/s
+                "angular_velocity": float(np.linalg.norm(self.mismatch[:3])),  # rad/s
+            },
+        }
+
+
+class CaptureRollout:
+    """As ``Rollout``, for a scenario with a capture."""
+
+    def __init__(
+        self, scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None, meshcat: Meshcat | None = None
+    ) -> None:
+        """Args and errors as for ``Rollout``."""
+        self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
+        self._approach = None
+        if scenario.grasp_time > 0.0:
+            self._approach = Rollout(_without_target(scenario), blocks=blocks, meshcat=meshcat)
+
+    @property
+    def loop(self) -> ClosedLoop:
+        """The closed loop with the target held."""
+        return self._stop.loop
+
+    def release(self) -> None:
+        """As ``Rollout.release``."""
+        for rollout in (self._stop, self._approach):
+            if rollout is not None:
+                rollout.release()
+
+    def accepts(self, scenario: Scenario) -> bool:
+        """As ``Rollout.accepts``."""
+        return self._stop.accepts(scenario)
+
+    def check(self) -> None:
+        """As ``Rollout.check``."""
+        for rollout in (self._approach, self._stop):
+            if rollout is not None:
+                rollout.check()
+
+    def run(
+        self, scenario: Scenario | None = None, *, progress: Callable[[float, float], None] | None = None
+    ) -> RunLog:
+        """As ``Rollout.run``; the log goes through the grasp, whose sample it shows with the velocity after it."""
+        start = time.perf_counter()
+        chosen = scenario or self._stop.loop.scenario
+        if self._approach is None:
+            log = self._stop.run(scenario, progress=progress)
+            model = make_true_plant(chosen)
+            contact = planned_contact(chosen, model)
+            mismatch = _mismatch(chosen, model, contact.q, contact.velocity, contact.target_velocity)
+            grasp = GraspLog(
+                sample=0,
+                contact=contact,
+                payload=chosen.payload.truth,
+                target=np.empty((0, 13)),
+                mismatch=mismatch,
+            )
+            return dataclasses.replace(log, grasp=grasp)
+        handover = _Handover(chosen)
+        sample = handover.sample
+        approach = self._approach.run(
+            None if scenario is None else _without_target(scenario),
+            progress=progress,
+            leg=Leg(last=sample, begin=handover.start, end=handover.keep),
+        )
+        if not approach.outcome.completed:
+            return dataclasses.replace(approach, scenario=chosen, grasp=handover.ungrasped(approach.time.size))
+        log = self._stop.run(scenario, progress=progress, leg=Leg(first=sample, begin=handover.grasp))
+        return dataclasses.replace(
+            log,
+            time=np.concatenate([approach.time, log.time]),
+            series={name: np.concatenate([approach.series[name], values]) for name, values in log.series.items()},
+            wall_time={
+                "build": approach.wall_time["build"] + log.wall_time["build"],
+                "advance_to": approach.wall_time["advance_to"] + log.wall_time["advance_to"],
+                "total": time.perf_counter() - start,
+            },
+            grasp=handover.log,
+        )
+
+
+def make_rollout(
+    scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None, meshcat: Meshcat | None = None
+) -> Rollout | CaptureRollout:
+    """The rollout of a scenario; arguments and errors as for ``Rollout``."""
+    kind = Rollout if scenario.capture is None else CaptureRollout
+    return kind(scenario, blocks=blocks, meshcat=meshcat)
+
+
+class _Handover:
+    """Takes a run from the loop before the grasp to the one after it."""
+
+    log: GraspLog
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self.sample = round(scenario.grasp_time / scenario.sample_time)
+        model = make_nominal_plant(scenario)
+        planned = planned_contact(scenario, model)
+        self._reference = np.concatenate([planned.q, planned.grasp.velocity])
+        # The target's own motion up to where it is to be met.
+        self._twist = planned.target_velocity
+        self._X_WP = RigidTransform(target_body(scenario, model).EvalPoseInWorld(model.context))
+        self._path = coast(
+            scenario.payload.truth,
+            self._X_WP,
+            planned.target_velocity,
+            samples=self.sample,
+            sample_time=scenario.sample_time,
+        )
+
+    def start(self, loop: ClosedLoop, root_context: Context) -> None:
+        """Put the servicer where the approach starts."""
+        capture = self._scenario.capture
+        if capture is None or capture.approach is None:
+            raise ValueError("capture.approach: there is none")
+        position = configuration(loop.plant, capture.approach.posture, key="capture.approach.posture")
+        velocity = loop.coordinates.vector(self._scenario.initial_velocity, key="initial_velocity", default=0.0)
+        loop.set_state(root_context, np.concatenate([position, velocity]))
+
+    def ungrasped(self, samples: int) -> GraspLog:
+        """Of a run that ended after so many samples, before the grasp."""
+        payload = self._scenario.payload.truth
+        return GraspLog(sample=samples, contact=None, payload=payload, target=self._path[:samples])
+
+    def keep(self, loop: ClosedLoop, root_context: Context) -> None:
+        """Keep the loop before the grasp as it stands there."""
+        self._before, self._context_before = loop, root_context
+
+    def grasp(self, loop: ClosedLoop, root_context: Context) -> None:
+        """Grasp the target, and go on from where the loop before has come to."""
+        scenario, plant = self._scenario, loop.plant
+        context = plant.GetMyMutableContextFromRoot(root_context)
+        state = self._before.plant.GetPositionsAndVelocities(
+            self._before.plant.GetMyContextFromRoot(self._context_before)
+        )
+        q, v = np.split(state, [plant.num_positions()])
+        model = PlantModel(plant=plant, context=context, coordinates=loop.coordinates)
+        plant.SetPositions(context, q)
+        X_WQ = RigidTransform(
+            target_body(scenario, model).EvalPoseInWorld(context)
+        )  # where the model welds the target's frame P
+        payload = seen_from(scenario.payload.truth, X_WQ.InvertAndCompose(self._X_WP))
+        set_payload(plant, context, body=scenario.payload.body, properties=payload)
+        twist = self._twist.copy()
+        offset = X_WQ.translation() - self._X_WP.translation()
+        twist[3:] += np.cross(twist[:3], offset)
+        contact = contact_at(scenario, model, q=q, velocity=v, target_velocity=twist)
+        turn = (self._X_WP.rotation() @ X_WQ.rotation().inverse()).ToAngleAxis()
+        self.log = GraspLog(
+            sample=self.sample,
+            contact=contact,
+            payload=payload,
+            target=self._path,
+            offset=np.concatenate([turn.angle() * turn.axis(), -offset]),
+            mismatch=_mismatch(scenario, model, q, v, twist),
+        )
+        loop.set_state(root_context, np.concatenate([q, contact.grasp.velocity]))
+        loop.resume(root_context, self._before, self._context_before, self._reference)
+
+
+def coast(
+    properties: MassProperties, X_WP: RigidTransform, twist: np.ndarray, *, samples: int, sample_time: float
+) -> np.ndarray:
+    """The motion (samples, 13; quaternion, p_WP, w_WP, v_WP) that brings a free target to a pose with a velocity.
+
+    It is found backwards, from the pose with the velocity reversed: without forces time has no direction.
+
+    Args:
+      properties: the target's, in its frame P.
+      X_WP, twist: pose and [w_WP; v_WP] (6) one sample after the last.
+      samples: how many, ``sample_time`` (s) apart.
+    """
+    builder = DiagramBuilder()
+    plant = builder.AddNamedSystem("target", MultibodyPlant(time_step=0.0))
+    body = plant.AddRigidBody("target", spatial_inertia(properties))
+    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+    plant.Finalize()
+    logger = LogVectorOutput(plant.get_state_output_port(), builder, sample_time)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    config = SimulatorConfig(integration_scheme="runge_kutta3", max_step_size=sample_time, use_error_control=False)
+    ApplySimulatorConfig(config, simulator)
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    plant.SetFreeBodyPose(context, body, X_WP)
+    plant.SetVelocities(context, -twist)
+    simulator.AdvanceTo(samples * sample_time)
+    states: np.ndarray = logger.FindLog(simulator.get_context()).data().T[samples:0:-1].copy()
+    states[:, 7:] *= -1.0
+    return states
+
+
+def seen_from(properties: MassProperties, X_QP: RigidTransform) -> MassProperties:
+    """The mass properties of a body in frame P, in another frame Q of it."""
+    R = X_QP.rotation().matrix()
+    inertia = R @ inertia_matrix(properties) @ R.T
+    rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+    return MassProperties(
+        mass=properties.mass,
+        center_of_mass=(X_QP @ np.array(properties.center_of_mass)).tolist(),
+        inertia=inertia[rows, columns].tolist(),
+    )
+
+
+def _without_target(scenario: Scenario) -> Scenario:
+    """The scenario with nothing in the gripper, of which only the part before the grasp means anything."""
+    capture = None if scenario.capture is None else dataclasses.replace(scenario.capture, compliance=None)
+    return dataclasses.replace(
+        scenario,
+        capture=capture,
+        payload=dataclasses.replace(scenario.payload, truth=NOTHING, nominal=NOTHING),
+        reference=dataclasses.replace(scenario.reference, duration=1.0),
+    )
+
+
+def _mismatch(scenario: Scenario, model: PlantModel, q: np.ndarray, v: np.ndarray, twist: np.ndarray) -> np.ndarray:
+    """[w; v] (6) of the target from the end effector, at its origin; ``twist`` is that of the payload body's frame."""
+    model.plant.SetPositionsAndVelocities(model.context, np.concatenate([q, v]))
+    effector = find_frame(model.plant, scenario.model.end_effector, key="model.end_effector")
+    p_WP = target_body(scenario, model).EvalPoseInWorld(model.context).translation()
+    moving = effector.CalcSpatialVelocityInWorld(model.context).get_coeffs()
+    there = twist.copy()
+    there[3:] += np.cross(twist[:3], effector.CalcPoseInWorld(model.context).translation() - p_WP)
+    return there - moving

@@ -1,0 +1,182 @@
+"""A scenario's capture: how target and servicer move before the grasp, and what the grasp leaves."""
+
+import dataclasses
+
+import numpy as np
+from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
+
+from ffsm_drake.common.errors import ModelError
+from ffsm_drake.scenario import Capture, Scenario
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.grasp import CompliantGrasp, Grasp, compliant_grasp, plastic_grasp, shift_moment
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Contact:
+    """The instant of a grasp: the motion on both sides of it, and the grasp itself; world axes, SI units."""
+
+    q: np.ndarray  # (nq)
+    velocity: np.ndarray  # (nv) of the servicer before
+    target_velocity: np.ndarray  # (6) of the target's frame P before: angular, linear
+    grasp: Grasp
+    impulse: np.ndarray  # (6) on the target, angular about the end effector's origin, then linear, N m s and N s
+    # (6) of both, angular about the world's origin, then linear, N m s and N s
+    momentum_before: np.ndarray
+    momentum_after: np.ndarray
+    spin_before: np.ndarray  # (3) angular momentum of both about their centre of mass, N m s
+    spin_after: np.ndarray
+    compliant: CompliantGrasp | None  # with a compliance of the gripper
+
+
+def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
+    """The payload body. Raises ModelError unless it is, alone, all that the grasp separates from the servicer."""
+    key = "payload.body"
+    body = find_body(model.plant, scenario.payload.body, key=key)
+    effector = find_frame(model.plant, scenario.model.end_effector, key="model.end_effector").body()
+    others = [
+        model.plant.get_body(index).scoped_name()
+        for index in model.plant.GetBodyIndices(body.model_instance())
+        if index != body.index()
+    ]
+    fault = f"is not alone in its model: {', '.join(map(str, others))} beside it" if others else ""
+    if body.model_instance() == effector.model_instance():
+        fault = "is a body of the servicer"
+    if fault:
+        raise ModelError(
+            f"{key}: '{scenario.payload.body}' {fault}; capture takes a target of one body, a model of its own"
+        )
+    return body
+
+
+def target_twist(scenario: Scenario, capture: Capture, model: PlantModel, q: np.ndarray) -> np.ndarray:
+    """[w_WP; v_WP] (6) of the target's frame P just before the grasp in configuration q, world axes."""
+    model.plant.SetPositions(model.context, q)
+    body = target_body(scenario, model)
+    R_WP = body.EvalPoseInWorld(model.context).rotation().matrix()
+    turn = R_WP if capture.axes == "target" else np.eye(3)
+    w = turn @ capture.rate
+    return np.concatenate([w, turn @ capture.velocity - np.cross(w, R_WP @ scenario.payload.truth.center_of_mass)])
+
+
+def servicer_velocity(scenario: Scenario, capture: Capture, model: PlantModel, q: np.ndarray) -> np.ndarray:
+    """v (nv) of the servicer at the grasp in configuration q.
+
+    To follow the grasp frame it takes, of the rates with the least mismatch of end effector and target, the cheapest.
+
+    Raises:
+      ScenarioError: a value is given for an unknown coordinate.
+    """
+    coordinates, plant, context = model.coordinates, model.plant, model.context
+    v = coordinates.vector(capture.servicer_velocity, key="capture.servicer_velocity", default=0.0)
+    cost = coordinates.vector(capture.tracking_cost, key="capture.tracking_cost", default=1.0)
+    if not capture.servicer.startswith("track"):
+        return v
+    twist = target_twist(scenario, capture, model, q)
+    effector = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
+    p_WP = target_body(scenario, model).EvalPoseInWorld(context).translation()
+    twist[3:] += np.cross(twist[:3], effector.CalcPoseInWorld(context).translation() - p_WP)
+    world = plant.world_frame()
+    jacobian = plant.CalcJacobianSpatialVelocity(context, JacobianWrtVariable.kV, effector, np.zeros(3), world, world)
+    moving = slice(NUM_BASE_VELOCITIES if capture.servicer == "track_joints" else 0, None)
+    weight = np.array([capture.tracking_length] * 3 + [1.0] * 3)
+    scaled = weight[:, None] * jacobian[:, moving] / cost[moving]
+    v[moving] = np.linalg.lstsq(scaled, weight * twist, rcond=None)[0] / cost[moving]
+    return v
+
+
+def contact_at(
+    scenario: Scenario, model: PlantModel, *, q: np.ndarray, velocity: np.ndarray, target_velocity: np.ndarray
+) -> Contact:
+    """The grasp of the target by a servicer in configuration q (nq) with velocity v (nv), the joints free or braked.
+
+    Args:
+      scenario: with a capture.
+      model: the plant that holds the target, with the payload that it then has.
+      target_velocity: [w_WP; v_WP] (6) of the target's frame P before, world axes.
+    """
+    capture = scenario.capture or Capture()
+    plant, context = model.plant, model.context
+    mass_matrix = model.calc_mass_matrix(q)  # sets q
+    body = target_body(scenario, model)
+    X_WP = body.EvalPoseInWorld(context)
+    inertia = body.CalcSpatialInertiaInBodyFrame(context).ReExpress(X_WP.rotation())
+    world, origin = plant.world_frame(), np.zeros(3)
+    jacobian = plant.CalcJacobianSpatialVelocity(
+        context, JacobianWrtVariable.kV, body.body_frame(), origin, world, world
+    )
+    target_inertia = inertia.CopyToFullMatrix6()
+    braked = range(NUM_BASE_VELOCITIES, velocity.size) if capture.joints == "braked" else ()
+    grasp = plastic_grasp(
+        mass_matrix=mass_matrix,
+        jacobian=jacobian,
+        target_inertia=target_inertia,
+        velocity=velocity,
+        target_velocity=target_velocity,
+        braked=braked,
+    )
+    effector = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
+    p_WE = effector.CalcPoseInWorld(context).translation()
+    compliant = None
+    if capture.compliance is not None:
+        # [w; v_E] = moved [w; v_P]
+        moved, back = (_moved(sign * (p_WE - X_WP.translation())) for sign in (1.0, -1.0))
+        of = capture.compliance
+        compliant = compliant_grasp(
+            mass_matrix=mass_matrix,
+            jacobian=moved @ jacobian,
+            target_inertia=back.T @ target_inertia @ back,
+            velocity=velocity,
+            target_velocity=moved @ target_velocity,
+            stiffness=np.repeat([of.rotational_stiffness, of.stiffness], 3),
+            damping=np.repeat([of.rotational_damping, of.damping], 3),
+            braked=braked,
+        )
+    p_WC = plant.CalcCenterOfMassPositionInWorld(context)
+    p_WB = q[4:7]
+    return Contact(
+        q=q,
+        velocity=velocity,
+        target_velocity=target_velocity,
+        grasp=grasp,
+        impulse=shift_moment(grasp.impulse, p_WE - X_WP.translation()),
+        momentum_before=shift_moment(grasp.momentum_before, -p_WB),
+        momentum_after=shift_moment(grasp.momentum_after, -p_WB),
+        spin_before=shift_moment(grasp.momentum_before, p_WC - p_WB)[:3],
+        spin_after=shift_moment(grasp.momentum_after, p_WC - p_WB)[:3],
+        compliant=compliant,
+    )
+
+
+def _moved(offset: np.ndarray) -> np.ndarray:
+    """The matrix (6, 6) from [w; v] at a point of a body to [w; v] at one that lies ``offset`` (3, m) from it."""
+    x, y, z = offset
+    matrix = np.eye(6)
+    matrix[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return matrix
+
+
+def velocity_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
+    """The velocity (nv) that the motion with the target held starts from; errors as ``planned_contact``."""
+    if scenario.capture is not None:
+        return planned_contact(scenario, model).grasp.velocity
+    return model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
+
+
+def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
+    """The grasp as a scenario has it: in ``initial_posture``, at the chosen rates, with the payload of ``model``.
+
+    Raises:
+      ModelError: the target is not a body of its own.
+      ScenarioError: a value is given for an unknown coordinate.
+    """
+    capture = scenario.capture or Capture()
+    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    return contact_at(
+        scenario,
+        model,
+        q=q,
+        velocity=servicer_velocity(scenario, capture, model, q),
+        target_velocity=target_twist(scenario, capture, model, q),
+    )

@@ -1,0 +1,81 @@
+"""The shortest duration in which a planned motion keeps the limits, with the nominal payload."""
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.joint_limits import joint_limits
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+
+if TYPE_CHECKING:
+    from ffsm_drake.systems.reference import PlannedMotion
+
+_LONGEST = 1000.0  # s
+_GROWTH = 1.15  # from one duration that is tried to the next
+_INSTANTS = 101  # of a motion that are looked at
+
+
+def shortest_duration(scenario: Scenario, motion_in: Callable[[float], "PlannedMotion"]) -> float:
+    """The shortest duration, in s and whole control samples, of a motion that keeps every limit.
+
+    Limits: of the force ``actuation.limit`` and the URDFs' efforts, of the joints the URDFs' velocities, both less
+    ``reference.reserve``, and the URDFs' positions. The force is that of inverse dynamics with the nominal payload.
+
+    Args:
+      motion_in: the motion with a given duration, s.
+
+    Raises:
+      ScenarioError: there are no limits, or no duration keeps them all; it names the one in the way.
+    """
+    key, free = "reference.duration", 1.0 - scenario.reference.reserve
+    model = make_nominal_plant(scenario)
+    coordinates, joints = model.coordinates, joint_limits(scenario.model, model.plant)
+    force = coordinates.vector(scenario.actuation.limit or {}, key="actuation.limit", default=np.inf)
+    force[NUM_BASE_VELOCITIES:] = np.minimum(force[NUM_BASE_VELOCITIES:], joints.effort)
+    if not np.isfinite(np.concatenate([force, joints.velocity])).any():
+        raise ScenarioError(
+            key, "auto needs a limit of force or velocity: give actuation.limit, or a number of seconds"
+        )
+    names = [f"the force on {name}" for name in coordinates.names]
+    names += [f"the {what} of {name}" for what in ("velocity", "position") for name in joints.names]
+
+    def worst(duration: float) -> tuple[float, str]:
+        """The largest share of its limit that anything takes, and what that is."""
+        motion = motion_in(duration)
+        times = np.linspace(motion.begin, motion.end, _INSTANTS)
+        nq, nv = len(coordinates.position_names), len(coordinates.names)
+        q, v, a = np.split(motion.rows(times), [nq, nq + nv], axis=1)
+        arm = q[:, NUM_BASE_POSITIONS:]
+        shares = [
+            np.abs(model.calc_inverse_dynamics(q, v, a)) / (free * force),
+            np.abs(v[:, NUM_BASE_VELOCITIES:]) / (free * joints.velocity),
+            1.0 + np.fmax(arm - joints.upper, joints.lower - arm),
+        ]
+        largest = np.concatenate([share.max(axis=0) for share in shares])
+        index = int(np.argmax(largest))
+        return float(largest[index]), names[index]
+
+    sample_time, least = scenario.sample_time, (math.inf, "", 0.0)
+    before = samples = 1
+    while samples * sample_time <= _LONGEST:
+        share, name = worst(samples * sample_time)
+        if share <= 1.0:
+            break
+        least = min(least, (share, name, samples * sample_time))
+        before, samples = samples, max(samples + 1, math.ceil(_GROWTH * samples))
+    else:
+        share, name, duration = least
+        raise ScenarioError(
+            key,
+            f"auto: no duration up to {_LONGEST:g} s keeps the limits; nearest is {duration:.3g} s, in which {name} "
+            f"takes {100.0 * share:.3g} % of what reference.reserve leaves of its limit",
+        )
+    while samples - before > 1:  # the last that is too short, the first that is not
+        half = (before + samples) // 2
+        before, samples = (before, half) if worst(half * sample_time)[0] <= 1.0 else (half, samples)
+    return samples * sample_time

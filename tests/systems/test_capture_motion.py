@@ -1,0 +1,136 @@
+"""The planned motion around a grasp: through the velocities before and after it, to rest, within limits."""
+
+import copy
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from ffsm_drake import ScenarioError, load_scenario
+from ffsm_drake.spacecraft.capture import planned_contact
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.reference import make_motion, rotation_vector_motion
+
+NQ, NV = 12, 11
+TUMBLE = [
+    "capture.rate=[0.05, 0.04, 0.06]",
+    "capture.servicer=track_all",
+    "reference.base_rotation=eigenaxis",
+]
+LIMITS = "actuation.limit={base_position: 22, base_rotation: 10, joints: 5}"
+
+
+def motion_of(*overrides):
+    scenario = load_scenario("flight_sensors", [*TUMBLE, *overrides])
+    nominal = make_nominal_plant(scenario)
+    return make_motion(scenario, nominal.coordinates), planned_contact(scenario, nominal), scenario
+
+
+def parts(row):
+    return row[..., :NQ], row[..., NQ : NQ + NV], row[..., NQ + NV :]
+
+
+def assert_consistent(motion, times, *, h=1e-4):
+    """Rates are those of the positions, accelerations those of the rates."""
+    before, now, after = (parts(motion.rows(times + dt)) for dt in (-h, 0.0, h))
+    turn = (
+        Rotation.from_quat(after[0][:, :4], scalar_first=True)
+        * Rotation.from_quat(before[0][:, :4], scalar_first=True).inv()
+    )
+    assert_allclose(turn.as_rotvec() / (2 * h), now[1][:, :3], atol=1e-8)
+    assert_allclose((after[0][:, 4:] - before[0][:, 4:]) / (2 * h), now[1][:, 3:], atol=1e-8)
+    assert_allclose((after[1] - before[1]) / (2 * h), now[2], atol=1e-8)
+    assert_allclose(np.linalg.norm(now[0][:, :4], axis=1), 1.0, atol=1e-14)
+
+
+def test_angular_velocity_and_acceleration_of_a_rotation_vector():
+    rng, h = np.random.default_rng(3), 1e-4
+    first = np.array([0.5, -0.5, 0.5, 0.5])
+    for size in (0.0, 1e-9, 1e-3, 0.3, 2.0, 6.2):
+        direction, p1, p2 = rng.normal(size=(3, 3))
+        p0 = size * direction / np.linalg.norm(direction)
+        times = np.array([-h, 0.0, h])[:, None]
+        q, w, alpha = rotation_vector_motion(
+            first, p0 + times * p1 + times**2 / 2 * p2, p1 + times * p2, p2 + 0 * times
+        )
+        turns = Rotation.from_quat(q, scalar_first=True)
+        assert_allclose((turns[2] * turns[0].inv()).as_rotvec() / (2 * h), w[1], atol=1e-7)
+        assert_allclose((w[2] - w[0]) / (2 * h), alpha[1], atol=1e-7)
+        made = Rotation.from_rotvec(p0) * Rotation.from_quat(first, scalar_first=True)
+        assert (made * turns[1].inv()).magnitude() < 1e-14
+
+
+@pytest.mark.parametrize("goal", ["target_posture", "stop"])
+def test_it_goes_through_the_grasp_with_the_velocities_of_both_sides(goal):
+    approach = "capture.approach={duration: 12, posture: {base_rpy: [0.5, -0.3, 0.2], joints: {joint_2: -1}}}"
+    motion, contact, scenario = motion_of("duration=40", f"reference.goal={goal}", approach)
+    assert (motion.begin, motion.end) == (12.0, 32.0)
+    assert np.abs(contact.velocity[:6]).min() > 1e-5  # the base moves, too
+    q, v, a = parts(motion.row(12.0))
+    assert_allclose(q, contact.q, atol=1e-15)
+    assert_allclose(v, contact.grasp.velocity, atol=1e-16)
+    assert not a.any()
+    q, v, a = parts(motion.rows(np.array([12.0 - 1e-6]))[0])
+    assert_allclose(q, contact.q, atol=1e-6)
+    assert_allclose(v, contact.velocity, atol=1e-10)
+    assert_allclose(a, 0.0, atol=1e-6)
+    assert_consistent(motion, np.array([0.3, 4.1, 11.8, 12.3, 20.0, 31.0]))
+    start, end = parts(motion.row(0.0)), parts(motion.row(35.0))
+    for _, v, a in (start, end):
+        assert_allclose(v, 0.0, atol=1e-17)
+        assert_allclose(a, 0.0, atol=1e-17)
+    stowed = Rotation.from_euler("xyz", scenario.capture.approach.posture.base_rpy)
+    assert (Rotation.from_quat(start[0][:4], scalar_first=True) * stowed.inv()).magnitude() < 1e-14
+    assert start[0][7:] == pytest.approx([0, -1, 0, 0, 0], abs=1e-15)
+    if goal == "target_posture":
+        assert end[0][7:] == pytest.approx(list(scenario.target_posture.joints.values()), abs=1e-15)
+
+
+def test_to_stop_elsewhere_takes_more():
+    def effort(motion):
+        times = np.linspace(0.0, 20.0, 2001)
+        return float(np.trapezoid((parts(motion.rows(times))[2] ** 2).sum(axis=1), times))
+
+    stop, *_ = motion_of("reference.goal=stop")
+    q = parts(stop.row(20.0))[0]
+    rpy = Rotation.from_quat(q[:4], scalar_first=True).as_euler("xyz")
+    posture = {"base_rpy": rpy.tolist(), "base_position": q[4:7].tolist()}
+    posture["joints"] = {f"joint_{i + 1}": float(q[7 + i]) for i in range(5)}
+    there, *_ = motion_of(f"target_posture={posture}")
+    assert effort(there) == pytest.approx(effort(stop), rel=1e-9)
+    for place in ("base_position", "base_rpy", "joint_3"):
+        for step in (-0.02, 0.02):
+            other = copy.deepcopy(posture)
+            if place in other:
+                other[place][1] += step
+            else:
+                other["joints"][place] += step
+            assert effort(motion_of(f"target_posture={other}")[0]) > effort(stop) + 1e-9
+
+
+@pytest.mark.parametrize("goal", ["target_posture", "stop"])
+def test_the_shortest_duration_reaches_a_limit_with_the_nominal_payload(goal):
+    motion, _, scenario = motion_of("reference.duration=auto", LIMITS, f"reference.goal={goal}")
+    model, limit = make_nominal_plant(scenario), np.repeat([10.0, 22.0, 5.0], [3, 3, 5])
+
+    def share(duration):
+        motion, *_ = motion_of(f"reference.duration={duration}", LIMITS, f"reference.goal={goal}")
+        rows = parts(motion.rows(np.linspace(0.0, duration, 101)))
+        return np.abs(model.calc_inverse_dynamics(*rows) / limit).max()
+
+    assert share(motion.end) <= 0.7 < share(motion.end - 0.01)
+    longer, *_ = motion_of("reference.duration=auto", LIMITS, f"reference.goal={goal}", "reference.reserve=0.6")
+    assert longer.end > motion.end + 0.1
+
+
+def test_a_duration_without_limits_is_refused():
+    with pytest.raises(ScenarioError, match=r"reference\.duration: auto needs a limit of force or velocity"):
+        motion_of("reference.duration=auto", "actuation.limit=null")
+
+
+def test_where_no_duration_will_do_the_limit_is_named():
+    feeble = "actuation.limit={base_position: 22, base_rotation: 10, joints: 50, joint_4: 1.0e-6}"
+    with pytest.raises(ScenarioError, match=r"nearest is [\d.e+]+ s, in which the force on joint_4 takes") as refusal:
+        motion_of("reference.duration=auto", feeble)
+    assert refusal.value.key == "reference.duration"
