@@ -44,7 +44,7 @@ HOSTILE = st.sampled_from(
      "", " ", "x", "0", "1e5", "01:30", "../..", "/dev/zero", "/", "a:b", "os:getcwd", "null", "\u202e", "\ud800", "\0",
      "x" * 5000, [], [0, 0, 0], [1e308] * 6, ["x"], [[[]]], [math.nan] * 3, {}, {"all": -1}, {"x": {"y": 1}}, "tdc",
      "kalman", "flight_sensors", "package:///etc", "file:///etc/passwd", "debris", "servicer::base"]
-)  # fmt: skip
+).map(copy.deepcopy)  # fmt: skip
 
 
 def paths(data, prefix=()):
