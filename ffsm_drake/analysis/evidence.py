@@ -13,6 +13,7 @@ from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import from_grasp
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import gain_vectors
+from ffsm_drake.systems.registry import is_shipped
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -81,8 +82,10 @@ class Evidence:
         """The gains that the controller declares, (nv) or numbers; empty where it declares none or cannot be loaded."""
         try:
             return gain_vectors(self.scenario, self.coordinates)
-        except FfsmError:  # its module is not available; most findings do not need it
-            return {}
+        except FfsmError:
+            if is_shipped("controller", self.scenario.controller):  # gains that no run had
+                raise
+            return {}  # its module is not available; most findings do not need it
 
     @property
     def too_short(self) -> str:

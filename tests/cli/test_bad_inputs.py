@@ -993,6 +993,11 @@ TABLE = [
         "run/manifest.json: duration: must be > 0 s",
     ),
     record(
+        "manifest-gain-missing",
+        edit_manifest(lambda data: data["scenario"]["controllers"]["tde_aismc"].update(alpha=None)),
+        "controllers.tde_aismc.alpha",
+    ),
+    record(
         "manifest-scenario-list",
         edit_manifest(lambda data: data.update(scenario=[1])),
         "run/manifest.json: must be a mapping",
