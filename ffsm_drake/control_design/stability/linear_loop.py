@@ -93,6 +93,16 @@ class LinearLoop:
         nv = len(self.coordinates.names)
         if not np.isfinite(self.poles).all():
             return {name: np.full(nv, np.inf) for name in ("error", "error_rate", "force")}
+        with np.errstate(over="ignore", invalid="ignore"):  # of a loop that grows
+            variances = self._variances(samples)
+        return {
+            name: np.sqrt(np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf))
+            for name, values in variances.items()
+        }
+
+    def _variances(self, samples: int) -> dict[str, np.ndarray]:
+        """The squares of ``noise_response``; not finite where the loop grows beyond all numbers."""
+        nv = len(self.coordinates.names)
         keep = self._matters(sum(np.abs(sample.b).sum(axis=1) for sample in self.samples) > 0.0)
         maps = [(sample.a[np.ix_(keep, keep)], sample.b[keep], sample.c[:, keep], sample.d) for sample in self.samples]
         power, once = np.eye(int(keep.sum())), np.zeros((keep.sum(),) * 2)
@@ -110,10 +120,7 @@ class LinearLoop:
             row = sample.a[part][:, keep]
             variances["sliding_variable"] = np.einsum("ij,jk,ik->i", row, covariance, row)
             variances["sliding_variable"] += (sample.b[part] ** 2).sum(axis=1)
-        return {
-            name: np.sqrt(np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf))
-            for name, values in variances.items()
-        }
+        return variances
 
     def with_random_walk(self, walk: np.ndarray, mass_matrix: np.ndarray) -> Self:
         """The loop under an acceleration d that walks at random, in addition; its force becomes what exceeds -H d.

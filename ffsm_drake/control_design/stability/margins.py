@@ -375,7 +375,8 @@ def _sliding_response(
             result[name][j] = column
     for values in result.values():
         # Past the limit s grows without bound; a value far beyond every threshold stands for it.
-        values[:] = np.where(np.isnan(values), 10.0 * np.nanmax(values, axis=0), values)
+        largest = np.where(np.isnan(values), 0.0, values).max(axis=0)
+        values[:] = np.where(np.isnan(values), np.where(largest > 0.0, 10.0 * largest, 1e3), values)
     return result
 
 
