@@ -79,11 +79,11 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
     Raises:
       WorkersError: ``distributed`` is not installed, or no scheduler or worker answers.
     """
+    _check_address(address)
     try:
         distributed: Any = importlib.import_module("distributed")  # optional, and without types
     except ImportError:
         raise WorkersError("a Dask cluster needs the extra 'cluster': pip install 'ffsm-drake[cluster]'") from None
-    _check_address(address)
     try:
         client = distributed.Client(address, timeout=patience, set_as_default=False)
     except Exception as error:
