@@ -4,7 +4,6 @@ Forces are arrays (n, nv), N m or N, one row per sample.
 """
 
 import numpy as np
-from scipy.signal import detrend, periodogram, welch
 
 from ffsm_drake.analysis.evidence import Evidence, ratio
 from ffsm_drake.analysis.findings import Finding, finding, not_applicable
@@ -26,6 +25,8 @@ def effort_spectrum(effort: np.ndarray, period: float) -> tuple[np.ndarray, np.n
 
     Welch's mean over half-overlapping Hann windows, each with its linear trend (the planned motion) taken out.
     """
+    from scipy.signal import detrend, welch  # slow to load
+
     frequency, density = welch(
         effort.T, fs=1.0 / period, nperseg=min(SEGMENT, len(effort)), detrend=detrend, scaling="density"
     )
@@ -38,6 +39,8 @@ def split_variance(effort: np.ndarray, period: float, *, split: float) -> tuple[
     Both (nv), squared force, over the whole record, from the periodogram without a window: it weights
     all samples equally, and by Parseval's theorem the two parts sum to the variance.
     """
+    from scipy.signal import detrend, periodogram
+
     frequency, power = periodogram(detrend(effort, axis=0), fs=1.0 / period, detrend=False, scaling="spectrum", axis=0)
     high = frequency >= split
     return power[~high].sum(axis=0), power[high].sum(axis=0)

@@ -43,13 +43,14 @@ def predict_stability(scenario: Scenario, *, postures: int = 1) -> tuple[float, 
 
 
 def _most_overestimated(scenario: Scenario) -> list[float]:
-    """Times (s) of the postures, the one with the largest inertia ratio first."""
+    """Times (s) of the postures, the one with the largest inertia ratio first, of equal ones the earliest."""
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     reference = make_motion(scenario, nominal.coordinates)
     times = [reference.part(share) for share in POSTURES]
     postures = {time: reference.evaluate(time)[0] for time in times}
     ratio = {
-        time: inertia_ratios(true.calc_mass_matrix(q), nominal.calc_mass_matrix(q))[-1] for time, q in postures.items()
+        time: round(inertia_ratios(true.calc_mass_matrix(q), nominal.calc_mass_matrix(q))[-1], 9)  # beyond: rounding
+        for time, q in postures.items()
     }
     return sorted(times, key=lambda time: -ratio[time])
 

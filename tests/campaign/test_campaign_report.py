@@ -124,7 +124,7 @@ def test_agreement_and_worst_runs():
 
 @pytest.fixture(autouse=True)
 def _coarse_map(monkeypatch):
-    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 4)
+    monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 3)
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,6 @@ from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.plant import base_body
 from ffsm_drake.spacecraft.urdf import make_bus, read_urdf
-from ffsm_drake.systems.controllers import controller_names
 
 # Final error, rad or m, held after a motion of a quarter of the planned duration (PD+: of half of it). Computed torque
 # and PD+ estimate neither the disturbance nor the payload's deviation, and keep the error that these cause.
@@ -50,10 +49,14 @@ def made(tmp_path_factory):
     return make
 
 
-# Each URDF with the controller that a new scenario names, with the one whose gains come from the inertias, and with one
-# of the others in turn: these have the same K_P and K_D whatever the URDF, and their margins are asserted for all.
-OTHERS = sorted(set(controller_names()) - {"tde_aismc", "pd_plus"})
-CONTROLLERS = {name: ("tde_aismc", "pd_plus", OTHERS[k % len(OTHERS)]) for k, name in enumerate(OUTSIDE)}
+# Who flies each URDF; the margins of all controllers are asserted for each.
+CONTROLLERS = {
+    "six_joints": ["tde_aismc", "aismc"],
+    "prismatic": ["pd_plus"],
+    "gripper": ["tdc"],
+    "two_arms": ["asmc", "tde_aismc"],
+    "seven_joints": ["computed_torque"],
+}
 
 
 @pytest.mark.parametrize("name", OUTSIDE)

@@ -294,7 +294,7 @@ def forecast_reaching_gain(
     motion = make_motion(scenario, coordinates)
     eta = np.diagonal(np.linalg.solve(*_mass_matrices(true, nominal, motion, loop.time)))
     response = _sliding_response(law, grid, noise, sampling, eta)
-    alone = np.array([np.interp(law.k_s[i], grid, response["deviation"][:, i]) for i in range(law.k_s.size)])
+    alone = np.array([np.interp(law.k_s[i], grid, response["deviation"][i]) for i in range(law.k_s.size)])
     wired = loop.noise_response(scenario.num_control_periods).get("sliding_variable", alone)
     factor = np.divide(wired, alone, out=np.ones_like(alone), where=np.isfinite(wired) & (alone > 0.0))
 
@@ -303,9 +303,9 @@ def forecast_reaching_gain(
     for j in range(points - 1):
         for i in range(law.k_s.size):
             now = k_s[j, i]
-            sigma = factor[i] * np.interp(now, grid, response["deviation"][:, i])
-            chatter = switching[i] * np.interp(now, grid, response["sign_amplitude"][:, i])
-            mean = math.hypot(drift[j, i] * np.interp(now, grid, response["drift_gain"][:, i]), chatter)
+            sigma = factor[i] * np.interp(now, grid, response["deviation"][i])
+            chatter = switching[i] * np.interp(now, grid, response["sign_amplitude"][i])
+            mean = math.hypot(drift[j, i] * np.interp(now, grid, response["drift_gain"][i]), chatter)
             threshold = now * now / beta[i] if square else now / beta[i]
             rate = alpha[i] * _mean_signed_magnitude(mean, sigma, threshold)
             k_s[j + 1, i] = min(max(now + rate * (times[j + 1] - times[j]), 0.0), law.k_s_max[i], grid[-1])
@@ -332,51 +332,44 @@ def _mean_signed_magnitude(mean: float, sigma: float, threshold: float) -> float
 def _sliding_response(
     law: LawGains, grid: np.ndarray, noise: list[np.ndarray], sampling: Sampling, eta: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Response of one axis's s to its inputs, per K_s of the grid and coordinate.
+    """Response of one axis's s to its inputs, by coordinate and K_s of the grid (nv, k).
 
     ``deviation`` under the noise; ``drift_gain``, |s| per unit of dN/dt; ``sign_amplitude``, per unit of G: the sign
     term's oscillation alternates every sample, so its amplitude is the loop's gain from u to s at z = -1.
     """
-    names = ("deviation", "drift_gain", "sign_amplitude")
-    result = {name: np.empty((grid.size, law.k_d.size)) for name in names}
-
-    def at(k_s: float, i: int) -> tuple[float, float, float]:
-        k_d, k_p, position, velocity = (float(values[i]) for values in (law.k_d, law.k_p, *noise))
-        gains = LoopGains(k_v=k_d + k_s, k_p=k_p + k_s * k_d, k_i=k_s * k_p)
-        loop = axis_loop(gains, sampling=sampling.axis(i), eta=float(eta[i]))
-        if loop.spectral_radius > 1.0 - 1e-9:
-            return math.nan, math.nan, math.nan
-        covariance = loop.covariance(position_noise=position, velocity_noise=velocity)
-        # s = v + K_D e + K_P I of what the law works on, and where a unit of u enters.
-        step = sampling.sample_time
-        enter = np.zeros(loop.a.shape[0])
-        enter[[0, 1, 3]] = 0.0 if sampling.euler else -0.5 * step**2, -step, 1.0
-        if sampling.kalman_gain is None:  # measured values
-            read = np.array([k_d, 1.0, k_p, 0.0, 0.0])
-            direct = (k_d * position) ** 2 + velocity**2
-        else:  # estimates, as the state holds them after the update
-            read = np.array([0.0, 0.0, k_p, 0.0, k_d - step * k_p, 1.0, 0.0])
-            direct = 0.0
-        variance = float(read @ covariance @ read) + direct
-        eye = np.eye(loop.a.shape[0])
-        ramp = np.linalg.solve(eye - loop.a, loop.f * step)
-        drift = float(read @ np.linalg.solve(eye - loop.a, ramp))
-        alternating = float(read @ np.linalg.solve(-eye - loop.a, enter))
-        return math.sqrt(max(variance, 0.0)), abs(drift), abs(alternating)
-
-    # Coordinates with equal values are computed once.
-    kinds = [law.k_d, law.k_p, *noise, eta]
+    k_d, k_p, position, velocity, ratio = (values[:, None] for values in (law.k_d, law.k_p, *noise, eta))
     if sampling.kalman_gain is not None:
-        kinds += list(sampling.kalman_gain.reshape(law.k_d.size, -1).T)
-    _, first, inverse = np.unique(np.array(kinds).T, axis=0, return_index=True, return_inverse=True)
-    for j, k_s in enumerate(grid):
-        values = np.array([at(float(k_s), int(i)) for i in first])[inverse.ravel()]
-        for name, column in zip(names, values.T, strict=True):
-            result[name][j] = column
-    for values in result.values():
+        sampling = dataclasses.replace(sampling, kalman_gain=np.repeat(sampling.kalman_gain, grid.size, axis=0))
+    gains = LoopGains(k_v=k_d + grid, k_p=k_p + grid * k_d, k_i=grid * k_p)
+    loop = axis_loop(gains, sampling=sampling, eta=ratio)
+    stable = loop.spectral_radius <= 1.0 - 1e-9
+    covariance = loop.covariance(position_noise=position, velocity_noise=velocity)
+    # s = v + K_D e + K_P I of what the law works on, and where a unit of u enters.
+    step, size = sampling.sample_time, loop.f.shape[-1]
+    enter = np.zeros(size)
+    enter[[0, 1, 3]] = 0.0 if sampling.euler else -0.5 * step**2, -step, 1.0
+    if sampling.kalman_gain is None:  # measured values
+        read = np.stack(np.broadcast_arrays(k_d, 1.0, k_p, 0.0, 0.0), axis=-1)
+        direct = (k_d * position) ** 2 + velocity**2
+    else:  # estimates, as the state holds them after the update
+        read = np.stack(np.broadcast_arrays(0.0, 0.0, k_p, 0.0, k_d - step * k_p, 1.0, 0.0), axis=-1)
+        direct = np.zeros_like(k_d)
+    eye, a = np.eye(size), np.where(stable[..., None, None], loop.a, 0.0)
+    ramp = np.linalg.solve(eye - a, loop.f[..., None] * step)
+    drift = np.linalg.solve(eye - a, ramp)[..., 0]
+    alternating = np.linalg.solve(-eye - a, enter[:, None])[..., 0]
+    with np.errstate(invalid="ignore"):  # of the unstable ones
+        variance = np.einsum("...i,...ij,...j->...", read, covariance, read) + direct
+        deviation = np.sqrt(np.maximum(variance, 0.0))
+    result = {
+        "deviation": deviation,
+        "drift_gain": np.abs((read * drift).sum(axis=-1)),
+        "sign_amplitude": np.abs((read * alternating).sum(axis=-1)),
+    }
+    for name, values in result.items():
         # Past the limit s grows without bound; a value far beyond every threshold stands for it.
-        largest = np.where(np.isnan(values), 0.0, values).max(axis=0)
-        values[:] = np.where(np.isnan(values), np.where(largest > 0.0, 10.0 * largest, 1e3), values)
+        largest = np.where(stable, values, 0.0).max(axis=-1, keepdims=True)
+        result[name] = np.where(stable, values, np.where(largest > 0.0, 10.0 * largest, 1e3))
     return result
 
 

@@ -19,7 +19,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.linalg import eigh
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import Scenario
@@ -201,7 +200,8 @@ def tolerated_eta(law: LawGains, axis: int, *, sampling: Sampling, k_s: float | 
 
 def inertia_ratios(true_mass_matrix: np.ndarray, nominal_mass_matrix: np.ndarray) -> np.ndarray:
     """Eigenvalues eta of H^-1 Hhat, ascending (nv): free of units, since both matrices have the same."""
-    return eigh(nominal_mass_matrix, true_mass_matrix, eigvals_only=True)
+    scale = np.linalg.inv(np.linalg.cholesky(true_mass_matrix))
+    return np.linalg.eigvalsh(scale @ nominal_mass_matrix @ scale.T)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -215,46 +215,50 @@ class AxisLoop:
     estimate, -N under perfect tracking, constant over the sample.
     """
 
-    a: np.ndarray
-    b: np.ndarray
-    f: np.ndarray
-    force: np.ndarray
-    scale: np.ndarray  # what each entry of x gains per unit of acceleration and sample
+    a: np.ndarray  # (..., m, m), for any shape (...) of gains
+    b: np.ndarray  # (..., m, 2)
+    f: np.ndarray  # (..., m)
+    force: np.ndarray  # (m,)
+    scale: np.ndarray  # (..., m), what each entry of x gains per unit of acceleration and sample
 
     @functools.cached_property
-    def spectral_radius(self) -> float:
-        """Largest pole magnitude; the loop is stable below 1."""
-        return float(np.abs(np.linalg.eigvals(self.a)).max())
+    def spectral_radius(self) -> np.ndarray:
+        """Largest pole magnitude (...); the loop is stable below 1."""
+        return np.abs(np.linalg.eigvals(self.a)).max(axis=-1)
 
-    def covariance(self, *, position_noise: float, velocity_noise: float) -> np.ndarray:
-        """Stationary covariance of x under white noise of the given standard deviations; a stable loop only."""
-        noise = np.array([position_noise, velocity_noise])
+    def covariance(self, *, position_noise: np.ndarray | float, velocity_noise: np.ndarray | float) -> np.ndarray:
+        """Stationary covariance (..., m, m) of x under white noise of the given standard deviations (...).
+
+        Of a stable loop; that of an unstable one means nothing.
+        """
+        noise = np.stack(np.broadcast_arrays(position_noise, velocity_noise), axis=-1)
         # In units of acceleration every entry is of order one; in SI units the equation is too badly scaled to solve.
-        size = self.scale
-        largest = noise.max() or 1.0
-        b = self.b * (noise / largest) / size[:, None]
-        a = self.a * size / size[:, None]
-        covariance = covariance_after(a, b @ b.T, samples=2**18)  # stationary
-        return largest**2 * covariance * np.outer(size, size)
+        size, largest = self.scale, noise.max(axis=-1)[..., None]
+        largest = np.where(largest > 0.0, largest, 1.0)
+        b = self.b * (noise / largest)[..., None, :] / size[..., :, None]
+        a = self.a * size[..., None, :] / size[..., :, None]
+        with np.errstate(over="ignore", invalid="ignore"):
+            covariance = covariance_after(a, b @ np.swapaxes(b, -1, -2), samples=2**18)  # stationary
+            return (largest**2)[..., None] * covariance * (size[..., :, None] * size[..., None, :])
 
 
 def covariance_after(a: np.ndarray, noise: np.ndarray, *, samples: int) -> np.ndarray:
     """Covariance of x from zero, x+ = A x + w, w of covariance ``noise``, after the next power of two of ``samples``.
 
-    By doubling: the sum of A^k noise A^k' (a discrete Lyapunov equation where it converges). Not finite where it grows
-    beyond all numbers.
+    Of one A or of many (..., m, m). By doubling: the sum of A^k noise A^k' (a discrete Lyapunov equation where it
+    converges). Not finite where it grows beyond all numbers.
     """
     covariance, power = noise, a
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         for _ in range(max(samples - 1, 0).bit_length()):
-            covariance, power = covariance + power @ covariance @ power.T, power @ power
+            covariance, power = covariance + power @ covariance @ np.swapaxes(power, -1, -2), power @ power
     return covariance
 
 
 def _input_output(
     gains: LoopGains, *, eta: np.ndarray, step: np.ndarray, euler: bool, kalman_gain: np.ndarray | None
 ) -> np.ndarray:
-    """[A, B, f] (n, m, m + 3) of one axis for n choices of gains, eta and step (n, 1), ``kalman_gain`` (1, 3, 2).
+    """[A, B, f] (n, m, m + 3) of one axis for n choices of gains, eta and step (n, 1), ``kalman_gain`` (1 or n, 3, 2).
 
     One sample as a function of columns of states, noises and d; its matrices are its values on unit columns. In error
     coordinates d^2e/dt^2 = -eta (t - d), where tau = Hhat (a_d + t).
@@ -276,7 +280,8 @@ def _input_output(
         e_hat, v_hat = e_hat + step * v_hat + 0.5 * step**2 * known, v_hat + step * known
         r_e, r_v = e_m - e_hat, v_m - v_hat
         e_hat, v_hat, d_hat = (
-            old + kalman_gain[0, i, 0] * r_e + kalman_gain[0, i, 1] * r_v for i, old in enumerate((e_hat, v_hat, d_hat))
+            old + kalman_gain[:, i, :1] * r_e + kalman_gain[:, i, 1:] * r_v
+            for i, old in enumerate((e_hat, v_hat, d_hat))
         )
         t = gains.k_v * v_hat + gains.k_p * e_hat + gains.k_i * total + d_hat
         summed, estimator = e_hat, [e_hat, v_hat, d_hat]
@@ -285,18 +290,31 @@ def _input_output(
     return np.stack(np.broadcast_arrays(*rows), axis=1)
 
 
-def axis_loop(gains: LoopGains, *, sampling: Sampling, eta: float = 1.0) -> AxisLoop:
-    """The linear loop of one axis: its law's gains (floats), period, plant and estimator (of one axis), eta."""
-    k_v, k_p, k_i, ratio, step = (
-        np.array([[value]], dtype=float) for value in (gains.k_v, gains.k_p, gains.k_i, eta, sampling.sample_time)
-    )
+def axis_loop(gains: LoopGains, *, sampling: Sampling, eta: np.ndarray | float = 1.0) -> AxisLoop:
+    """The linear loop of one axis, or of many at once.
+
+    Args:
+      gains, eta: floats, or arrays that broadcast to (...).
+      sampling: period, plant and estimator, of one axis or of as many as there are gains.
+    """
+    period, kalman_gain = sampling.sample_time, sampling.kalman_gain
+    given = np.broadcast_arrays(gains.k_v, gains.k_p, gains.k_i, eta)
+    k_v, k_p, k_i, ratio = (np.array(values, dtype=float).reshape(-1, 1) for values in given)
     columns = LoopGains(k_v=k_v, k_p=k_p, k_i=k_i)
-    kalman_gain = sampling.kalman_gain
-    found = _input_output(columns, eta=ratio, step=step, euler=sampling.euler, kalman_gain=kalman_gain)[0]
-    size, period = len(found), sampling.sample_time
+    found = _input_output(columns, eta=ratio, step=np.array([[period]]), euler=sampling.euler, kalman_gain=kalman_gain)
+    found = found.reshape(*given[0].shape, *found.shape[1:])
+    size = found.shape[-2]
     # Where the sum of errors is not fed back, its pole at 1 is not part of the loop.
-    keep = np.array([i != 2 or gains.k_i > 0.0 for i in range(size)])
-    scale = np.array([period**2, period, 0.0, 1.0, *((period,) if size == 5 else (period**2, period, 1.0))])
-    scale[2] = 1.0 / gains.k_i if gains.k_i > 0.0 else 1.0
-    a, b, f = found[:, :size], found[:, size:-1], found[:, -1]
-    return AxisLoop(a=a[np.ix_(keep, keep)], b=b[keep], f=f[keep], force=np.eye(size)[3][keep], scale=scale[keep])
+    keep = np.array([i for i in range(size) if i != 2 or k_i.any()])
+    scale = np.tile(
+        [period**2, period, 1.0, 1.0, *((period,) if size == 5 else (period**2, period, 1.0))], (k_i.size, 1)
+    )
+    scale[:, 2:3] = np.divide(1.0, k_i, out=np.ones_like(k_i), where=k_i > 0.0)
+    a, b, f = found[..., :size], found[..., size:-1], found[..., -1]
+    return AxisLoop(
+        a=a[..., keep[:, None], keep],
+        b=b[..., keep, :],
+        f=f[..., keep],
+        force=np.eye(size)[3][keep],
+        scale=scale.reshape(*given[0].shape, size)[..., keep],
+    )
