@@ -5,6 +5,8 @@ A rule computes a value from others of the same case:
   scale         of (one name or several) multiplied with each other and with ``by`` (a number or a list; default 1)
   sum           of (several names), added up; lists of the same length element by element
   relative      of * (1 + error)
+  direction     of * (sqrt(1 - h^2) cos a, sqrt(1 - h^2) sin a, h), with height h and azimuth a (rad): every direction
+                as likely where h is uniform in -1 to 1 and a in 0 to 2 pi
   solid_cube    inertia of a homogeneous cube: mass side^2 / 6 about each axis
   solid_sphere  inertia of a homogeneous sphere: 2/5 mass radius^2 about each axis
 
@@ -116,6 +118,7 @@ _RULES = {
     "scale": ("of", "by"),
     "sum": ("of",),
     "relative": ("of", "error"),
+    "direction": ("of", "height", "azimuth"),
     "solid_cube": ("mass", "side"),
     "solid_sphere": ("mass", "radius"),
 }
@@ -132,6 +135,11 @@ def parse_rule(data: Any, *, place: str) -> Rule:
     if kind == "relative":
         sources = (*sources, *_names(data["error"], place=place))
         return Rule(sources=sources, apply=lambda values: _product([*values[:-1], 1.0 + _single(values[-1])]))
+    if kind == "direction":
+        places = (*_names(data["height"], place=place), *_names(data["azimuth"], place=place))
+        if len(sources) > 1 or len(places) > 2:
+            raise CampaignError(f"{place}: direction takes one name each of of, height and azimuth")
+        return Rule(sources=(*sources, *places), apply=_direction)
     if kind == "solid_cube":
         side = number(data["side"], place=f"{place}.side")
         return Rule(sources=sources, apply=lambda m: [_single(m[0]) * side * side / 6.0] * 3)
@@ -160,6 +168,14 @@ def _sum(values: list[Value]) -> Value:
             raise CampaignError("lists that are added must have the same length")
         return [math.fsum(items) for items in zip(*values, strict=True)]
     return math.fsum(_single(value) for value in values)
+
+
+def _direction(values: list[Value]) -> Value:
+    size, height, azimuth = map(_single, values)
+    if abs(height) > 1.0:
+        raise CampaignError(f"height must be from -1 to 1, not {height:g}")
+    across = size * math.sqrt(1.0 - height * height)
+    return [across * math.cos(azimuth), across * math.sin(azimuth), size * height]
 
 
 def _single(value: Value) -> float:

@@ -13,21 +13,40 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ffsm_drake.campaign.cases import Case, scenario_of
-from ffsm_drake.campaign.prediction import predict_stability
+from ffsm_drake.campaign.prediction import predict
 from ffsm_drake.campaign.spec import Spec, spec_from_json
-from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.errors import BlockError, LimitError, one_line
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
+from ffsm_drake.runs.limits import CLEARANCE, limits_left
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS
+from ffsm_drake.systems.reference import timed
 
-OUTCOMES = ("settled", "not_settled", "diverged", "error")
+OUTCOMES = ("settled", "not_settled", "diverged", "refused", "error")  # refused: no motion keeps the limits
 _BY_GROUP = [(kind, group) for kind in ("peak_error", "final_error", "peak_effort") for group in GROUPS]
 METRICS = ("itae", "isv", *(f"{kind}_{group}" for kind, group in _BY_GROUP), "settled_time")
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
+# Further columns where the scenario has a capture. The first limit that a run leaves is text.
+OF_CAPTURE = ("grasp_impulse", "grasp_angular_impulse", "first_limit_time")
+LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
+
+
+def metrics_of(spec: Spec) -> tuple[str, ...]:
+    """The columns of a campaign that a run's metrics fill."""
+    return METRICS if spec.base["capture"] is None else (*METRICS, *OF_CAPTURE)
+
+
+def predictions_of(spec: Spec) -> tuple[str, ...]:
+    """The columns of a campaign that predictions fill: below 1 a run is foreseen to settle."""
+    return PREDICTIONS if spec.base["capture"] is None else (*PREDICTIONS, LOAD)
+
+
 # Columns that differ between repetitions.
 CIRCUMSTANCES = ("wall_time", "worker", "rss_mib", "software")
 
@@ -41,7 +60,7 @@ def evaluate(campaign: str, case: Case, controller: str) -> Row:
     """Run one case with one controller; errors become part of the row.
 
     Takes ``Spec.to_json()``, which a process reads once. Returns the columns ``outcome``, ``outcome_time``,
-    ``message``, METRICS, PREDICTIONS and CIRCUMSTANCES.
+    ``message``, those of ``metrics_of`` and ``predictions_of``, CIRCUMSTANCES; with a capture FIRST_LIMIT.
     """
     with _ONE_AT_A_TIME:
         return _evaluator(campaign).evaluate(case, controller)
@@ -63,13 +82,15 @@ class Evaluator:
     def evaluate(self, case: Case, controller: str) -> Row:
         """One row, as the function of the same name returns it."""
         start = time.perf_counter()
-        row: Row = dict.fromkeys((*METRICS, *PREDICTIONS))
+        row: Row = dict.fromkeys((*metrics_of(self._spec), *predictions_of(self._spec)))
         try:
             with time_limit(self._spec.time_limit):
-                scenario = scenario_of(self._spec, case, controller)
+                scenario = timed(scenario_of(self._spec, case, controller))
                 row |= evaluate_run(self._spec, self._run(scenario))
                 with contextlib.suppress(BlockError):  # a user-supplied block that cannot be linearised: no prediction
-                    row |= dict(zip(PREDICTIONS, predict_stability(scenario), strict=True))
+                    row |= dict(zip(predictions_of(self._spec), predict(scenario), strict=True))
+        except LimitError as error:
+            row |= _refused_row(error)
         except (Exception, TimeLimit) as error:
             if isinstance(error, TimeLimit):
                 self._rollouts.pop(controller, None)  # it may be half done
@@ -97,14 +118,26 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
         raise RuntimeError("the run was interrupted")
     settled_time, outcome, message = None, "diverged", log.outcome.message
     if log.outcome.completed:
-        settled_time = spec.settled.time(log.time, log.error, log.coordinates.group_of)
+        velocity = log.series["state"][:, len(log.coordinates.position_names) :]
+        settled_time = spec.settled.time(log.time, log.error, log.coordinates.group_of, velocity=velocity)
         outcome, message = "not_settled" if settled_time is None else "settled", ""
     metrics = log.metrics
     values = {"itae": metrics["itae"], "isv": metrics["isv"], "settled_time": settled_time}
     values |= {f"{kind}_{group}": metrics[kind][group] for kind, group in _BY_GROUP}
+    text = {"outcome": outcome, "message": message}
+    if spec.base["capture"] is not None:
+        left = limits_left(log)
+        first = min(left, key=lambda name: left[name], default="")
+        text[FIRST_LIMIT], values["first_limit_time"] = first, left.get(first)
+        if outcome == "settled" and CLEARANCE in left:
+            text |= {"outcome": "not_settled", "message": f"parts come too near at t = {left[CLEARANCE]:.2f} s"}
+        impulse = np.full(6, np.nan) if log.grasp is None or log.grasp.contact is None else log.grasp.contact.impulse
+        values["grasp_angular_impulse"], values["grasp_impulse"] = (
+            float(np.linalg.norm(part)) for part in np.split(impulse, 2)
+        )
     # The database knows no NaN.
     row = {name: None if value is None or math.isnan(value) else float(value) for name, value in values.items()}
-    return {"outcome": outcome, "outcome_time": log.outcome.time, "message": message, **row}
+    return {**text, "outcome_time": log.outcome.time, **row}
 
 
 def described(error: BaseException) -> str:
@@ -115,7 +148,13 @@ def described(error: BaseException) -> str:
 
 def error_row(message: str) -> Row:
     """The results in the row of a run that failed."""
-    return {**dict.fromkeys((*METRICS, *PREDICTIONS)), "outcome": "error", "outcome_time": None, "message": message}
+    names = (*METRICS, *PREDICTIONS, *OF_CAPTURE, LOAD, FIRST_LIMIT)
+    return {**dict.fromkeys(names), "outcome": "error", "outcome_time": None, "message": message}
+
+
+def _refused_row(error: LimitError) -> Row:
+    """The results in the row of a case for which there is no motion within the limits."""
+    return {**error_row(str(error)), "outcome": "refused", FIRST_LIMIT: error.limit}
 
 
 def resident_memory() -> float:
@@ -130,4 +169,5 @@ def resident_memory() -> float:
 
 def differing_columns(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
     """Of the columns that a repeated run must reproduce bit for bit, those that differ."""
-    return [name for name in ("outcome", "outcome_time", "message", *METRICS) if first[name] != second[name]]
+    names = ("outcome", "outcome_time", "message", *METRICS, *OF_CAPTURE, FIRST_LIMIT)
+    return [name for name in names if first.get(name) != second.get(name)]

@@ -7,20 +7,24 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from ffsm_drake.campaign.cases import make_case, scenario_of
 from ffsm_drake.campaign.spec import Spec
-from ffsm_drake.common.errors import CampaignError, FfsmError
+from ffsm_drake.common.errors import CampaignError, FfsmError, LimitError
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.margins import POSTURES, expected_gains
 from ffsm_drake.control_design.stability.sampled_loop import inertia_ratios
 from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.spacecraft.joint_limits import force_limits
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
-from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.disturbance import make_disturbance
+from ffsm_drake.systems.reference import make_motion, timed
 
+_ANSWER = 1.0  # s; in which the loop answers to a wrong velocity at the start
+_INSTANTS = 101  # of the plan after that
 POINTS = 11  # along each axis
 REFINEMENT = 3  # finer by this near the boundary
 
@@ -33,13 +37,48 @@ def predict_stability(scenario: Scenario, *, postures: int = 1) -> tuple[float, 
     Raises ModelError, ScenarioError or BlockError where a value cannot be used or a block cannot be linearised.
     """
     scenario = from_grasp(scenario)
-    times = _most_overestimated(scenario)[:postures]
     with Linearizer(scenario) as linearizer:
-        loops = [linearizer.at(time) for time in times]
-        starting = max(loop.spectral_radius for loop in loops)
-        held = expected_gains(linearizer, loops[0]) if starting < 1.0 else {}
-        expected = max(linearizer.at(time, held=held).spectral_radius for time in times) if held else starting
-    return starting, expected
+        return _radii(linearizer, _most_overestimated(scenario)[:postures])
+
+
+def predict(scenario: Scenario) -> tuple[float, ...]:
+    """What tells of a run beforehand whether it settles: every number below 1.
+
+    The two of ``predict_stability``; with a capture and limits of force also ``predicted_load``.
+    """
+    scenario = from_grasp(scenario)
+    with Linearizer(scenario) as linearizer:
+        radii = _radii(linearizer, _most_overestimated(scenario)[:1])
+        return radii if scenario.capture is None else (*radii, predicted_load(linearizer))
+
+
+def predicted_load(linearizer: Linearizer) -> float:
+    """The largest share of its limit that a force takes after a grasp, without noise; beyond 1 it saturates.
+
+    The first second, in which the loop answers to the difference between the true velocity after the grasp and that of
+    the plan, is run without noise and limits. From there on it is what perfect tracking of the plan takes with the
+    true payload, less the disturbance.
+    """
+    scenario, motion = linearizer.given, linearizer.motion
+    true = make_true_plant(scenario)
+    disturbance = make_disturbance(scenario.disturbance, motion.coordinates)
+    port, context = disturbance.GetOutputPort("generalized_force"), disturbance.CreateDefaultContext()
+    answer = min(round(_ANSWER / scenario.sample_time), scenario.num_control_periods)
+    _, force = linearizer.follow(samples=answer)
+    ideal = np.empty((_INSTANTS, force.shape[1]))
+    begin = answer * scenario.sample_time
+    for i, time in enumerate(np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)):
+        context.SetTime(time)
+        ideal[i] = true.calc_inverse_dynamics(*motion.evaluate(time)) - port.Eval(context)
+    share = np.abs(np.concatenate([force, ideal])) / force_limits(scenario, true.plant)
+    return float(np.nan_to_num(share, nan=np.inf).max())
+
+
+def _radii(linearizer: Linearizer, times: Sequence[float]) -> tuple[float, float]:
+    loops = [linearizer.at(time) for time in times]
+    starting = max(loop.spectral_radius for loop in loops)
+    held = expected_gains(linearizer, loops[0]) if starting < 1.0 else {}
+    return starting, max(linearizer.at(time, held=held).spectral_radius for time in times) if held else starting
 
 
 def _most_overestimated(scenario: Scenario) -> list[float]:
@@ -57,7 +96,7 @@ def _most_overestimated(scenario: Scenario) -> list[float]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class StabilityMap:
-    """Predicted spectral radius over a grid; below 1 is stable, NaN where there is no prediction."""
+    """The largest of what is predicted (``predict``) over a grid, NaN where there is no prediction."""
 
     x_name: str
     y_name: str
@@ -97,20 +136,22 @@ def predict_map(
     x, y = (_axis(values[name], is_log) for name, is_log in zip(axes, log, strict=True))
     fixed = {name: distribution.value(0.5, 0) for name, distribution in spec.distributions.items() if name not in axes}
 
-    def predict(controller: str, i: int, j: int) -> float:
+    def predicted(controller: str, i: int, j: int) -> float:
         drawn = {**fixed, axes[0]: float(x[j]), axes[1]: float(y[i])}
         try:
             case = make_case(spec, 0, {name: drawn[name] for name in spec.distributions})
-            return max(predict_stability(scenario_of(spec, case, controller)))
+            return max(predict(timed(scenario_of(spec, case, controller))))
+        except LimitError:
+            return math.inf
         except (FfsmError, ArithmeticError, ValueError):
             return math.nan  # no boundary here
 
     radius = {}
     for k, controller in enumerate(spec.controllers):
-        if math.isnan(predict(controller, 0, 0)) and math.isnan(predict(controller, x.size - 1, x.size - 1)):
+        if math.isnan(predicted(controller, 0, 0)) and math.isnan(predicted(controller, x.size - 1, x.size - 1)):
             radius[controller] = np.full((x.size, x.size), np.nan)
         else:
-            radius[controller] = _refined(functools.partial(predict, controller), x.size)
+            radius[controller] = _refined(functools.partial(predicted, controller), x.size)
         if progress is not None:
             progress(k + 1, len(spec.controllers))
     return StabilityMap(

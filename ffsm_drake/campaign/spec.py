@@ -56,14 +56,21 @@ class Settled:
 
     hold: float  # s; 0: the last sample alone
     tolerance: Mapping[str, float]  # rad or m, by group
+    rest: float | None = None  # rad/s and m/s; no coordinate moves faster either; None: it may
 
-    def time(self, time: np.ndarray, error: np.ndarray, group_of: Sequence[str]) -> float | None:
-        """The time (s) from which the error stays within the tolerances; None when the run is not settled.
+    def time(
+        self, time: np.ndarray, error: np.ndarray, group_of: Sequence[str], *, velocity: np.ndarray
+    ) -> float | None:
+        """The time (s) from which error and velocity stay within these; None when the run is not settled.
 
-        Takes the control samples (n,), s, the tracking error (n, nv), rad or m, and each coordinate's group (nv).
+        Takes the control samples (n,), s, the tracking error (n, nv), rad or m, each coordinate's group (nv), and the
+        velocity (n, nv), rad/s or m/s.
         """
         bound = np.array([self.tolerance[group] for group in group_of])
-        outside = np.flatnonzero(~(np.abs(error) <= bound).all(axis=1))  # NaN is outside
+        within = (np.abs(error) <= bound).all(axis=1)  # NaN is not
+        if self.rest is not None:
+            within &= (np.abs(velocity) <= self.rest).all(axis=1)
+        outside = np.flatnonzero(~within)
         first = 0 if outside.size == 0 else int(outside[-1]) + 1
         if first == time.size:
             return None
@@ -231,8 +238,8 @@ def parse_settled(data: Any, *, place: str, base: Scenario | None = None) -> Set
     Raises CampaignError for an unknown key or a value out of range.
     """
     if not isinstance(data, Mapping):
-        raise CampaignError(f"{place}: must be a mapping with hold and tolerance")
-    check_keys(data, ("hold", "tolerance"), place=place)
+        raise CampaignError(f"{place}: must be a mapping with hold, tolerance and rest")
+    check_keys(data, ("hold", "tolerance", "rest"), place=place)
     hold = number(data.get("hold", 2.0), place=f"{place}.hold")
     if hold < 0.0:
         raise CampaignError(f"{place}.hold: must be >= 0 s, not {hold:g}")
@@ -247,7 +254,10 @@ def parse_settled(data: Any, *, place: str, base: Scenario | None = None) -> Set
     for group, value in tolerance.items():
         if value <= 0.0:
             raise CampaignError(f"{place}.tolerance.{group}: must be > 0, not {value:g}")
-    return Settled(hold=hold, tolerance=tolerance)
+    rest = data.get("rest")
+    if rest is not None and (rest := number(rest, place=f"{place}.rest")) <= 0.0:
+        raise CampaignError(f"{place}.rest: must be > 0, not {rest:g}")
+    return Settled(hold=hold, tolerance=tolerance, rest=rest)
 
 
 def _base(data: Mapping[str, Any], *, folder: Path) -> dict[str, Any]:

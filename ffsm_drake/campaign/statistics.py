@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
+from ffsm_drake.campaign.evaluate import FIRST_LIMIT, LOAD, METRICS, PREDICTIONS, metrics_of, predictions_of
 from ffsm_drake.campaign.prediction import StabilityMap, predict_map
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.store import Store
@@ -28,16 +28,18 @@ class Runs:
     controller: str
     case: np.ndarray
     outcome: np.ndarray  # text
-    metrics: Mapping[str, np.ndarray]  # METRICS, PREDICTIONS, outcome_time and wall_time
+    metrics: Mapping[str, np.ndarray]  # of ``metrics_of``, ``predictions_of``, outcome_time and wall_time
+    first_limit: np.ndarray | None = None  # text, "" for none; of campaigns with a capture
 
     @functools.cached_property
     def settled(self) -> np.ndarray:
         return self.outcome == "settled"
 
     @functools.cached_property
-    def radius(self) -> np.ndarray:
-        """Predicted spectral radius, the larger of the two."""
-        return np.fmax(*(self.metrics[name] for name in PREDICTIONS))
+    def predicted(self) -> np.ndarray:
+        """The largest of what is predicted; below 1 a run is foreseen to settle, NaN without a prediction."""
+        found = [self.metrics[name] for name in (*PREDICTIONS, LOAD) if name in self.metrics]
+        return np.asarray(np.fmax.reduce(found))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +52,7 @@ class Table:
 
 def read_table(store: Store) -> Table:
     """Read the results that a database holds so far."""
-    columns = ("outcome_time", "wall_time", *METRICS, *PREDICTIONS)
+    columns = ("outcome_time", "wall_time", *metrics_of(store.spec), *predictions_of(store.spec))
     runs = {}
     for controller in store.spec.controllers:
         select = f"SELECT case_index, outcome, {', '.join(columns)} FROM results WHERE controller = ? ORDER BY 1"
@@ -62,6 +64,12 @@ def read_table(store: Store) -> Table:
             outcome=np.array(cells[1], dtype=str),
             metrics={name: np.array(cell, dtype=float) for name, cell in zip(columns, cells[2:], strict=True)},
         )
+        if store.spec.base["capture"] is not None:
+            limits = store.query(
+                f"SELECT coalesce({FIRST_LIMIT}, '') FROM results WHERE controller = ? ORDER BY case_index",
+                (controller,),
+            )
+            runs[controller] = dataclasses.replace(runs[controller], first_limit=np.array([row[0] for row in limits]))
     values = {}
     for name in store.spec.distributions:
         column = store.sampled(name)
@@ -199,7 +207,7 @@ def most_influential(found: list[Sensitivity]) -> list[str]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """Number of runs by linear prediction and outcome."""
+    """Number of runs by prediction and outcome; unstable stands for all that is foreseen to fail."""
 
     controller: str
     stable_settled: int
@@ -218,9 +226,9 @@ class Agreement:
 
 
 def agreement(runs: Runs) -> Agreement:
-    """Count predictions and outcomes; errors and runs without a prediction are left out."""
-    known = (runs.outcome != "error") & ~np.isnan(runs.radius)
-    stable, settled = (runs.radius < 1.0)[known], runs.settled[known]
+    """Count predictions and outcomes; what was not run, and runs without a prediction, are left out."""
+    known = ~np.isin(runs.outcome, ("error", "refused")) & ~np.isnan(runs.predicted)
+    stable, settled = (runs.predicted < 1.0)[known], runs.settled[known]
     return Agreement(
         controller=runs.controller,
         stable_settled=int((stable & settled).sum()),
@@ -234,7 +242,8 @@ def worst_runs(runs: Runs, *, count: int = 5) -> np.ndarray:
     """Positions of the ``count`` worst runs: errors, then the earliest divergences, then the largest final errors."""
     errors = [runs.metrics[name] for name in METRICS if name.startswith("final_error")]
     final = np.nanmax(np.vstack([np.zeros(runs.case.size), *errors]), axis=0)
-    order = np.select([runs.outcome == "error", runs.outcome == "diverged", ~runs.settled], [0, 1, 2], default=3)
+    kinds = ("error", "diverged", "refused")
+    order = np.select([*(runs.outcome == kind for kind in kinds), ~runs.settled], [0, 1, 3, 2], default=4)
     time = np.where(runs.outcome == "diverged", runs.metrics["outcome_time"], 0.0)
     return np.lexsort((-final, time, order))[:count]
 

@@ -36,6 +36,14 @@ class ScenarioError(FfsmError):
         return self if self.source else ScenarioError(self.key, self.problem, source=source)
 
 
+class LimitError(ScenarioError):
+    """A motion that no duration brings within its limits; ``limit`` names the one in the way."""
+
+    def __init__(self, key: str, problem: str, *, limit: str) -> None:
+        super().__init__(key, problem)
+        self.limit = limit
+
+
 class ModelError(FfsmError):
     """A URDF or model directive that does not describe a usable spacecraft."""
 

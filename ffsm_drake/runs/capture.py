@@ -114,8 +114,9 @@ class CaptureRollout:
                 rollout.release()
 
     def accepts(self, scenario: Scenario) -> bool:
-        """As ``Rollout.accepts``."""
-        return self._stop.accepts(scenario)
+        """As ``Rollout.accepts``; how the target moves where it is grasped follows from its centre of mass."""
+        centers = [each.payload.truth.center_of_mass for each in (scenario, self._stop.loop.scenario)]
+        return self._stop.accepts(scenario) and centers[0] == centers[1]
 
     def check(self) -> None:
         """As ``Rollout.check``."""

@@ -17,18 +17,20 @@ from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.capture import velocity_at_start
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_error
-from ffsm_drake.spacecraft.joint_limits import JointLimits, joint_limits
+from ffsm_drake.spacecraft.joint_limits import JointLimits, force_limits, joint_limits
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, find_body, make_plant, resolve_package, urdfs_of
 from ffsm_drake.systems.reference import PlannedMotion, make_motion
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
+    from ffsm_drake.runs.rollout import RunLog
 
 _POSTURES = 201  # at which the plan is looked at
 _SLACK = 1e-9  # relative; a plan may end at a limit
 _SAME_MASS = 1e-3  # relative
 _SAME_START = 1e-6  # rad, m, and per second
+CLEARANCE = "clearance"  # among the limits that a run leaves
 _INSTANTS = 51  # in which clearance is looked at along a plan; twice as many along a run
 
 
@@ -209,6 +211,46 @@ def saturation(record: "RunRecord") -> dict[str, float]:
     limit = np.array([given.get(n, given.get(g, given.get("all", np.inf))) for n, g in zip(names, groups, strict=True)])
     shares = (np.abs(data["generalized_force"].values) > limit).mean(axis=0)
     return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0.0}
+
+
+def limits_left(log: "RunLog") -> dict[str, float]:
+    """When a run first left each of its limits, s: forces commanded, velocities and positions of joints, clearance.
+
+    Of a run with a capture clearance is looked at from the grasp on, as in ``run_clearance``.
+    """
+    scenario, coordinates = log.scenario, log.coordinates
+    clearance = _shapes_of(json.dumps(scenario_to_dict(scenario)["model"]))
+    plant = clearance.plant
+    joints, state = joint_limits(scenario.model, plant), log.series["state"]
+    nq = len(coordinates.position_names)
+    q, v = state[:, NUM_BASE_POSITIONS:nq], state[:, nq + NUM_BASE_VELOCITIES :]
+    reach = 1.0 + _SLACK
+    with np.errstate(invalid="ignore"):
+        beyond = {
+            "force on": (coordinates.names, np.abs(log.generalized_force) > reach * force_limits(scenario, plant)),
+            "velocity of": (joints.names, np.abs(v) > reach * joints.velocity),
+            "position of": (joints.names, (q > joints.upper + _SLACK) | (q < joints.lower - _SLACK)),
+        }
+    found = {
+        f"{what} {name}": float(log.time[np.argmax(left)])
+        for what, (names, columns) in beyond.items()
+        for name, left in zip(names, columns.T, strict=True)
+        if left.any()
+    }
+    first = 0 if log.grasp is None else log.grasp.sample
+    if clearance.pairs and log.time.size > first:
+        for sample in np.unique(np.linspace(first, log.time.size - 1, _INSTANTS).round().astype(int)):
+            if np.isfinite(state[sample]).all() and (
+                clearance.nearest(state[sample, :nq]).distance < scenario.clearance
+            ):
+                return found | {CLEARANCE: float(log.time[sample])}
+    return found
+
+
+@functools.lru_cache(maxsize=1)  # a campaign asks after every run
+def _shapes_of(text: str) -> Clearance:
+    """Of the model of a scenario as text."""
+    return Clearance(scenario_from_dict({"model": json.loads(text)}).model)
 
 
 def _no_time(sample: int) -> str:

@@ -1,4 +1,4 @@
-"""Limits of the joints, as the URDFs give them."""
+"""Limits of the joints, as the URDFs give them, and of forces."""
 
 import dataclasses
 from xml.etree import ElementTree
@@ -7,7 +7,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.scenario import Model
+from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.plant import coordinates_of, urdfs_of
 from ffsm_drake.spacecraft.urdf.elements import read_joint
 
@@ -57,3 +57,15 @@ def joint_limits(model: Model, plant: MultibodyPlant) -> JointLimits:
             limits.lower[i], limits.upper[i] = joint.lower, joint.upper
             limits.velocity[i], limits.effort[i] = joint.velocity, joint.effort
     return limits
+
+
+def force_limits(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
+    """The largest force of each coordinate (nv), N m or N: ``actuation.limit`` and the URDFs' efforts; else infinite.
+
+    Raises ScenarioError, ModelError: the limit names an unknown coordinate, or a URDF cannot be read.
+    """
+    coordinates = coordinates_of(plant)
+    force = coordinates.vector(scenario.actuation.limit or {}, key="actuation.limit", default=np.inf)
+    joints = slice(len(coordinates.names) - len(coordinates.joints), None)
+    force[joints] = np.minimum(force[joints], joint_limits(scenario.model, plant).effort)
+    return force

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.errors import LimitError, ScenarioError
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.joint_limits import joint_limits
+from ffsm_drake.spacecraft.joint_limits import force_limits, joint_limits
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
 if TYPE_CHECKING:
@@ -30,19 +30,19 @@ def shortest_duration(scenario: Scenario, motion_in: Callable[[float], "PlannedM
       motion_in: the motion with a given duration, s.
 
     Raises:
-      ScenarioError: there are no limits, or no duration keeps them all; it names the one in the way.
+      ScenarioError: there are no limits.
+      LimitError: no duration keeps them all; it names the one in the way.
     """
     key, free = "reference.duration", 1.0 - scenario.reference.reserve
     model = make_nominal_plant(scenario)
     coordinates, joints = model.coordinates, joint_limits(scenario.model, model.plant)
-    force = coordinates.vector(scenario.actuation.limit or {}, key="actuation.limit", default=np.inf)
-    force[NUM_BASE_VELOCITIES:] = np.minimum(force[NUM_BASE_VELOCITIES:], joints.effort)
+    force = force_limits(scenario, model.plant)
     if not np.isfinite(np.concatenate([force, joints.velocity])).any():
         raise ScenarioError(
             key, "auto needs a limit of force or velocity: give actuation.limit, or a number of seconds"
         )
-    names = [f"the force on {name}" for name in coordinates.names]
-    names += [f"the {what} of {name}" for what in ("velocity", "position") for name in joints.names]
+    names = [f"force on {name}" for name in coordinates.names]
+    names += [f"{what} of {name}" for what in ("velocity", "position") for name in joints.names]
 
     def worst(duration: float) -> tuple[float, str]:
         """The largest share of its limit that anything takes, and what that is."""
@@ -70,10 +70,11 @@ def shortest_duration(scenario: Scenario, motion_in: Callable[[float], "PlannedM
         before, samples = samples, max(samples + 1, math.ceil(_GROWTH * samples))
     else:
         share, name, duration = least
-        raise ScenarioError(
+        raise LimitError(
             key,
-            f"auto: no duration up to {_LONGEST:g} s keeps the limits; nearest is {duration:.3g} s, in which {name} "
-            f"takes {100.0 * share:.3g} % of what reference.reserve leaves of its limit",
+            f"auto: no duration up to {_LONGEST:g} s keeps the limits; nearest is {duration:.3g} s, in which the "
+            f"{name} takes {100.0 * share:.3g} % of what reference.reserve leaves of its limit",
+            limit=name,
         )
     while samples - before > 1:  # the last that is too short, the first that is not
         half = (before + samples) // 2

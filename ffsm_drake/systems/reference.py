@@ -328,7 +328,10 @@ def timed(scenario: Scenario) -> Scenario:
     if scenario.reference.duration is not None:
         return scenario
     motion = make_motion(scenario, make_nominal_plant(scenario).coordinates)
-    reference = dataclasses.replace(scenario.reference, duration=motion.end - motion.begin)
+    duration = motion.end - motion.begin
+    if scenario.reference.kind != "optimal":  # whole samples: the very number, which the difference may have lost
+        duration = round(duration / scenario.sample_time) * scenario.sample_time
+    reference = dataclasses.replace(scenario.reference, duration=duration)
     return dataclasses.replace(scenario, reference=reference)
 
 

@@ -275,6 +275,25 @@ def test_the_shipped_campaign():
     assert all(yaml.safe_load(path.read_text())["description"] for path in shipped_campaigns().values())
 
 
+def test_the_shipped_tumble():
+    import numpy as np
+
+    cases = list(make_cases(load_spec("tumble")))
+    masses, rates, offsets = (
+        np.array([case.values[name] for case in cases])
+        for name in ("payload.truth.mass", "capture.rate", "payload.truth.center_of_mass")
+    )
+    assert 20 <= masses.min() < 22
+    assert 298 < masses.max() <= 300
+    for vectors, largest in ((rates, math.radians(10.0)), (offsets, 0.1)):
+        size = np.linalg.norm(vectors, axis=1)
+        assert 0.99 * largest < size.max() <= largest * (1 + 1e-12)
+        axes = vectors / size[:, None]
+        # Of isotropic directions mean 0 and covariance 1/3, to the scatter of so many cases.
+        assert np.abs(axes.mean(axis=0)).max() < 3 * math.sqrt(1 / 3 / len(cases))
+        assert axes.T @ axes / len(cases) == pytest.approx(np.eye(3) / 3, abs=3 * math.sqrt(4 / 45 / len(cases)))
+
+
 def test_set_value_reaches_lists_and_absent_mappings():
     data = {"a": [1, 2], "b": {"c": None}}
     set_value(data, "a.1", 5)
@@ -290,19 +309,23 @@ def test_settled_means_until_the_end():
     criterion = parse_settled({"hold": 2.0, "tolerance": {"joints": 0.1, "base_position": 1.0}}, place="settled")
     time = np.arange(0.0, 10.5, 0.5)
     group_of = ("base_position", "joints")
-    error = np.zeros((time.size, 2))
-    assert criterion.time(time, error, group_of) == 0.0
+    error, still = np.zeros((time.size, 2)), np.zeros((time.size, 2))
+    assert criterion.time(time, error, group_of, velocity=still) == 0.0
     error[:, 0] = 0.5
     error[time < 6.0, 1] = 0.2
-    assert criterion.time(time, error, group_of) == 6.0
+    assert criterion.time(time, error, group_of, velocity=still) == 6.0
     error[time == 8.0, 1] = -0.2
-    assert criterion.time(time, error, group_of) is None
-    assert parse_settled({"hold": 0.0}, place="s").time(time, error * 0.0, group_of) == 0.0
+    assert criterion.time(time, error, group_of, velocity=still) is None
+    assert parse_settled({"hold": 0.0}, place="s").time(time, error * 0.0, group_of, velocity=still) == 0.0
+    moving = np.where(time < 7.0, 0.1, 0.01)[:, None] * [0.0, -1.0]
+    at_rest = parse_settled({"hold": 2.0, "rest": 0.05}, place="settled")
+    assert at_rest.time(time, 0.0 * error, group_of, velocity=moving) == 7.0
+    assert at_rest.time(time, 0.0 * error, group_of, velocity=10.0 * moving) is None
     own = parse_settled({"tolerance": {"joints": 0.1}}, place="s", base=load_scenario("slow_navigation")).tolerance
     assert own == {"base_rotation": 1e-3, "base_position": 5e-3, "joints": 0.1}
     error[time == 8.0, 1] = 0.0
     error[-1, 0] = np.nan
-    assert criterion.time(time, error, group_of) is None
+    assert criterion.time(time, error, group_of, velocity=still) is None
 
 
 def test_help_needs_no_drake():

@@ -141,13 +141,17 @@ class Linearizer:
             memory=self._parts_of_memory,
         )
 
-    def follow(self, *, held: Mapping[str, np.ndarray] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def follow(
+        self, *, held: Mapping[str, np.ndarray] | None = None, samples: int | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The run without noise: true error at the samples and force from each to the next (n, nv), NaN once it fails.
 
-        Args: as for ``at``.
+        Args:
+          held: as for ``at``.
+          samples: how many from the start; None: all.
         """
         count, nv, period = (
-            self.scenario.num_control_periods,
+            self.scenario.num_control_periods if samples is None else samples,
             len(self.loop.coordinates.names),
             self.scenario.sample_time,
         )

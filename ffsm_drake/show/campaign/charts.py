@@ -1,5 +1,6 @@
 """The charts of a campaign's page."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,6 +13,7 @@ from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, label_of, styl
 
 FAILED = "#CC3311"
 SETTLED = "#4477AA"
+_LIMITS = (FAILED, "#EE7733", "#AA3377", "#009988", "#BBBBBB")  # failed runs by the first limit
 _POINTS = 1500  # of a cumulative curve
 _SHARE = {"range": [0, 101]}
 
@@ -111,8 +113,29 @@ def _sensitivity(findings: Findings) -> Panel:
     )  # fmt: skip
 
 
+def _marked(runs: Runs) -> list[tuple[np.ndarray, str, str, str]]:
+    """The runs to tell apart: mask, label, color and symbol; failed ones by the first limit that they left."""
+    failed = ~runs.settled
+    marked = [(runs.settled, "settled", SETTLED, "circle")]
+    if runs.first_limit is None:
+        return [*marked, (failed, "not settled", FAILED, "x")]
+    refused = runs.outcome == "refused"
+    for (limit, count), color in zip(limits_of(runs).items(), itertools.cycle(_LIMITS), strict=False):
+        which = failed & ~refused & (runs.first_limit == limit)
+        marked.append((which, f"{limit or 'no limit left'}: {count}", color, "x"))
+    return [*marked, (refused, f"no plan within the limits: {refused.sum()}", NEUTRAL, "triangle-up")]
+
+
+def limits_of(runs: Runs) -> dict[str, int]:
+    """The limits that failed runs left first, "" for none, and how many; the most frequent first."""
+    assert runs.first_limit is not None
+    failed = runs.first_limit[~runs.settled & (runs.outcome != "refused") & (runs.outcome != "error")]
+    names, counts = np.unique(failed, return_counts=True)
+    return {str(names[i]): int(counts[i]) for i in np.argsort(-counts, kind="stable")}
+
+
 def _map(findings: Findings, runs: Runs) -> Panel:
-    """Outcomes of one controller over two values, and where it is predicted unstable."""
+    """Outcomes of one controller over two values, and where it is predicted to fail."""
     grid = findings.map
     assert grid is not None
     traces: list[Trace] = []
@@ -133,10 +156,7 @@ def _map(findings: Findings, runs: Runs) -> Panel:
             "hoverinfo": "skip",
         })  # fmt: skip
     x, y = (findings.table.values[axis][runs.case] for axis in (grid.x_name, grid.y_name))
-    for which, label, color, symbol in (
-        (runs.settled, "settled", SETTLED, "circle"),
-        (~runs.settled, "not settled", FAILED, "x"),
-    ):
+    for which, label, color, symbol in _marked(runs):
         cases = zip(runs.case[which], runs.outcome[which], strict=True)
         traces.append({
             "type": "scattergl" if x.size > 3000 else "scatter",

@@ -15,7 +15,7 @@ from ffsm_drake.campaign.statistics import CONFIDENCE, Findings, Interval, find,
 from ffsm_drake.campaign.store import Store
 from ffsm_drake.common.errors import CampaignError, RecordError, one_line
 from ffsm_drake.common.files import write_text
-from ffsm_drake.show.campaign.charts import chart_views
+from ffsm_drake.show.campaign.charts import chart_views, limits_of
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.style import label_of
 from ffsm_drake.show.tables import NONE, aligned, number, percent
@@ -26,6 +26,12 @@ _METRICS = {
     "peak_error_joints": "peak joint error [rad]",
     "peak_effort_base_position": "peak base force [N]",
     "settled_time": "settled after [s]",
+}
+_OF_CAPTURE = {
+    "peak_effort_base_rotation": "peak base torque [N m]",
+    "peak_effort_joints": "peak joint torque [N m]",
+    "grasp_impulse": "impulse of the grasp [N s]",
+    "grasp_angular_impulse": "angular [N m s]",
 }
 _PREDICTED = ("stable_settled", "stable_failed", "unstable_settled", "unstable_failed")
 
@@ -82,12 +88,14 @@ def summary_text(findings: Findings) -> str:
 
     totals = [str(sum(getattr(item, name) for item in findings.agreement)) for name in _PREDICTED]
     outcomes = [["", "settled", "not settled"]]
-    outcomes += [["predicted stable", *totals[:2]], ["predicted unstable", *totals[2:]]]
+    names = ("stable", "unstable") if findings.spec.base["capture"] is None else ("to settle", "to fail")
+    outcomes += [[f"predicted {name}", *totals[at : at + 2]] for name, at in zip(names, (0, 2), strict=True)]
     return "\n".join([*aligned(rates), "", *aligned(outcomes)])
 
 
 def _page(store: Store, findings: Findings) -> str:
     spec, table = findings.spec, findings.table
+    metrics = _METRICS | (_OF_CAPTURE if spec.base["capture"] is not None else {})
     views = chart_views(findings)
     content: dict[str, Any] = {
         "title": spec.description or store.path.stem,
@@ -103,10 +111,18 @@ def _page(store: Store, findings: Findings) -> str:
             for (name, rate), runs in zip(findings.success.items(), table.runs.values(), strict=True)
         ],
         "metrics": [
-            [label_of(name), *(_spread(quantiles(runs, metric)) for metric in _METRICS)]
+            [label_of(name), *(_spread(quantiles(runs, metric)) for metric in metrics)]
             for name, runs in table.runs.items()
         ],
-        "metric_names": list(_METRICS.values()),
+        "metric_names": list(metrics.values()),
+        "outcomes": [kind.replace("_", " ") for kind in OUTCOMES],
+        "limits": [
+            [label_of(name), limit or "none", count]
+            for name, runs in table.runs.items()
+            if runs.first_limit is not None
+            for limit, count in limits_of(runs).items()
+        ],
+        "has_capture": spec.base["capture"] is not None,
         "differences": [
             [
                 f"{label_of(d.first)} against {label_of(d.second)}", *_value_and_interval(d.success, "{:+.1f}", 100.0),
