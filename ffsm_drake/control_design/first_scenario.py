@@ -54,7 +54,7 @@ _COMMENTS = {
     "payload": "The target: its true mass properties, and the nominal ones that the controller uses; rather too light "
     "than too heavy. Inertia about the centre of mass: [Ixx, Iyy, Izz] or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz].",
     "reference": "Duration of the planned motion; the target posture is held afterwards.",
-    "controller": "One of tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus.",
+    "controller": "One of tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus, tvlqr, torque_against_momentum.",
     "controllers": "With w the natural frequency in rad/s: K_P = w^2 and K_D = 2 w; ASMC: K_D = w and K_s = 2 w; PD+: "
     "with 2 w in place of w, times an inertia of each coordinate. With the sample time L and a known inertia, the "
     "sampled loop is stable for (K_D + K_s) L < 2.",

@@ -70,6 +70,8 @@ _CONTROLLERS = {
     "asmc": ("ASMC", Style(GREEN, "dashdot")),
     "tdc": ("TDC", Style(GREY, "dot")),
     "computed_torque": ("Computed torque", Style(ORANGE, "longdash")),
+    "tvlqr": ("TVLQR", Style("#332288", "dash")),
+    "torque_against_momentum": ("Torque against H", Style("#999933", "dashdot")),
     "pd_plus": ("PD+", Style(SKY, "longdashdot")),
 }
 # For every other controller, and for a run whose controller's style is taken.

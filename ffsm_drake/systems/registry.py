@@ -24,6 +24,8 @@ SHIPPED: dict[str, dict[str, str]] = {
         "asmc": f"{_LAWS}.asmc:Asmc",
         "aismc": f"{_LAWS}.aismc:Aismc",
         "tde_aismc": f"{_LAWS}.tde_aismc:TdeAismc",
+        "tvlqr": f"{_LAWS}.tvlqr:Tvlqr",
+        "torque_against_momentum": f"{_LAWS}.torque_against_momentum:TorqueAgainstMomentum",
         "computed_torque": "ffsm_drake.systems.controllers.computed_torque:ComputedTorque",
         "pd_plus": "ffsm_drake.systems.controllers.pd_plus:PdPlus",
     },
