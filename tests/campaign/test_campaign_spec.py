@@ -81,6 +81,11 @@ BAD = {
     "factor named as a key": (
         changed("factors", sample_time={"distribution": "uniform", "low": 0, "high": 1}), "must be a free name"
     ),
+    "several directions": (
+        changed("derive", duration={"rule": "direction", "of": ["a", "b"], "height": "h", "azimuth": "a"}),
+        "direction takes one name each",
+    ),
+    "resting at nothing": (changed("settled", rest=0), "settled.rest: must be > 0, not 0"),
     "unknown rule": (changed("derive", duration={"rule": "exec", "of": "nominal_error"}), "rule 'exec' is unknown"),
     "unknown source": (changed("derive", duration={"rule": "scale", "of": "nothing"}), "'nothing' is neither"),
     "list as a number": (
@@ -231,6 +236,10 @@ def test_rules():
     assert apply([100.0, -0.2], rule="relative", of="m", error="f") == pytest.approx(80.0)
     assert apply([[1.0, 2.0], 0.5], rule="relative", of="i", error="f") == [1.5, 3.0]
     assert apply([3.0, 2.0], rule="scale", of=["a", "b"], by=[1, 0, 2]) == [6.0, 0.0, 12.0]
+    turned = apply([2.0, 0.6, math.pi / 2], rule="direction", of="w", height="h", azimuth="a")
+    assert turned == pytest.approx([0.0, 1.6, 1.2])
+    with pytest.raises(CampaignError, match=r"height must be from -1 to 1, not 1\.5"):
+        apply([2.0, 1.5, 0.0], rule="direction", of="w", height="h", azimuth="a")
     assert apply([1.0, 2.5], rule="sum", of=["a", "b"]) == 3.5
     assert apply([[1.0, 2.0], [3.0, 4.0]], rule="sum", of=["a", "b"]) == [4.0, 6.0]
     with pytest.raises(CampaignError, match="only one"):
