@@ -234,7 +234,7 @@ def _finish(
         for remark in run_remarks(record):
             click.echo(f"warning: {record.scenario.controller}: {remark}", err=True)
         with suppress(ModelError):  # of which the remarks tell
-            if (closest := run_clearance(record)) is not None:
+            for closest in run_clearance(record):
                 click.echo(f"{record.scenario.controller}: nearest to each other: {closest}", err=True)
     if not as_json:
         placed = _places(records)

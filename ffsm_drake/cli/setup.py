@@ -152,7 +152,7 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
 
     results: dict[str, dict[str, Any]] = {}
     for name in scenarios:
-        closest = None
+        closest = []
         try:
             with located_errors(name, overrides), warnings.catch_warnings(record=True) as caught:
                 scenario = load_scenario(name, overrides)
@@ -167,14 +167,14 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
                 "valid": True,
                 "controller": loop.scenario.controller,
                 "coordinates": list(loop.coordinates.names),
-                "nearest": None if closest is None else dataclasses.asdict(closest),
+                "nearest": [dataclasses.asdict(each) for each in closest],
                 "warnings": [str(item.message) for item in caught],
             }
             if not as_json:
                 for text in results[name]["warnings"]:
                     click.echo(f"warning: {name}: {text}", err=True)
                 joints = len(loop.coordinates.joints)
-                nearest = "" if closest is None else f"; plan: {closest}"
+                nearest = "".join(f"; plan: {each}" for each in closest)
                 click.echo(f"{name}: valid; {loop.scenario.controller}, free base and {joints} joints{nearest}")
         except FfsmError as error:
             results[name] = {"valid": False, "error": str(error)}

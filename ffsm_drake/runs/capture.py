@@ -187,14 +187,7 @@ class _Handover:
         self._reference = np.concatenate([planned.q, planned.grasp.velocity])
         # The target's own motion up to where it is to be met.
         self._twist = planned.target_velocity
-        self._X_WP = RigidTransform(target_body(scenario, model).EvalPoseInWorld(model.context))
-        self._path = coast(
-            scenario.payload.truth,
-            self._X_WP,
-            planned.target_velocity,
-            samples=self.sample,
-            sample_time=scenario.sample_time,
-        )
+        self._X_WP, self._path = target_path(scenario, model, planned)
 
     def start(self, loop: ClosedLoop, root_context: Context) -> None:
         """Put the servicer where the approach starts."""
@@ -244,6 +237,15 @@ class _Handover:
         )
         loop.set_state(root_context, np.concatenate([q, contact.grasp.velocity]))
         loop.resume(root_context, self._before, self._context_before, self._reference)
+
+
+def target_path(scenario: Scenario, model: PlantModel, planned: Contact) -> tuple[RigidTransform, np.ndarray]:
+    """X_WP of the target where it is to be met, and its motion up to there, at the samples before; see ``coast``."""
+    model.plant.SetPositions(model.context, planned.q)
+    X_WP = RigidTransform(target_body(scenario, model).EvalPoseInWorld(model.context))
+    samples = round(scenario.grasp_time / scenario.sample_time)
+    twist, sample_time = planned.target_velocity, scenario.sample_time
+    return X_WP, coast(scenario.payload.truth, X_WP, twist, samples=samples, sample_time=sample_time)
 
 
 def coast(

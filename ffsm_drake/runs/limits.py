@@ -13,13 +13,15 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.runs.capture import NOTHING, target_path
 from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
-from ffsm_drake.spacecraft.capture import velocity_at_start
-from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.capture import planned_contact, velocity_at_start
+from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_error
 from ffsm_drake.spacecraft.joint_limits import JointLimits, force_limits, joint_limits
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
-from ffsm_drake.spacecraft.plant import configuration, coordinates_of, find_body, make_plant, resolve_package, urdfs_of
+from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.plant import configuration, find_body, make_plant, resolve_package, urdfs_of
 from ffsm_drake.systems.reference import PlannedMotion, make_motion
 
 if TYPE_CHECKING:
@@ -42,7 +44,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     """What in a scenario leaves the limits of its model, or takes the place of its values; a line each.
 
     Looks at the postures and, unless a user-supplied block replaces it, at the planned motion: positions, rates, and
-    the force that perfect tracking asks of the joints with the true payload, disturbances aside.
+    the force that perfect tracking takes with the true payload, disturbances aside.
 
     Raises:
       ModelError, ScenarioError: the model or a posture cannot be used.
@@ -58,23 +60,39 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     motion = make_motion(scenario, model.coordinates)
     remarks += _starts_elsewhere(scenario, motion, model.plant)
     remarks += _clearance(lambda: plan_clearance(scenario), scenario.clearance, "the planned motion")
-    if not np.isfinite([limits.lower, limits.upper, limits.velocity, limits.effort]).any():
-        return remarks
-    times = np.linspace(motion.begin, min(motion.end, scenario.duration), _POSTURES)
-    rows = motion.rows(times)
-    nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
-    q, v, a = rows[:, :nq], rows[:, nq : nq + nv], rows[:, nq + nv :]
+    limit = np.full(len(model.coordinates.names), np.inf)
+    if scenario.blocks.actuation is None:
+        limit = model.coordinates.vector(scenario.actuation.limit or {}, key="actuation.limit", default=np.inf)
+    remarks += _motion_remarks(model, motion, limits, limit, begin=motion.begin, end=min(motion.end, scenario.duration))
+    if motion.begin > 0.0:
+        set_payload(model.plant, model.context, body=scenario.payload.body, properties=NOTHING)
+        remarks += _motion_remarks(model, motion, limits, limit, begin=0.0, end=motion.begin - scenario.sample_time)
+    return remarks
+
+
+def _motion_remarks(
+    model: PlantModel, motion: PlannedMotion, limits: JointLimits, limit: np.ndarray, *, begin: float, end: float
+) -> Iterator[str]:
+    """Where a planned motion, or following it with the model's payload, is beyond the joints' limits or a force's."""
+    times = np.linspace(begin, end, _POSTURES)
+    q, v, a = np.split(motion.rows(times), np.cumsum([len(motion.coordinates.position_names), limit.size]), axis=1)
 
     def at(sample: int) -> str:
         return f" at t = {times[sample]:.3g} s"
 
-    if np.isfinite(limits.velocity).any():
-        remarks += _sizes(limits, v[:, NUM_BASE_VELOCITIES:], limits.velocity, "the planned motion", "/s", at)
-    if np.isfinite(limits.effort).any():
-        tracking = "tracking the planned motion perfectly takes"
-        forces = model.calc_inverse_dynamics(q, v, a)[:, NUM_BASE_VELOCITIES:]
-        remarks += _sizes(limits, forces, limits.effort, tracking, " force", at)
-    return remarks
+    yield from _sizes(limits, v[:, NUM_BASE_VELOCITIES:], limits.velocity, "the planned motion", "/s", at)
+    if not np.isfinite(np.r_[limits.effort, limit]).any():
+        return
+    force, tracking = model.calc_tracking_force(q, v, a), "tracking the planned motion perfectly takes"
+    yield from _sizes(limits, force[:, NUM_BASE_VELOCITIES:], limits.effort, tracking, " force", at)
+    parts = []
+    for i, name in enumerate(motion.coordinates.names):
+        worst = int(np.argmax(np.abs(force[:, i])))
+        if abs(force[worst, i]) > limit[i] * (1.0 + _SLACK):
+            unit = {"rad": "N m", "m": "N"}[motion.coordinates.units[i]]
+            parts.append(f"{name} {abs(force[worst, i]):.4g} {unit}{at(worst)} (limit {limit[i]:.4g})")
+    if parts:
+        yield f"{tracking}: beyond actuation.limit: {', '.join(parts)}"
 
 
 def run_remarks(record: "RunRecord") -> list[str]:
@@ -111,23 +129,26 @@ class Closest:
     second: str
     distance: float  # m; negative: they overlap by this
     time: float  # s
+    before_grasp: bool = False  # while the target is a body of its own
 
     def __str__(self) -> str:
-        return f"{self.first} and {self.second} {self.distance:.3g} m apart at t = {self.time:.3g} s"
+        before = ", before the grasp" if self.before_grasp else ""
+        return f"{self.first} and {self.second} {self.distance:.3g} m apart at t = {self.time:.3g} s{before}"
 
 
-def plan_clearance(scenario: Scenario) -> Closest | None:
-    """Where the planned motion brings parts nearest to each other; None for a user-supplied one, or if none can meet.
+def plan_clearance(scenario: Scenario) -> list[Closest]:
+    """Where the planned motion brings parts nearest to each other, before a grasp and with the target held.
+
+    Empty for a user-supplied motion, or if no parts can meet.
 
     Raises ModelError: the model does not load, or has shapes without a distance.
     """
     if scenario.blocks.reference is not None:
-        return None
+        return []
     data = scenario_to_dict(scenario)
     # What it depends on: a run, its report and the next run of the same plan ask for the same.
-    keys = ("model", "reference", "initial_posture", "target_posture", "duration", "sample_time", "capture")
-    shortest = ("payload", "actuation") if scenario.capture or scenario.reference.duration is None else ()
-    parts = {key: data[key] for key in (*keys, *shortest)}
+    keys = ("model", "payload", "reference", "initial_posture", "target_posture", "duration", "sample_time", "capture")
+    parts = {key: data[key] for key in (*keys, "actuation")}
     files = urdfs_of(scenario.model)
     if scenario.reference.kind == "optimal":
         files = (*files, resolve_package(scenario.reference.plan or ""))
@@ -135,49 +156,84 @@ def plan_clearance(scenario: Scenario) -> Closest | None:
 
 
 @functools.lru_cache(maxsize=64)
-def _plan_clearance_of(text: str, changed: tuple[int, ...]) -> Closest | None:
+def _plan_clearance_of(text: str, changed: tuple[int, ...]) -> list[Closest]:
     """Of the parts of a scenario as text; ``changed`` is when its files were."""
     scenario = scenario_from_dict(json.loads(text))
-    clearance = Clearance(scenario.model)
-    motion = make_motion(scenario, coordinates_of(clearance.plant))
+    model = make_nominal_plant(scenario)
+    motion = make_motion(scenario, model.coordinates)
+    found: list[Closest] = []
+    if motion.begin > 0.0:
+        _, path = target_path(scenario, model, planned_contact(scenario, model))
+        chosen = np.unique(np.linspace(0, len(path) - 1, _INSTANTS).round().astype(int))
+        times = scenario.sample_time * chosen
+        found += _closest(scenario, times, _positions_of(motion, times), target=path[chosen, :7])
     times = np.linspace(motion.begin, min(motion.end, scenario.duration), _INSTANTS)
-    return _closest(clearance, times, motion.rows(times)[:, : clearance.plant.num_positions()])
+    return [*found, *_closest(scenario, times, _positions_of(motion, times))]
 
 
-def run_clearance(record: "RunRecord") -> Closest | None:
-    """Where a run brought parts nearest to each other, looked at in a hundred samples; None where none can meet.
+def _positions_of(motion: PlannedMotion, times: np.ndarray) -> np.ndarray:
+    return motion.rows(times)[:, : len(motion.coordinates.position_names)]
 
-    Of a run with a capture only what follows the grasp: before it the target is not where the model has it.
+
+def run_clearance(record: "RunRecord") -> list[Closest]:
+    """As ``plan_clearance``, of a run, looked at in a hundred samples of each of its phases.
 
     Raises ModelError: as ``plan_clearance``.
     """
-    count = record.dataset.sizes["time"]
-    held = (
-        np.flatnonzero(record.dataset["phase"].values == "stop") if "phase" in record.dataset.coords else range(count)
-    )
-    if len(held) == 0:
-        return None
-    chosen = np.unique(np.linspace(held[0], count - 1, 2 * _INSTANTS - 1).round().astype(int))
-    time, q = (record.dataset[name].values[chosen] for name in ("time", "position"))
-    return _closest(Clearance(record.scenario.model), time, q)
+    data = record.dataset
+    found: list[Closest] = []
+    phases = data["phase"].values if "phase" in data.coords else np.full(data.sizes["time"], "stop")
+    for phase in ("approach", "stop"):
+        samples = np.flatnonzero(phases == phase)
+        if samples.size == 0:
+            continue
+        chosen = samples[np.unique(np.linspace(0, samples.size - 1, 2 * _INSTANTS - 1).round().astype(int))]
+        part, target = data.isel(time=chosen), None
+        if phase == "approach":
+            target = np.hstack([part["target_quaternion"].values, part["target_position"].values])
+        found += _closest(record.scenario, part["time"].values, part["position"].values, target=target)
+    return found
 
 
-def _closest(clearance: Clearance, times: np.ndarray, q: np.ndarray) -> Closest | None:
-    if not clearance.pairs or not np.isfinite(q).all(axis=1).any():
-        return None
-    approach = clearance.along(q)
-    nearest, time = approach.nearest, float(times[approach.index])
-    return Closest(first=nearest.first, second=nearest.second, distance=nearest.distance, time=time)
+def _closest(
+    scenario: Scenario, times: np.ndarray, q: np.ndarray, *, target: np.ndarray | None = None
+) -> Iterator[Closest]:
+    """Where configurations (n, nq) come nearest to themselves or, before a grasp, the target with poses (n, 7)."""
+    clearance = _shapes(scenario, apart=None if target is None else scenario.payload.body)
+    if target is not None:
+        q = np.hstack([q, target])
+    if clearance.pairs and np.isfinite(q).all(axis=1).any():
+        approach = clearance.along(q)
+        nearest, time = approach.nearest, float(times[approach.index])
+        yield Closest(
+            first=nearest.first, second=nearest.second, distance=nearest.distance, time=time,
+            before_grasp=target is not None,
+        )  # fmt: skip
 
 
-def _clearance(find: Callable[[], Closest | None], threshold: float, what: str) -> Iterator[str]:
+def _shapes(scenario: Scenario, *, apart: str | None = None) -> Clearance:
+    """The shapes of a scenario's model, where the target is held or, before a grasp, ``apart``."""
+    text = json.dumps(dataclasses.asdict(scenario.model))
+    return _loaded(text, tuple(file.stat().st_mtime_ns for file in urdfs_of(scenario.model)), apart)
+
+
+@functools.lru_cache(maxsize=4)  # a campaign asks after every run
+def _loaded(text: str, changed: tuple[int, ...], apart: str | None) -> Clearance:
+    """Of a model as text; loading takes longer than looking at a motion. ``changed`` is when its files were."""
+    model = scenario_from_dict({"model": json.loads(text)}).model
+    return Clearance(model) if apart is None else ApproachClearance(model, apart)
+
+
+def _clearance(find: Callable[[], list[Closest]], threshold: float, what: str) -> Iterator[str]:
     """Says so when parts come nearer to each other than a threshold, m."""
     try:
-        closest = find()
+        found = find()
     except ModelError as error:
         yield f"clearance is not looked at: {error}"
         return
-    if closest is not None and closest.distance < threshold:
+    for closest in found:
+        if closest.distance >= threshold:
+            continue
         pair = f"{closest.first} and {closest.second}"
         size = f"{abs(closest.distance):.3g} m"
         state = f"overlap by {size}" if closest.distance < 0.0 else f"come within {size} of each other"
@@ -219,7 +275,7 @@ def limits_left(log: "RunLog") -> dict[str, float]:
     Of a run with a capture clearance is looked at from the grasp on, as in ``run_clearance``.
     """
     scenario, coordinates = log.scenario, log.coordinates
-    clearance = _shapes_of(json.dumps(scenario_to_dict(scenario)["model"]))
+    clearance = _shapes(scenario)
     plant = clearance.plant
     joints, state = joint_limits(scenario.model, plant), log.series["state"]
     nq = len(coordinates.position_names)
@@ -245,12 +301,6 @@ def limits_left(log: "RunLog") -> dict[str, float]:
             ):
                 return found | {CLEARANCE: float(log.time[sample])}
     return found
-
-
-@functools.lru_cache(maxsize=1)  # a campaign asks after every run
-def _shapes_of(text: str) -> Clearance:
-    """Of the model of a scenario as text."""
-    return Clearance(scenario_from_dict({"model": json.loads(text)}).model)
 
 
 def _no_time(sample: int) -> str:

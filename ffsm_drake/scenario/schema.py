@@ -143,7 +143,9 @@ class Planning:
     time_weight: float = 1.0  # 1/s; weight of the duration; 0: the motion takes reference.duration
     # 1/(N^2 m^2 s); weight of the integral of the squared force; a little keeps out forces that shorten nothing
     effort_weight: float = 1e-4
-    reserve: float = 0.02  # share of the force limits that is left to the controller
+    # share of the force limits that is left to the controller: for noise, disturbances, and what the true payload takes
+    # beyond the nominal one
+    reserve: float = 0.4
     end_rate: float = 0.0  # rad/s or m/s; every rate at the end is at most this, and then dies away
     velocity_limit: PerCoordinate | None = None  # rad/s or m/s; largest rate, beside the URDFs'; null: none
     impulse_limit: PerCoordinate | None = None  # N m s or N s; largest integral of a force's size, each; null: none

@@ -2,7 +2,8 @@
 
 The shapes are the model's collision geometry; of a model without any, its pictures; of a mesh, the convex hull. Left
 out are parts that are fixed to each other (the target and what grasps it), parts that a joint connects, and those with
-few joints between them that are near each other wherever these are, as the links of a wrist.
+few joints between them that are near each other wherever these are, as the links of a wrist. Before a grasp the target
+is a body of its own, which the gripper may touch over the last decimetre.
 """
 
 import dataclasses
@@ -16,11 +17,13 @@ from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Model
-from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, add_combined_plant, cause_of
+from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, add_combined_plant, cause_of, find_body, find_frame, make_plant
 
 # Bodies with few joints between them that are always near, wherever these are, tell nothing of a motion.
 _NEIGHBOURS, _NEAR = 3, 0.2  # joints, m
 _PLACES = 40  # of these joints that are looked at
+
+_REACH = 0.1  # m; from its place on the target to where the gripper is about to touch it
 
 _MEASURED = (".obj", ".gltf", ".vtk")  # meshes that have a distance, that of their convex hull
 
@@ -45,10 +48,13 @@ class Approach:
 class Clearance:
     """Distances between the parts of a spacecraft. The scene graph's context is a scratch pad."""
 
-    def __init__(self, model: Model) -> None:
-        """Raises ModelError: the model does not load, or has shapes without a distance."""
+    def __init__(self, model: Model, *, apart: str | None = None) -> None:
+        """Args: the model; the body (scoped name) that is not grasped yet, whose pose then follows the configuration.
+
+        Raises ModelError: the model does not load, or has shapes without a distance.
+        """
         builder = DiagramBuilder()
-        self.plant: MultibodyPlant = add_combined_plant(builder, model)
+        self.plant: MultibodyPlant = add_combined_plant(builder, model, apart=apart)
         scene_graph = self._scene_graph = builder.GetSubsystemByName("scene_graph")
         source, inspector = self.plant.get_source_id(), scene_graph.model_inspector()
         try:
@@ -78,10 +84,12 @@ class Clearance:
             parts = [GeometrySet(self._shapes_of[body.index()]) for body in (first, second)]
             manager.Apply(CollisionFilterDeclaration().AllowBetween(*parts))
 
-    def nearest(self, q: np.ndarray) -> Nearest:
-        """The smallest distance in configuration q (nq)."""
+    def nearest(self, q: np.ndarray, *, below: float = np.inf) -> Nearest:
+        """The smallest distance in configuration q (nq), of those below some distance (m): the smaller, the faster."""
         self.plant.SetPositions(self.plant_context, q)
-        found = self._query.Eval(self._shapes).ComputeSignedDistancePairwiseClosestPoints(np.inf)
+        found = self._query.Eval(self._shapes).ComputeSignedDistancePairwiseClosestPoints(below)
+        if met := self._may_touch():
+            found = [pair for pair in found if not {self._body_of[s].index() for s in (pair.id_A, pair.id_B)} <= met]
         if not found:
             return Nearest(distance=np.inf, first="", second="")
         least = min(found, key=lambda pair: pair.distance)
@@ -90,9 +98,18 @@ class Clearance:
 
     def along(self, positions: np.ndarray) -> Approach:
         """Where a motion, configurations (n, nq), comes nearest to itself; not finite ones are passed over."""
-        finite = [(k, self.nearest(q)) for k, q in enumerate(positions) if np.isfinite(q).all()]
-        index, nearest = min(finite, key=lambda item: item[1].distance)
-        return Approach(index=index, nearest=nearest)
+        best = None
+        for index in np.flatnonzero(np.isfinite(positions).all(axis=1)):
+            nearest = self.nearest(positions[index], below=np.inf if best is None else best.nearest.distance)
+            if best is None or nearest.distance < best.nearest.distance:
+                best = Approach(index=int(index), nearest=nearest)
+        if best is None:
+            raise ValueError("no configuration is finite")
+        return best
+
+    def _may_touch(self) -> set[BodyIndex]:
+        """Bodies whose distances from each other mean nothing in the present configuration."""
+        return set()
 
     def _free_pairs(self) -> list[tuple[RigidBody, RigidBody]]:
         """The pairs of bodies with shapes whose distance means something."""
@@ -136,8 +153,7 @@ class Clearance:
 
     def _always_near(self, first: RigidBody, second: RigidBody, joints: tuple[Joint, ...]) -> bool:
         """Whether two bodies are nearer than _NEAR wherever the joints between them are."""
-        q = np.zeros(self.plant.num_positions())
-        q[0] = 1.0
+        q = self.plant.GetPositions(self.plant_context)  # with unit quaternions
         shapes = list(itertools.product(self._shapes_of[first.index()], self._shapes_of[second.index()]))
         generator = np.random.default_rng(0)
         for _ in range(_PLACES):
@@ -151,3 +167,25 @@ class Clearance:
             if all(query.ComputeSignedDistancePairClosestPoints(*pair).distance > _NEAR for pair in shapes):
                 return False
         return True
+
+
+class ApproachClearance(Clearance):
+    """Before the grasp: configurations are the servicer's, followed by the target's pose (quaternion, position)."""
+
+    def __init__(self, model: Model, target: str) -> None:
+        """Args: the model; scoped name of the target. Errors as ``Clearance``."""
+        super().__init__(model, apart=target)
+        held = make_plant(model)
+        frame = find_frame(held, model.end_effector, key="model.end_effector")
+        body = find_body(held, target, key="payload.body")
+        self._X_PE = frame.CalcPose(held.CreateDefaultContext(), body.body_frame())  # in the grasp
+        self._effector = find_frame(self.plant, model.end_effector, key="model.end_effector")
+        self._target = find_body(self.plant, target, key="payload.body")
+        gripper = self.plant.GetBodiesWeldedTo(self._effector.body())
+        self._gripping = {self._target.index(), *(each.index() for each in gripper)}
+
+    def _may_touch(self) -> set[BodyIndex]:
+        context = self.plant_context
+        place = (self._target.EvalPoseInWorld(context) @ self._X_PE).translation()
+        gap = np.linalg.norm(place - self._effector.CalcPoseInWorld(context).translation())
+        return self._gripping if gap < _REACH else set()

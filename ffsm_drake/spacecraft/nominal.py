@@ -45,6 +45,14 @@ class PlantModel:
         """The force H a + C (..., nv) that gives accelerations a (..., nv), N m and N."""
         return (self.calc_mass_matrix(q) @ a[..., None])[..., 0] + self.calc_bias(q, v)
 
+    def calc_tracking_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """The force (..., nv) that actuators give along a motion: inverse dynamics and the joints' damping."""
+        damping = np.zeros(v.shape[-1])
+        for joint in map(self.plant.get_joint, self.plant.GetJointIndices()):
+            if joint.num_velocities() == 1:
+                damping[joint.velocity_start()] = joint.default_damping()
+        return self.calc_inverse_dynamics(q, v, a) + damping * v
+
     def _set_positions(self, q: np.ndarray) -> None:
         if not math.isfinite(q.dot(q)):  # on which Drake ends the process
             raise ValueError("the configuration q is not finite")

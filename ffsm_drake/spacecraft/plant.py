@@ -43,10 +43,11 @@ def resolve_package(address: str) -> Path:
     return models_dir() / address.removeprefix(OWN_PACKAGE) if address.startswith(OWN_PACKAGE) else Path(address)
 
 
-def add_combined_plant(builder: DiagramBuilder, model: Model) -> MultibodyPlant:
+def add_combined_plant(builder: DiagramBuilder, model: Model, *, apart: str | None = None) -> MultibodyPlant:
     """Add the finalized plant (continuous, no gravity, quaternion floating base) and its scene graph to a diagram.
 
-    Contact is off.
+    Contact is off. A body ``apart`` (scoped name) is not held by anything: its pose, as a quaternion and a position,
+    follows the spacecraft's configuration.
 
     Raises:
       ModelError: the directives or URDFs do not load, or do not give one floating base with one-degree joints.
@@ -54,7 +55,7 @@ def add_combined_plant(builder: DiagramBuilder, model: Model) -> MultibodyPlant:
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     plant.set_name("plant")
     scene_graph.set_name("scene_graph")
-    _load(plant, model)
+    _load(plant, model, apart=apart)
     bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
     nothing_touches = CollisionFilterDeclaration().ExcludeWithin(plant.CollectRegisteredGeometries(bodies))
     scene_graph.collision_filter_manager().Apply(nothing_touches)
@@ -86,7 +87,7 @@ def make_plant(model: Model) -> MultibodyPlant:
     return plant
 
 
-def _load(plant: MultibodyPlant, model: Model) -> None:
+def _load(plant: MultibodyPlant, model: Model, *, apart: str | None = None) -> None:
     parser = Parser(plant)
     parser.SetStrictParsing()  # otherwise Drake replaces a non-physical inertia by a solid sphere
     folders = _package_folders(model)
@@ -116,6 +117,11 @@ def _load(plant: MultibodyPlant, model: Model) -> None:
             plant.WeldFrames(end_effector, grasp)
         except DRAKE_ERRORS as error:
             raise ModelError(f"model.grasp: {model.grasp}: {cause_of(error)}") from error
+    if apart is not None:
+        body = find_body(plant, apart, key="payload.body")
+        for joint in [plant.get_joint(index) for index in plant.GetJointIndices()]:
+            if body.index() in (joint.parent_body().index(), joint.child_body().index()):
+                plant.RemoveJoint(joint)
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
     try:
         plant.Finalize()
@@ -128,10 +134,11 @@ def _load(plant: MultibodyPlant, model: Model) -> None:
         )
     if not plant.GetFloatingBaseBodies():
         raise ModelError(f"{source}: no floating base; the base must not be welded to world")
-    try:
-        coordinates_of(plant)
-    except ModelError as error:
-        raise ModelError(f"{source}: {error}") from None
+    if apart is None:
+        try:
+            coordinates_of(plant)
+        except ModelError as error:
+            raise ModelError(f"{source}: {error}") from None
     find_frame(plant, model.end_effector, key="model.end_effector")
 
 

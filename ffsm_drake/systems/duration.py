@@ -52,7 +52,7 @@ def shortest_duration(scenario: Scenario, motion_in: Callable[[float], "PlannedM
         q, v, a = np.split(motion.rows(times), [nq, nq + nv], axis=1)
         arm = q[:, NUM_BASE_POSITIONS:]
         shares = [
-            np.abs(model.calc_inverse_dynamics(q, v, a)) / (free * force),
+            np.abs(model.calc_tracking_force(q, v, a)) / (free * force),
             np.abs(v[:, NUM_BASE_VELOCITIES:]) / (free * joints.velocity),
             1.0 + np.fmax(arm - joints.upper, joints.lower - arm),
         ]

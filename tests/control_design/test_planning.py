@@ -7,7 +7,7 @@ import pytest
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.control_design.planning import PlanningError, plan_motion
-from ffsm_drake.runs.limits import LimitWarning
+from ffsm_drake.runs.limits import LimitWarning, plan_clearance, plan_remarks, saturation
 from ffsm_drake.runs.simulate import prepare
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.plan import load_plan
@@ -163,3 +163,51 @@ def test_parts_that_come_too_near_are_warned_of():
         LimitWarning, match=r"the planned motion: base and debris come within 0.0741 m .*clearance 0.1 m"
     ):
         prepare(load_scenario("postcapture", ["clearance=0.1"])).release()
+
+
+def test_a_plan_after_a_grasp_leaves_room_for_the_true_payload(tmp_path):
+    """Nominal 80 kg, true 100 kg: with a reserve of 0.3 the force saturates, and the run diverges."""
+    overrides = ["capture.approach=null", "planning.segments=6", "reference.duration=12", "duration=12"]
+    found = plan_motion(load_scenario("tumbling_capture", overrides))
+    path = tmp_path / "plan.yaml"
+    found.plan.save(path, title="after a grasp")
+    overrides += ["reference.kind=optimal", f"reference.plan={path}"]
+    record = simulate(load_scenario("tumbling_capture", overrides), check_stability=False)
+    assert record.outcome.completed
+    assert max(saturation(record).values(), default=0.0) < 0.01
+    error = np.abs(record.dataset.error.values[-1])
+    assert max(error[:3].max(), error[6:].max()) < 2e-5
+    assert error[3:6].max() < 1e-3
+
+
+@pytest.mark.parametrize("rate", [0.01, 0.035])  # rad/s
+def test_a_slow_tumble_stops_where_it_is(rate):
+    """It takes no longer than a control sample per segment, or than the base's torque needs."""
+    overrides = ["capture.approach=null", "planning.segments=6", "reference.goal=stop"]
+    found = plan_motion(load_scenario("tumbling_capture", [*overrides, f"capture.rate=[{rate}, 0, 0]"]))
+    assert 0.06 <= found.plan.duration < 0.5
+    assert all(margin.kept for margin in found.margins)
+    assert np.abs(found.rows[-1, 12:23]).max() < 1e-12
+
+
+def test_clearance_before_the_grasp_is_that_of_a_free_target():
+    before, after = plan_clearance(load_scenario("tumbling_capture"))
+    assert (before.before_grasp, after.before_grasp) == (True, False)
+    assert (before.first, before.second) == ("debris", "link_5")  # the gripper, up to the last decimetre
+    assert 0.01 < before.distance < 0.05
+    assert before.time < 20.0 < after.time
+    across = (
+        "capture.approach.posture.joints={joint_1: 0.17, joint_2: 0.35, joint_3: 1.35, joint_4: -0.1, joint_5: -0.7}"
+    )
+    remarks = plan_remarks(load_scenario("tumbling_capture", [across]))
+    assert any("link_5" in line and "overlap" in line and "debris" in line for line in remarks)
+
+
+def test_a_motion_beyond_the_actuators_is_told_before_the_run():
+    (line,) = [
+        line
+        for line in plan_remarks(load_scenario("tumbling_capture", ["capture.rate=[0.31, 0.25, 0.34]"]))
+        if "actuation.limit" in line
+    ]
+    assert line.startswith("tracking the planned motion perfectly takes: beyond actuation.limit: base_rotation_x")
+    assert "(limit 10)" in line

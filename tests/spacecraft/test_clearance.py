@@ -8,7 +8,7 @@ from pydrake.geometry import Box, Cylinder, Ellipsoid, Role, Sphere
 from pydrake.math import RigidTransform
 
 from ffsm_drake import load_scenario
-from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
 from ffsm_drake.spacecraft.plant import configuration
 
 BEYOND = 0.012  # m; by which a picture may stand out of its shape
@@ -87,3 +87,23 @@ def test_the_shipped_targets_fold_in_without_touching(scenario, distance):
     nearest = clearance.nearest(configuration(clearance.plant, loaded.target_posture, key=""))
     assert {nearest.first, nearest.second} == {"base", "debris"}
     assert nearest.distance == pytest.approx(distance, abs=2e-3)
+
+
+def test_a_target_apart_is_measured_where_it_is():
+    """Held where the gripper holds it, its distances are those of the stack; elsewhere the gripper counts, too."""
+    scenario = load_scenario("tumbling_capture")
+    held, apart = Clearance(scenario.model), ApproachClearance(scenario.model, "debris::debris")
+    q = configuration(held.plant, scenario.initial_posture, key="")
+    held.plant.SetPositions(held.plant_context, q)
+    X_WP = held.plant.GetBodyByName("debris").EvalPoseInWorld(held.plant_context)
+
+    def pose(shift):
+        return np.r_[q, X_WP.rotation().ToQuaternion().wxyz(), X_WP @ np.array(shift)]
+
+    near = apart.nearest(pose([0.0, 0.0, 0.0]))
+    assert {near.first, near.second} == {"debris", "link_4"}  # which no motion of the wrist takes from the target
+    assert near.distance == pytest.approx(0.05, abs=0.01)
+    away = apart.nearest(pose([0.0, 0.0, 0.2]))
+    assert {away.first, away.second} == {"debris", "link_5"}
+    assert away.distance == pytest.approx(0.2 - 0.045, abs=0.01)  # at the grasp the fingers reach 45 mm around the ring
+    assert apart.nearest(pose([0.0, 0.0, -0.15])).distance < -0.05

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.plant import models_dir
 from ffsm_drake.systems.reference import make_motion, rotation_vector_motion
 
 NQ, NV = 12, 11
@@ -122,6 +123,22 @@ def test_the_shortest_duration_reaches_a_limit_with_the_nominal_payload(goal):
     assert share(motion.end) <= 0.7 < share(motion.end - 0.01)
     longer, *_ = motion_of("reference.duration=auto", LIMITS, f"reference.goal={goal}", "reference.reserve=0.6")
     assert longer.end > motion.end + 0.1
+
+
+def test_the_shortest_duration_keeps_the_positions(tmp_path):
+    """joint_4 goes from 0.611 to 1.134 rad: an upper limit below that is named, one above changes nothing."""
+    text = (models_dir() / "urdf" / "servicer.urdf").read_text()
+    head, joint, tail = text.partition('<joint name="joint_4" type="continuous">')
+    for upper, free in ((1.12, False), (1.2, True)):
+        limit = f'<limit lower="-1" upper="{upper}" effort="0" velocity="0"/>'
+        servicer = tmp_path / f"{upper}.urdf"
+        servicer.write_text(head + joint.replace("continuous", "revolute") + limit + tail)
+        model = (f"model.servicer={servicer}", "model.directives=null", "reference.duration=auto", LIMITS)
+        if free:
+            assert motion_of(*model)[0].end == motion_of("reference.duration=auto", LIMITS)[0].end
+        else:
+            with pytest.raises(ScenarioError, match=r"nearest is [\d.]+ s, in which the position of joint_4 takes"):
+                motion_of(*model)
 
 
 def test_a_duration_without_limits_is_refused():

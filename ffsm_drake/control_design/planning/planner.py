@@ -21,7 +21,7 @@ from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.plan import Plan
 
 _INSTANTS = 401  # at which a plan is looked at
-_DURATIONS = np.geomspace(0.05, 1.0, 16)  # of the first guess, as parts of the longest
+_DURATIONS = np.geomspace(0.0025, 1.0, 31)  # of the first guess, as parts of the longest
 _ATTEMPTS, _LESS = 3, 0.005  # at keeping forces between the solver's instants; share by which they are cut beyond need
 _SETTLES = (0.5, 1.0, 2.0, 4.0, 8.0)  # s, in which rates at the end die away
 
@@ -92,10 +92,11 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
 
     problem = PlanningProgram(
         dynamics=dynamics, planning=planning, limits=limits, start=start, rate=rate, goal=None if free else goal,
-        longest=longest, clearance=clearance if scenario.clearance > 0.0 else None,
-        distance=scenario.clearance, report=report,
+        shortest=planning.segments * scenario.sample_time, longest=longest,
+        clearance=clearance if scenario.clearance > 0.0 else None, distance=scenario.clearance, report=report,
     )  # fmt: skip
-    guess = _first_guess(problem, limits, start, rate, goal, free=free, longest=longest)
+    allowed = limits.force * (1.0 - planning.reserve)
+    guess = _first_guess(problem, allowed, start, rate, goal, free=free)
     progress(f"first guess: fifth-order polynomial of {guess[-1]:.2f} s")
     solvers = (planning.solver, *({"snopt", "ipopt"} - {planning.solver}))
     failures = []
@@ -179,18 +180,17 @@ def _check_ends(
 
 def _first_guess(
     problem: PlanningProgram,
-    limits: MotionLimits,
+    allowed: np.ndarray,
     start: np.ndarray,
     rate: np.ndarray,
     goal: np.ndarray,
     *,
     free: bool,
-    longest: float,
 ) -> np.ndarray:
     """The fifth-order polynomial from the start, at its rate, to rest, in the shortest of a few times that fits."""
     best, least = np.empty(0), np.inf
-    for part in _DURATIONS if problem.may_be_shorter else (1.0,):
-        duration = float(part * longest)
+    shortest, longest = problem.durations
+    for duration in np.unique(np.clip(_DURATIONS * longest, shortest, longest)):
         first = rate * duration
         change = 0.5 * first if free else goal - start
 
@@ -205,7 +205,7 @@ def _first_guess(
             )
 
         guess = problem.guess(curve, duration)
-        worst = float(np.max(np.abs(problem.evaluate(guess)[0]) / limits.force))
+        worst = float(np.max(np.abs(problem.evaluate(guess)[0]) / allowed))
         if worst < least:
             best, least = guess, worst
         if worst <= 1.0:

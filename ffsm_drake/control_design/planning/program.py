@@ -33,7 +33,6 @@ _INFLUENCE = 0.1  # m beyond the clearance; nearer parts are seen by the solver
 _INSTANTS = 3  # in which force and clearance are looked at, per segment
 _ROOM = 0.002  # m beyond the clearance, for what happens between these instants
 _SUM = 0.005  # share of an impulse that the sum over these instants may miss
-_SHORTEST = 0.05  # s
 _OPTIONS: dict[str, dict[str, float | int | str]] = {
     "snopt": {
         "Major iterations limit": 1000,
@@ -57,12 +56,13 @@ class PlanningProgram:
         start: np.ndarray,
         rate: np.ndarray,
         goal: np.ndarray | None,
+        shortest: float,
         longest: float,
         clearance: Clearance | None,
         distance: float,
         report: Callable[[int, float, float], None],
     ) -> None:
-        """Args: of the problem; z and its rate at the start, z at the end (None: anywhere); the longest duration, s;
+        """Args: of the problem; z and its rate at the start, z at the end (None: anywhere); durations, s;
         distances to keep, and how much, m; ``report`` is called with evaluations, duration and the worst force relative
         to its limit.
         """
@@ -80,9 +80,9 @@ class PlanningProgram:
         self._points = program.NewContinuousVariables(count * size, "point")
         self._duration = program.NewContinuousVariables(1, "duration")
         points, duration = self._points.reshape(count, size), self._duration
-        self.may_be_shorter = planning.time_weight > 0.0
-        shortest = _SHORTEST if planning.time_weight > 0.0 else longest  # effort alone takes all the time there is
-        program.AddBoundingBoxConstraint(shortest, longest, duration)
+        # Effort alone takes all the time there is.
+        self.durations = min(shortest, longest) if planning.time_weight > 0.0 else longest, longest
+        program.AddBoundingBoxConstraint(*self.durations, duration)
         program.AddBoundingBoxConstraint(start, start, points[0])
         per_segment = planning.segments * DEGREE  # z'(0) T = per_segment (P_1 - P_0), likewise at the end
         for i in range(size):

@@ -113,8 +113,7 @@ def _limits_left(results: Sequence[Result]) -> list[str]:
         try:
             sentences += [f"Plan: {remark}." for remark in plan_remarks(result.record.scenario)]
             sentences += [f"{name}{remark[:1].upper()}{remark[1:]}." for remark in run_remarks(result.record)]
-            if (closest := run_clearance(result.record)) is not None:
-                sentences.append(f"{name}Nearest to each other: {closest}.")
+            sentences += [f"{name}Nearest to each other: {closest}." for closest in run_clearance(result.record)]
         except (FfsmError, KeyError) as error:  # a model that does not load any more, a variable that is not there
             sentences.append(f"{name}Limits of the model not compared: {one_line(error)}.")
     return list(dict.fromkeys(sentences))
