@@ -100,7 +100,11 @@ class CaptureRollout:
         self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
         self._approach = None
         if scenario.grasp_time > 0.0:
-            self._approach = Rollout(_without_target(scenario), blocks=blocks, meshcat=meshcat)
+            target = None
+            if meshcat is not None:
+                model = make_nominal_plant(scenario)
+                target = target_path(scenario, model, planned_contact(scenario, model))[1][:, :7]
+            self._approach = Rollout(_without_target(scenario), blocks=blocks, meshcat=meshcat, target=target)
 
     @property
     def loop(self) -> ClosedLoop:

@@ -12,7 +12,8 @@ import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput, Multiplexer, VectorLogSink
+from pydrake.systems.primitives import Demultiplexer, LogVectorOutput, Multiplexer, TrajectorySource, VectorLogSink
+from pydrake.trajectories import PiecewisePolynomial
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, one_line
 from ffsm_drake.common.files import same_folder
@@ -25,7 +26,7 @@ from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.runs.record import Outcome
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates, position_errors
-from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
+from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
 from ffsm_drake.systems.registry import Factory, is_shipped
 
 if TYPE_CHECKING:
@@ -96,13 +97,18 @@ class Rollout:
     """
 
     def __init__(
-        self, scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None, meshcat: Meshcat | None = None
-    ) -> None:
-        """Args: what to build; factories in place of its blocks, see ``add_closed_loop``; where to show the motion."""
+        self, scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None, meshcat: Meshcat | None = None,
+        target: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
+        """Args: what to build; factories in place of its blocks, see ``add_closed_loop``; where to show the motion, and
+        how the target moves on its own there: its pose (n, 7; quaternion, position) at the control samples.
+        """
         start = time.perf_counter()
         builder = DiagramBuilder()
-        plant = None if meshcat is None else add_combined_plant(builder, scenario.model)
+        plant = None if meshcat is None or target is not None else add_combined_plant(builder, scenario.model)
         loop = add_closed_loop(builder, scenario, blocks=blocks, plant=plant)
+        if meshcat is not None and target is not None:
+            _show_apart(builder, loop, target)
         self._logger, self._logged = _add_logger(builder, loop)
         if meshcat is not None:
             visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), meshcat)
@@ -276,6 +282,20 @@ class Rollout:
             else:
                 series[name] = rows[part].T.copy()
         return times, series
+
+
+def _show_apart(builder: DiagramBuilder, loop: ClosedLoop, target: np.ndarray) -> None:
+    """Show the spacecraft as it moves and the target (n, 7) on its own."""
+    scenario, plant = loop.scenario, loop.plant
+    poses = add_pictures_apart(builder, scenario.model, scenario.payload.body)
+    parts = builder.AddNamedSystem("shown_state", Demultiplexer([plant.num_positions(), plant.num_velocities()]))
+    times = scenario.sample_time * np.arange(len(target))
+    path = builder.AddNamedSystem("shown_target", TrajectorySource(PiecewisePolynomial.FirstOrderHold(times, target.T)))
+    both = builder.AddNamedSystem("shown", Multiplexer([plant.num_positions(), target.shape[1]]))
+    builder.Connect(plant.get_state_output_port(), parts.get_input_port())
+    builder.Connect(parts.get_output_port(0), both.get_input_port(0))
+    builder.Connect(path.get_output_port(), both.get_input_port(1))
+    builder.Connect(both.get_output_port(), poses.get_input_port())
 
 
 def user_supplied(scenario: Scenario, blocks: Mapping[str, Factory] | None = None) -> list[str]:

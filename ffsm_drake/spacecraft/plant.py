@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.geometry import CollisionFilterDeclaration, Convex, Mesh, Role
+from pydrake.geometry import CollisionFilterDeclaration, Convex, Mesh, Role, SceneGraph
 from pydrake.math import RollPitchYaw
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
 from ffsm_drake.scenario import Model, Posture
@@ -60,6 +61,23 @@ def add_combined_plant(builder: DiagramBuilder, model: Model, *, apart: str | No
     nothing_touches = CollisionFilterDeclaration().ExcludeWithin(plant.CollectRegisteredGeometries(bodies))
     scene_graph.collision_filter_manager().Apply(nothing_touches)
     return plant
+
+
+def add_pictures_apart(builder: DiagramBuilder, model: Model, body: str) -> MultibodyPositionToGeometryPose:
+    """Add a scene graph with the model's geometry, where nothing holds a body (scoped name), and what poses it.
+
+    Returns: a system whose input is the spacecraft's configuration and that body's pose (quaternion, position).
+
+    Raises:
+      ModelError: as ``add_combined_plant``.
+    """
+    scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
+    plant = MultibodyPlant(time_step=0.0)
+    plant.RegisterAsSourceForSceneGraph(scene_graph)
+    _load(plant, model, apart=body)
+    poses: MultibodyPositionToGeometryPose = builder.AddNamedSystem("poses", MultibodyPositionToGeometryPose(plant))
+    builder.Connect(poses.get_output_port(), scene_graph.get_source_pose_port(plant.get_source_id()))
+    return poses
 
 
 def check_pictures(model: Model) -> None:

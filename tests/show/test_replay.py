@@ -11,11 +11,14 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.show.meshcat import LiveReplay, live, recording_html, replay_live, start_meshcat, write_recording
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.live import PLAY, QUIT, SPEED, TIME
 from ffsm_drake.show.meshcat.replay_view import ReplayView
 from ffsm_drake.show.report.page import render_report
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.plan import load_plan
 
 
 @pytest.fixture(scope="module")
@@ -300,6 +303,29 @@ def test_up_to_the_grasp_the_target_is_apart(meshcat, captured):
     assert np.abs(apart[:50] - 0.5).min() > 0.01  # not yet at the grasp, 0.5 m from its centre
     assert apart[200:] == pytest.approx(0.5, abs=2e-3)
     assert "grasp at t = 2 s" in recording_html(captured)
+
+
+def test_a_live_run_shows_the_target_apart(meshcat, captured):
+    meshcat.Delete()
+    seen = []
+    rollout = make_rollout(captured.scenario, meshcat=meshcat)
+    rollout.run(progress=lambda time, _: seen.append((time, transform(meshcat, "visualizer/debris/debris"))))
+    assert [time for time, _ in seen] == pytest.approx([0.0, 1.0, 2.0, 2.0, 2.5], abs=0.5)
+    for time, matrix in seen[:2]:
+        sample = captured.dataset.isel(time=round(time / 0.01))
+        assert matrix[:3, 3] == pytest.approx(sample["target_position"].values, abs=1e-6)
+        attitude = RotationMatrix(Quaternion(sample["target_quaternion"].values)).matrix()
+        assert matrix[:3, :3] == pytest.approx(attitude, abs=2e-3)  # frames are 1/64 s apart
+    rollout.release()
+
+
+def test_the_ghost_stands_where_a_plan_ends(meshcat, run):
+    record = run("planar_detumble", "duration=0.5")
+    view(meshcat, record, ghost=True)
+    plan = load_plan(record.scenario.reference.plan, Coordinates(("joint_1", "joint_2", "joint_3"), ("rad",) * 3))
+    last = plan.rows(np.array([plan.end]))[0]
+    assert transform(meshcat, "target_posture/servicer/base")[:3, 3] == pytest.approx(last[4:7], abs=1e-6)
+    assert np.linalg.norm(last[4:7]) > 0.01  # it starts at the origin
 
 
 def test_the_report_tells_of_the_grasp(captured):

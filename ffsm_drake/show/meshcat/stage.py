@@ -29,11 +29,13 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.scenario import Model, Scenario
-from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, find_body
+from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, coordinates_of, find_body
+from ffsm_drake.systems.reference import make_motion
 
 _VIEW = np.array([0.5843, -0.7176, 0.3793])  # unit vector from what the camera looks at to the camera
 _TANGENT = 0.85 * math.tan(math.radians(37.5))  # Meshcat shows 37.5 degrees up and down; some of it stays free
 _HIDDEN_TRIES = 4
+_TO_TARGET = ("quintic", "target_posture")  # kind and goal of a reference that ends there
 _GHOST_COLOR = Rgba(0.45, 0.85, 1.0, 0.10)
 
 
@@ -100,9 +102,17 @@ def _show_target_posture(
     MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
-    target = configuration(plant, scenario.target_posture, key="target_posture")
-    plant.SetPositions(plant.GetMyMutableContextFromRoot(context), target)
+    plant.SetPositions(plant.GetMyMutableContextFromRoot(context), _last_configuration(scenario, plant))
     diagram.ForcedPublish(context)
+
+
+def _last_configuration(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
+    """Where the motion ends (nq): a plan, or one that stops wherever it costs least, not in the target posture."""
+    if scenario.blocks.reference is None and (scenario.reference.kind, scenario.reference.goal) != _TO_TARGET:
+        with suppress(FfsmError):  # a plan's file that is not there any more
+            motion = make_motion(scenario, coordinates_of(plant))
+            return motion.evaluate(motion.end)[0]
+    return configuration(plant, scenario.target_posture, key="target_posture")
 
 
 def camera_pose(
@@ -110,12 +120,15 @@ def camera_pose(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where the camera stands and the point that it looks at (3 each), world frame, m.
 
-    It looks at the middle of what is seen of the spacecraft in either posture, from as far as it takes to see all.
+    It looks at the middle of what is seen of the spacecraft where it starts and ends, from as far as it takes to see
+    all.
     """
     context = plant.CreateDefaultContext()
     points = []
     for name, posture in scenario.postures.items():
-        plant.SetPositions(context, configuration(plant, posture, key=name))
+        last = name == "target_posture"
+        q = _last_configuration(scenario, plant) if last else configuration(plant, posture, key=name)
+        plant.SetPositions(context, q)
         points += [_outline(plant, context, inspector, BodyIndex(k)) for k in range(1, plant.num_bodies())]  # no world
     p_WP = np.concatenate(points)
     center = 0.5 * (p_WP.min(axis=0) + p_WP.max(axis=0))
