@@ -27,12 +27,13 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant
+from ffsm_drake.systems.actuation import THRUSTER_OUTPUTS
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.registry import Factory
 
-# Signals of every closed loop. OPTIONAL_OUTPUTS come on top that the controller gives, and "force_<name>" for each
-# external force where there are several.
+# Signals of every closed loop. OPTIONAL_OUTPUTS come on top that the controller gives, THRUSTER_OUTPUTS that the
+# actuators give, and "force_<name>" for each external force where there are several.
 SIGNALS = (
     "state",
     "estimated_state",
@@ -194,6 +195,8 @@ def add_closed_loop(
     if len(forces) > 1:
         sources |= {f"force_{name.partition('.')[2]}": source for name, source in recorded.items()}
     sources |= {name: (controller, name) for name in OPTIONAL_OUTPUTS if controller.HasOutputPort(name)}
+    if actuation is not None:
+        sources |= {name: (actuation, name) for name in THRUSTER_OUTPUTS if actuation.HasOutputPort(name)}
     return ClosedLoop(scenario=scenario, plant=plant, coordinates=coordinates, blocks=parts, sources=sources)
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ffsm_drake.runs.actuators import thruster_metrics
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -21,6 +23,7 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
         wrong.
       phases: of a run with a capture, by phase,
         those of ``tracking_metrics``, each with its own time.
+      thrusters: of a run with thrusters, those of ``actuators.thruster_metrics``.
     """
     tracking = tracking_metrics(
         time=dataset["time"].values,
@@ -46,6 +49,8 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
             )
             for name, part in phases.items()
         }
+    if thrusters := thruster_metrics(dataset):
+        tracking["thrusters"] = thrusters
     return tracking | {"momentum_residual": sizes}
 
 

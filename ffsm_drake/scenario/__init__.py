@@ -41,11 +41,13 @@ from ffsm_drake.scenario.schema import (
     Reference,
     Scenario,
     Sensing,
+    Thrusters,
     controller_key,
     from_grasp,
     inertia_matrix,
 )
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
+from ffsm_drake.scenario.thruster_layouts import thruster_layouts, thrusters_of
 
 __all__ = [
     "MANIFEST_FILE",
@@ -78,6 +80,7 @@ __all__ = [
     "Reference",
     "Scenario",
     "Sensing",
+    "Thrusters",
     "from_grasp",
     "inertia_matrix",
     "is_overridden",
@@ -92,4 +95,6 @@ __all__ = [
     "schema_fields",
     "shown",
     "shipped_scenarios",
+    "thruster_layouts",
+    "thrusters_of",
 ]

@@ -77,6 +77,10 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
         if not record.outcome.completed:
             lines[k] += f"  ({record.outcome.status} at {record.outcome.time:.2f} s)"
     lines += [grasp_line(record.grasp) for record in records if record.grasp is not None]
+    for record in records:
+        if "thrusters" in record.metrics:
+            name = f"{record.scenario.controller}: " if len(records) > 1 else ""
+            lines.append(name + thruster_line(record.metrics["thrusters"]))
     return "\n".join(lines)
 
 
@@ -98,6 +102,23 @@ def grasp_line(grasp: Mapping[str, Any]) -> str:
         + f", kinetic energy {before:.4g} to {after:.4g} J; missed by {1e3 * miss['position']:.2g} mm and "
         f"{1e3 * miss['angle']:.2g} mrad, met at {1e3 * miss['velocity']:.2g} mm/s and "
         f"{1e3 * miss['angular_velocity']:.2g} mrad/s{gripper}"
+    )
+
+
+def thruster_line(figures: Mapping[str, Any]) -> str:
+    """What a run took out of its thrusters (``thruster_metrics``) in one line."""
+    propellant = (
+        f"{1e3 * figures['propellant']:.3g} g of propellant (the commanded force alone: at least "
+        f"{1e3 * figures['propellant_of_force']:.3g} g), "
+        if "propellant" in figures
+        else ""
+    )
+    shortest = figures["shortest_pulse"]
+    return (
+        f"thrusters: {propellant}impulse {sum(figures['impulse'].values()):.4g} N s in "
+        f"{sum(figures['pulses'].values())} pulses"
+        + ("" if shortest is None else f", the shortest {1e3 * shortest:.3g} ms")
+        + f"; not all of the wanted wrench in {percent(figures['saturated'])} of the samples"
     )
 
 
