@@ -1,4 +1,4 @@
-"""What a run took out of its actuators: propellant, pulses and on-times of thrusters."""
+"""What a run took out of its actuators: propellant, pulses and on-times of thrusters, momentum and torque of wheels."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -40,6 +40,71 @@ def add_thrusters(dataset: "xr.Dataset", scenario: Scenario, series: Mapping[str
             specific_impulse=("thruster", impulse, {"long_name": "specific impulse", "units": "s"})
         )
     return dataset
+
+
+def add_wheels(dataset: "xr.Dataset", scenario: Scenario, series: Mapping[str, np.ndarray]) -> "xr.Dataset":
+    """The dataset with what wheels did, along ``wheel``; ``angular_momentum`` becomes that of base, arm and wheels.
+
+    Arguments as for ``add_thrusters``.
+    """
+    units = scenario.wheels.units if scenario.wheels is not None else {}
+    momentum = series["wheel_momentum"]
+    by_wheel, by_axis = ("time", "wheel"), ("time", "axis")
+    for name, dims, meaning, unit in (
+        ("wheel_momentum", by_wheel, "momentum of each wheel about its axis", "N m s"),
+        ("wheel_torque", by_wheel, "torque of each wheel's motor from this sample to the next", "N m"),
+        ("wheel_reaction", by_axis, "torque of the wheels on the base, part of applied_force, held likewise", "N m"),
+        ("stored_momentum", by_axis, "momentum of the wheels in the world frame, part of angular_momentum", "N m s"),
+    ):
+        dataset[name] = (dims, series[name], {"long_name": meaning, "units": unit})
+    unloads = {"long_name": "1 while thrusters unload the wheels", "units": "1"}
+    dataset["wheel_unloads"] = ("time", series["wheel_unloads"][:, 0], unloads)
+    dataset["angular_momentum"] = dataset["angular_momentum"].copy(
+        data=dataset["angular_momentum"].values + series["stored_momentum"]
+    )
+    dataset = dataset.assign_coords(wheel=list(units) or [f"wheel_{i + 1}" for i in range(momentum.shape[1])])
+    if not units:
+        return dataset
+    axes = np.array([np.array(unit.axis, dtype=float) / np.linalg.norm(unit.axis) for unit in units.values()])
+    turning = _in_the_base(dataset["position"].values[:, :4], dataset["velocity"].values[:, :3]) @ axes.T
+    speed = momentum / np.array([unit.inertia for unit in units.values()]) - turning
+    dataset["wheel_speed"] = (by_wheel, speed, {"long_name": "speed of each wheel in the base", "units": "rad/s"})
+    limits = {
+        name: ("wheel", [getattr(unit, name) for unit in units.values()], {"units": unit})
+        for name, unit in (("torque_limit", "N m"), ("speed_limit", "rad/s"))
+    }
+    return dataset.assign_coords(limits)
+
+
+def _in_the_base(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors in world axes (n, 3) in those of bodies with attitudes (w, x, y, z) (n, 4)."""
+    w, u = quaternions[:, :1], -quaternions[:, 1:]
+    twice = 2.0 * np.cross(u, vectors)
+    return vectors + (w * twice + np.cross(u, twice)) / (quaternions**2).sum(axis=1)[:, None]
+
+
+def wheel_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
+    """What a run asked of its wheels, as plain numbers; empty for one without, or of a user-supplied block.
+
+    Keys:
+      peak_momentum, peak_torque: N m s and N m, of each wheel.
+      speed_used, torque_used: the largest share of any wheel's limit.
+      torque_limited: share of the samples in which a motor is at its limit.
+      unloading: share of the samples in which thrusters unload them.
+    """
+    if "wheel_speed" not in dataset:
+        return {}
+    names = dataset["wheel"].values.astype(str).tolist()
+    torque = np.abs(dataset["wheel_torque"].values)
+    torque_used = torque / dataset["torque_limit"].values
+    return {
+        "peak_momentum": dict(zip(names, np.abs(dataset["wheel_momentum"].values).max(axis=0).tolist(), strict=True)),
+        "peak_torque": dict(zip(names, torque.max(axis=0).tolist(), strict=True)),
+        "speed_used": float((np.abs(dataset["wheel_speed"].values) / dataset["speed_limit"].values).max()),
+        "torque_used": float(torque_used.max()),
+        "torque_limited": float((torque_used > 1.0 - 1e-9).any(axis=1).mean()),
+        "unloading": float(dataset["wheel_unloads"].values.mean()),
+    }
 
 
 def thruster_metrics(dataset: "xr.Dataset") -> dict[str, Any]:

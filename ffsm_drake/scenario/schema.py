@@ -260,18 +260,44 @@ class Thrusters:
     fall_time: float = 0.0  # s; likewise after it closes
     # how the wanted force becomes pulses: "sigma_delta", whole frames; "pulse_width", a part of each frame; or "pwpf"
     modulator: str = "sigma_delta"
+    # sigma_delta only: share of its force from which a thruster opens; 0.5 owes least, more wastes less on noise
+    threshold: float = 0.8
     frame: int = 2  # control samples; from one allocation to the next, and of sigma_delta the shortest pulse
     pwpf: Pwpf = dataclasses.field(default_factory=Pwpf)
 
 
 @dataclasses.dataclass
+class Wheel:
+    """A reaction wheel in the base: balanced, symmetric about its axis, its mass and inertia part of the base's."""
+
+    axis: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 1.0])  # in the base's frame; any length
+    inertia: float = 0.08  # kg m^2; about its axis
+    torque_limit: float = 0.2  # N m; of its motor, either way
+    speed_limit: float = 628.0  # rad/s; relative to the base, either way
+    initial_momentum: float = 0.0  # N m s; about its axis, at the start
+    coulomb_friction: float = 0.0  # N m; of its bearings; below 0.1 rad/s it fades
+    viscous_friction: float = 0.0  # N m s; of its bearings
+
+
+@dataclasses.dataclass
+class Wheels:
+    """Reaction wheels that give the base's torque; thrusters, where there are any, unload them."""
+
+    units: dict[str, Wheel] = dataclasses.field(default_factory=dict)  # by name
+    desaturate_above: float = 0.8  # of a wheel's speed_limit: from there on thrusters unload the wheels
+    desaturate_below: float = 0.2  # of every wheel's speed_limit: until then
+    desaturation_time: float = 20.0  # s; time constant of unloading
+
+
+@dataclasses.dataclass
 class Actuation:
-    """How the actuators change the commanded force: saturation, quantisation, delay, thrusters, in that order."""
+    """How the actuators change the commanded force: saturation, quantisation, delay, then wheels and thrusters."""
 
     limit: PerCoordinate | None = None  # N m or N; largest force either way; null: unlimited
     quantization: PerCoordinate = _published(all=0.0)  # N m or N; step of the force; 0: none
     delay: int = 0  # control samples; age of a command when it acts
     thrusters: Thrusters | None = None  # that give the base's force and torque; null: they act as commanded
+    wheels: Wheels | None = None  # that give the base's torque in place of thrusters; null: none
 
 
 @dataclasses.dataclass
@@ -352,6 +378,11 @@ class Scenario:
         if self.capture is not None and self.capture.approach is not None:
             found["capture.approach.posture"] = self.capture.approach.posture
         return found
+
+    @property
+    def wheels(self) -> Wheels | None:
+        """The wheels of the scenario's own actuators."""
+        return None if self.blocks.actuation is not None else self.actuation.wheels
 
     @property
     def grasp_time(self) -> float:

@@ -25,6 +25,7 @@ from ffsm_drake.scenario.schema import (
     Posture,
     Scenario,
     Thrusters,
+    Wheels,
     inertia_matrix,
 )
 from ffsm_drake.scenario.thruster_layouts import thruster_layouts, thrusters_of
@@ -35,7 +36,7 @@ MAX_SAMPLES = 10_000_000
 MAX_DELAY = 1000  # control samples
 MIN_SEGMENTS, MAX_SEGMENTS = 4, 100  # of a plan's spline
 MAX_FRAME = 1000  # control samples
-MAX_THRUSTERS = 24
+MAX_THRUSTERS, MAX_WHEELS = 24, 24
 MAX_STEPS = 1_000_000_000  # of the integrator; hours
 _BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
 
@@ -124,6 +125,31 @@ def validate(scenario: Scenario) -> None:
         require(0 <= delay <= MAX_DELAY, f"{place}.delay", problem)
     if scenario.actuation.thrusters is not None:
         _validate_thrusters(scenario.actuation.thrusters, scenario.sample_time)
+    if scenario.actuation.wheels is not None:
+        _validate_wheels(scenario.actuation.wheels)
+
+
+def _validate_wheels(wheels: Wheels) -> None:
+    key = "actuation.wheels"
+    require(bool(wheels.units), f"{key}.units", "give wheels by name, such as {z: {axis: [0, 0, 1]}}")
+    require(len(wheels.units) <= MAX_WHEELS, f"{key}.units", f"at most {MAX_WHEELS}, not {len(wheels.units)}")
+    for name, unit in wheels.units.items():
+        place = f"{key}.units.{name}"
+        require(len(unit.axis) == 3, f"{place}.axis", "must hold three numbers [x, y, z]")
+        require(bool(np.linalg.norm(unit.axis) > 1e-9), f"{place}.axis", "must not be zero")
+        for part in ("inertia", "torque_limit", "speed_limit"):
+            require(getattr(unit, part) > 0, f"{place}.{part}", f"must be > 0, not {getattr(unit, part):g}")
+        for part in ("coulomb_friction", "viscous_friction"):
+            require(getattr(unit, part) >= 0, f"{place}.{part}", f"must be >= 0, not {getattr(unit, part):g}")
+        largest = unit.inertia * unit.speed_limit
+        within = f"must be within inertia * speed_limit, {largest:.4g} N m s, not {unit.initial_momentum:g}"
+        require(abs(unit.initial_momentum) <= largest, f"{place}.initial_momentum", within)
+    above, below = wheels.desaturate_above, wheels.desaturate_below
+    require(0 < above <= 1, f"{key}.desaturate_above", f"must be above 0, at most 1, not {above:g}")
+    problem = f"must be from 0 to below desaturate_above ({above:g}), not {below:g}"
+    require(0 <= below < above, f"{key}.desaturate_below", problem)
+    time = wheels.desaturation_time
+    require(time > 0, f"{key}.desaturation_time", f"must be > 0 s, not {time:g}")
 
 
 def _validate_thrusters(thrusters: Thrusters, sample_time: float) -> None:
@@ -149,6 +175,8 @@ def _validate_thrusters(thrusters: Thrusters, sample_time: float) -> None:
     for part in ("minimum_on_time", "rise_time", "fall_time"):
         number = getattr(thrusters, part)
         require(0 <= number <= 1e3, f"{key}.{part}", f"must be from 0 to 1000 s, not {number:g}")
+    threshold = f"must be from 0.5 to below 1, not {thrusters.threshold:g}"
+    require(0.5 <= thrusters.threshold < 1, f"{key}.threshold", threshold)
     frame = f"must be from 1 to {MAX_FRAME} control samples, not {thrusters.frame}"
     require(1 <= thrusters.frame <= MAX_FRAME, f"{key}.frame", frame)
     require(

@@ -14,8 +14,8 @@ from ffsm_drake.runs.actuators import STANDARD_GRAVITY, pulse_lengths
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Thrusters, thruster_layouts, thrusters_of
 from ffsm_drake.systems.actuation.allocation import Allocation, lost_direction
+from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.actuation.modulation import SchmittTrigger, mean_level, pulse_widths, whole_frames
-from ffsm_drake.systems.actuation.thrusters import attitude_ahead
 
 LAYOUTS = tuple(thruster_layouts())
 SHORT = (*flight_settings.FLIGHT, *flight_settings.NO_NOISE, "duration=2")
@@ -70,7 +70,8 @@ def test_a_lost_direction_is_one_that_no_thruster_helps_along():
 
 def test_open_times():
     share = np.array([0.0, 0.04, 0.06, 0.2, 0.5, 0.8, 1.0])
-    assert whole_frames(share, frame=0.02, minimum=0.02).tolist() == [0, 0, 0, 0, 0.02, 0.02, 0.02]
+    assert whole_frames(share, frame=0.02, threshold=0.5).tolist() == [0, 0, 0, 0, 0.02, 0.02, 0.02]
+    assert whole_frames(share, frame=0.02, threshold=0.8).tolist() == [0, 0, 0, 0, 0, 0.02, 0.02]
     assert pulse_widths(share, frame=0.2, minimum=0.02) == pytest.approx([0, 0, 0.02, 0.04, 0.1, 0.16, 0.2])
 
 
@@ -162,14 +163,14 @@ def test_the_plant_gets_what_fires(run, layout, overrides):
 
 
 def test_sigma_delta_owes_less_than_a_pulse(run):
-    """The impulse that was commanded and not fired stays below half a pulse of every thruster and a frame's command."""
+    """The impulse that was commanded and not fired stays below a threshold of every pulse and a frame's command."""
     record = run(*SHORT, "actuation.thrusters.layout=16x22N")
     data = record.dataset
     owed = np.cumsum((data["generalized_force"] - data["applied_force"]).sel(coordinate=BASE).values, axis=0) * 0.01
     wrenches, largest, _ = wrenches_of("16x22N")
     pulse = 0.02 * largest[0] * np.abs(wrenches).sum(axis=1)
     assert record.metrics["thrusters"]["saturated"] == 0.0
-    assert (np.abs(owed) <= 0.5 * pulse + 0.02 * np.abs(data["generalized_force"].values[:, :6]).max(axis=0)).all()
+    assert (np.abs(owed) <= 0.8 * pulse + 0.02 * np.abs(data["generalized_force"].values[:, :6]).max(axis=0)).all()
     assert np.abs(owed).max() > 0.05
 
 
@@ -211,6 +212,7 @@ def test_failures_are_known(run):
         (("actuation.thrusters.failures={a_x: broken}",), "failures.a_x: 'broken' is unknown; choose one of stuck_off"),
         (("actuation.thrusters.modulator=pwm",), "modulator: 'pwm' is unknown; choose one of sigma_delta, pulse_width"),
         (("actuation.thrusters.frame=1",), "frame: 1 control samples are 0.01 s, shorter than minimum_on_time, 0.02 s"),
+        (("actuation.thrusters.threshold=1",), "actuation.thrusters.threshold: must be from 0.5 to below 1, not 1"),
         (("actuation.thrusters.rise_time=-1",), "actuation.thrusters.rise_time: must be from 0 to 1000 s, not -1"),
         (("actuation.thrusters.pwpf.off=0.3",), "pwpf.off: must be from 0 to below on (0.25), not 0.3"),
     ],

@@ -12,20 +12,20 @@ import numpy as np
 _EVEN = 1e-9  # of a force: so that thrusters of the same share open together in spite of rounding
 
 
-def whole_frames(share: np.ndarray, *, frame: float, minimum: float) -> np.ndarray:
-    """Open times (n, s) of sigma-delta modulation: a whole frame from half the force on, else none.
+def whole_frames(share: np.ndarray, *, frame: float, threshold: float) -> np.ndarray:
+    """Open times (n, s) of sigma-delta modulation: a whole frame from a threshold on, else none.
 
     What is missed is carried into the next frame's share by the caller: the error's integral stays bounded.
 
-    Args: wanted share of each thruster's force (n); length of a frame and least open time, s.
+    Args: wanted share of each thruster's force (n); length of a frame, s; threshold of the share.
     """
-    return np.where(share >= 0.5 - _EVEN, frame, 0.0)
+    return np.where(share >= threshold - _EVEN, frame, 0.0)
 
 
 def pulse_widths(share: np.ndarray, *, frame: float, minimum: float) -> np.ndarray:
     """Open times (n, s) of pulse-width modulation: the share of the frame, or the least time, or none.
 
-    Arguments as for ``whole_frames``.
+    Args: wanted share of each thruster's force (n); length of a frame and least open time, s.
     """
     wanted = np.minimum(share, 1.0) * frame
     return np.where(wanted >= minimum, wanted, np.where(wanted >= 0.5 * minimum - _EVEN, minimum, 0.0))

@@ -1,17 +1,12 @@
 """Thrusters: from the base's wanted wrench to the one that on/off thrusters fire."""
 
 import dataclasses
-import math
 from typing import NamedTuple
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.scenario import Thrusters, thrusters_of
-from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.actuation.allocation import Allocation
 from ffsm_drake.systems.actuation.modulation import SchmittTrigger, mean_level, pulse_widths, whole_frames
 
@@ -86,12 +81,11 @@ class ThrusterSet:
             gain=pwpf.gain, time_constant=pwpf.time_constant, on=pwpf.on, off=pwpf.off, sample_time=sample_time
         )
         self._shortest = max(settings.minimum_on_time, sample_time)
-        self._open_times = {"sigma_delta": whole_frames, "pulse_width": pulse_widths}.get(settings.modulator)
 
     @property
     def carries_over(self) -> bool:
         """Whether what was wanted and not fired is to be wanted again; a trigger's filter does that by itself."""
-        return self._open_times is not None
+        return self.settings.modulator != "pwpf"
 
     def initial_memory(self) -> ThrusterMemory:
         """Closed, but for what is stuck on."""
@@ -103,16 +97,20 @@ class ThrusterSet:
         forces, given = self._allocation.solve(wrench - self._leak)
         wanted = np.zeros(len(self.names))
         wanted[self._works] = forces
-        if self._open_times is None:
+        if not self.carries_over:
             return dataclasses.replace(memory, wanted=wanted, given=given)
-        least = self.settings.minimum_on_time
-        open_for = np.maximum(memory.open_for, self._open_times(wanted / self.force, frame=self.frame, minimum=least))
+        share, settings = wanted / self.force, self.settings
+        if settings.modulator == "sigma_delta":
+            opened = whole_frames(share, frame=self.frame, threshold=settings.threshold)
+        else:
+            opened = pulse_widths(share, frame=self.frame, minimum=settings.minimum_on_time)
+        open_for = np.maximum(memory.open_for, opened)
         return dataclasses.replace(memory, wanted=wanted, given=given, open_for=open_for)
 
     def fire(self, memory: ThrusterMemory) -> tuple[Firing, ThrusterMemory]:
         """One control sample from memory as it is at its start, after any allocation."""
         filtered, is_on, open_for = memory.filtered, memory.is_on, memory.open_for
-        if self._open_times is None:
+        if not self.carries_over:
             filtered, is_on = self._trigger.step(memory.wanted / self.force, filtered, is_on)
             least = np.where(memory.is_on > 0.0, self.sample_time, self._shortest)  # for the rest of a pulse, or a new
             open_for = np.maximum(open_for, is_on * least)
@@ -131,74 +129,3 @@ class ThrusterSet:
         left[left < 1e-9 * self.sample_time] = 0.0
         after = dataclasses.replace(memory, open_for=left, level=level, filtered=filtered, is_on=(opened > 0.0) * 1.0)
         return Firing(self.wrenches.dot(force), force, opened / self.sample_time, memory.given), after
-
-
-class ThrusterSystem(LeafSystem):
-    """Thrusters in the closed loop: they give the base's wrench, all else passes.
-
-    Inputs:
-      commanded_force: (nv), the base's torque and force in world axes.
-      state: [q; v] of the plant (nq + nv).
-    Output, which changes at control samples only:
-      sample: stacked with ``sizes``, the applied force (nv) with the mean wrench that fires over the sample, in world
-        axes; the mean force of each thruster (n), N; the share of the sample for which each is open (n); the part of
-        the wanted wrench that the last allocation could give (1); and what the next update remembers.
-    The base turns within a sample. Its attitude at the middle, from the angular velocity at the start, is held, so
-    that the impulse of thrusters fixed to the base is right but for (w L)^2 / 24 of it.
-    Discrete state, updated every control sample: R_WB at its middle (9), whether a frame begins (1), the impulse that
-    is owed in world axes (6; N m s and N s), and ThrusterMemory.
-    """
-
-    def __init__(self, thrusters: ThrusterSet, coordinates: Coordinates) -> None:
-        super().__init__()
-        self._thrusters = thrusters
-        nv, count = len(coordinates.names), len(thrusters.names)
-        memory = np.concatenate([np.zeros(6), thrusters.initial_memory().packed()])
-        self.sizes = [nv, count, count, 1, memory.size]
-        self._commanded = self.DeclareVectorInputPort("commanded_force", nv)
-        self._state = self.DeclareVectorInputPort("state", 2 * nv + 1)
-        self._rotation = self.DeclareDiscreteState(np.eye(3).ravel())
-        self._begins = self.DeclareDiscreteState(np.zeros(1))
-        self._memory = self.DeclareDiscreteState(memory)
-        # Not on the plant's state: while the command is held, the integrator's stages read the cached value.
-        depends = {self.input_port_ticket(self._commanded.get_index()), self.xd_ticket()}
-        self._sample = self.DeclareVectorOutputPort("sample", sum(self.sizes), weak_callback(self._calc), depends)
-        self.DeclarePeriodicDiscreteUpdateEvent(thrusters.sample_time, 0.0, weak_callback(self._update))
-        untie(self)
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        thrusters, value = self._thrusters, context.get_discrete_state().value
-        commanded, remembered = self._commanded.Eval(context), value(self._memory)
-        rotation = value(self._rotation).reshape(3, 3)
-        owed, memory = remembered[:6], ThrusterMemory.unpacked(remembered[6:])
-        if value(self._begins).item():
-            wanted = commanded[:6] + owed / thrusters.frame
-            memory = thrusters.allocate(wanted.reshape(2, 3).dot(rotation).ravel(), memory)
-            if memory.given < 1.0:  # the rest is given up
-                owed = (memory.given * wanted - commanded[:6]) * thrusters.frame
-        firing, memory = thrusters.fire(memory)
-        applied = commanded.copy()
-        applied[:6] = firing.wrench.reshape(2, 3).dot(rotation.T).ravel()
-        if thrusters.carries_over:
-            owed = owed + (commanded[:6] - applied[:6]) * thrusters.sample_time
-        output.SetFromVector(
-            np.concatenate([applied, firing.force, firing.open_share, [firing.given], owed, memory.packed()])
-        )
-
-    def _update(self, context: Context, values: DiscreteValues) -> None:
-        sample = round(context.get_time() / self._thrusters.sample_time)
-        if sample > 0:
-            values.set_value(self._memory, self._sample.Eval(context)[-self.sizes[-1] :])
-        values.set_value(self._begins, [float(sample % self._thrusters.settings.frame == 0)])
-        state, nv = self._state.Eval(context), self.sizes[0]
-        angular_velocity = state[nv + 1 : nv + 4]
-        values.set_value(self._rotation, attitude_ahead(state[:4], angular_velocity, self._thrusters.sample_time / 2.0))
-
-
-def attitude_ahead(quaternion: np.ndarray, angular_velocity: np.ndarray, time: float) -> np.ndarray:
-    """R_WB (9, by rows) after a time, s, at a constant angular velocity w_WB (3, rad/s) from (w, x, y, z)."""
-    x, y, z = (0.5 * time * angular_velocity).tolist()  # half the rotation vector
-    angle = math.sqrt(x * x + y * y + z * z)
-    sinc = math.sin(angle) / angle if angle > 0.0 else 1.0
-    turn = Quaternion(wxyz=[math.cos(angle), sinc * x, sinc * y, sinc * z])
-    return turn.multiply(Quaternion(quaternion / np.linalg.norm(quaternion))).rotation().ravel()
