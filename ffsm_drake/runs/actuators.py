@@ -125,7 +125,7 @@ def thruster_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     period, names = float(dataset.attrs["sample_time"]), dataset["thruster"].values.astype(str).tolist()
     impulse = dataset["thruster_force"].values[:-1].sum(axis=0) * period
     opened = dataset["thruster_open"].values[:-1]
-    pulses = [pulse_lengths(column, period) for column in opened.T]
+    pulses = [pulses_of(column, period)[1] for column in opened.T]
     # The last pulse of a valve that is open at the end is cut off there.
     ended = [each[: each.size - int(column[-1:].sum() == 1.0)] for each, column in zip(pulses, opened.T, strict=True)]
     shortest = min((float(each.min()) for each in ended if each.size), default=None)
@@ -147,11 +147,11 @@ def thruster_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     }
 
 
-def pulse_lengths(opened: np.ndarray, period: float) -> np.ndarray:
-    """Lengths (s) of the pulses of a valve that is open for a share (n) of each sample, from the sample's start on."""
-    is_open = opened > 0.0
+def pulses_of(opened: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """The pulses of a valve that is open for a share (n) of each sample, from the sample's start on.
+
+    Returns: the samples in which they start, and their lengths, s.
+    """
     goes_on = np.r_[False, opened[:-1] == 1.0]  # open up to the sample's start
-    starts = np.flatnonzero(is_open & ~goes_on)
-    if not starts.size:
-        return np.zeros(0)
-    return np.add.reduceat(opened, starts) * period
+    starts = np.flatnonzero((opened > 0.0) & ~goes_on)
+    return starts, np.add.reduceat(opened, starts) * period if starts.size else np.zeros(0)

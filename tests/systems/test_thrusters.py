@@ -10,9 +10,13 @@ from scipy.optimize import linprog
 from scipy.signal import lsim
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop
-from ffsm_drake.runs.actuators import STANDARD_GRAVITY, pulse_lengths
+from ffsm_drake.runs.actuators import STANDARD_GRAVITY, pulses_of
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Thrusters, thruster_layouts, thrusters_of
+from ffsm_drake.show.panels import Thinning
+from ffsm_drake.show.report.actuator_panels import actuator_views
+from ffsm_drake.show.report.page import render_report
+from ffsm_drake.show.report.results import results_of
 from ffsm_drake.systems.actuation.allocation import Allocation, lost_direction
 from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.actuation.modulation import SchmittTrigger, mean_level, pulse_widths, whole_frames
@@ -174,10 +178,11 @@ def test_sigma_delta_owes_less_than_a_pulse(run):
     assert np.abs(owed).max() > 0.05
 
 
-def test_pulse_lengths():
-    opened = np.array([0, 1, 1, 0.5, 1, 1, 0, 0.3, 0.4, 0])
-    assert pulse_lengths(opened, 0.01) == pytest.approx([0.025, 0.02, 0.003, 0.004])
-    assert pulse_lengths(np.zeros(3), 0.01).size == 0
+def test_pulses_of_a_valve():
+    starts, lengths = pulses_of(np.array([0, 1, 1, 0.5, 1, 1, 0, 0.3, 0.4, 0]), 0.01)
+    assert starts.tolist() == [1, 4, 7, 8]
+    assert lengths == pytest.approx([0.025, 0.02, 0.003, 0.004])
+    assert pulses_of(np.zeros(3), 0.01)[1].size == 0
 
 
 def test_failures_are_known(run):
@@ -188,6 +193,21 @@ def test_failures_are_known(run):
     assert (opened.sel(thruster="bottom_2_y") == 1.0).all()
     assert record.dataset["thruster_force"].sel(thruster="bottom_2_y").values == pytest.approx(22.0)
     assert record.metrics["peak_error"]["base_position"] < 5e-3
+
+
+def test_the_report_draws_every_pulse(run):
+    record = run(*SHORT, "actuation.thrusters.layout=12x5N")
+    (view,) = actuator_views(results_of([record]), Thinning(1000))
+    (panel,) = view.panels
+    figures, drawn = record.metrics["thrusters"], {}
+    for trace in panel.figure.data:
+        bars = np.reshape(trace.x, (-1, 3))
+        drawn[trace.name] = (len(bars), (bars[:, 1] - bars[:, 0]).sum())
+    assert {name: number for name, (number, _) in drawn.items()} == pytest.approx(figures["pulses"], abs=1)
+    assert {name: total for name, (_, total) in drawn.items()} == pytest.approx(figures["on_time"], abs=0.011)
+    page = render_report([record])
+    assert "Thrusters and wheels" in page
+    assert f"{1e3 * figures['propellant']:.3g} g of propellant" in page
 
 
 @pytest.mark.parametrize(
