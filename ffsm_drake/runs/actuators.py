@@ -10,7 +10,10 @@ from ffsm_drake.scenario import Scenario, thrusters_of
 if TYPE_CHECKING:
     import xarray as xr
 
+    from ffsm_drake.runs.rollout import RunLog
+
 STANDARD_GRAVITY = 9.80665  # m/s^2; defines the specific impulse
+_WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 
 
 def add_thrusters(dataset: "xr.Dataset", scenario: Scenario, series: Mapping[str, np.ndarray]) -> "xr.Dataset":
@@ -107,6 +110,16 @@ def wheel_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     }
 
 
+def thrust_taken(log: "RunLog") -> tuple[float, float]:
+    """Propellant (kg) of a run with thrusters of its scenario, and the share of its samples with less than wanted."""
+    settings, series, period = log.scenario.actuation.thrusters, log.series, log.scenario.sample_time
+    if settings is None or len(log.time) < 2:
+        return 0.0, 0.0
+    exhaust = STANDARD_GRAVITY * np.array([unit.specific_impulse for unit in thrusters_of(settings).values()])
+    impulse = series["thruster_force"][:-1].sum(axis=0) * period
+    return float((impulse / exhaust).sum()), float((series["thruster_given"][:-1] < _WHOLE).mean())
+
+
 def thruster_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     """What a run with thrusters took, as plain numbers; empty for one without.
 
@@ -143,7 +156,7 @@ def thruster_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
         "pulses": {name: int(each.size) for name, each in zip(names, pulses, strict=True)},
         "on_time": dict(zip(names, (opened.sum(axis=0) * period).tolist(), strict=True)),
         "shortest_pulse": shortest,
-        "saturated": float((dataset["thruster_given"].values[:-1] < 1.0 - 1e-9).mean()) if len(opened) else 0.0,
+        "saturated": float((dataset["thruster_given"].values[:-1] < _WHOLE).mean()) if len(opened) else 0.0,
     }
 
 
