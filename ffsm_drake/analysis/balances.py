@@ -70,6 +70,8 @@ def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
     period = float(dataset.attrs["sample_time"])
     total = dataset["applied_force"] + dataset["disturbance_force"]
     force, torque = (total.sel(coordinate=list(names)).values for names in (BASE_POSITION, BASE_ROTATION))
+    if "wheel_reaction" in dataset:  # which is not external
+        torque = torque - dataset["wheel_reaction"].values
     arm = dataset["position"].sel(position_name=list(BASE_POSITION)).values
     about_origin = torque + np.cross(arm, force)
     return {

@@ -20,6 +20,7 @@ from ffsm_drake.campaign.prediction import predict
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import BlockError, LimitError, one_line
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
+from ffsm_drake.runs.actuators import thrust_taken
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.limits import CLEARANCE, limits_left
 from ffsm_drake.runs.record import software_versions
@@ -34,12 +35,20 @@ METRICS = ("itae", "isv", *(f"{kind}_{group}" for kind, group in _BY_GROUP), "se
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
 # Further columns where the scenario has a capture. The first limit that a run leaves is text.
 OF_CAPTURE = ("grasp_impulse", "grasp_angular_impulse", "first_limit_time")
+# Further columns where it has thrusters: kg, and the share of the samples whose wrench they could not give whole.
+OF_THRUSTERS = ("propellant", "thrusters_saturated")
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
 
 
 def metrics_of(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign that a run's metrics fill."""
-    return METRICS if spec.base["capture"] is None else (*METRICS, *OF_CAPTURE)
+    return (*METRICS, *(OF_CAPTURE if spec.base["capture"] is not None else ()), *(OF_THRUSTERS if fires(spec) else ()))
+
+
+def fires(spec: Spec) -> bool:
+    """Whether a campaign's scenario has thrusters of its own."""
+    base = spec.base
+    return base["actuation"].get("thrusters") is not None and base["blocks"]["actuation"] is None
 
 
 def predictions_of(spec: Spec) -> tuple[str, ...]:
@@ -135,6 +144,8 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
         values["grasp_angular_impulse"], values["grasp_impulse"] = (
             float(np.linalg.norm(part)) for part in np.split(impulse, 2)
         )
+    if fires(spec):
+        values |= dict(zip(OF_THRUSTERS, thrust_taken(log), strict=True))
     # The database knows no NaN.
     row = {name: None if value is None or math.isnan(value) else float(value) for name, value in values.items()}
     return {**text, "outcome_time": log.outcome.time, **row}
@@ -148,7 +159,7 @@ def described(error: BaseException) -> str:
 
 def error_row(message: str) -> Row:
     """The results in the row of a run that failed."""
-    names = (*METRICS, *PREDICTIONS, *OF_CAPTURE, LOAD, FIRST_LIMIT)
+    names = (*METRICS, *PREDICTIONS, *OF_CAPTURE, *OF_THRUSTERS, LOAD, FIRST_LIMIT)
     return {**dict.fromkeys(names), "outcome": "error", "outcome_time": None, "message": message}
 
 
@@ -169,5 +180,5 @@ def resident_memory() -> float:
 
 def differing_columns(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
     """Of the columns that a repeated run must reproduce bit for bit, those that differ."""
-    names = ("outcome", "outcome_time", "message", *METRICS, *OF_CAPTURE, FIRST_LIMIT)
+    names = ("outcome", "outcome_time", "message", *METRICS, *OF_CAPTURE, *OF_THRUSTERS, FIRST_LIMIT)
     return [name for name in names if first.get(name) != second.get(name)]

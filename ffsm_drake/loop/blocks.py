@@ -60,6 +60,8 @@ BLOCKS: dict[str, Ports] = {
         inputs={"commanded_force": VELOCITY},
         optional_inputs={"state": STATE},
         outputs={"applied_force": VELOCITY},
+        # What acts on the plant beside it and is not held over a sample: the gyroscopic torque of wheels.
+        optional_outputs={"gyroscopic_force": VELOCITY},
     ),
     "forces": Ports(
         outputs={"generalized_force": VELOCITY},

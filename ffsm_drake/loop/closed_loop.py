@@ -24,15 +24,16 @@ from ffsm_drake.loop.blocks import kind_of, make_blocks
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.mass_properties import set_payload, set_wheels
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant
+from ffsm_drake.systems.actuation import HELD_OUTPUTS, STORED_MOMENTUM
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.registry import Factory
 
-# Signals of every closed loop. OPTIONAL_OUTPUTS come on top that the controller gives, and "force_<name>" for each
-# external force where there are several.
+# Signals of every closed loop. OPTIONAL_OUTPUTS come on top that the controller gives, those that the actuators
+# give, and "force_<name>" for each external force where there are several.
 SIGNALS = (
     "state",
     "estimated_state",
@@ -74,6 +75,7 @@ class ClosedLoop:
         root.SetRandomContext(root_context, RandomGenerator(scenario.random_seed))
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         set_payload(self.plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
+        set_wheels(self.plant, context, scenario.wheels)
         position = configuration(self.plant, scenario.initial_posture, key="initial_posture")
         velocity = self.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
         if scenario.capture is not None:
@@ -178,6 +180,8 @@ def add_closed_loop(
         else (system, "generalized_force")
         for name, system in forces.items()
     }
+    if actuation is not None and actuation.HasOutputPort("gyroscopic_force"):
+        acting["gyroscopic"] = (actuation, "gyroscopic_force")
     total = _sum(builder, "total_force", [applied, *acting.values()], coordinates)
     builder.Connect(total[0].get_output_port(), plant.get_applied_generalized_force_input_port())
 
@@ -194,6 +198,9 @@ def add_closed_loop(
     if len(forces) > 1:
         sources |= {f"force_{name.partition('.')[2]}": source for name, source in recorded.items()}
     sources |= {name: (controller, name) for name in OPTIONAL_OUTPUTS if controller.HasOutputPort(name)}
+    if actuation is not None:
+        further = (*HELD_OUTPUTS, STORED_MOMENTUM)
+        sources |= {name: (actuation, name) for name in further if actuation.HasOutputPort(name)}
     return ClosedLoop(scenario=scenario, plant=plant, coordinates=coordinates, blocks=parts, sources=sources)
 
 

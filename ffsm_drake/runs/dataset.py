@@ -6,6 +6,7 @@ import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
+from ffsm_drake.runs.actuators import add_thrusters, add_wheels
 from ffsm_drake.runs.capture import NOTHING, GraspLog
 from ffsm_drake.runs.rollout import RunLog
 from ffsm_drake.scenario import Scenario
@@ -101,6 +102,10 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
             "random_seed": scenario.random_seed,
         },
     )
+    if "thruster_force" in series:
+        dataset = add_thrusters(dataset, scenario, series)
+    if "wheel_momentum" in series:
+        dataset = add_wheels(dataset, scenario, series)
     return dataset if log.grasp is None else _with_phases(dataset, log, log.grasp, model)
 
 

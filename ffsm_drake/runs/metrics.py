@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ffsm_drake.runs.actuators import thruster_metrics, wheel_metrics
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -21,6 +23,7 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
         wrong.
       phases: of a run with a capture, by phase,
         those of ``tracking_metrics``, each with its own time.
+      thrusters, wheels: of a run with them, those of ``actuators.thruster_metrics`` and ``wheel_metrics``.
     """
     tracking = tracking_metrics(
         time=dataset["time"].values,
@@ -46,6 +49,9 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
             )
             for name, part in phases.items()
         }
+    for name, figures in (("thrusters", thruster_metrics(dataset)), ("wheels", wheel_metrics(dataset))):
+        if figures:
+            tracking[name] = figures
     return tracking | {"momentum_residual": sizes}
 
 
@@ -122,6 +128,8 @@ def momentum_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
         return change
     held = dataset["applied_force"].sel(coordinate=names["position"]).values[:-1]
     held_torque = dataset["applied_force"].sel(coordinate=names["rotation"]).values[:-1]
+    if "wheel_reaction" in dataset:  # which is not external
+        held_torque = held_torque - dataset["wheel_reaction"].values[:-1]
     smooth = dataset["disturbance_force"].sel(coordinate=names["position"]).values
     smooth_torque = dataset["disturbance_force"].sel(coordinate=names["rotation"]).values
     position = dataset["position"].sel(position_name=names["position"]).values

@@ -44,7 +44,8 @@ class Monitor:
 
     def check(self, context: Context) -> bool:
         """Whether every velocity is within the bound; otherwise ``message`` and ``coordinate`` say which is not."""
-        state = context.get_continuous_state_vector().CopyToVector()
+        plant = self.loop.plant  # whose state is not all of the diagram's
+        state = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(context))
         if self.bounds(state):
             return True
         velocity = state[self._first_velocity :]

@@ -41,11 +41,14 @@ from ffsm_drake.scenario.schema import (
     Reference,
     Scenario,
     Sensing,
+    Thrusters,
+    Wheels,
     controller_key,
     from_grasp,
     inertia_matrix,
 )
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
+from ffsm_drake.scenario.thruster_layouts import thruster_layouts, thrusters_of
 
 __all__ = [
     "MANIFEST_FILE",
@@ -78,6 +81,8 @@ __all__ = [
     "Reference",
     "Scenario",
     "Sensing",
+    "Thrusters",
+    "Wheels",
     "from_grasp",
     "inertia_matrix",
     "is_overridden",
@@ -92,4 +97,6 @@ __all__ = [
     "schema_fields",
     "shown",
     "shipped_scenarios",
+    "thruster_layouts",
+    "thrusters_of",
 ]

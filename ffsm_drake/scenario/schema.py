@@ -21,6 +21,8 @@ CAPTURE_AXES = ("target", "world")
 SERVICER_MOTIONS = ("rest", "track_joints", "track_all", "given")
 GOALS = ("target_posture", "stop")
 GRASPING_JOINTS = ("free", "braked")
+MODULATORS = ("sigma_delta", "pulse_width", "pwpf")
+THRUSTER_FAILURES = ("stuck_off", "stuck_on")
 
 
 def _published(**values: float) -> PerCoordinate:
@@ -226,12 +228,78 @@ class Sensing:
 
 
 @dataclasses.dataclass
+class Thruster:
+    """An on/off thruster, fixed to the base."""
+
+    position: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])  # m; in the base's frame
+    # of its force on the base, against its plume, in the base's frame; of any length
+    direction: list[float] = dataclasses.field(default_factory=lambda: [1.0, 0.0, 0.0])
+    force: float = 5.0  # N; when it is open
+    specific_impulse: float = 226.1  # s; impulse per weight of propellant on Earth
+
+
+@dataclasses.dataclass
+class Pwpf:
+    """The pulse-width pulse-frequency modulator: a first-order filter before a Schmitt trigger, of each thruster."""
+
+    gain: float = 10.0  # of the filter, k_m; its input is the wanted share of the thruster's force, less 1 while open
+    time_constant: float = 0.2  # s; of the filter
+    on: float = 0.25  # output of the filter at which the thruster opens
+    off: float = 0.15  # output of the filter at which it closes
+
+
+@dataclasses.dataclass
+class Thrusters:
+    """On/off thrusters that give the base's force and torque, in place of an ideal wrench."""
+
+    # of the shipped ones: "12x1N", "12x5N" or "16x22N"; null with ``units``
+    layout: str | None = "12x5N"
+    units: dict[str, Thruster] = dataclasses.field(default_factory=dict)  # own thrusters, by name, without a layout
+    # name -> "stuck_off" or "stuck_on"; the allocation knows of it
+    failures: dict[str, str] = dataclasses.field(default_factory=dict)
+    minimum_on_time: float = 0.02  # s; a thruster that opens stays open for at least this long
+    rise_time: float = 0.0  # s; time constant of the force after it opens; 0: at once
+    fall_time: float = 0.0  # s; likewise after it closes
+    # how the wanted force becomes pulses: "sigma_delta", whole frames; "pulse_width", a part of each frame; or "pwpf"
+    modulator: str = "sigma_delta"
+    # sigma_delta only: share of its force from which a thruster opens; 0.5 owes least, more wastes less on noise
+    threshold: float = 0.8
+    frame: int = 2  # control samples; from one allocation to the next, and of sigma_delta the shortest pulse
+    pwpf: Pwpf = dataclasses.field(default_factory=Pwpf)
+
+
+@dataclasses.dataclass
+class Wheel:
+    """A reaction wheel in the base: balanced, symmetric about its axis, its mass and inertia part of the base's."""
+
+    axis: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 1.0])  # in the base's frame; any length
+    inertia: float = 0.08  # kg m^2; about its axis
+    torque_limit: float = 0.2  # N m; of its motor, either way
+    speed_limit: float = 628.0  # rad/s; relative to the base, either way
+    initial_momentum: float = 0.0  # N m s; about its axis, at the start
+    coulomb_friction: float = 0.0  # N m; of its bearings; below 0.1 rad/s it fades
+    viscous_friction: float = 0.0  # N m s; of its bearings
+
+
+@dataclasses.dataclass
+class Wheels:
+    """Reaction wheels that give the base's torque; thrusters, where there are any, unload them."""
+
+    units: dict[str, Wheel] = dataclasses.field(default_factory=dict)  # by name
+    desaturate_above: float = 0.8  # of a wheel's speed_limit: from there on thrusters unload the wheels
+    desaturate_below: float = 0.2  # of every wheel's speed_limit: until then
+    desaturation_time: float = 20.0  # s; time constant of unloading
+
+
+@dataclasses.dataclass
 class Actuation:
-    """How the actuators change the commanded force: saturation, quantisation, delay, in that order."""
+    """How the actuators change the commanded force: saturation, quantisation, delay, then wheels and thrusters."""
 
     limit: PerCoordinate | None = None  # N m or N; largest force either way; null: unlimited
     quantization: PerCoordinate = _published(all=0.0)  # N m or N; step of the force; 0: none
     delay: int = 0  # control samples; age of a command when it acts
+    thrusters: Thrusters | None = None  # that give the base's force and torque; null: they act as commanded
+    wheels: Wheels | None = None  # that give the base's torque in place of thrusters; null: none
 
 
 @dataclasses.dataclass
@@ -312,6 +380,11 @@ class Scenario:
         if self.capture is not None and self.capture.approach is not None:
             found["capture.approach.posture"] = self.capture.approach.posture
         return found
+
+    @property
+    def wheels(self) -> Wheels | None:
+        """The wheels of the scenario's own actuators."""
+        return None if self.blocks.actuation is not None else self.actuation.wheels
 
     @property
     def grasp_time(self) -> float:

@@ -1,6 +1,7 @@
 """Checks of every value that need no plant."""
 
 import dataclasses
+import math
 import re
 
 import numpy as np
@@ -14,21 +15,28 @@ from ffsm_drake.scenario.schema import (
     ESTIMATOR_KINDS,
     GOALS,
     GRASPING_JOINTS,
+    MODULATORS,
     PLAN_SOLVERS,
     REFERENCE_KINDS,
     SERVICER_MOTIONS,
+    THRUSTER_FAILURES,
     Capture,
     MassProperties,
     Posture,
     Scenario,
+    Thrusters,
+    Wheels,
     inertia_matrix,
 )
+from ffsm_drake.scenario.thruster_layouts import thruster_layouts, thrusters_of
 
 _NAME = re.compile(r"[^\W\d]\w*|[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")  # or module:attribute
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # without an error estimate
 MAX_SAMPLES = 10_000_000
 MAX_DELAY = 1000  # control samples
 MIN_SEGMENTS, MAX_SEGMENTS = 4, 100  # of a plan's spline
+MAX_FRAME = 1000  # control samples
+MAX_THRUSTERS, MAX_WHEELS = 24, 24
 MAX_STEPS = 1_000_000_000  # of the integrator; hours
 _BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
 
@@ -115,6 +123,72 @@ def validate(scenario: Scenario) -> None:
         delay = getattr(scenario, place).delay or 0
         problem = f"must be from 0 to {MAX_DELAY} control samples, not {delay}"
         require(0 <= delay <= MAX_DELAY, f"{place}.delay", problem)
+    if scenario.actuation.thrusters is not None:
+        _validate_thrusters(scenario.actuation.thrusters, scenario.sample_time)
+    if scenario.actuation.wheels is not None:
+        _validate_wheels(scenario.actuation.wheels)
+
+
+def _validate_wheels(wheels: Wheels) -> None:
+    key = "actuation.wheels"
+    require(bool(wheels.units), f"{key}.units", "give wheels by name, such as {z: {axis: [0, 0, 1]}}")
+    require(len(wheels.units) <= MAX_WHEELS, f"{key}.units", f"at most {MAX_WHEELS}, not {len(wheels.units)}")
+    for name, unit in wheels.units.items():
+        place = f"{key}.units.{name}"
+        require(len(unit.axis) == 3, f"{place}.axis", "must hold three numbers [x, y, z]")
+        require(bool(np.linalg.norm(unit.axis) > 1e-9), f"{place}.axis", "must not be zero")
+        for part in ("inertia", "torque_limit", "speed_limit"):
+            require(getattr(unit, part) > 0, f"{place}.{part}", f"must be > 0, not {getattr(unit, part):g}")
+        for part in ("coulomb_friction", "viscous_friction"):
+            require(getattr(unit, part) >= 0, f"{place}.{part}", f"must be >= 0, not {getattr(unit, part):g}")
+        largest = unit.inertia * unit.speed_limit
+        within = f"must be within inertia * speed_limit, {largest:.4g} N m s, not {unit.initial_momentum:g}"
+        require(abs(unit.initial_momentum) <= largest, f"{place}.initial_momentum", within)
+    above, below = wheels.desaturate_above, wheels.desaturate_below
+    require(0 < above <= 1, f"{key}.desaturate_above", f"must be above 0, at most 1, not {above:g}")
+    problem = f"must be from 0 to below desaturate_above ({above:g}), not {below:g}"
+    require(0 <= below < above, f"{key}.desaturate_below", problem)
+    time = wheels.desaturation_time
+    require(time > 0, f"{key}.desaturation_time", f"must be > 0 s, not {time:g}")
+
+
+def _validate_thrusters(thrusters: Thrusters, sample_time: float) -> None:
+    key, layouts = "actuation.thrusters", tuple(thruster_layouts())
+    if thrusters.layout is not None:
+        _require_choice(thrusters.layout, f"{key}.layout", layouts)
+        require(not thrusters.units, f"{key}.units", "has no effect beside a layout; set layout: null")
+    require(bool(thrusters_of(thrusters)), f"{key}.layout", f"choose one of {', '.join(layouts)}, or give units")
+    many = f"at most {MAX_THRUSTERS} thrusters are allocated, not {len(thrusters.units)}"
+    require(len(thrusters.units) <= MAX_THRUSTERS, f"{key}.units", many)
+    for name, unit in thrusters.units.items():
+        place = f"{key}.units.{name}"
+        for part in ("position", "direction"):
+            require(len(getattr(unit, part)) == 3, f"{place}.{part}", "must hold three numbers [x, y, z]")
+        require(bool(np.linalg.norm(unit.direction) > 1e-9), f"{place}.direction", "must not be zero")
+        require(unit.force > 0, f"{place}.force", f"must be > 0 N, not {unit.force:g}")
+        require(unit.specific_impulse > 0, f"{place}.specific_impulse", f"must be > 0 s, not {unit.specific_impulse:g}")
+    names = tuple(thrusters_of(thrusters))
+    for name, failure in thrusters.failures.items():
+        _require_choice(name, f"{key}.failures.{name}", names)
+        _require_choice(failure, f"{key}.failures.{name}", THRUSTER_FAILURES)
+    _require_choice(thrusters.modulator, f"{key}.modulator", MODULATORS)
+    for part in ("minimum_on_time", "rise_time", "fall_time"):
+        number = getattr(thrusters, part)
+        require(0 <= number <= 1e3, f"{key}.{part}", f"must be from 0 to 1000 s, not {number:g}")
+    threshold = f"must be from 0.5 to below 1, not {thrusters.threshold:g}"
+    require(0.5 <= thrusters.threshold < 1, f"{key}.threshold", threshold)
+    frame = f"must be from 1 to {MAX_FRAME} control samples, not {thrusters.frame}"
+    require(1 <= thrusters.frame <= MAX_FRAME, f"{key}.frame", frame)
+    require(
+        thrusters.modulator == "pwpf" or thrusters.frame * sample_time >= thrusters.minimum_on_time * (1 - 1e-9),
+        f"{key}.frame",
+        f"{thrusters.frame} control samples are {thrusters.frame * sample_time:g} s, shorter than minimum_on_time, "
+        f"{thrusters.minimum_on_time:g} s; take {math.ceil(thrusters.minimum_on_time / sample_time - 1e-9)} or more",
+    )
+    pwpf = thrusters.pwpf
+    for part in ("gain", "time_constant", "on"):
+        require(getattr(pwpf, part) > 0, f"{key}.pwpf.{part}", f"must be > 0, not {getattr(pwpf, part):g}")
+    require(0 <= pwpf.off < pwpf.on, f"{key}.pwpf.off", f"must be from 0 to below on ({pwpf.on:g}), not {pwpf.off:g}")
 
 
 def _validate_planning(scenario: Scenario) -> None:

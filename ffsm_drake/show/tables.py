@@ -77,6 +77,9 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
         if not record.outcome.completed:
             lines[k] += f"  ({record.outcome.status} at {record.outcome.time:.2f} s)"
     lines += [grasp_line(record.grasp) for record in records if record.grasp is not None]
+    for record in records:
+        name = f"{record.scenario.controller}: " if len(records) > 1 else ""
+        lines += [name + line for line in actuator_lines(record.metrics)]
     return "\n".join(lines)
 
 
@@ -99,6 +102,32 @@ def grasp_line(grasp: Mapping[str, Any]) -> str:
         f"{1e3 * miss['angle']:.2g} mrad, met at {1e3 * miss['velocity']:.2g} mm/s and "
         f"{1e3 * miss['angular_velocity']:.2g} mrad/s{gripper}"
     )
+
+
+def actuator_lines(metrics: Mapping[str, Any]) -> list[str]:
+    """What a run took out of thrusters and wheels, a line each; nothing for one without."""
+    lines = []
+    if figures := metrics.get("thrusters"):
+        propellant = (
+            f"{1e3 * figures['propellant']:.3g} g of propellant (the commanded force alone: at least "
+            f"{1e3 * figures['propellant_of_force']:.3g} g), "
+            if "propellant" in figures
+            else ""
+        )
+        shortest = figures["shortest_pulse"]
+        lines.append(
+            f"thrusters: {propellant}impulse {sum(figures['impulse'].values()):.4g} N s in "
+            f"{sum(figures['pulses'].values())} pulses"
+            + ("" if shortest is None else f", the shortest {1e3 * shortest:.3g} ms")
+            + f"; not all of the wanted wrench in {percent(figures['saturated'])} of the samples"
+        )
+    if figures := metrics.get("wheels"):
+        lines.append(
+            f"wheels: up to {percent(figures['speed_used'])} of the speed and {percent(figures['torque_used'])} of the "
+            f"torque of a wheel, a motor at its limit in {percent(figures['torque_limited'])} of the samples; unloaded "
+            f"in {percent(figures['unloading'])}"
+        )
+    return lines
 
 
 def results_data(records: Sequence[RunRecord], distances: Sequence[float] | None = None) -> list[dict[str, Any]]:

@@ -2,12 +2,12 @@
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import RotationalInertia, SpatialInertia
+from pydrake.multibody.tree import RotationalInertia, SpatialInertia, UnitInertia
 from pydrake.systems.framework import Context
 
-from ffsm_drake.common.errors import ModelError
-from ffsm_drake.scenario import MassProperties, inertia_matrix
-from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, cause_of, coordinates_of, find_body
+from ffsm_drake.common.errors import ModelError, ScenarioError
+from ffsm_drake.scenario import MassProperties, Wheels, inertia_matrix
+from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, base_body, cause_of, coordinates_of, find_body
 
 _SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues, between rounding and any spacecraft
 
@@ -23,6 +23,33 @@ def spatial_inertia(properties: MassProperties) -> SpatialInertia:
     return SpatialInertia.MakeFromCentralInertia(
         mass=properties.mass, p_PScm_E=properties.center_of_mass, I_SScm_E=central
     )
+
+
+def set_wheels(plant: MultibodyPlant, context: Context, wheels: Wheels | None) -> None:
+    """Take the wheels' inertia about their axes, which does not turn with the base, out of the base's in one context.
+
+    Raises ScenarioError where the base has less.
+    """
+    if wheels is None:
+        return
+    base = base_body(plant)
+    M_BBo_B = base.CalcSpatialInertiaInBodyFrame(plant.CreateDefaultContext())
+    inertia = M_BBo_B.CalcRotationalInertia().CopyToFullMatrix3()
+    for unit in wheels.units.values():
+        axis = np.array(unit.axis, dtype=float) / np.linalg.norm(unit.axis)
+        inertia -= unit.inertia * np.outer(axis, axis)
+    try:
+        rest = UnitInertia(RotationalInertia(
+            Ixx=inertia[0, 0], Iyy=inertia[1, 1], Izz=inertia[2, 2],
+            Ixy=inertia[0, 1], Ixz=inertia[0, 2], Iyz=inertia[1, 2],
+        ) / M_BBo_B.get_mass())  # fmt: skip
+        base.SetSpatialInertiaInBodyFrame(
+            context, SpatialInertia(mass=M_BBo_B.get_mass(), p_PScm_E=M_BBo_B.get_com(), G_SP_E=rest)
+        )
+    except DRAKE_ERRORS as error:
+        raise ScenarioError(
+            "actuation.wheels", f"their inertia is part of the base's, which has less: {cause_of(error)}"
+        ) from error
 
 
 def set_payload(plant: MultibodyPlant, context: Context, *, body: str, properties: MassProperties) -> None:

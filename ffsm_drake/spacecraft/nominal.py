@@ -9,7 +9,7 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.mass_properties import set_payload, set_wheels
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 
 
@@ -73,4 +73,5 @@ def _make_plant_model(scenario: Scenario, payload: MassProperties) -> PlantModel
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
     set_payload(plant, context, body=scenario.payload.body, properties=payload)
+    set_wheels(plant, context, scenario.wheels)
     return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))

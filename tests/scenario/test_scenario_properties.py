@@ -25,7 +25,9 @@ from ffsm_drake.scenario import (
     scenario_to_dict,
     scenario_to_yaml,
     schema_fields,
+    thruster_layouts,
 )
+from ffsm_drake.scenario.schema import MODULATORS
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
 
 SETTINGS = settings(
@@ -83,6 +85,11 @@ SPECIAL = {
     | st.fixed_dictionaries(
         {"rate": st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3)},
         optional={"axes": st.sampled_from(CAPTURE_AXES), "servicer": st.sampled_from(("rest", "track_all"))},
+    ),
+    "thrusters": st.none()
+    | st.fixed_dictionaries(
+        {"layout": st.sampled_from(tuple(thruster_layouts())), "frame": st.integers(20, 1000)},
+        optional={"modulator": st.sampled_from(MODULATORS), "rise_time": st.floats(0.0, 1.0)},
     ),
     "model": st.fixed_dictionaries(
         {}, optional={"directives": NAME, "end_effector": TEXT, "packages": st.dictionaries(NAME, NAME, max_size=2)}

@@ -168,6 +168,7 @@ def test_a_limit_that_binds_for_a_while_does_not_wind_up_the_estimate(run, kind)
         ("kalman", TIGHT),
         ("kalman", "actuation.delay=2"),
         ("kalman", "actuation.quantization=0.1"),
+        ("kalman", "actuation.thrusters.layout=16x22N"),
         ("one_sample", "actuation.delay=2"),
     ],
 )

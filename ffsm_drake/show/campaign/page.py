@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from ffsm_drake.campaign.evaluate import OUTCOMES
+from ffsm_drake.campaign.evaluate import OUTCOMES, fires
 from ffsm_drake.campaign.statistics import CONFIDENCE, Findings, Interval, find, quantiles, worst_runs
 from ffsm_drake.campaign.store import Store
 from ffsm_drake.common.errors import CampaignError, RecordError, one_line
@@ -33,6 +33,7 @@ _OF_CAPTURE = {
     "grasp_impulse": "impulse of the grasp [N s]",
     "grasp_angular_impulse": "angular [N m s]",
 }
+_OF_THRUSTERS = {"propellant": "propellant [kg]"}
 _PREDICTED = ("stable_settled", "stable_failed", "unstable_settled", "unstable_failed")
 
 
@@ -96,6 +97,7 @@ def summary_text(findings: Findings) -> str:
 def _page(store: Store, findings: Findings) -> str:
     spec, table = findings.spec, findings.table
     metrics = _METRICS | (_OF_CAPTURE if spec.base["capture"] is not None else {})
+    metrics |= _OF_THRUSTERS if fires(spec) else {}
     views = chart_views(findings)
     content: dict[str, Any] = {
         "title": spec.description or store.path.stem,

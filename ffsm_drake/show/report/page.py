@@ -14,6 +14,7 @@ from ffsm_drake.runs.record import IDENTIFIER, RunRecord
 from ffsm_drake.scenario import controller_key
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.panels import Thinning
+from ffsm_drake.show.report.actuator_panels import actuator_text, actuator_views
 from ffsm_drake.show.report.comparison import rankings, table, table_notes
 from ffsm_drake.show.report.grasp import grasp_of
 from ffsm_drake.show.report.provenance import provenance, software
@@ -98,7 +99,10 @@ def render_report(
     results = results_of(records)
     thin = Thinning(points_per_curve(results))
     margins = [_attempt(functools.partial(stability, result.record.scenario)) for result in results]
-    views = run_views(results, thin) | {"stability": stability_views(results, [margin for margin, _ in margins], thin)}
+    views = run_views(results, thin)
+    if actuators := actuator_views(results, thin):
+        views["actuators"] = actuators
+    views |= {"stability": stability_views(results, [margin for margin, _ in margins], thin)}
     descriptions = list(dict.fromkeys(record.scenario.description for record in records))
     description = descriptions[0] or "Run report"
     within = {
@@ -106,6 +110,9 @@ def render_report(
         for group in ("base_rotation", "base_position", "joints")
     }
     settled = " and ".join(dict.fromkeys(within.values()))
+    sections = dict(_SECTIONS)
+    if actuators:
+        sections["actuators"] = ("Thrusters and wheels", actuator_text(results), "")
     content: Json = {
         "title": title or description,
         "kicker": "; ".join(descriptions) if title or len(descriptions) > 1 else "free-flying space manipulator",
@@ -122,7 +129,7 @@ def render_report(
         "recording": recording,
         "sections": [
             {"key": key, "title": heading, "text": text if key in views else nothing}
-            for key, (heading, text, nothing) in _SECTIONS.items()
+            for key, (heading, text, nothing) in sections.items()
         ],
         "views": views,
         "grasps": [grasp for result in results if (grasp := grasp_of(result)) is not None],

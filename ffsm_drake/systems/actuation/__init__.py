@@ -1,0 +1,110 @@
+"""Actuators: from the commanded to the applied force. Saturation, quantisation, delay, then wheels and thrusters."""
+
+import itertools
+
+import numpy as np
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort, System
+from pydrake.systems.primitives import Demultiplexer, DiscreteTimeDelay, Saturation
+
+from ffsm_drake.scenario import schema
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.actuation.base import BaseActuators, attitude_ahead
+from ffsm_drake.systems.actuation.thrusters import ThrusterSet
+from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
+from ffsm_drake.systems.sensing import Quantizer
+
+# Outputs of actuators with thrusters and wheels beside the applied force, see BaseActuators; held over a sample.
+HELD_OUTPUTS = (
+    "thruster_force", "thruster_open", "thruster_given", "wheel_momentum", "wheel_torque", "wheel_unloads",
+    "wheel_reaction",
+)  # fmt: skip
+# With wheels: their momentum in world axes, N m s.
+STORED_MOMENTUM = "stored_momentum"
+
+
+class Actuators(Diagram):
+    """The actuators, from ``commanded_force`` to ``applied_force``; made by ``make_actuation``."""
+
+    wheels: WheelSet | None = None
+
+    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
+        """The wheels have their initial momentum, in a base with the attitude of ``state`` [q; v]."""
+        if self.wheels is not None:
+            stored = self.GetSubsystemByName("gyroscopic")
+            rotation = attitude_ahead(state[:4], np.zeros(3), 0.0).reshape(3, 3)
+            momentum = rotation.dot(self.wheels.axes.dot(self.wheels.initial_momentum))
+            stored.set_momentum(self.GetMutableSubsystemContext(stored, context), momentum)
+
+
+def make_actuation(settings: schema.Actuation, coordinates: Coordinates, *, sample_time: float) -> Actuators | None:
+    """A diagram from ``commanded_force`` to ``applied_force``, both (nv): N m and N; None where they are the same.
+
+    With thrusters or wheels it has the input ``state`` and those of HELD_OUTPUTS that there are; with wheels the output
+    ``gyroscopic_force`` (nv), which acts on the plant too, and ``stored_momentum``.
+
+    Raises:
+      ScenarioError: a value is given for an unknown coordinate; thrusters or wheels cannot give every wrench.
+    """
+    size = len(coordinates.names)
+    limit = coordinates.vector(settings.limit or {}, key="actuation.limit", default=np.inf)
+    resolution = coordinates.vector(settings.quantization, key="actuation.quantization", default=0.0)
+    builder = DiagramBuilder()
+    chain: list[tuple[InputPort, OutputPort]] = []
+
+    def add(name: str, system: System) -> None:
+        builder.AddNamedSystem(name, system)
+        chain.append((system.get_input_port(), system.get_output_port()))
+
+    if np.isfinite(limit).any():
+        add("saturation", Saturation(-limit, limit))
+    if resolution.any():
+        add("quantizer", Quantizer(resolution))
+    if settings.delay > 0:
+        # A delay block reads its input before the controller's update of the same instant: one sample late by itself.
+        add("delay", DiscreteTimeDelay(sample_time, settings.delay - 1, size))
+    diagram = Actuators()
+    if settings.thrusters is not None or settings.wheels is not None:
+        chain.append(_add_base_actuators(builder, diagram, settings, coordinates, sample_time=sample_time))
+    if not chain:
+        return None
+    builder.ExportInput(chain[0][0], "commanded_force")
+    for before, after in itertools.pairwise(chain):
+        builder.Connect(before[1], after[0])
+    builder.ExportOutput(chain[-1][1], "applied_force")
+    builder.BuildInto(diagram)
+    diagram.set_name("actuation")
+    return diagram
+
+
+def _add_base_actuators(
+    builder: DiagramBuilder,
+    diagram: Actuators,
+    settings: schema.Actuation,
+    coordinates: Coordinates,
+    *,
+    sample_time: float,
+) -> tuple[InputPort, OutputPort]:
+    """Thrusters and wheels with their outputs; where the commanded force goes in, and where the applied comes out."""
+    thrusters, wheels = None, None
+    if settings.thrusters is not None:
+        thrusters = ThrusterSet(settings.thrusters, sample_time=sample_time)
+    if settings.wheels is not None:
+        wheels = WheelSet(settings.wheels, sample_time=sample_time, alone=thrusters is None)
+    base = BaseActuators(thrusters, wheels, coordinates, sample_time=sample_time)
+    builder.AddNamedSystem("base", base)
+    parts = builder.AddNamedSystem("sample", Demultiplexer(list(base.sizes.values())))
+    builder.Connect(base.GetOutputPort("sample"), parts.get_input_port())
+    outputs = {name: parts.get_output_port(index) for index, name in enumerate(base.sizes)}
+    for name in HELD_OUTPUTS:
+        if name in outputs:
+            builder.ExportOutput(outputs[name], name)
+    state = builder.ExportInput(base.GetInputPort("state"), "state")
+    if wheels is not None:
+        diagram.wheels = wheels
+        stored = builder.AddNamedSystem("gyroscopic", Gyroscopic(coordinates))
+        builder.ConnectInput(state, stored.GetInputPort("state"))
+        builder.Connect(outputs["wheel_reaction"], stored.GetInputPort("reaction"))
+        builder.Connect(stored.GetOutputPort(STORED_MOMENTUM), base.GetInputPort("stored_momentum"))
+        for name in ("gyroscopic_force", STORED_MOMENTUM):
+            builder.ExportOutput(stored.GetOutputPort(name), name)
+    return base.GetInputPort("commanded_force"), outputs["applied_force"]

@@ -1,0 +1,114 @@
+"""Allocation: which forces of thrusters give a wrench on the base at the least propellant.
+
+    minimise c . f   over   W f = w,   0 <= f <= F
+
+W (6, n) holds the wrench of each thruster's unit force, c what a unit of its impulse costs. Without the upper bounds
+the dual is: maximise w . y over W' y <= c. Its finitely many vertices y are found once; the best for a wrench say which
+thrusters may fire in a cheapest solution: those whose bound they all touch. Of these solutions the one of least squares
+is taken, in which thrusters that push alike share alike, so that their pulses fall together and their torques cancel.
+Where that has a negative force, it is a solution with six thrusters, f = B^-1 w with a basis B of a vertex. Only where
+a thruster cannot give what that asks for is the linear program itself solved.
+"""
+
+import itertools
+
+import numpy as np
+from pydrake.solvers import ClpSolver, MathematicalProgram
+
+_SMALLEST = 1e-9  # of a basis' determinant relative to the lengths of its columns
+_SLACK = 1e-9  # relative; by which a bound may be missed
+_PRICE = 1e3  # of the part of a wrench that is given, by which it outweighs the propellant
+# By which costs are set apart, so that of equally cheap forces one is chosen.
+_DISTINCT = 1e-7
+_TOUCHES = 1e-10  # relative to the largest cost
+
+
+class Allocation:
+    """Least propellant of thrusters that together can give any wrench."""
+
+    def __init__(self, wrenches: np.ndarray, *, largest: np.ndarray, cost: np.ndarray) -> None:
+        """Args: W (6, n), m and 1; F (n), N; c (n), in any unit.
+
+        Raises ValueError: some wrench cannot be given; its text says which.
+        """
+        lost = lost_direction(wrenches)
+        if lost is not None:
+            raise ValueError(_in_words(lost))
+        count = largest.size
+        self._wrenches, self._largest = wrenches, largest
+        count, cost = largest.size, cost / cost.max()
+        bases = np.array(list(itertools.combinations(range(count), 6)))
+        matrices = np.moveaxis(wrenches[:, bases], 1, 0)
+        lengths = np.linalg.norm(matrices, axis=1).prod(axis=1)
+        regular = np.abs(np.linalg.det(matrices)) > _SMALLEST * lengths
+        bases, inverses = bases[regular], np.linalg.inv(matrices[regular])
+
+        def vertices(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            prices = np.einsum("bij,bi->bj", inverses, cost[bases])
+            return prices, (prices @ wrenches <= cost + _TOUCHES).all(axis=1)
+
+        prices, optimal = vertices(cost)
+        self._prices = np.unique(prices[optimal].round(9), axis=0)
+        self._touches = self._prices @ wrenches > cost - 100.0 * _TOUCHES
+        self._shares = dict[bytes, np.ndarray]()  # least squares by the thrusters that may fire, as they come up
+        self._cost = cost * (1.0 + _DISTINCT * np.modf(0.618034 * np.arange(count))[0])
+        _, optimal = vertices(self._cost)
+        self._bases, self._inverses = bases[optimal], inverses[optimal].reshape(-1, 6)
+
+    def solve(self, wrench: np.ndarray) -> tuple[np.ndarray, float]:
+        """The forces (n, N) of the largest part of a wrench (6, N m and N) that can be given, and that part, 0 to 1."""
+        least = -_SLACK * (1.0 + np.abs(wrench).max())
+        found = self._share(wrench).dot(wrench)
+        if found.min() < least:
+            forces = self._inverses.dot(wrench).reshape(-1, 6)
+            best = forces.min(axis=1).argmax()
+            found = np.zeros(self._largest.size)
+            found[self._bases[best]] = forces[best]
+        if found.min() >= least and (found <= self._largest * (1.0 + _SLACK)).all():
+            return np.maximum(found, 0.0), 1.0
+        return self._solve_within_bounds(wrench)
+
+    def _share(self, wrench: np.ndarray) -> np.ndarray:
+        """The map (n, 6) of least squares with the thrusters whose bound is touched by every best vertex."""
+        worth = self._prices.dot(wrench)
+        best = worth.max()
+        may_fire = self._touches[worth >= best - _SLACK * (1.0 + best)].all(axis=0)
+        key = may_fire.tobytes()
+        if key not in self._shares:
+            self._shares[key] = np.linalg.pinv(self._wrenches * may_fire, rcond=1e-9)
+        return self._shares[key]
+
+    def _solve_within_bounds(self, wrench: np.ndarray) -> tuple[np.ndarray, float]:
+        """As ``solve``: the largest part at the least cost, in one program in which the part outweighs any cost."""
+        program, count = MathematicalProgram(), self._largest.size
+        unknown = program.NewContinuousVariables(count + 1)
+        program.AddLinearCost(np.r_[self._cost, -_PRICE * self._largest.sum()], unknown)
+        program.AddBoundingBoxConstraint(np.zeros(count + 1), np.r_[self._largest, 1.0], unknown)
+        program.AddLinearEqualityConstraint(np.c_[self._wrenches, -wrench], np.zeros(6), unknown)
+        found = ClpSolver().Solve(program).GetSolution(unknown)
+        return np.clip(found[:-1], 0.0, self._largest), float(found[-1])
+
+
+def lost_direction(wrenches: np.ndarray) -> np.ndarray | None:
+    """A wrench y (6) that no forces f >= 0 with the wrenches W (6, n) can give, W' y <= 0; None where there is none."""
+    left, sizes, _ = np.linalg.svd(wrenches)
+    if wrenches.shape[1] < 6 or sizes[-1] < 1e-9 * sizes[0]:
+        return left[:, -1]
+    program = MathematicalProgram()
+    unknown = program.NewContinuousVariables(6)
+    program.AddLinearCost(wrenches.sum(axis=1), unknown)
+    program.AddBoundingBoxConstraint(-np.ones(6), np.ones(6), unknown)
+    program.AddLinearConstraint(wrenches.T, np.full(wrenches.shape[1], -np.inf), np.zeros(wrenches.shape[1]), unknown)
+    found = ClpSolver().Solve(program)
+    return None if abs(found.get_optimal_cost()) < 1e-9 * np.abs(wrenches).sum() else found.GetSolution(unknown)
+
+
+def _in_words(wrench: np.ndarray) -> str:
+    torque, force = (", ".join(f"{number:.2g}" for number in part + 0.0) for part in np.split(wrench.round(2), 2))
+    if not wrench[:3].round(2).any():
+        return f"a force along [{force}] of the base's axes"
+    return (
+        f"a torque along [{torque}]"
+        + (f" with a force along [{force}]" if wrench[3:].round(2).any() else "")
+        + " of the base's axes"
+    )

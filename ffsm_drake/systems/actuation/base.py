@@ -1,0 +1,145 @@
+"""Thrusters and wheels in the closed loop: they give the base's force and torque."""
+
+import math
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.actuation.thrusters import ThrusterMemory, ThrusterSet
+from ffsm_drake.systems.actuation.wheels import WheelSet
+
+# Control samples in which wheels make up for the torque of pulses that they could not counter at once. What the
+# controller asks for beyond their limits is not made up for, as it knows from applied_force and asks again.
+_REPAID_IN = 10
+
+
+class BaseActuators(LeafSystem):
+    """Thrusters, wheels or both: they give the base's wrench, all else passes.
+
+    Torque is the wheels', force the thrusters', which unload the wheels too; without wheels torque is the thrusters',
+    without thrusters force acts as commanded. In each sample the wheels counter the torque that the thrusters fire.
+    Inputs:
+      commanded_force: (nv), the base's torque and force in world axes.
+      state: [q; v] of the plant (nq + nv).
+      stored_momentum: with wheels only, their momentum in world axes as it is integrated (3), N m s.
+    Output, which changes at control samples only:
+      sample: stacked by ``sizes``:
+        applied_force (nv), with the mean wrench of thrusters and wheels over the sample, in world axes, without the
+          wheels' gyroscopic torque;
+        with n thrusters thruster_force (n), the mean force of each, N; thruster_open (n), the share of the sample for
+          which each is open; thruster_given (1), the part of the wanted wrench that the last allocation could give;
+        with n wheels wheel_momentum (n), about the axes at the sample's start, N m s; wheel_torque (n), of the motors,
+          N m; wheel_unloads (1), whether thrusters unload them; wheel_reaction (3), the part of applied_force's torque
+          that is theirs;
+        memory, which the next update keeps.
+    The base turns within a sample. Its attitude at the middle, from the angular velocity at the start, is held, so
+    that the impulse of what is fixed to the base is right but for (w L)^2 / 24 of it.
+    Discrete state, updated every control sample: R_WB at its middle (9), whether a frame begins (1), w_WB in the base's
+    axes and the reaction that is missing from the wheels' integrated momentum (6); of wheels the impulse of torque that
+    is short (3, world axes, N m s), their momentum (n) and whether they unload; of thrusters the
+    impulse that was asked of them and not fired (6, world axes, N m s and N s), and ThrusterMemory.
+    """
+
+    def __init__(
+        self, thrusters: ThrusterSet | None, wheels: WheelSet | None, coordinates: Coordinates, *, sample_time: float
+    ) -> None:
+        super().__init__()
+        self._thrusters, self._wheels, self._sample_time = thrusters, wheels, sample_time
+        nv = len(coordinates.names)
+        initial = list[np.ndarray]()
+        self.sizes = {"applied_force": nv}
+        if wheels is not None:
+            initial += [np.zeros(3), wheels.initial_momentum, np.zeros(1)]
+        if thrusters is not None:
+            count = len(thrusters.names)
+            self.sizes |= {"thruster_force": count, "thruster_open": count, "thruster_given": 1}
+            initial += [np.zeros(6), thrusters.initial_memory().packed()]
+        if wheels is not None:
+            count = len(wheels.names)
+            self.sizes |= {"wheel_momentum": count, "wheel_torque": count, "wheel_unloads": 1, "wheel_reaction": 3}
+            self._stored = self.DeclareVectorInputPort("stored_momentum", 3)
+        memory = np.concatenate(initial)
+        self.sizes["memory"] = memory.size
+        self._parts = np.cumsum([each.size for each in initial])[:-1]
+        self._commanded = self.DeclareVectorInputPort("commanded_force", nv)
+        self._state = self.DeclareVectorInputPort("state", 2 * nv + 1)
+        self._rotation = self.DeclareDiscreteState(np.eye(3).ravel())
+        self._begins = self.DeclareDiscreteState(np.zeros(1))
+        self._turning = self.DeclareDiscreteState(np.zeros(6))
+        self._memory = self.DeclareDiscreteState(memory)
+        # Not on the plant's state: while the command is held, the integrator's stages read the cached value.
+        depends = {self.input_port_ticket(self._commanded.get_index()), self.xd_ticket()}
+        self._sample = self.DeclareVectorOutputPort(
+            "sample", sum(self.sizes.values()), weak_callback(self._calc), depends
+        )
+        self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
+        untie(self)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        thrusters, wheels, value = self._thrusters, self._wheels, context.get_discrete_state().value
+        commanded, rotation = self._commanded.Eval(context), value(self._rotation).reshape(3, 3)
+        wanted = commanded[:6].reshape(2, 3).dot(rotation)  # torque, force in the base's axes
+        memories = iter(np.split(value(self._memory), self._parts))
+        parts, memory = list[np.ndarray](), list[np.ndarray]()
+        applied, by_wheels, begins = commanded.copy(), np.zeros(3), bool(value(self._begins).item())
+        asked = wanted.copy()  # of the thrusters
+        if wheels is not None:
+            short, momentum, unloads = next(memories), next(memories), bool(next(memories).item())
+            w_WB, missing = np.split(value(self._turning), 2)
+            wanted[0] += short.dot(rotation) / (_REPAID_IN * self._sample_time)
+            if begins:
+                unloads = wheels.unloads(unloads, momentum, w_WB)
+            asked[0] = wheels.unloading_torque(momentum) if unloads else 0.0
+        if thrusters is not None:
+            owed, fuel = next(memories), ThrusterMemory.unpacked(next(memories))
+            if begins:
+                with_owed = asked + owed.reshape(2, 3).dot(rotation) / thrusters.frame
+                fuel = thrusters.allocate(with_owed.ravel(), fuel)
+                if fuel.given < 1.0:  # the rest is given up
+                    owed = owed - (1.0 - fuel.given) * thrusters.frame * with_owed.dot(rotation.T).ravel()
+            firing, fuel = thrusters.fire(fuel)
+            fired = firing.wrench.reshape(2, 3)
+            applied[:6] = fired.dot(rotation.T).ravel()
+            parts += [firing.force, firing.open_share, np.array([firing.given])]
+            if thrusters.carries_over:
+                owed = owed + (asked - fired).dot(rotation.T).ravel() * self._sample_time
+            memory += [owed, fuel.packed()]
+            wanted[0] -= fired[0]
+        if wheels is not None:
+            torques = wheels.give(wanted[0], momentum, w_WB)
+            by_wheels = rotation.dot(torques.on_base) + missing
+            applied[:3] = by_wheels + (0.0 if thrusters is None else applied[:3])
+            parts += [momentum, torques.motor, np.array([float(unloads)]), by_wheels]
+            short = wheels.bounded(short + (commanded[:3] - applied[:3]) * self._sample_time, _REPAID_IN)
+            memory = [short, momentum + torques.on_wheels * self._sample_time, np.array([float(unloads)]), *memory]
+        output.SetFromVector(np.concatenate([applied, *parts, *memory]))
+
+    def _update(self, context: Context, values: DiscreteValues) -> None:
+        sample, memory = round(context.get_time() / self._sample_time), None
+        if sample > 0:
+            memory = self._sample.Eval(context)[-self.sizes["memory"] :]
+            values.set_value(self._memory, memory)
+        if self._thrusters is not None:
+            values.set_value(self._begins, [float(sample % self._thrusters.settings.frame == 0)])
+        state, nv = self._state.Eval(context), self.sizes["applied_force"]
+        quaternion, w_WB = state[:4], state[nv + 1 : nv + 4]
+        values.set_value(self._rotation, attitude_ahead(quaternion, w_WB, self._sample_time / 2.0))
+        if self._wheels is not None:
+            rotation = attitude_ahead(quaternion, w_WB, 0.0).reshape(3, 3)
+            kept = context.get_discrete_state().value(self._memory) if memory is None else memory
+            momentum = np.split(kept, self._parts)[1]
+            # The held direction of the torque, and the integrator, leave a little between the two.
+            missing = self._stored.Eval(context) - rotation.dot(self._wheels.axes.dot(momentum))
+            values.set_value(self._turning, np.concatenate([w_WB.dot(rotation), missing / self._sample_time]))
+
+
+def attitude_ahead(quaternion: np.ndarray, angular_velocity: np.ndarray, time: float) -> np.ndarray:
+    """R_WB (9, by rows) after a time, s, at a constant angular velocity w_WB (3, rad/s) from (w, x, y, z)."""
+    x, y, z = (0.5 * time * angular_velocity).tolist()  # half the rotation vector
+    angle = math.sqrt(x * x + y * y + z * z)
+    sinc = math.sin(angle) / angle if angle > 0.0 else 1.0
+    turn = Quaternion(wxyz=[math.cos(angle), sinc * x, sinc * y, sinc * z])
+    return turn.multiply(Quaternion(quaternion / np.linalg.norm(quaternion))).rotation().ravel()

@@ -1,0 +1,131 @@
+"""Thrusters: from the base's wanted wrench to the one that on/off thrusters fire."""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.scenario import Thrusters, thrusters_of
+from ffsm_drake.systems.actuation.allocation import Allocation
+from ffsm_drake.systems.actuation.modulation import SchmittTrigger, mean_level, pulse_widths, whole_frames
+
+_KEY = "actuation.thrusters"
+
+
+class Firing(NamedTuple):
+    """What thrusters do in one control sample."""
+
+    wrench: np.ndarray  # (6,) its mean on the base, torque then force in the base's axes; N m and N
+    force: np.ndarray  # (n,) mean force of each, N
+    open_share: np.ndarray  # (n,) share of the sample for which each is open
+    given: float  # the part of the wanted wrench that the last allocation could give, 0 to 1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ThrusterMemory:
+    """What thrusters remember from sample to sample; all (n) but ``given``."""
+
+    open_for: np.ndarray  # s; for how long from now on each is open
+    level: np.ndarray  # share of its force that each gives now
+    wanted: np.ndarray  # N; forces of the last allocation
+    filtered: np.ndarray  # of the Schmitt triggers
+    is_on: np.ndarray  # likewise; 1 or 0
+    given: float  # of the last allocation
+
+    def packed(self) -> np.ndarray:
+        return np.concatenate([*(getattr(self, name) for name in _BY_THRUSTER), [self.given]])
+
+    @classmethod
+    def unpacked(cls, values: np.ndarray) -> "ThrusterMemory":
+        open_for, level, wanted, filtered, is_on = values[:-1].reshape(len(_BY_THRUSTER), -1)
+        return cls(open_for, level, wanted, filtered, is_on, float(values[-1]))
+
+
+_BY_THRUSTER = ("open_for", "level", "wanted", "filtered", "is_on")
+
+
+class ThrusterSet:
+    """Allocation, modulation and thrust of a set of thrusters: pure functions of arrays."""
+
+    def __init__(self, settings: Thrusters, *, sample_time: float) -> None:
+        """Raises ScenarioError: with its failures the set cannot give every wrench."""
+        units = thrusters_of(settings)
+        self.names = tuple(units)
+        self.settings, self.sample_time = settings, sample_time
+        self.frame = settings.frame * sample_time
+        self.force = np.array([unit.force for unit in units.values()])
+        directions = np.array([unit.direction for unit in units.values()], dtype=float)
+        directions /= np.linalg.norm(directions, axis=1)[:, None]
+        positions = np.array([unit.position for unit in units.values()], dtype=float)
+        self.wrenches = np.vstack([np.cross(positions, directions).T, directions.T])
+        failures = np.array([settings.failures.get(name, "") for name in units])
+        self._works, self._stuck_on = failures == "", failures == "stuck_on"
+        self._leak = self.wrenches[:, self._stuck_on] @ self.force[self._stuck_on]
+        cost = 1.0 / np.array([unit.specific_impulse for unit in units.values()])
+        try:
+            self._allocation = Allocation(
+                self.wrenches[:, self._works], largest=self.force[self._works], cost=cost[self._works]
+            )
+        except ValueError as error:
+            if settings.failures:
+                without = ", ".join(f"{name} {failure}" for name, failure in settings.failures.items())
+                raise ScenarioError(f"{_KEY}.failures", f"with {without} no thrusters give {error}") from error
+            key = "layout" if settings.layout is not None else "units"
+            raise ScenarioError(f"{_KEY}.{key}", f"no thrusters give {error}; add some") from error
+        if self._stuck_on.any() and self._allocation.solve(-self._leak)[1] < 1.0:
+            stuck = ", ".join(np.array(self.names)[self._stuck_on])
+            raise ScenarioError(f"{_KEY}.failures", f"the others cannot hold against {stuck} stuck on")
+        pwpf = settings.pwpf
+        self._trigger = SchmittTrigger(
+            gain=pwpf.gain, time_constant=pwpf.time_constant, on=pwpf.on, off=pwpf.off, sample_time=sample_time
+        )
+        self._shortest = max(settings.minimum_on_time, sample_time)
+
+    @property
+    def carries_over(self) -> bool:
+        """Whether what was wanted and not fired is to be wanted again; a trigger's filter does that by itself."""
+        return self.settings.modulator != "pwpf"
+
+    def initial_memory(self) -> ThrusterMemory:
+        """Closed, but for what is stuck on."""
+        none = np.zeros(len(self.names))
+        return ThrusterMemory(none, self._stuck_on.astype(float), none, none, none, 1.0)
+
+    def allocate(self, wrench: np.ndarray, memory: ThrusterMemory) -> ThrusterMemory:
+        """The start of a frame: memory with what a wanted wrench (6; base's axes, N m and N) opens."""
+        forces, given = self._allocation.solve(wrench - self._leak)
+        wanted = np.zeros(len(self.names))
+        wanted[self._works] = forces
+        if not self.carries_over:
+            return dataclasses.replace(memory, wanted=wanted, given=given)
+        share, settings = wanted / self.force, self.settings
+        if settings.modulator == "sigma_delta":
+            opened = whole_frames(share, frame=self.frame, threshold=settings.threshold)
+        else:
+            opened = pulse_widths(share, frame=self.frame, minimum=settings.minimum_on_time)
+        open_for = np.maximum(memory.open_for, opened)
+        return dataclasses.replace(memory, wanted=wanted, given=given, open_for=open_for)
+
+    def fire(self, memory: ThrusterMemory) -> tuple[Firing, ThrusterMemory]:
+        """One control sample from memory as it is at its start, after any allocation."""
+        filtered, is_on, open_for = memory.filtered, memory.is_on, memory.open_for
+        if not self.carries_over:
+            filtered, is_on = self._trigger.step(memory.wanted / self.force, filtered, is_on)
+            least = np.where(memory.is_on > 0.0, self.sample_time, self._shortest)  # for the rest of a pulse, or a new
+            open_for = np.maximum(open_for, is_on * least)
+        opened = np.minimum(open_for, self.sample_time)
+        opened[self._stuck_on] = self.sample_time
+        share, level = mean_level(
+            memory.level,
+            opened,
+            sample_time=self.sample_time,
+            rise=self.settings.rise_time,
+            fall=self.settings.fall_time,
+        )
+        force = share * self.force
+        # What is left of rounding would be a pulse of its own.
+        left = open_for - opened
+        left[left < 1e-9 * self.sample_time] = 0.0
+        after = dataclasses.replace(memory, open_for=left, level=level, filtered=filtered, is_on=(opened > 0.0) * 1.0)
+        return Firing(self.wrenches.dot(force), force, opened / self.sample_time, memory.given), after

@@ -1,0 +1,244 @@
+"""Thrusters: allocation against a linear program, pulses, what the plant gets of them, and failures."""
+
+import itertools
+
+import flight_settings
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import linprog
+from scipy.signal import lsim
+
+from ffsm_drake import ScenarioError, load_scenario, make_closed_loop
+from ffsm_drake.runs.actuators import STANDARD_GRAVITY, pulses_of
+from ffsm_drake.runs.metrics import momentum_residual
+from ffsm_drake.scenario import Thrusters, thruster_layouts, thrusters_of
+from ffsm_drake.show.panels import Thinning
+from ffsm_drake.show.report.actuator_panels import actuator_views
+from ffsm_drake.show.report.page import render_report
+from ffsm_drake.show.report.results import results_of
+from ffsm_drake.systems.actuation.allocation import Allocation, lost_direction
+from ffsm_drake.systems.actuation.base import attitude_ahead
+from ffsm_drake.systems.actuation.modulation import SchmittTrigger, mean_level, pulse_widths, whole_frames
+
+LAYOUTS = tuple(thruster_layouts())
+SHORT = (*flight_settings.FLIGHT, *flight_settings.NO_NOISE, "duration=2")
+BASE = [f"base_{part}_{axis}" for part in ("rotation", "position") for axis in "xyz"]
+
+
+def wrenches_of(layout):
+    """Torque and force (6, n) of each thruster at 1 N, its largest force (n), and the propellant per impulse (n)."""
+    units = thrusters_of(Thrusters(layout=layout)).values()
+    columns = []
+    for unit in units:
+        force = np.array(unit.direction) / np.linalg.norm(unit.direction)
+        columns.append(np.r_[np.cross(unit.position, force), force])
+    return np.array(columns).T, np.array([u.force for u in units]), np.array([1 / u.specific_impulse for u in units])
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_allocation_takes_the_least_propellant(layout):
+    wrenches, largest, cost = wrenches_of(layout)
+    allocation = Allocation(wrenches, largest=largest, cost=cost)
+    random = np.random.default_rng(0)
+    parts = []
+    for _ in range(40):
+        wrench = random.normal(size=6) * largest[0] * random.choice([0.1, 1.0, 3.0])
+        forces, part = allocation.solve(wrench)
+        parts.append(part)
+        assert wrenches @ forces == pytest.approx(part * wrench, abs=1e-7 * largest[0])
+        assert (forces >= 0.0).all()
+        assert (forces <= largest * (1 + 1e-9)).all()
+        bounds = [(0, bound) for bound in largest]
+        most = linprog(np.r_[0 * cost, -1], A_eq=np.c_[wrenches, -wrench], b_eq=np.zeros(6), bounds=[*bounds, (0, 1)])
+        assert part == pytest.approx(most.x[-1], rel=1e-6)
+        least = linprog(cost, A_eq=wrenches, b_eq=part * (1 - 1e-9) * wrench, bounds=bounds)
+        assert cost @ forces == pytest.approx(least.fun, rel=1e-5)
+    assert min(parts) < 0.9
+    assert max(parts) == 1.0
+
+
+@pytest.mark.parametrize(("layout", "failures"), [("12x5N", 1), ("16x22N", 2)])
+def test_layouts_tolerate_failures(layout, failures):
+    wrenches, largest, _ = wrenches_of(layout)
+    for failed in itertools.combinations(range(largest.size), failures):
+        assert lost_direction(np.delete(wrenches, failed, axis=1)) is None
+
+
+def test_a_lost_direction_is_one_that_no_thruster_helps_along():
+    wrenches, *_ = wrenches_of("12x5N")
+    lost = lost_direction(np.delete(wrenches, [0, 3], axis=1))  # both that push along -x
+    assert lost[3] < -0.5
+    assert (np.delete(wrenches, [0, 3], axis=1).T @ lost <= 1e-9).all()
+
+
+def test_open_times():
+    share = np.array([0.0, 0.04, 0.06, 0.2, 0.5, 0.8, 1.0])
+    assert whole_frames(share, frame=0.02, threshold=0.5).tolist() == [0, 0, 0, 0, 0.02, 0.02, 0.02]
+    assert whole_frames(share, frame=0.02, threshold=0.8).tolist() == [0, 0, 0, 0, 0, 0.02, 0.02]
+    assert pulse_widths(share, frame=0.2, minimum=0.02) == pytest.approx([0, 0, 0.02, 0.04, 0.1, 0.16, 0.2])
+
+
+@pytest.mark.parametrize(("rise", "fall"), [(0.004, 0.009), (0.0, 0.0), (0.05, 0.0)])
+def test_mean_level_is_the_exact_mean(rise, fall):
+    level, opened, period = np.array([0.0, 0.3, 1.0]), np.array([0.006, 0.0, 0.01]), 0.01
+    mean, end = mean_level(level, opened, sample_time=period, rise=rise, fall=fall)
+    for i in range(3):
+        parts = [(opened[i], 1.0, max(rise, 1e-6)), (period - opened[i], 0.0, max(fall, 1e-6))]
+        y, total = level[i], 0.0
+        for length, target, constant in parts:
+            if length > 0.0:
+                path = solve_ivp(
+                    lambda _, x, target=target, constant=constant: [(target - x[0]) / constant, x[0]],
+                    (0, length), [y, 0.0], method="Radau", rtol=1e-9, atol=1e-12,
+                )  # fmt: skip
+                y, total = path.y[0, -1], total + path.y[1, -1]
+        assert mean[i] == pytest.approx(total / period, abs=2e-4)
+        assert end[i] == pytest.approx(y, abs=1e-6)
+
+
+def test_schmitt_trigger_is_its_filter_with_hysteresis():
+    trigger = SchmittTrigger(gain=10.0, time_constant=0.2, on=0.25, off=0.15, sample_time=0.01)
+    share, filtered, is_on, fired, heard = np.array([0.3]), np.zeros(1), np.zeros(1), [], []
+    states = []
+    for _ in range(300):
+        heard.append(share[0] - is_on[0])
+        filtered, is_on = trigger.step(share, filtered, is_on)
+        fired.append(is_on[0])
+        states.append(filtered[0])
+    _, output, _ = lsim(([10.0], [0.2, 1.0]), [*heard, heard[-1]], np.arange(301) * 0.01, interp=False)
+    assert states == pytest.approx(output[1:], abs=1e-9)
+    on = np.array(fired) > 0
+    assert (np.array(states)[on] > 0.15).all()
+    assert (np.array(states)[~on] < 0.25).all()
+    assert on.mean() == pytest.approx(0.3, abs=0.02)
+
+
+def test_attitude_ahead_turns_about_world_axes():
+    from pydrake.math import RollPitchYaw, RotationMatrix
+    from scipy.spatial.transform import Rotation
+
+    before = RotationMatrix(RollPitchYaw(0.3, -0.2, 1.0))
+    w = np.array([0.4, -1.0, 2.0])
+    expected = Rotation.from_rotvec(0.05 * w).as_matrix() @ before.matrix()
+    assert attitude_ahead(before.ToQuaternion().wxyz() * 1.001, w, 0.05).reshape(3, 3) == pytest.approx(expected)
+
+
+def middle_rotation(data, k, period):
+    from pydrake.common.eigen_geometry import Quaternion
+    from scipy.spatial.transform import Rotation
+
+    q, w = data["position"].values[k, :4], data["velocity"].values[k, :3]
+    return Rotation.from_rotvec(0.5 * period * w).as_matrix() @ Quaternion(q / np.linalg.norm(q)).rotation()
+
+
+@pytest.mark.parametrize(
+    ("layout", "overrides"),
+    [
+        ("12x5N", ()),
+        ("16x22N", ("actuation.thrusters.modulator=pulse_width", "actuation.thrusters.frame=10")),
+        ("16x22N", ("actuation.thrusters.modulator=pwpf", "actuation.thrusters.rise_time=0.003")),
+        ("12x1N", ("actuation.thrusters.frame=3", "actuation.thrusters.fall_time=0.01")),
+    ],
+)
+def test_the_plant_gets_what_fires(run, layout, overrides):
+    """The applied wrench is that of the recorded firing, and momentum follows its impulse."""
+    record = run(*SHORT, f"actuation.thrusters.layout={layout}", *overrides)
+    data, period = record.dataset, 0.01
+    wrenches, largest, _ = wrenches_of(layout)
+    fired, applied = data["thruster_force"].values, data["applied_force"].sel(coordinate=BASE).values
+    for k in range(0, 200, 7):
+        turned = (wrenches @ fired[k]).reshape(2, 3) @ middle_rotation(data, k, period).T
+        assert applied[k] == pytest.approx(turned.ravel(), abs=1e-9)
+    impulse = np.abs(fired).sum() * period
+    assert impulse > 1.0
+    for residual in momentum_residual(data).values():
+        assert np.linalg.norm(residual, axis=1).max() < 1e-9 * impulse
+    others = data["coordinate"].values[6:]
+    commanded = data["generalized_force"].sel(coordinate=others)
+    assert np.array_equal(commanded, data["applied_force"].sel(coordinate=others))
+    figures = record.metrics["thrusters"]
+    assert figures["shortest_pulse"] >= 0.02 * (1 - 1e-9)
+    assert sum(figures["impulse"].values()) == pytest.approx(fired[:-1].sum() * period)
+    isp = np.array([unit.specific_impulse for unit in thruster_layouts()[layout].values()])
+    assert figures["propellant"] == pytest.approx((fired[:-1].sum(axis=0) / isp).sum() * period / STANDARD_GRAVITY)
+    assert figures["propellant"] > figures["propellant_of_force"] > 0.0
+    assert largest.min() * (1 + 1e-9) >= fired.max()
+
+
+def test_sigma_delta_owes_less_than_a_pulse(run):
+    """The impulse that was commanded and not fired stays below a threshold of every pulse and a frame's command."""
+    record = run(*SHORT, "actuation.thrusters.layout=16x22N")
+    data = record.dataset
+    owed = np.cumsum((data["generalized_force"] - data["applied_force"]).sel(coordinate=BASE).values, axis=0) * 0.01
+    wrenches, largest, _ = wrenches_of("16x22N")
+    pulse = 0.02 * largest[0] * np.abs(wrenches).sum(axis=1)
+    assert record.metrics["thrusters"]["saturated"] == 0.0
+    assert (np.abs(owed) <= 0.8 * pulse + 0.02 * np.abs(data["generalized_force"].values[:, :6]).max(axis=0)).all()
+    assert np.abs(owed).max() > 0.05
+
+
+def test_pulses_of_a_valve():
+    starts, lengths = pulses_of(np.array([0, 1, 1, 0.5, 1, 1, 0, 0.3, 0.4, 0]), 0.01)
+    assert starts.tolist() == [1, 4, 7, 8]
+    assert lengths == pytest.approx([0.025, 0.02, 0.003, 0.004])
+    assert pulses_of(np.zeros(3), 0.01)[1].size == 0
+
+
+def test_failures_are_known(run):
+    failures = "actuation.thrusters.failures={top_1_x: stuck_off, bottom_2_y: stuck_on}"
+    record = run(*SHORT, "actuation.thrusters.layout=16x22N", failures)
+    opened = record.dataset["thruster_open"]
+    assert not opened.sel(thruster="top_1_x").any()
+    assert (opened.sel(thruster="bottom_2_y") == 1.0).all()
+    assert record.dataset["thruster_force"].sel(thruster="bottom_2_y").values == pytest.approx(22.0)
+    assert record.metrics["peak_error"]["base_position"] < 5e-3
+
+
+def test_the_report_draws_every_pulse(run):
+    record = run(*SHORT, "actuation.thrusters.layout=12x5N")
+    (view,) = actuator_views(results_of([record]), Thinning(1000))
+    (panel,) = view.panels
+    figures, drawn = record.metrics["thrusters"], {}
+    for trace in panel.figure.data:
+        bars = np.reshape(trace.x, (-1, 3))
+        drawn[trace.name] = (len(bars), (bars[:, 1] - bars[:, 0]).sum())
+    assert {name: number for name, (number, _) in drawn.items()} == pytest.approx(figures["pulses"], abs=1)
+    assert {name: total for name, (_, total) in drawn.items()} == pytest.approx(figures["on_time"], abs=0.011)
+    page = render_report([record])
+    assert "Thrusters and wheels" in page
+    assert f"{1e3 * figures['propellant']:.3g} g of propellant" in page
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (
+            ("actuation.thrusters.layout=12x5N", "actuation.thrusters.failures={a_x: stuck_off, b_x: stuck_off}"),
+            "actuation.thrusters.failures: with a_x stuck_off, b_x stuck_off no thrusters give a force along [-1",
+        ),
+        (("actuation.thrusters.layout=13x5N",), "actuation.thrusters.layout: '13x5N' is unknown; choose one of 12x1N"),
+        (("actuation.thrusters.layout=null",), "actuation.thrusters.layout: choose one of 12x1N, 12x5N, 16x22N, or"),
+        (("actuation.thrusters.units={a: {force: 1}}",), "units: has no effect beside a layout; set layout: null"),
+        (
+            ("actuation.thrusters={layout: null, units: {a: {force: 1}}}",),
+            "actuation.thrusters.units: no thrusters give a ",
+        ),
+        (
+            ("actuation.thrusters={layout: null, units: {a: {direction: [0, 0, 0]}}}",),
+            "actuation.thrusters.units.a.direction: must not be zero",
+        ),
+        (("actuation.thrusters.failures={a_w: stuck_on}",), "actuation.thrusters.failures.a_w: 'a_w' is unknown"),
+        (("actuation.thrusters.failures={a_x: broken}",), "failures.a_x: 'broken' is unknown; choose one of stuck_off"),
+        (("actuation.thrusters.modulator=pwm",), "modulator: 'pwm' is unknown; choose one of sigma_delta, pulse_width"),
+        (("actuation.thrusters.frame=1",), "frame: 1 control samples are 0.01 s, shorter than minimum_on_time, 0.02 s"),
+        (("actuation.thrusters.threshold=1",), "actuation.thrusters.threshold: must be from 0.5 to below 1, not 1"),
+        (("actuation.thrusters.rise_time=-1",), "actuation.thrusters.rise_time: must be from 0 to 1000 s, not -1"),
+        (("actuation.thrusters.pwpf.off=0.3",), "pwpf.off: must be from 0 to below on (0.25), not 0.3"),
+    ],
+)
+def test_errors_are_one_clear_line(overrides, expected):
+    with pytest.raises(ScenarioError) as error:
+        make_closed_loop(load_scenario("postcapture", overrides))
+    assert expected in str(error.value)
+    assert "\n" not in str(error.value)

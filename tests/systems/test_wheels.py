@@ -1,0 +1,219 @@
+"""Reaction wheels: against rotors on real joints, the momentum of the stack, limits and unloading."""
+
+import flight_settings
+import numpy as np
+import pytest
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RevoluteJoint, SpatialInertia, UnitInertia
+from pydrake.systems.analysis import Simulator
+
+from ffsm_drake import ScenarioError, load_scenario, make_closed_loop
+from ffsm_drake.runs.metrics import momentum_residual
+from ffsm_drake.scenario import Wheels
+from ffsm_drake.scenario.schema import Wheel
+from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.plant import models_dir
+from ffsm_drake.systems.actuation.wheels import WheelSet
+
+SHORT = (*flight_settings.FLIGHT, *flight_settings.NO_NOISE, "duration=2")
+INERTIA, PERIOD = 0.08, 0.01
+AXES = {"a": [1, 1, 1], "b": [-1, 1, 1], "c": [-1, -1, 1], "d": [1, -1, 1]}
+
+
+def wheels(momentum=(20, -15, 10, 5), **values):
+    """An override: a pyramid of wheels with initial momenta (N m s)."""
+    settings = {"inertia": INERTIA, "torque_limit": 10.0, **values}
+    units = {
+        name: {"axis": axis, "initial_momentum": h, **settings}
+        for (name, axis), h in zip(AXES.items(), momentum, strict=True)
+    }
+    return f"actuation.wheels={{units: {units}}}"
+
+
+@pytest.fixture(scope="module")
+def turning(run):
+    """Wheels that spin in a base that turns: without disturbance and thrusters."""
+    return run(*SHORT, wheels(coulomb_friction=0.02, viscous_friction=1e-3), "disturbance.amplitude_scale=0")
+
+
+def plant_with_rotors(record):
+    """The shipped spacecraft with each wheel as a body of its own on a revolute joint."""
+    plant = MultibodyPlant(time_step=0.0)
+    parser = Parser(plant)
+    parser.package_map().Add("ffsm_drake", str(models_dir()))
+    parser.AddModels(url="package://ffsm_drake/postcapture.dmd.yaml")
+    base = plant.GetBodyByName("base")
+    whole = base.default_spatial_inertia()
+    mass, inertia = whole.get_mass(), whole.CalcRotationalInertia().CopyToFullMatrix3()
+    rotor_mass, across = 2.0, 0.05
+    joints = []
+    for name, axis in AXES.items():
+        direction = np.array(axis) / np.linalg.norm(axis)
+        rotor = UnitInertia.AxiallySymmetric(INERTIA / rotor_mass, across / rotor_mass, direction)
+        body = plant.AddRigidBody(
+            f"rotor_{name}", base.model_instance(), SpatialInertia(rotor_mass, np.zeros(3), rotor)
+        )
+        joint = RevoluteJoint(f"spin_{name}", base.body_frame(), body.body_frame(), direction)
+        joints.append(plant.AddJoint(joint))
+        mass -= rotor_mass
+        inertia -= across * np.eye(3) + (INERTIA - across) * np.outer(direction, direction)
+    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    moments = np.diag(inertia) / mass
+    products = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]]) / mass
+    base.SetSpatialInertiaInBodyFrame(context, SpatialInertia(mass, np.zeros(3), UnitInertia(*moments, *products)))
+    set_payload(plant, context, body="debris::debris", properties=record.scenario.payload.truth)
+    return plant, context, joints
+
+
+def test_wheels_are_rotors_on_joints(turning):
+    """The same torques on a plant whose wheels are bodies: same motion, same wheel speeds."""
+    data = turning.dataset
+    plant, context, joints = plant_with_rotors(turning)
+    arm = [plant.GetJointByName(f"joint_{i}") for i in range(1, 6)]
+    axes = np.array([np.array(axis) / np.linalg.norm(axis) for axis in AXES.values()])
+
+    def body_rate(k):
+        q, w = data["position"].values[k, :4], data["velocity"].values[k, :3]
+        return Quaternion(q / np.linalg.norm(q)).rotation().T @ w
+
+    def speeds(k):
+        return data["wheel_momentum"].values[k] / INERTIA - axes @ body_rate(k)
+
+    base = plant.GetBodyByName("base")
+    q0, v0 = data["position"].values[0], data["velocity"].values[0]
+    q, v = np.zeros(plant.num_positions()), np.zeros(plant.num_velocities())
+    q[base.floating_positions_start() : base.floating_positions_start() + 7] = q0[:7]
+    for joint, angle in zip(arm, q0[7:], strict=True):
+        q[joint.position_start()] = angle
+    assert not v0.any()
+    for joint, speed in zip(joints, speeds(0), strict=True):
+        v[joint.velocity_start()] = speed
+    plant.SetPositionsAndVelocities(context, np.r_[q, v])
+    simulator = Simulator(plant, context)
+    simulator.get_mutable_integrator().set_maximum_step_size(0.005)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-12)
+    start = base.floating_velocities_start_in_v()
+    port = plant.get_applied_generalized_force_input_port()
+    momentum = data["wheel_momentum"].values
+    external = data["applied_force"].values.copy()
+    external[:, :3] -= data["wheel_reaction"].values
+    for k in range(100):
+        force = np.zeros(plant.num_velocities())
+        force[start : start + 6] = external[k, :6]
+        for joint, torque in zip(arm, external[k, 6:], strict=True):
+            force[joint.velocity_start()] = torque
+        for joint, torque in zip(joints, (momentum[k + 1] - momentum[k]) / PERIOD, strict=True):
+            force[joint.velocity_start()] = torque
+        port.FixValue(context, force)
+        simulator.AdvanceTo((k + 1) * PERIOD)
+    reached = plant.GetVelocities(context)
+    assert reached[start : start + 6] == pytest.approx(data["velocity"].values[100, :6], abs=1e-9)
+    turned = [reached[joint.velocity_start()] for joint in joints]
+    assert turned == pytest.approx(speeds(100), abs=1e-8)
+    assert np.abs(turned - speeds(0)).max() > 0.5
+    # Without the gyroscopic torque it would be elsewhere.
+    assert np.abs(np.cross(data["velocity"].values[:, :3], data["stored_momentum"].values)).max() > 0.01
+
+
+def test_torque_on_the_base_is_what_the_wheels_take(turning):
+    data = turning.dataset
+    for residual in momentum_residual(data).values():
+        assert np.linalg.norm(residual, axis=1).max() < 1e-9
+    axes = np.array([np.array(axis) / np.linalg.norm(axis) for axis in AXES.values()]).T
+    for k in (0, 50, 200):
+        q = data["position"].values[k, :4]
+        rotation = Quaternion(q / np.linalg.norm(q)).rotation()
+        stored = rotation @ axes @ data["wheel_momentum"].values[k]
+        assert data["stored_momentum"].values[k] == pytest.approx(stored, abs=1e-8)
+        rate = rotation.T @ data["velocity"].values[k, :3]
+        speed = data["wheel_momentum"].values[k] / INERTIA - rate @ axes
+        assert data["wheel_speed"].values[k] == pytest.approx(speed, abs=1e-9)
+    commanded, applied = (data[name].values for name in ("generalized_force", "applied_force"))
+    assert np.array_equal(commanded[:, 3:], applied[:, 3:])
+    figures = turning.metrics["wheels"]
+    assert figures["speed_used"] == pytest.approx(np.abs(data["wheel_speed"].values).max() / 628.0)
+    assert figures["torque_used"] == pytest.approx(max(figures["peak_torque"].values()) / 10.0)
+    assert figures["unloading"] == 0.0
+
+
+def test_momentum_of_the_stack_follows_what_fires(run):
+    """Thrusters, wheels, friction, disturbance: 1e-9 of the impulse."""
+    record = run(*SHORT, wheels(torque_limit=1.0, coulomb_friction=5e-4), "actuation.thrusters.layout=12x5N")
+    impulse = sum(record.metrics["thrusters"]["impulse"].values())
+    assert impulse > 1.0
+    for residual in momentum_residual(record.dataset).values():
+        assert np.linalg.norm(residual, axis=1).max() < 1e-9 * impulse
+
+
+def test_thrusters_unload_full_wheels(run):
+    record = run(
+        *SHORT, wheels((41, 40.8, 40.6, 40.4), torque_limit=1.0), "actuation.wheels.desaturation_time=1",
+        "actuation.thrusters.layout=12x5N", "duration=5", "reference.duration=60", "disturbance.amplitude_scale=0",
+    )  # fmt: skip
+    data = record.dataset
+    assert (data["wheel_unloads"].values == 1.0).all()
+    stored = np.linalg.norm(data["stored_momentum"].values, axis=1)
+    assert stored[-1] < stored[0] - 4.0
+    assert np.abs(data["wheel_torque"].values).max() <= 1.0
+    assert record.metrics["peak_error"]["base_rotation"] < 3e-4
+
+
+def test_unloading_has_hysteresis():
+    units = {"z": Wheel(inertia=0.1, speed_limit=100.0)}
+    settings = Wheels(units=units, desaturate_above=0.8, desaturate_below=0.2)
+    wheel_set = WheelSet(settings, sample_time=0.01, alone=False)
+    at_rest = np.zeros(3)
+    assert not wheel_set.unloads(False, np.array([7.9]), at_rest)
+    assert wheel_set.unloads(False, np.array([-8.1]), at_rest)
+    assert wheel_set.unloads(True, np.array([2.1]), at_rest)
+    assert not wheel_set.unloads(True, np.array([1.9]), at_rest)
+    assert wheel_set.unloading_torque(np.array([1.0])) == pytest.approx([0, 0, -1.0 / 20.0])
+    assert wheel_set.unloading_torque(np.array([9.0])) == pytest.approx([0, 0, -0.1])
+
+
+def test_wheels_stay_within_their_limits():
+    units = {name: Wheel(axis=list(map(float, axis)), inertia=0.1, torque_limit=0.5, speed_limit=100.0)
+             for name, axis in AXES.items()}  # fmt: skip
+    wheel_set = WheelSet(Wheels(units=units), sample_time=0.01, alone=True)
+    w = np.array([0.01, -0.02, 0.03])
+    at_rest = wheel_set.give(np.array([0.2, 0.1, -0.3]), np.zeros(4), w)
+    assert at_rest.on_base == pytest.approx([0.2, 0.1, -0.3])
+    strong = wheel_set.give(np.array([0.0, 0.0, 50.0]), np.zeros(4), w)
+    assert strong.motor == pytest.approx(-0.5 * np.ones(4))
+    full = 0.1 * (100.0 + w @ wheel_set.axes)
+    more = wheel_set.give(np.array([0.0, 0.0, -1.0]), full, w)
+    assert more.motor == pytest.approx(np.zeros(4), abs=1e-12)
+    less = wheel_set.give(np.array([0.0, 0.0, 1.0]), full, w)
+    assert less.on_base == pytest.approx([0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (("actuation.wheels.units={}",), "actuation.wheels.units: give wheels by name"),
+        (("actuation.wheels.units={z: {}}",), "units: give no torque about some axis; add wheels, or actuation.thrust"),
+        (("actuation.wheels.units={z: {axis: [0, 0, 0]}}",), "actuation.wheels.units.z.axis: must not be zero"),
+        (("actuation.wheels.units={z: {inertia: 0}}",), "actuation.wheels.units.z.inertia: must be > 0, not 0"),
+        (
+            ("actuation.wheels.units={z: {initial_momentum: 60}}",),
+            "z.initial_momentum: must be within inertia * speed_limit, 50.24 N m s, not 60",
+        ),
+        (
+            ("actuation.wheels={units: {z: {}}, desaturate_below: 0.9}",),
+            "desaturate_below: must be from 0 to below desaturate_above (0.8), not 0.9",
+        ),
+        (
+            (wheels(inertia=400.0), "actuation.thrusters.layout=12x5N"),
+            "actuation.wheels: their inertia is part of the base's, which has less",
+        ),
+    ],
+)
+def test_errors_are_one_clear_line(overrides, expected):
+    with pytest.raises(ScenarioError) as error:
+        make_closed_loop(load_scenario("postcapture", overrides))
+    assert expected in str(error.value)
+    assert "\n" not in str(error.value)
