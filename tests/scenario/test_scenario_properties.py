@@ -91,6 +91,15 @@ SPECIAL = {
         {"layout": st.sampled_from(tuple(thruster_layouts())), "frame": st.integers(20, 1000)},
         optional={"modulator": st.sampled_from(MODULATORS), "rise_time": st.floats(0.0, 1.0)},
     ),
+    "wheels": st.none()
+    | st.fixed_dictionaries(
+        {
+            "units": st.dictionaries(
+                NAME, st.fixed_dictionaries({"axis": st.just([0.0, 3.0, 4.0])}), min_size=1, max_size=3
+            )
+        },
+        optional={"desaturation_time": st.floats(1.0, 100.0)},
+    ),
     "model": st.fixed_dictionaries(
         {}, optional={"directives": NAME, "end_effector": TEXT, "packages": st.dictionaries(NAME, NAME, max_size=2)}
     )
