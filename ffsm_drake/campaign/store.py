@@ -174,7 +174,8 @@ class Store:
         named = [name for name in self.spec.names if any(isinstance(value, str) for value in self.sampled(name))]
         types = dict.fromkeys(self.columns, pa.float64())
         types |= dict.fromkeys(("case_index", "random_seed"), pa.int64())
-        types |= dict.fromkeys(texts := (*_TEXT, "controller", "software", *named), pa.string())
+        texts = {*_TEXT, "controller", "software", *named} & set(types)  # some only with a capture
+        types |= dict.fromkeys(texts, pa.string())
         schema = pa.schema(list(types.items()))
         with pq.ParquetWriter(path, schema) as writer:
             while chunk := list(itertools.islice(rows, _EXPORTED)):
