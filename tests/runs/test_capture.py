@@ -234,6 +234,20 @@ def test_a_run_has_the_bits_of_a_fresh_build(rollout, log):
     assert not rollout.accepts(override_scenario(SCENARIO, ["payload.nominal.mass=90"]))
 
 
+def test_another_centre_of_mass_needs_another_plan():
+    scenario = load_scenario("tumbling_capture", ["capture.approach=null", "controller=tdc", "duration=0.05"])
+    with_truth = lambda **values: dataclasses.replace(  # noqa: E731
+        scenario,
+        payload=dataclasses.replace(scenario.payload, truth=dataclasses.replace(scenario.payload.truth, **values)),
+    )
+    rollout = make_rollout(scenario)
+    assert rollout.accepts(with_truth(mass=120.0))
+    moved = with_truth(center_of_mass=[0.1, 0.0, 0.0])
+    assert not rollout.accepts(moved)  # the grasped point of the target moves otherwise
+    start = make_rollout(moved).run().series["desired_state"][0]
+    assert np.abs(start - rollout.run().series["desired_state"][0]).max() > 1e-4
+
+
 def test_without_an_approach_it_begins_with_the_grasp():
     scenario = override_scenario(from_grasp(SCENARIO), ["duration=1", "initial_velocity.joint_2=0.001"])
     record = simulate(scenario, check_stability=False)

@@ -1,7 +1,7 @@
 """The charts of a campaign's page."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,12 +20,16 @@ _SHARE = {"range": [0, 101]}
 
 def chart_views(findings: Findings) -> dict[str, list[View]]:
     """Section -> its charts; sections without any are left out."""
+    limits = sorted({limit for runs in findings.table.runs.values() for limit in limits_of(runs)})
+    colors = dict(zip(limits, itertools.cycle(_LIMITS), strict=False))  # the same in every map
     panels = {
         "success": [_success(findings)],
         "accuracy": [_cumulative(findings, metric) for metric in ("itae", "isv")],
         "difference": _differences(findings),
         "sensitivity": [_sensitivity(findings)] if findings.influential else [],
-        "map": [_map(findings, runs) for runs in findings.table.runs.values()] if findings.map is not None else [],
+        "map": [_map(findings, runs, colors) for runs in findings.table.runs.values()]
+        if findings.map is not None
+        else [],
     }
     return {key: [View(label="", panels=shown)] for key, shown in panels.items() if shown}
 
@@ -113,28 +117,29 @@ def _sensitivity(findings: Findings) -> Panel:
     )  # fmt: skip
 
 
-def _marked(runs: Runs) -> list[tuple[np.ndarray, str, str, str]]:
+def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str, str, str]]:
     """The runs to tell apart: mask, label, color and symbol; failed ones by the first limit that they left."""
     failed = ~runs.settled
     marked = [(runs.settled, "settled", SETTLED, "circle")]
     if runs.first_limit is None:
         return [*marked, (failed, "not settled", FAILED, "x")]
     refused = runs.outcome == "refused"
-    for (limit, count), color in zip(limits_of(runs).items(), itertools.cycle(_LIMITS), strict=False):
+    for limit, count in limits_of(runs).items():
         which = failed & ~refused & (runs.first_limit == limit)
-        marked.append((which, f"{limit or 'no limit left'}: {count}", color, "x"))
+        marked.append((which, f"{limit or 'no limit left'}: {count}", colors[limit], "x"))
     return [*marked, (refused, f"no plan within the limits: {refused.sum()}", NEUTRAL, "triangle-up")]
 
 
 def limits_of(runs: Runs) -> dict[str, int]:
     """The limits that failed runs left first, "" for none, and how many; the most frequent first."""
-    assert runs.first_limit is not None
+    if runs.first_limit is None:
+        return {}
     failed = runs.first_limit[~runs.settled & (runs.outcome != "refused") & (runs.outcome != "error")]
     names, counts = np.unique(failed, return_counts=True)
     return {str(names[i]): int(counts[i]) for i in np.argsort(-counts, kind="stable")}
 
 
-def _map(findings: Findings, runs: Runs) -> Panel:
+def _map(findings: Findings, runs: Runs, colors: Mapping[str, str]) -> Panel:
     """Outcomes of one controller over two values, and where it is predicted to fail."""
     grid = findings.map
     assert grid is not None
@@ -156,7 +161,7 @@ def _map(findings: Findings, runs: Runs) -> Panel:
             "hoverinfo": "skip",
         })  # fmt: skip
     x, y = (findings.table.values[axis][runs.case] for axis in (grid.x_name, grid.y_name))
-    for which, label, color, symbol in _marked(runs):
+    for which, label, color, symbol in _marked(runs, colors):
         cases = zip(runs.case[which], runs.outcome[which], strict=True)
         traces.append({
             "type": "scattergl" if x.size > 3000 else "scatter",

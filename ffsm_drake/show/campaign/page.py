@@ -121,7 +121,6 @@ def _page(store: Store, findings: Findings) -> str:
         "limits": [
             [label_of(name), limit or "none", count]
             for name, runs in table.runs.items()
-            if runs.first_limit is not None
             for limit, count in limits_of(runs).items()
         ],
         "has_capture": spec.base["capture"] is not None,
