@@ -36,7 +36,7 @@ def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     directory = out or Path("out") / f"{scenario_stem()}_plan"
     check_writable(directory)
     found = plan_motion(scenario, progress=lambda line: click.echo(line, err=True))
-    title = f"{scenario.description}\nMade by 'ffsm plan' with {found.solver}; read by reference.plan."
+    title = f"{scenario.description}\nMade by 'ffsm plan'; read by reference.plan."
     files = [directory / "plan.yaml"]
     named = scenario.reference.plan
     if scenario.reference.kind == "optimal" and named is not None and "://" not in named:

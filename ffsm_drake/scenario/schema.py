@@ -15,7 +15,6 @@ from pydrake.systems.analysis import SimulatorConfig
 PerCoordinate = dict[str, float]
 BASE_ROTATIONS = ("eigenaxis", "rpy")
 REFERENCE_KINDS = ("quintic", "optimal")
-PLAN_SOLVERS = ("snopt", "ipopt")
 ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 CAPTURE_AXES = ("target", "world")
 SERVICER_MOTIONS = ("rest", "track_joints", "track_all", "given")
@@ -152,7 +151,6 @@ class Planning:
     velocity_limit: PerCoordinate | None = None  # rad/s or m/s; largest rate, beside the URDFs'; null: none
     impulse_limit: PerCoordinate | None = None  # N m s or N s; largest integral of a force's size, each; null: none
     segments: int = 24  # of the spline: more follow the limits closer and take longer
-    solver: str = "snopt"  # or "ipopt"; the other one is tried when it fails
 
 
 @dataclasses.dataclass

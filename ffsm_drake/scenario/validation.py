@@ -16,7 +16,6 @@ from ffsm_drake.scenario.schema import (
     GOALS,
     GRASPING_JOINTS,
     MODULATORS,
-    PLAN_SOLVERS,
     REFERENCE_KINDS,
     SERVICER_MOTIONS,
     THRUSTER_FAILURES,
@@ -70,7 +69,6 @@ def validate(scenario: Scenario) -> None:
         require(name.isidentifier(), f"blocks.forces.{name}", "a force's name must be letters, digits and underscores")
     for key, kind, kinds in (
         ("reference.kind", scenario.reference.kind, REFERENCE_KINDS),
-        ("planning.solver", scenario.planning.solver, PLAN_SOLVERS),
         ("reference.base_rotation", scenario.reference.base_rotation, BASE_ROTATIONS),
         ("reference.goal", scenario.reference.goal, GOALS),
         ("estimator.kind", scenario.estimator.kind, ESTIMATOR_KINDS),

@@ -319,8 +319,7 @@ def plan_table(found: "PlannedMotionReport") -> str:
     plan = found.plan
     after = f", and {plan.settle:g} s more for the rates that are left" if plan.settle > 0.0 else ""
     lines = [
-        f"At rest after {plan.duration:.3f} s{after}; {found.solver}, {found.evaluations} evaluations in "
-        f"{found.solve_time:.1f} s",
+        f"At rest after {plan.duration:.3f} s{after}; {found.evaluations} evaluations in {found.solve_time:.1f} s",
         f"Angular momentum about the centre of mass: {number(found.angular_momentum)} N m s at the start, "
         f"{number(found.momentum_left)} at {plan.duration:.3f} s"
         + (f"; base torque alone takes at least {found.least_by_torque:.2f} s" if found.least_by_torque > 0.0 else ""),
@@ -346,7 +345,6 @@ def plan_data(found: "PlannedMotionReport") -> dict[str, Any]:
     return {
         "duration": found.plan.duration,
         "settle": found.plan.settle,
-        "solver": found.solver,
         "solve_time": found.solve_time,
         "evaluations": found.evaluations,
         "isv": found.effort,

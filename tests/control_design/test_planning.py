@@ -90,7 +90,7 @@ def test_goal_posture_and_effort():
     """From rest to a posture with all the time there is: less effort than the fifth-order polynomial."""
     overrides = [
         "reference.goal=target_posture", "planning.time_weight=0", "planning.effort_weight=1", "planning.end_rate=0",
-        "planning.solver=snopt", "initial_velocity=0", "reference.duration=40", "target_posture.base_rpy=[0, 0.1, 0]",
+        "initial_velocity=0", "reference.duration=40", "target_posture.base_rpy=[0, 0.1, 0]",
         "target_posture.joints={joint_1: -0.6, joint_2: 1.1, joint_3: 0.6}", *QUICK,
     ]  # fmt: skip
     scenario = load_scenario("planar_detumble", overrides)

@@ -137,7 +137,6 @@ directives:
         ("reference.kind=optimal", "reference.plan: name the plan's file"),
         ("clearance=-1", "override: clearance: must be >= 0 m, not -1"),
         ("reference.goal=rest", "reference.goal: 'rest' is unknown; choose one of target_posture, stop"),
-        ("planning.solver=gurobi", "planning.solver: 'gurobi' is unknown; choose one of snopt, ipopt"),
         ("planning.reserve=1", "override: planning.reserve: must be from 0 to below 1, not 1"),
         ("planning.segments=1", "override: planning.segments: must be from 4 to 100, not 1"),
         ("planning.impulse_limit.joints=0", "override: planning.impulse_limit.joints: must be > 0, not 0"),

@@ -15,7 +15,6 @@ from ffsm_drake.scenario import (
     CAPTURE_AXES,
     ESTIMATOR_KINDS,
     GOALS,
-    PLAN_SOLVERS,
     Block,
     Reference,
     Scenario,
@@ -73,7 +72,6 @@ SPECIAL = {
     "base_rotation": st.sampled_from(BASE_ROTATIONS),
     "inertia": moments(),
     "delay": st.integers(0, 1000),
-    "solver": st.sampled_from(PLAN_SOLVERS),
     "segments": st.integers(4, 100),
     **dict.fromkeys(
         ("velocity_period", "position_period", "velocity_delay", "position_delay"),

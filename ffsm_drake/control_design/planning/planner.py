@@ -1,6 +1,7 @@
 """From a scenario to a plan: first guess, solution, and how near the plan comes to every limit."""
 
 import dataclasses
+import functools
 import time
 from collections.abc import Callable
 
@@ -23,6 +24,7 @@ from ffsm_drake.systems.plan import Plan
 _INSTANTS = 401  # at which a plan is looked at
 _DURATIONS = np.geomspace(0.0025, 1.0, 31)  # of the first guess, as parts of the longest
 _ATTEMPTS, _LESS = 3, 0.005  # at keeping forces between the solver's instants; share by which they are cut beyond need
+_DETOUR = 0.05  # rad; about each axis, of the base in the first guess
 _SETTLES = (0.5, 1.0, 2.0, 4.0, 8.0)  # s, in which rates at the end die away
 
 
@@ -35,7 +37,6 @@ class PlannedMotionReport:
     """A plan, and what it takes."""
 
     plan: Plan
-    solver: str
     solve_time: float  # s of wall time
     evaluations: int
     effort: float  # integral of the squared force, up to the plan's duration: what ISV counts
@@ -98,13 +99,13 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
     allowed = limits.force * (1.0 - planning.reserve)
     guess = _first_guess(problem, allowed, start, rate, goal, free=free)
     progress(f"first guess: fifth-order polynomial of {guess[-1]:.2f} s")
-    solvers = (planning.solver, *({"snopt", "ipopt"} - {planning.solver}))
     failures = []
-    for solver in solvers:
-        unknowns, share = guess, 1.0
+    for number, angle in enumerate((_DETOUR, 0.0), start=1):
+        detour = functools.partial(_detour, size=start.size, angle=angle)
+        unknowns, share = guess + problem.guess(detour, 0.0), 1.0
         for _ in range(_ATTEMPTS):
             problem.tighten(share)
-            result, points, duration = problem.solve(unknowns, solver)
+            result, points, duration = problem.solve(unknowns)
             plan = Plan(
                 duration=duration, settle=0.0, first_attitude=tuple(q[:4].tolist()), coordinates=coordinates.names,
                 control_points=points,
@@ -119,8 +120,8 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
             unknowns = np.r_[points.ravel(), duration]
         if kept:
             break
-        failures.append((solver, result.get_solution_result().name.removeprefix("k"), found))
-        progress(f"{solver}: {failures[-1][1]}")
+        failures.append((result.get_solution_result().name.removeprefix("k"), found))
+        progress(f"first guess {number}: {failures[-1][0]}")
     else:
         raise PlanningError(_why_not(failures, scenario, size, least))
     if planning.end_rate > 0.0:
@@ -130,7 +131,6 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
                 break
     return dataclasses.replace(
         found,
-        solver=solver,
         solve_time=time.perf_counter() - begun,
         evaluations=problem.evaluations,
         angular_momentum=size,
@@ -213,6 +213,11 @@ def _first_guess(
     return best
 
 
+def _detour(share: np.ndarray, size: int, angle: float) -> np.ndarray:
+    """A detour of the base's attitude (n, size): a solver never leaves a plane that its first guess lies in."""
+    return angle * np.sin(np.pi * share[:, None]) ** 2 * (np.arange(size) < 3)
+
+
 def _looked_at(
     plan: Plan,
     model: PlantModel,
@@ -247,7 +252,6 @@ def _looked_at(
     impulses = np.trapezoid(np.abs(force[main]), times[main], axis=0)
     return PlannedMotionReport(
         plan=plan,
-        solver="",
         solve_time=0.0,
         evaluations=0,
         effort=float(np.trapezoid((force[main] ** 2).sum(axis=1), times[main])),
@@ -263,9 +267,7 @@ def _looked_at(
     )
 
 
-def _why_not(
-    failures: list[tuple[str, str, PlannedMotionReport]], scenario: Scenario, momentum: float, least: float
-) -> str:
+def _why_not(failures: list[tuple[str, PlannedMotionReport]], scenario: Scenario, momentum: float, least: float) -> str:
     """One line: which limit is in the way."""
     longest = scenario.reference.duration
     if longest is not None and least > longest:
@@ -273,8 +275,8 @@ def _why_not(
             f"no plan: base torque within actuation.limit takes {least:.3g} s to take out the angular momentum of "
             f"{momentum:.3g} N m s, more than reference.duration ({longest:g} s)"
         )
-    broken = [margin for _, _, found in failures for margin in found.margins if not margin.kept]
-    tried = ", ".join(f"{solver}: {status}" for solver, status, _ in failures)
+    broken = [margin for _, found in failures for margin in found.margins if not margin.kept]
+    tried = ", ".join(status for status, _ in failures)
     if not broken:
         return f"no plan was found ({tried}); try another planning.segments or reference.duration"
 

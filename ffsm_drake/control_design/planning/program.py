@@ -13,7 +13,6 @@ from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoD
 from pydrake.math import BsplineBasis, KnotVectorType
 from pydrake.multibody.inverse_kinematics import MinimumDistanceLowerBoundConstraint
 from pydrake.solvers import (
-    IpoptSolver,
     MathematicalProgram,
     MathematicalProgramResult,
     PyFunctionConstraint,
@@ -33,14 +32,11 @@ _INFLUENCE = 0.1  # m beyond the clearance; nearer parts are seen by the solver
 _INSTANTS = 3  # in which force and clearance are looked at, per segment
 _ROOM = 0.002  # m beyond the clearance, for what happens between these instants
 _SUM = 0.005  # share of an impulse that the sum over these instants may miss
-_OPTIONS: dict[str, dict[str, float | int | str]] = {
-    "snopt": {
-        "Major iterations limit": 1000,
-        "Iterations limit": 100_000,
-        "Major optimality tolerance": 1e-4,
-        "Hessian updates": 200,  # it would forget after 10, and take thousands of iterations to least effort
-    },
-    "ipopt": {"max_iter": 200, "tol": 1e-5, "hessian_approximation": "limited-memory"},
+_OPTIONS = {
+    "Major iterations limit": 1000,
+    "Iterations limit": 100_000,
+    "Major optimality tolerance": 1e-4,
+    "Hessian updates": 200,  # it would forget after 10, and take thousands of iterations to least effort
 }
 
 
@@ -287,7 +283,7 @@ class PlanningProgram:
         points = np.linalg.lstsq(self.basis[0], curve(self.share), rcond=None)[0]
         return np.r_[points.ravel(), duration]
 
-    def solve(self, guess: np.ndarray, solver: str) -> tuple[MathematicalProgramResult, np.ndarray, float]:
+    def solve(self, guess: np.ndarray) -> tuple[MathematicalProgramResult, np.ndarray, float]:
         """The solver's result, control points (count, nv) and duration, s."""
         first = np.zeros(self._program.num_vars())
         first[: guess.size] = guess
@@ -296,9 +292,8 @@ class PlanningProgram:
             first[guess.size :] = np.abs(self.evaluate(guess)[0][:, limited]).ravel()
         self._scale = 1.0
         self._scale = max(float(self._cost(guess)), 1e-12)
-        chosen = SnoptSolver() if solver == "snopt" else IpoptSolver()
-        options = SolverOptions()
-        for key, value in _OPTIONS[solver].items():
+        chosen, options = SnoptSolver(), SolverOptions()
+        for key, value in _OPTIONS.items():
             options.SetOption(chosen.solver_id(), key, value)
         result = chosen.Solve(self._program, first, options)
         points = result.GetSolution(self._points).reshape(self._count, self._size)
