@@ -96,8 +96,8 @@ def summary_text(findings: Findings) -> str:
 
 def _page(store: Store, findings: Findings) -> str:
     spec, table = findings.spec, findings.table
-    metrics = _METRICS | (_OF_CAPTURE if spec.base["capture"] is not None else {})
-    metrics |= _OF_THRUSTERS if fires(spec) else {}
+    more = (_OF_CAPTURE if spec.base["capture"] is not None else {}) | (_OF_THRUSTERS if fires(spec) else {})
+    tables = [_METRICS, *([more] if more else [])]
     views = chart_views(findings)
     content: dict[str, Any] = {
         "title": spec.description or store.path.stem,
@@ -113,10 +113,15 @@ def _page(store: Store, findings: Findings) -> str:
             for (name, rate), runs in zip(findings.success.items(), table.runs.values(), strict=True)
         ],
         "metrics": [
-            [label_of(name), *(_spread(quantiles(runs, metric)) for metric in metrics)]
-            for name, runs in table.runs.items()
+            (
+                list(metrics.values()),
+                [
+                    [label_of(name), *(_spread(quantiles(runs, metric)) for metric in metrics)]
+                    for name, runs in table.runs.items()
+                ],
+            )
+            for metrics in tables
         ],
-        "metric_names": list(metrics.values()),
         "outcomes": [kind.replace("_", " ") for kind in OUTCOMES],
         "limits": [
             [label_of(name), limit or "none", count]
