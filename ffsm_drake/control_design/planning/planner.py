@@ -100,7 +100,9 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
     guess = _first_guess(problem, allowed, start, rate, goal, free=free)
     progress(f"first guess: fifth-order polynomial of {guess[-1]:.2f} s")
     failures = []
-    for number, angle in enumerate((_DETOUR, 0.0), start=1):
+    # An impulse limit leaves no room for a detour; without, that comes first.
+    angles = (0.0, _DETOUR) if planning.impulse_limit else (_DETOUR, 0.0)
+    for number, angle in enumerate(angles, start=1):
         detour = functools.partial(_detour, size=start.size, angle=angle)
         unknowns, share = guess + problem.guess(detour, 0.0), 1.0
         for _ in range(_ATTEMPTS):
