@@ -21,8 +21,10 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
       momentum_residual: largest norm, over the run or its phases, of the momentum's change minus the impulse of the
         external forces, ``linear`` (N s) and ``angular`` (N m s, about the world's origin): what the integrator got
         wrong.
-      phases: of a run with a capture, by phase, those of ``tracking_metrics``, each with its own time.
-      thrusters, wheels: of a run with them, those of ``actuators.thruster_metrics`` and ``wheel_metrics``.
+      phases: of a run with a capture, by phase,
+        those of ``tracking_metrics``, each with its own time.
+      thrusters, wheels: of a run with them,
+        those of ``actuators.thruster_metrics`` and ``wheel_metrics``.
     """
     tracking = tracking_metrics(
         time=dataset["time"].values,
