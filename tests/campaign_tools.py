@@ -1,6 +1,7 @@
 """What the campaign tests share: a small specification, tables to compare, a driver in a process of its own."""
 
 import contextlib
+import gc
 import sqlite3
 import subprocess
 import sys
@@ -47,6 +48,7 @@ HERE = Workers(open=lambda: ThreadPoolExecutor(1), in_flight=lambda: 1, renewabl
 
 def run_here(spec_file: Path, database: Path, *, workers: int = 0) -> Path:
     """Run a campaign from this process; without workers, in it."""
+    gc.collect()  # a Meshcat that another test left must end in its own thread: elsewhere Drake ends the process
     with local_workers(workers) if workers else contextlib.nullcontext(HERE) as crew:
         start_campaign(load_spec(spec_file), database, workers=crew, stop=Stop())
     return database
