@@ -13,6 +13,10 @@ scenario is ``postcapture`` with the proposed controller: 20 s, or what is asked
     second model with the nominal payload;
 (d) the same on Basilisk, where it is installed (pip install bsk): its simulation of a MuJoCo model, the law of (c) as
     a module in Python, and a recorder of the state; ExecuteSimulation only.
+
+Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of ``thrusters_only``
+alone, over the same run with an ideal wrench: what allocation, modulation and wheels cost. And ``flexible_panels`` over
+the same run with the panels locked: what hidden coordinates cost.
 """
 
 import argparse
@@ -41,6 +45,13 @@ except ImportError as error:
     on_basilisk, WITHOUT_BASILISK = None, str(error)
 
 JOINTS = (5, 7, 14)
+ACTUATORS = {
+    "ideal wrench": ("actuation.thrusters=null", "actuation.wheels=null"),
+    "four wheels": ("actuation.thrusters=null",),
+    "16 thrusters": ("actuation.wheels=null", "actuation.thrusters.layout=16x22N"),
+    "12 thrusters, four wheels": (),
+}
+PANELS = {"locked": ("model.flexible={}",), "two panels": ()}
 
 
 class BarePlant:
@@ -141,6 +152,17 @@ def contest(scenario: Scenario) -> Contest:
     return Contest(rollout, contestants, differences)
 
 
+def variant_times(
+    scenario: str, variants: Mapping[str, Sequence[str]], repeats: int, duration: str
+) -> dict[str, Timing]:
+    """Wall time of a shipped scenario with the overrides of its variants."""
+    rollouts = {name: Rollout(load_scenario(scenario, (duration, *overrides))) for name, overrides in variants.items()}
+    return interleaved(
+        {name: lambda rollout=rollout: rollout.run().wall_time["advance_to"] for name, rollout in rollouts.items()},
+        repeats,
+    )
+
+
 def start_times(repeats: int, duration: str) -> dict[str, Timing]:
     """Wall time of fresh interpreters, less that of an empty one."""
     scenario = f"f.load_scenario('postcapture', ['{duration}'])"
@@ -181,6 +203,14 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
         print(f"  {label:22s} {times[name]}   {times[name].over(b)} of (b)")
 
 
+def print_variants(times: Mapping[str, Timing], samples: int) -> None:
+    """All against the first."""
+    first, base = next(iter(times.items()))
+    for name, timing in times.items():
+        added = (timing.median - base.median) / samples * 1e6
+        print(f"  {name:26s} {timing}   {timing.over(base)} of {first}, {added:+.0f} us")
+
+
 def print_arms(times: Mapping[str, Timing], arms: Mapping[int, Contest]) -> None:
     for joints, arm in arms.items():
         own = {name: times[f"{name}{joints}"] for name in arm.contestants}
@@ -217,6 +247,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     print(f"postcapture, tde_aismc, {arguments.duration:g} s: medians of {repeats} interleaved repeats (minima)")
     print_contest(times, shipped, scenario.num_control_periods)
+
+    for name, variants in (("thrusters_and_wheels", ACTUATORS), ("flexible_panels", PANELS)):
+        print(f"{name}, medians of {fewer} (minima), and per control sample what is added")
+        print_variants(variant_times(name, variants, fewer, duration), scenario.num_control_periods)
 
     with tempfile.TemporaryDirectory() as folder:
         arms = {joints: contest(arm_scenario(joints, Path(folder), duration)) for joints in JOINTS}

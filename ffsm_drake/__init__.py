@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ffsm_drake.runs.simulate import compare, simulate
     from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
     from ffsm_drake.show.outputs import write_outputs
+    from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
     from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
     from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, Sample, gain
     from ffsm_drake.systems.setup import BlockSetup
@@ -37,6 +38,7 @@ _HOMES = {
     "runs.simulate": ("compare", "simulate"),
     "scenario": ("Scenario", "load_scenario", "override_scenario"),
     "show.outputs": ("write_outputs",),
+    "spacecraft.free_floating": ("FreeFloating", "free_floating"),
     "spacecraft.nominal": ("PlantModel", "make_nominal_plant", "make_true_plant"),
     "systems.controllers": ("ControlLaw", "InjectedDynamics", "Sample", "gain"),
     "systems.setup": ("BlockSetup",),
@@ -49,6 +51,7 @@ __all__ = [
     "ClosedLoop",
     "ControlLaw",
     "FfsmError",
+    "FreeFloating",
     "InjectedDynamics",
     "ModelError",
     "Outcome",
@@ -64,6 +67,7 @@ __all__ = [
     "analyze",
     "compare",
     "design",
+    "free_floating",
     "gain",
     "load_scenario",
     "make_closed_loop",

@@ -6,7 +6,8 @@ import sqlite3
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import yaml
@@ -14,7 +15,7 @@ import yaml
 from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.campaign.run import start_campaign
 from ffsm_drake.campaign.spec import load_spec
-from ffsm_drake.common.workers import Stop, Workers, local_workers
+from ffsm_drake.common.workers import Stop, Workers
 
 SMALL = {
     "description": "a small campaign",
@@ -46,11 +47,19 @@ def write_spec(path: Path, **changes) -> Path:
 HERE = Workers(open=lambda: ThreadPoolExecutor(1), in_flight=lambda: 1, renewable=False)
 
 
-def run_here(spec_file: Path, database: Path, *, workers: int = 0) -> Path:
-    """Run a campaign from this process; without workers, in it."""
+def forked(count: int, *, in_flight: int) -> Workers:
+    """Processes that are copies of this one, which has loaded everything."""
+    return Workers(
+        open=lambda: ProcessPoolExecutor(count, mp_context=get_context("fork")),
+        in_flight=lambda: in_flight,
+        renewable=True,
+    )
+
+
+def run_here(spec_file: Path, database: Path, *, workers: Workers = HERE) -> Path:
+    """Run a campaign from this process; by default in it."""
     gc.collect()  # a Meshcat that another test left must end in its own thread: elsewhere Drake ends the process
-    with local_workers(workers) if workers else contextlib.nullcontext(HERE) as crew:
-        start_campaign(load_spec(spec_file), database, workers=crew, stop=Stop())
+    start_campaign(load_spec(spec_file), database, workers=workers, stop=Stop())
     return database
 
 

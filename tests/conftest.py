@@ -20,7 +20,10 @@ def pytest_configure(config):
 
 
 # The modules that take longest; the longest starts first, so that no worker ends alone with one.
-LONGEST = ("flight", "bad_inputs", "linearization", "reproduction", "campaign_run", "example", "noise_study", "report")
+LONGEST = (
+    "bad_inputs", "flight", "cli", "stability", "report", "reproduction", "noise_study", "linearization",
+    "campaign_run", "example",
+)  # fmt: skip
 
 
 def pytest_collection_modifyitems(items):

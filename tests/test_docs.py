@@ -126,7 +126,14 @@ def absent(_):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=pytest.mark.slow if page.name == "README.md" else (), id=page.name)
+        for page in PAGES
+        if blocks(page, "python")
+    ],
+)
 def test_python_examples_run(page, tmp_path, monkeypatch):
     """All python blocks of a page: those that begin with the name of a file as modules, together with the tests in
     them, the others one after another in one namespace. Figures, the report's stability section and most prices of a

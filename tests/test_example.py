@@ -81,6 +81,7 @@ def test_bad_input_gets_one_line(main, capfd):
     assert error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_campaign(tmp_path):
     """In a process of its own, since its workers import the file."""
     command = [sys.executable, EXAMPLES / "small_campaign.py"]
@@ -91,6 +92,7 @@ def test_the_campaign(tmp_path):
     assert len((tmp_path / "out/small_campaign/runs.csv").read_text().splitlines()) == 17
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("cheap")
 @pytest.mark.parametrize("name", OTHERS)
 def test_the_other_examples(name, tmp_path, monkeypatch):
@@ -127,6 +129,7 @@ def _in_packed(part: str, page: str) -> bool:
     return any(part.encode() in base64.b64decode(blob) for blob in blobs)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 def test_recording_shows_the_spacecraft_in_a_browser(recording, tmp_path):
     from matplotlib import image

@@ -17,6 +17,7 @@ TABLE_2 = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("disturbance", DISTURBANCES)
 @pytest.mark.parametrize("controller", TABLE_2)
 def test_effort_of_table_2(run, controller, disturbance):
@@ -25,6 +26,7 @@ def test_effort_of_table_2(run, controller, disturbance):
     assert record.metrics["isv"] == pytest.approx(TABLE_2[controller][disturbance], rel=0.025)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("disturbance", DISTURBANCES)
 def test_accuracy_ranking_of_table_2(run, disturbance):
     itae = [run("paper", f"controller={name}", *DISTURBANCES[disturbance]).metrics["itae"] for name in TABLE_2]

@@ -12,9 +12,9 @@ if TYPE_CHECKING:
 
 
 def mass_matrices(model: PlantModel, positions: np.ndarray) -> np.ndarray:
-    """The mass matrix at each of the configurations (n, nq): (n, nv, nv)."""
+    """The mass matrix, apparent where something is hidden, at each of the configurations (n, nq): (n, nv, nv)."""
     size = len(model.coordinates.names)
-    return np.array([model.calc_mass_matrix(q) for q in positions]).reshape(-1, size, size)
+    return np.array([model.calc_apparent_mass_matrix(q) for q in positions]).reshape(-1, size, size)
 
 
 def commanded_acceleration(

@@ -11,7 +11,7 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import from_grasp
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.systems.controllers import gain_vectors
 from ffsm_drake.systems.registry import is_shipped
 
@@ -43,7 +43,7 @@ SERIES = {
     "effort_spectrum": ("frequency coordinate", "(N m)^2/Hz, N^2/Hz", "power spectral density of tau (Welch)"),
     "linear_momentum_residual": ("time", "N s", "norm of the linear momentum's residual"),
     "angular_momentum_residual": ("time", "N m s", "norm of the angular momentum's residual"),
-    "energy_residual": ("time", "J", "T(t) - T(0) minus the work of tau + tau_d"),
+    "energy_residual": ("time", "J", "change of energy since the start minus the work of tau + tau_d and dampers"),
 }
 
 
@@ -60,7 +60,7 @@ class Evidence:
         self.time = self.data["time"].values
         self.period = float(record.dataset.attrs["sample_time"])
         self.nominal = make_nominal_plant(self.scenario)
-        self.true = make_true_plant(self.scenario)
+        self.true = make_flexible_plant(self.scenario)
         self.coordinates = self.nominal.coordinates
         self.after_start_up = self.time >= estimation.start_up_time(self.period) - 1e-9
         self.series: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}

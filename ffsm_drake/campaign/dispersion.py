@@ -247,7 +247,9 @@ def _names(data: Any, *, place: str) -> tuple[str, ...]:
 
 
 def _tidy(value: Any, *, place: str) -> Any:
-    """A value for the scenario; numbers must be finite, also within lists and where YAML reads them as text."""
+    """A value for the scenario; numbers must be finite, also within lists and mappings and where YAML has text."""
+    if isinstance(value, Mapping):
+        return {name: _tidy(item, place=f"{place}.{name}") for name, item in value.items()}
     if isinstance(value, list):
         return [_tidy(item, place=place) for item in value]
     if value is None or isinstance(value, (bool, int)):

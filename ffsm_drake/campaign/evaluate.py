@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,9 @@ from ffsm_drake.campaign.prediction import predict
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import BlockError, LimitError, one_line
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
-from ffsm_drake.runs.actuators import thrust_taken
+from ffsm_drake.runs.actuators import thrusters_used, wheels_used
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
+from ffsm_drake.runs.deflections import deflection_units, largest_deflections
 from ffsm_drake.runs.limits import CLEARANCE, limits_left
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog
@@ -35,25 +37,44 @@ METRICS = ("itae", "isv", *(f"{kind}_{group}" for kind, group in _BY_GROUP), "se
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
 # Further columns where the scenario has a capture. The first limit that a run leaves is text.
 OF_CAPTURE = ("grasp_impulse", "grasp_angular_impulse", "first_limit_time")
-# Further columns where it has thrusters: kg, and the share of the samples whose wrench they could not give whole.
-OF_THRUSTERS = ("propellant", "thrusters_saturated")
+# Further columns where it has thrusters: kg, N s, number, and the share of the samples whose wrench they could not
+# give whole; where it has wheels: the largest share of a limit, and shares of the samples.
+OF_THRUSTERS = ("propellant", "thruster_impulse", "thruster_pulses", "thrusters_saturated")
+OF_WHEELS = ("wheel_speed_used", "wheel_torque_used", "wheels_torque_limited", "wheels_unloading")
+# Further columns where it has hidden coordinates, by their unit: the largest deflection and residual amplitude of any.
+OF_HIDDEN = {
+    "rad": ("peak_deflection_angle", "residual_angle"),
+    "m": ("peak_deflection_distance", "residual_distance"),
+}
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
+DIVERGENCE = "predicted_divergence"  # with thrusters or wheels
 
 
 def metrics_of(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign that a run's metrics fill."""
-    return (*METRICS, *(OF_CAPTURE if spec.base["capture"] is not None else ()), *(OF_THRUSTERS if fires(spec) else ()))
+    of_capture = OF_CAPTURE if spec.base["capture"] is not None else ()
+    of_thrusters = OF_THRUSTERS if has_actuators(spec, "thrusters") else ()
+    of_wheels = OF_WHEELS if has_actuators(spec, "wheels") else ()
+    of_hidden = (name for unit in hidden_units(spec) for name in OF_HIDDEN[unit])
+    return (*METRICS, *of_capture, *of_thrusters, *of_wheels, *of_hidden)
 
 
-def fires(spec: Spec) -> bool:
-    """Whether a campaign's scenario has thrusters of its own."""
+def has_actuators(spec: Spec, kind: str) -> bool:
+    """Whether a campaign's scenario has ``thrusters`` or ``wheels`` of its own."""
     base = spec.base
-    return base["actuation"].get("thrusters") is not None and base["blocks"]["actuation"] is None
+    return base["actuation"].get(kind) is not None and base["blocks"]["actuation"] is None
+
+
+def hidden_units(spec: Spec) -> tuple[str, ...]:
+    """The units of the hidden coordinates of a campaign's scenario."""
+    return deflection_units([part["kind"] for part in spec.base["model"]["flexible"].values()])
 
 
 def predictions_of(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign that predictions fill: below 1 a run is foreseen to settle."""
-    return PREDICTIONS if spec.base["capture"] is None else (*PREDICTIONS, LOAD)
+    of_capture = (LOAD,) if spec.base["capture"] is not None else ()
+    rehearsed = has_actuators(spec, "thrusters") or has_actuators(spec, "wheels")
+    return (*PREDICTIONS, *of_capture, *((DIVERGENCE,) if rehearsed else ()))
 
 
 # Columns that differ between repetitions.
@@ -97,7 +118,7 @@ class Evaluator:
                 scenario = timed(scenario_of(self._spec, case, controller))
                 row |= evaluate_run(self._spec, self._run(scenario))
                 with contextlib.suppress(BlockError):  # a user-supplied block that cannot be linearised: no prediction
-                    row |= dict(zip(predictions_of(self._spec), predict(scenario), strict=True))
+                    row |= dict(zip(predictions_of(self._spec), predict(scenario), strict=False))
         except LimitError as error:
             row |= _refused_row(error)
         except (Exception, TimeLimit) as error:
@@ -144,8 +165,12 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
         values["grasp_angular_impulse"], values["grasp_impulse"] = (
             float(np.linalg.norm(part)) for part in np.split(impulse, 2)
         )
-    if fires(spec):
-        values |= dict(zip(OF_THRUSTERS, thrust_taken(log), strict=True))
+    if has_actuators(spec, "thrusters"):
+        values |= thrusters_used(log)
+    if has_actuators(spec, "wheels"):
+        values |= wheels_used(log)
+    for unit in hidden_units(spec):
+        values |= dict(zip(OF_HIDDEN[unit], largest_deflections(log, unit), strict=True))
     # The database knows no NaN.
     row = {name: None if value is None or math.isnan(value) else float(value) for name, value in values.items()}
     return {**text, "outcome_time": log.outcome.time, **row}
@@ -159,7 +184,8 @@ def described(error: BaseException) -> str:
 
 def error_row(message: str) -> Row:
     """The results in the row of a run that failed."""
-    names = (*METRICS, *PREDICTIONS, *OF_CAPTURE, *OF_THRUSTERS, LOAD, FIRST_LIMIT)
+    further = (*OF_CAPTURE, *OF_THRUSTERS, *OF_WHEELS, *chain(*OF_HIDDEN.values()))
+    names = (*METRICS, *PREDICTIONS, *further, LOAD, FIRST_LIMIT)
     return {**dict.fromkeys(names), "outcome": "error", "outcome_time": None, "message": message}
 
 
@@ -180,5 +206,6 @@ def resident_memory() -> float:
 
 def differing_columns(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
     """Of the columns that a repeated run must reproduce bit for bit, those that differ."""
-    names = ("outcome", "outcome_time", "message", *METRICS, *OF_CAPTURE, *OF_THRUSTERS, FIRST_LIMIT)
+    further = (*OF_CAPTURE, *OF_THRUSTERS, *OF_WHEELS, *chain(*OF_HIDDEN.values()))
+    names = ("outcome", "outcome_time", "message", *METRICS, *further, FIRST_LIMIT)
     return [name for name in names if first.get(name) != second.get(name)]

@@ -14,12 +14,13 @@ import numpy as np
 from ffsm_drake.campaign.cases import make_case, scenario_of
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.common.errors import CampaignError, FfsmError, LimitError
-from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.linearization import Linearizer, has_base_actuators
 from ffsm_drake.control_design.stability.margins import POSTURES, expected_gains
+from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.control_design.stability.sampled_loop import inertia_ratios
 from ffsm_drake.scenario import Scenario, from_grasp
-from ffsm_drake.spacecraft.joint_limits import force_limits
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant, make_true_plant
+from ffsm_drake.systems.actuation.limits import force_limits
 from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.reference import make_motion, timed
 
@@ -44,12 +45,18 @@ def predict_stability(scenario: Scenario, *, postures: int = 1) -> tuple[float, 
 def predict(scenario: Scenario) -> tuple[float, ...]:
     """What tells of a run beforehand whether it settles: every number below 1.
 
-    The two of ``predict_stability``; with a capture and limits of force also ``predicted_load``.
+    The two of ``predict_stability``; with a capture and limits of force also ``predicted_load``; with thrusters or
+    wheels also whether the linearised loop diverges under them, 0 or 1 (``rehearse``).
     """
     scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
-        radii = _radii(linearizer, _most_overestimated(scenario)[:1])
-        return radii if scenario.capture is None else (*radii, predicted_load(linearizer))
+        found = list(_radii(linearizer, _most_overestimated(scenario)[:1]))
+        if scenario.capture is not None:
+            found.append(predicted_load(linearizer))
+        if has_base_actuators(scenario):
+            stable = max(found[:2]) < 1.0
+            found.append(rehearse(scenario, seeds=1).share_diverged if stable else 1.0)
+        return tuple(found)
 
 
 def predicted_load(linearizer: Linearizer) -> float:
@@ -83,12 +90,14 @@ def _radii(linearizer: Linearizer, times: Sequence[float]) -> tuple[float, float
 
 def _most_overestimated(scenario: Scenario) -> list[float]:
     """Times (s) of the postures, the one with the largest inertia ratio first, of equal ones the earliest."""
-    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    nominal, true = make_nominal_plant(scenario), make_flexible_plant(scenario)
     reference = make_motion(scenario, nominal.coordinates)
     times = [reference.part(share) for share in POSTURES]
     postures = {time: reference.evaluate(time)[0] for time in times}
     ratio = {
-        time: round(inertia_ratios(true.calc_mass_matrix(q), nominal.calc_mass_matrix(q))[-1], 9)  # beyond: rounding
+        time: round(
+            inertia_ratios(true.calc_apparent_mass_matrix(q), nominal.calc_mass_matrix(q))[-1], 9
+        )  # beyond: rounding
         for time, q in postures.items()
     }
     return sorted(times, key=lambda time: -ratio[time])

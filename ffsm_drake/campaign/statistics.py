@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ffsm_drake.campaign.evaluate import FIRST_LIMIT, LOAD, METRICS, PREDICTIONS, metrics_of, predictions_of
+from ffsm_drake.campaign.evaluate import DIVERGENCE, FIRST_LIMIT, LOAD, METRICS, PREDICTIONS, metrics_of, predictions_of
 from ffsm_drake.campaign.prediction import StabilityMap, predict_map
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.store import Store
@@ -38,7 +38,7 @@ class Runs:
     @functools.cached_property
     def predicted(self) -> np.ndarray:
         """The largest of what is predicted; below 1 a run is foreseen to settle, NaN without a prediction."""
-        found = [self.metrics[name] for name in (*PREDICTIONS, LOAD) if name in self.metrics]
+        found = [self.metrics[name] for name in (*PREDICTIONS, LOAD, DIVERGENCE) if name in self.metrics]
         return np.asarray(np.fmax.reduce(found))
 
 

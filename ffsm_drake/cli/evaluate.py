@@ -45,7 +45,7 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     if out is not None:
         check_writable(out)
     margins = find_margins(scenario)
-    boundaries = find_boundaries(scenario, time=margins.worst.time)
+    boundaries = find_boundaries(scenario, time=margins.edge_time)
     if as_json:
         print_json(margins_data(margins) | {"boundaries": dataclasses.asdict(boundaries)})
     else:

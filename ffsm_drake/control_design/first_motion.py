@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
-from ffsm_drake.scenario import Posture
+from ffsm_drake.scenario import Posture, Reference
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body, find_body, find_frame
 from ffsm_drake.spacecraft.urdf import Joint, Servicer
-from ffsm_drake.systems.reference import QuinticMotion
+from ffsm_drake.systems.blend import Blend
+from ffsm_drake.systems.reference import PolynomialMotion
 
 _SAMPLES = 800
 _TURN = 2.2  # rad, the largest joint angle that is looked for
@@ -149,11 +150,11 @@ def _inner_limits(joint: Joint) -> tuple[float, float]:
 def _timed(true: PlantModel, servicer: Servicer, initial: Posture, target: Posture) -> Motion:
     """The motion with a duration whose peak rates and forces are moderate."""
     coordinates = true.coordinates
-    unit_time = QuinticMotion(
+    unit_time = PolynomialMotion(
         coordinates=coordinates,
         start=initial,
         target=target,
-        duration=1.0,
+        blend=Blend(Reference(), 1.0),
         base_rotation="eigenaxis",
         sample_time=1.0 / 40.0,
     )

@@ -14,9 +14,9 @@ import dataclasses
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from ffsm_drake.control_design.stability.demand import Demand, make_demand
 from ffsm_drake.control_design.stability.linearization import Linearizer, smooth_sensing
 from ffsm_drake.control_design.stability.margins import expected_gains
-from ffsm_drake.control_design.stability.prediction import Demand, make_demand
 from ffsm_drake.control_design.stability.sampled_loop import covariance_after
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.nominal import make_true_plant

@@ -3,8 +3,9 @@
 A block is a named place in the diagram. The scenario's own section fills it (``sensing``, ``actuation``, ...), unless
 ``blocks`` in the scenario, or a factory given in Python, puts another system there.
 
-Any block may have a method ``set_initial_state(context, state)``: it is called before a run, with the block's context
-and the plant's [q; v].
+Any block may have methods ``set_initial_state(context, state)``, called before a run with the block's context and the
+plant's [q; v], and ``set_payload(context, properties)``, called with the true payload's ``MassProperties`` before that
+and whenever they change.
 """
 
 import dataclasses
@@ -20,14 +21,17 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.actuation import make_actuation
+from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, make_controller
 from ffsm_drake.systems.disturbance import make_disturbance
+from ffsm_drake.systems.environment import EnvironmentForce
 from ffsm_drake.systems.reference import make_reference
 from ffsm_drake.systems.registry import Factory, call_factory, find_factory, module_file
 from ffsm_drake.systems.sensing import make_sensing
 from ffsm_drake.systems.setup import BlockSetup
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
+HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # of the nh hidden coordinates of ``model.flexible``
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -60,17 +64,22 @@ BLOCKS: dict[str, Ports] = {
         inputs={"commanded_force": VELOCITY},
         optional_inputs={"state": STATE},
         outputs={"applied_force": VELOCITY},
-        # What acts on the plant beside it and is not held over a sample: the gyroscopic torque of wheels.
-        optional_outputs={"gyroscopic_force": VELOCITY},
+        # What acts on the plant beside it and is not held over a sample, and friction's work for the record.
+        optional_outputs=dict.fromkeys(("gyroscopic_force", FRICTION_FORCE, FRICTION_WORK), VELOCITY),
     ),
     "forces": Ports(
         outputs={"generalized_force": VELOCITY},
-        optional_inputs={"state": STATE},
-        # The force just after the update of a control sample, for the record, which sees the state before it.
-        optional_outputs={"next_generalized_force": VELOCITY},
+        optional_inputs={"state": STATE, "hidden_state": HIDDEN_STATE},
+        # The force at a control sample, for the record, which would read the one before its update. What acts on hidden
+        # coordinates comes with the force at a control sample.
+        optional_outputs={
+            "next_generalized_force": VELOCITY,
+            "hidden_force": HIDDEN,
+            "next_hidden_force": HIDDEN,
+        },
     ),
 }
-DISTURBANCE = "forces.disturbance"
+DISTURBANCE, ENVIRONMENT = "forces.disturbance", "forces.environment"
 # What the scenario's own sections describe; an actuator that does nothing to the force is None.
 _SECTIONS: dict[str, Factory] = {
     "reference": lambda setup: make_reference(setup.scenario, setup.coordinates),
@@ -79,6 +88,7 @@ _SECTIONS: dict[str, Factory] = {
         setup.scenario.actuation, setup.coordinates, sample_time=setup.sample_time
     ),
     DISTURBANCE: lambda setup: make_disturbance(setup.scenario.disturbance, setup.coordinates),
+    ENVIRONMENT: EnvironmentForce.from_setup,
 }
 
 
@@ -113,7 +123,7 @@ def make_blocks(
         valid = [*(block for block in BLOCKS if block != "forces"), "forces.<name>"]
         if name not in valid[:-1] and not (name.startswith("forces.") and name[7:].isidentifier()):
             raise ScenarioError(f"blocks.{name}", f"is no block; choose {', '.join(valid)}{did_you_mean(name, valid)}")
-    forces = [name for name in (DISTURBANCE, *choices, *given) if name.startswith("forces.")]
+    forces = [name for name in (*_own_forces(scenario), *choices, *given) if name.startswith("forces.")]
     blocks: dict[str, System] = {}
     for name in ("reference", "sensing", "controller", "actuation", *dict.fromkeys(forces)):
         factory, choice = given.get(name), choices.get(name, Block())
@@ -133,6 +143,11 @@ def make_blocks(
     return blocks
 
 
+def _own_forces(scenario: Scenario) -> tuple[str, ...]:
+    """The forces that the scenario's own sections describe."""
+    return (DISTURBANCE,) if scenario.environment is None else (DISTURBANCE, ENVIRONMENT)
+
+
 def block_factory(name: str, scenario: Scenario) -> Factory:
     """What builds a block that is not the controller: what ``blocks`` names, else the scenario's section of that name.
 
@@ -147,7 +162,8 @@ def block_factory(name: str, scenario: Scenario) -> Factory:
 def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
     """Where each block comes from: block -> ``system``; of user-supplied ones and a plan, ``file`` and ``sha256``."""
     names = {name: f"scenario: {name}" for name in ("reference", "sensing", "actuation")}
-    names |= {"controller": scenario.controller, DISTURBANCE: "scenario: disturbance"}
+    names |= {"controller": scenario.controller}
+    names |= {name: f"scenario: {name.partition('.')[2]}" for name in _own_forces(scenario)}
     names |= {name: choice.system for name, choice in block_choices(scenario).items()}
     sources = {}
     for name, system in names.items():
@@ -191,7 +207,7 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
                 if name in required:
                     raise BlockError(f"{place}: needs an {kind} port '{name}' of size {size[meaning]}")
                 continue
-            if found[name].size() != size[meaning]:
+            if meaning in size and found[name].size() != size[meaning]:
                 raise BlockError(
                     f"{place}: {kind} port '{name}' must have size {size[meaning]}, not {found[name].size()}"
                 )

@@ -18,22 +18,26 @@ import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
-from pydrake.systems.primitives import Adder, ZeroOrderHold
+from pydrake.systems.primitives import Adder, MatrixGain, Selector, SelectorParams, ZeroOrderHold
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.loop.blocks import kind_of, make_blocks
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
-from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mass_properties import set_payload, set_wheels
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, HiddenCoordinates
+from ffsm_drake.spacecraft.nominal import PlantModel, change_payload, make_nominal_plant, set_true_masses
+from ffsm_drake.spacecraft.plant import configuration, coordinates_of, hidden_of, make_plant
 from ffsm_drake.systems.actuation import HELD_OUTPUTS, STORED_MOMENTUM
+from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK, DriveSet
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.registry import Factory
 
+# Integration schemes that are stable at any step, however fast friction acts.
+IMPLICIT_SCHEMES = ("implicit_euler", "velocity_implicit_euler", "radau1", "radau3")
 # Signals of every closed loop. OPTIONAL_OUTPUTS come on top that the controller gives, those that the actuators
-# give, and "force_<name>" for each external force where there are several.
+# give, "hidden_state" where there are hidden coordinates, and "force_<name>" for each external force where there are
+# several.
 SIGNALS = (
     "state",
     "estimated_state",
@@ -51,8 +55,9 @@ class ClosedLoop:
     """The plant and the blocks of a closed loop, wired."""
 
     scenario: Scenario
-    plant: MultibodyPlant
+    plant: MultibodyPlant  # the true one, with hidden coordinates
     coordinates: Coordinates
+    hidden: HiddenCoordinates
     # "reference", "sensing", "controller", "forces.disturbance", other forces; "actuation" unless it is ideal
     blocks: Mapping[str, System]
     sources: Mapping[str, tuple[System, str]]  # signal -> the system and the name of its output port
@@ -74,18 +79,66 @@ class ClosedLoop:
         # First, because it resets every state and parameter of the diagram.
         root.SetRandomContext(root_context, RandomGenerator(scenario.random_seed))
         context = self.plant.GetMyMutableContextFromRoot(root_context)
-        set_payload(self.plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
-        set_wheels(self.plant, context, scenario.wheels)
+        set_true_masses(self.plant, context, scenario)
+        self._check_friction(context)
+        self._tell_blocks(root_context, scenario.payload.truth)
         position = configuration(self.plant, scenario.initial_posture, key="initial_posture")
         velocity = self.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
+        state = self.hidden.whole(np.concatenate([position, velocity]))
         if scenario.capture is not None:
-            model = PlantModel(plant=self.plant, context=context, coordinates=self.coordinates)
-            velocity += planned_contact(scenario, model).grasp.velocity
-        self.set_state(root_context, np.concatenate([position, velocity]))
+            contact = planned_contact(scenario, self.model(context))
+            state[self.plant.num_positions() :] += contact.grasp.velocity
+        self.set_whole_state(root_context, state)
+
+    def model(self, plant_context: Context) -> PlantModel:
+        """The plant for computations, in one of its contexts."""
+        return PlantModel(plant=self.plant, context=plant_context, coordinates=self.coordinates, hidden=self.hidden)
+
+    def _check_friction(self, context: Context) -> None:
+        """Raise ScenarioError where a fixed step does not resolve how friction slows a joint near rest."""
+        scenario, config = self.scenario, self.scenario.simulator_config
+        if scenario.drives is None or config.use_error_control or config.integration_scheme in IMPLICIT_SCHEMES:
+            return
+        drives = DriveSet(scenario.drives, scenario.actuation.limit, self.coordinates)
+        if not drives.has_friction:
+            return
+        joints = np.arange(NUM_BASE_VELOCITIES, len(self.coordinates.names))
+        if self.hidden.names:
+            joints = self.hidden.known[joints]
+        for name, posture in scenario.postures.items():
+            q = self.hidden.whole_positions(configuration(self.plant, posture, key=name))
+            mobility = np.linalg.inv(self.model(context).calc_mass_matrix(q))[np.ix_(joints, joints)]
+            constant, joint = drives.time_constant(mobility)
+            if config.max_step_size > constant:
+                raise ScenarioError(
+                    "simulator_config.max_step_size",
+                    f"{config.max_step_size:g} s does not resolve the friction of {joint}, which near rest acts within "
+                    f"{constant:.2g} s ({name}): take at most {0.9 * constant:.2g} s, or "
+                    f"{1.1 * config.max_step_size / constant:.2g} times the actuation.drives.smoothing_rate",
+                )
+
+    def set_payload(self, root_context: Context, properties: MassProperties) -> None:
+        """Give the plant, and the blocks that ask for it, the payload's true mass properties."""
+        context = self.plant.GetMyMutableContextFromRoot(root_context)
+        change_payload(self.plant, context, self.scenario, properties)
+        self._tell_blocks(root_context, properties)
+
+    def _tell_blocks(self, root_context: Context, properties: MassProperties) -> None:
+        for block in self.blocks.values():
+            if hasattr(block, "set_payload"):
+                block.set_payload(block.GetMyMutableContextFromRoot(root_context), properties)
 
     def set_state(self, root_context: Context, state: np.ndarray) -> None:
-        """Put the plant into a state [q; v], and the blocks into one in which nothing else was before."""
+        """Put the plant into a known state [q; v], and the blocks into one in which nothing else was before."""
+        self.set_whole_state(root_context, self.hidden.whole(state))
+
+    def set_whole_state(self, root_context: Context, state: np.ndarray) -> None:
+        """As ``set_state``, with the plant's own [q; v], which holds the hidden state too."""
         self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(root_context), state)
+        self.set_blocks(root_context, self.hidden.known_part(state))
+
+    def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
+        """Put the blocks into a state in which nothing was before the known state [q; v]."""
         for block in self.blocks.values():
             if hasattr(block, "set_initial_state"):
                 block.set_initial_state(block.GetMyMutableContextFromRoot(root_context), state)
@@ -136,8 +189,8 @@ def add_closed_loop(
       BlockError: a user-supplied block cannot be loaded, built or wired.
     """
     if plant is None:
-        plant = builder.AddNamedSystem("plant", make_plant(scenario.model))
-    coordinates = coordinates_of(plant)
+        plant = builder.AddNamedSystem("plant", make_plant(scenario.model, flexible=True))
+    coordinates, hidden = coordinates_of(plant), hidden_of(plant)
     for name, posture in scenario.postures.items():
         configuration(plant, posture, key=name)
     for name in ("initial_velocity", "tolerance"):
@@ -148,7 +201,10 @@ def add_closed_loop(
     controller, sensing, reference = parts["controller"], parts["sensing"], parts["reference"]
     actuation = parts.get("actuation")
 
-    state = plant.get_state_output_port()
+    states = {"state": (plant, "state")}
+    if hidden.names:
+        states = _add_states(builder, plant, hidden)
+    state = states["state"][0].GetOutputPort(states["state"][1])
     builder.Connect(state, sensing.GetInputPort("state"))
     # What the controller read at its last sample, for the record.
     measurement = ZeroOrderHold(scenario.sample_time, 2 * len(coordinates.names) + 1)
@@ -171,8 +227,9 @@ def add_closed_loop(
     # External forces act on the plant beside the control: H q'' + C = tau + tau_d.
     forces = {name: system for name, system in parts.items() if kind_of(name) == "forces"}
     for system in forces.values():
-        if system.HasInputPort("state"):
-            builder.Connect(state, system.GetInputPort("state"))
+        for name, (source, port) in states.items():
+            if system.HasInputPort(name):
+                builder.Connect(source.GetOutputPort(port), system.GetInputPort(name))
     acting = {name: (system, "generalized_force") for name, system in forces.items()}
     recorded = {
         name: (system, "next_generalized_force")
@@ -182,26 +239,45 @@ def add_closed_loop(
     }
     if actuation is not None and actuation.HasOutputPort("gyroscopic_force"):
         acting["gyroscopic"] = (actuation, "gyroscopic_force")
-    total = _sum(builder, "total_force", [applied, *acting.values()], coordinates)
-    builder.Connect(total[0].get_output_port(), plant.get_applied_generalized_force_input_port())
+    if actuation is not None and actuation.HasOutputPort(FRICTION_FORCE):
+        acting["friction"] = (actuation, FRICTION_FORCE)
+    total = _sum(builder, "total_force", [applied, *acting.values()])
+    acts = total[0].GetOutputPort(total[1])
+    if hidden.names:
+        on_known = builder.AddNamedSystem("known_force", MatrixGain(np.eye(plant.num_velocities())[:, hidden.known]))
+        builder.Connect(acts, on_known.get_input_port())
+        acts = on_known.get_output_port()
+    on_hidden = [system for system in forces.values() if system.HasOutputPort("hidden_force")]
+    if on_hidden:
+        total = _sum(builder, "total_hidden_force", [(system, "hidden_force") for system in on_hidden])
+        gain = builder.AddNamedSystem("hidden_force", MatrixGain(np.eye(plant.num_velocities())[:, hidden.hidden]))
+        builder.Connect(total[0].GetOutputPort(total[1]), gain.get_input_port())
+        whole = _sum(builder, "whole_force", [(on_known, "y0"), (gain, "y0")])
+        acts = whole[0].GetOutputPort(whole[1])
+    builder.Connect(acts, plant.get_applied_generalized_force_input_port())
 
     sources = {
-        "state": (plant, "state"),
+        **states,
         "estimated_state": (sensing, "estimated_state"),
         "measurement": (measurement, measurement.get_output_port().get_name()),
         "desired_state": (reference, "desired_state"),
         "desired_acceleration": (reference, "desired_acceleration"),
         "generalized_force": (controller, "generalized_force"),
         "applied_force": applied,
-        "disturbance_force": _sum(builder, "external_force", list(recorded.values()), coordinates),
+        "disturbance_force": _sum(builder, "external_force", list(recorded.values())),
     }
+    if on_hidden:
+        now = [(system, "next_hidden_force") for system in on_hidden]
+        sources["hidden_force"] = _sum(builder, "external_hidden_force", now)
     if len(forces) > 1:
         sources |= {f"force_{name.partition('.')[2]}": source for name, source in recorded.items()}
     sources |= {name: (controller, name) for name in OPTIONAL_OUTPUTS if controller.HasOutputPort(name)}
     if actuation is not None:
-        further = (*HELD_OUTPUTS, STORED_MOMENTUM)
+        further = (*HELD_OUTPUTS, STORED_MOMENTUM, FRICTION_FORCE, FRICTION_WORK)
         sources |= {name: (actuation, name) for name in further if actuation.HasOutputPort(name)}
-    return ClosedLoop(scenario=scenario, plant=plant, coordinates=coordinates, blocks=parts, sources=sources)
+    return ClosedLoop(
+        scenario=scenario, plant=plant, coordinates=coordinates, hidden=hidden, blocks=parts, sources=sources
+    )
 
 
 def make_closed_loop(scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None) -> ClosedLoop:
@@ -219,13 +295,30 @@ def build_closed_loop(builder: DiagramBuilder, loop: ClosedLoop) -> ClosedLoop:
     return dataclasses.replace(loop, diagram=diagram)
 
 
-def _sum(
-    builder: DiagramBuilder, name: str, terms: list[tuple[System, str]], coordinates: Coordinates
-) -> tuple[System, str]:
+def _add_states(
+    builder: DiagramBuilder, plant: MultibodyPlant, hidden: HiddenCoordinates
+) -> dict[str, tuple[System, str]]:
+    """The known and the hidden state, taken from the plant's."""
+    params = SelectorParams()
+    params.inputs = [SelectorParams.InputPortParams(name="whole_state", size=plant.num_multibody_states())]
+    params.outputs = [
+        SelectorParams.OutputPortParams(
+            name=name,
+            selections=[SelectorParams.OutputSelection(input_port_index=0, input_offset=int(i)) for i in entries],
+        )
+        for name, entries in (("state", hidden.known_state), ("hidden_state", hidden.hidden_state))
+    ]
+    selector = builder.AddNamedSystem("states", Selector(params))
+    builder.Connect(plant.get_state_output_port(), selector.get_input_port())
+    return {name: (selector, name) for name in ("state", "hidden_state")}
+
+
+def _sum(builder: DiagramBuilder, name: str, terms: list[tuple[System, str]]) -> tuple[System, str]:
     """The sum of ports, itself as a system and its port; a single one is its own sum."""
     if len(terms) == 1:
         return terms[0]
-    adder = builder.AddNamedSystem(name, Adder(len(terms), len(coordinates.names)))
-    for index, (system, port) in enumerate(terms):
-        builder.Connect(system.GetOutputPort(port), adder.get_input_port(index))
+    ports = [system.GetOutputPort(port) for system, port in terms]
+    adder = builder.AddNamedSystem(name, Adder(len(terms), ports[0].size()))
+    for index, port in enumerate(ports):
+        builder.Connect(port, adder.get_input_port(index))
     return adder, adder.get_output_port().get_name()

@@ -1,11 +1,13 @@
-"""What a run took out of its actuators: propellant, pulses and on-times of thrusters, momentum and torque of wheels."""
+"""What a run took out of its actuators: propellant and pulses of thrusters, momentum of wheels, margins of drives."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ffsm_drake.scenario import Scenario, thrusters_of
+from ffsm_drake.scenario import Scenario, Wheel, own_thrusters
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK, DriveSet
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,9 +26,7 @@ def add_thrusters(dataset: "xr.Dataset", scenario: Scenario, series: Mapping[str
       scenario: of the run; the thrusters of a user-supplied actuation are numbered.
       series: of the run's log.
     """
-    count, settings = series["thruster_force"].shape[1], scenario.actuation.thrusters
-    own = settings is not None and scenario.blocks.actuation is None
-    units = thrusters_of(settings) if own and settings is not None else {}
+    count, units = series["thruster_force"].shape[1], own_thrusters(scenario)
     names = list(units) or [f"thruster_{i + 1}" for i in range(count)]
     by_thruster = ("time", "thruster")
     for name, meaning, unit in (
@@ -68,15 +68,94 @@ def add_wheels(dataset: "xr.Dataset", scenario: Scenario, series: Mapping[str, n
     dataset = dataset.assign_coords(wheel=list(units) or [f"wheel_{i + 1}" for i in range(momentum.shape[1])])
     if not units:
         return dataset
-    axes = np.array([np.array(unit.axis, dtype=float) / np.linalg.norm(unit.axis) for unit in units.values()])
-    turning = _in_the_base(dataset["position"].values[:, :4], dataset["velocity"].values[:, :3]) @ axes.T
-    speed = momentum / np.array([unit.inertia for unit in units.values()]) - turning
+    speed = _speed(units, momentum, dataset["position"].values[:, :4], dataset["velocity"].values[:, :3])
     dataset["wheel_speed"] = (by_wheel, speed, {"long_name": "speed of each wheel in the base", "units": "rad/s"})
     limits = {
         name: ("wheel", [getattr(unit, name) for unit in units.values()], {"units": unit})
         for name, unit in (("torque_limit", "N m"), ("speed_limit", "rad/s"))
     }
     return dataset.assign_coords(limits)
+
+
+def add_drives(
+    dataset: "xr.Dataset", scenario: Scenario, coordinates: Coordinates, series: Mapping[str, np.ndarray]
+) -> "xr.Dataset":
+    """The dataset with friction of the joints' drives and, along ``coordinate``, the limits of the drives.
+
+    Arguments as for ``add_thrusters``, and the coordinates.
+    """
+    for name, meaning, unit in (
+        (FRICTION_FORCE, "friction in the drives at this instant", "N m or N"),
+        (FRICTION_WORK, "work of friction in the drives since the start", "J"),
+    ):
+        if name in series:
+            dataset[name] = (("time", "coordinate"), series[name], {"long_name": meaning, "units": unit})
+    if scenario.drives is None:
+        return dataset
+    drives = DriveSet(scenario.drives, scenario.actuation.limit, coordinates)
+    rates = np.abs(dataset["velocity"].values)
+    base = np.full(NUM_BASE_VELOCITIES, np.inf)
+    dataset = dataset.assign_coords(
+        drive_force_limit=("coordinate", np.r_[base, drives.force_limit], {"units": "N m or N"}),
+        drive_rate_limit=("coordinate", np.r_[base, drives.rate_limit], {"units": "rad/s or m/s"}),
+        drive_knee=("coordinate", np.r_[np.zeros(NUM_BASE_VELOCITIES), drives.knee], {"units": "1"}),
+    )
+    if drives.has_rate_limit:
+        shares, meaning = rates / dataset["drive_rate_limit"].values, "rate as a share of the drive's limit"
+        dataset["rate_share"] = (("time", "coordinate"), shares, {"long_name": meaning, "units": "1"})
+    return dataset
+
+
+def drive_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
+    """What a run asked of the drives of its joints, as plain numbers; empty for one without.
+
+    Keys, by joint; the first two for joints with such a limit:
+      force_used: largest share of actuation.limit that was applied.
+      rate_used: largest share of the drive's rate limit.
+      rate_limited: share of the samples in which the rate cut the force, of any joint.
+      peak_friction: N m or N; left out, as what follows, without friction.
+      friction_loss: J; taken out by friction over the run.
+    """
+    if "drive_rate_limit" not in dataset.coords and FRICTION_FORCE not in dataset:
+        return {}
+    joints = dataset["group"].values.astype(str) == "joints"
+    names = dataset["coordinate"].values[joints].astype(str).tolist()
+
+    def of_joints(name: str) -> np.ndarray:
+        values: np.ndarray = dataset[name].values[..., joints]
+        return values
+
+    result: dict[str, Any] = {}
+    if "drive_rate_limit" in dataset.coords:
+        for key, name, limit in (
+            ("force_used", "applied_force", "drive_force_limit"),
+            ("rate_used", "velocity", "drive_rate_limit"),
+        ):
+            most = of_joints(limit)
+            shares = (np.abs(of_joints(name)).max(axis=0) / most).tolist()
+            result[key] = {
+                name: share for name, share, one in zip(names, shares, most, strict=True) if np.isfinite(one)
+            }
+    if "rate_share" in dataset:
+        share, knee = of_joints("rate_share"), of_joints("drive_knee")
+        left = np.clip((1.0 - share) / (1.0 - knee), 0.0, 1.0)  # of the force; see DriveSet.available
+        with np.errstate(invalid="ignore"):
+            most = left * of_joints("drive_force_limit")
+        beyond = (np.abs(of_joints("generalized_force")) > most) & (left < 1.0)
+        result["rate_limited"] = float(
+            (beyond & (of_joints("generalized_force") * of_joints("velocity") > 0.0)).any(axis=1).mean()
+        )
+    if FRICTION_FORCE in dataset:
+        peak, work = np.abs(of_joints(FRICTION_FORCE)).max(axis=0), of_joints(FRICTION_WORK)
+        result["peak_friction"] = dict(zip(names, peak.tolist(), strict=True))
+        result["friction_loss"] = dict(zip(names, (work[0] - work[-1]).tolist(), strict=True))
+    return result
+
+
+def _speed(units: Mapping[str, Wheel], momentum: np.ndarray, quaternion: np.ndarray, w_WB: np.ndarray) -> np.ndarray:
+    """Speeds of wheels in the base (n, wheels), rad/s, with w_WB (n, 3) in world axes."""
+    axes = np.array([np.array(unit.axis, dtype=float) / np.linalg.norm(unit.axis) for unit in units.values()])
+    return momentum / np.array([unit.inertia for unit in units.values()]) - _in_the_base(quaternion, w_WB) @ axes.T
 
 
 def _in_the_base(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:
@@ -90,7 +169,7 @@ def wheel_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     """What a run asked of its wheels, as plain numbers; empty for one without, or of a user-supplied block.
 
     Keys:
-      peak_momentum, peak_torque: N m s and N m, of each wheel.
+      peak_momentum, peak_speed, peak_torque: N m s, rad/s and N m, of each wheel.
       speed_used, torque_used: the largest share of any wheel's limit.
       torque_limited: share of the samples in which a motor is at its limit.
       unloading: share of the samples in which thrusters unload them.
@@ -98,11 +177,15 @@ def wheel_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     if "wheel_speed" not in dataset:
         return {}
     names = dataset["wheel"].values.astype(str).tolist()
-    torque = np.abs(dataset["wheel_torque"].values)
-    torque_used = torque / dataset["torque_limit"].values
+    torque_used = np.abs(dataset["wheel_torque"].values) / dataset["torque_limit"].values
+
+    def peak(variable: str) -> dict[str, float]:
+        return dict(zip(names, np.abs(dataset[variable].values).max(axis=0).tolist(), strict=True))
+
     return {
-        "peak_momentum": dict(zip(names, np.abs(dataset["wheel_momentum"].values).max(axis=0).tolist(), strict=True)),
-        "peak_torque": dict(zip(names, torque.max(axis=0).tolist(), strict=True)),
+        "peak_momentum": peak("wheel_momentum"),
+        "peak_speed": peak("wheel_speed"),
+        "peak_torque": peak("wheel_torque"),
         "speed_used": float((np.abs(dataset["wheel_speed"].values) / dataset["speed_limit"].values).max()),
         "torque_used": float(torque_used.max()),
         "torque_limited": float((torque_used > 1.0 - 1e-9).any(axis=1).mean()),
@@ -110,14 +193,34 @@ def wheel_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     }
 
 
-def thrust_taken(log: "RunLog") -> tuple[float, float]:
-    """Propellant (kg) of a run with thrusters of its scenario, and the share of its samples with less than wanted."""
-    settings, series, period = log.scenario.actuation.thrusters, log.series, log.scenario.sample_time
-    if settings is None or len(log.time) < 2:
-        return 0.0, 0.0
-    exhaust = STANDARD_GRAVITY * np.array([unit.specific_impulse for unit in thrusters_of(settings).values()])
-    impulse = series["thruster_force"][:-1].sum(axis=0) * period
-    return float((impulse / exhaust).sum()), float((series["thruster_given"][:-1] < _WHOLE).mean())
+def thrusters_used(log: "RunLog") -> dict[str, float]:
+    """Of a run with thrusters of its scenario: propellant (kg), impulse (N s) and pulses of all, share saturated."""
+    force, opened = log.series["thruster_force"][:-1], log.series["thruster_open"][:-1]
+    period = log.scenario.sample_time
+    exhaust = STANDARD_GRAVITY * np.array([unit.specific_impulse for unit in own_thrusters(log.scenario).values()])
+    impulse = force.sum(axis=0) * period
+    return {
+        "propellant": float((impulse / exhaust).sum()),
+        "thruster_impulse": float(impulse.sum()),
+        "thruster_pulses": float(sum(pulses_of(column, period)[0].size for column in opened.T)),
+        "thrusters_saturated": float((log.series["thruster_given"][:-1] < _WHOLE).mean()) if len(force) else 0.0,
+    }
+
+
+def wheels_used(log: "RunLog") -> dict[str, float]:
+    """Of a run with wheels of its scenario: the shares of ``wheel_metrics``."""
+    units = log.scenario.wheels.units if log.scenario.wheels is not None else {}
+    series, state = log.series, log.series["state"]
+    w_WB = state[:, len(log.coordinates.position_names) :][:, :3]
+    speed = _speed(units, series["wheel_momentum"], state[:, :4], w_WB)
+    speed_used = np.abs(speed) / [unit.speed_limit for unit in units.values()]
+    torque_used = np.abs(series["wheel_torque"]) / [unit.torque_limit for unit in units.values()]
+    return {
+        "wheel_speed_used": float(speed_used.max()),
+        "wheel_torque_used": float(torque_used.max()),
+        "wheels_torque_limited": float((torque_used > 1.0 - 1e-9).any(axis=1).mean()),
+        "wheels_unloading": float(series["wheel_unloads"].mean()),
+    }
 
 
 def thruster_metrics(dataset: "xr.Dataset") -> dict[str, Any]:

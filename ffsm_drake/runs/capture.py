@@ -24,8 +24,9 @@ from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.spacecraft.capture import Contact, contact_at, planned_contact, target_body
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_frame
+from ffsm_drake.systems.blend import make_impulses
 from ffsm_drake.systems.registry import Factory
 
 NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, before the grasp
@@ -43,21 +44,24 @@ class GraspLog:
     offset: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
     # (6) of the target from the end effector, at its origin: angular velocity, velocity
     mismatch: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
+    # (3) momentum of wheels in the base, world axes, N m s: no torque acts on them about their axes at the grasp
+    stored: np.ndarray | None = None
 
     def ledger(self, time: float, coordinates: Coordinates) -> dict[str, Any] | None:
         """The grasp in plain numbers, where there was one; ``time`` (s) is that of the sample."""
         if self.contact is None:
             return None
-        contact, grasp = self.contact, self.contact.grasp
+        contact, grasp, hidden = self.contact, self.contact.grasp, self.contact.hidden
         brakes = {
             name: float(impulse)
-            for name, impulse in zip(coordinates.names, grasp.brake_impulse, strict=True)
+            for name, impulse in zip(coordinates.names, hidden.known_velocities(grasp.brake_impulse), strict=True)
             if impulse != 0.0
         }
         sides = {
             "before": (contact.momentum_before, contact.spin_before, grasp.energy_before, contact.velocity),
             "after": (contact.momentum_after, contact.spin_after, grasp.energy_after, grasp.velocity),
         }
+        stored = np.zeros(3) if self.stored is None else self.stored
         compliant = contact.compliant
         found = {} if compliant is None else {
             "peak_force": compliant.peak_force,  # N
@@ -73,13 +77,14 @@ class GraspLog:
             **{
                 side: {
                     "linear_momentum": momentum[3:].tolist(),  # N s
-                    "angular_momentum": momentum[:3].tolist(),  # about the world's origin, N m s
-                    "spin": spin.tolist(),  # about the centre of mass, N m s
+                    "angular_momentum": (momentum[:3] + stored).tolist(),  # about the world's origin, N m s
+                    "spin": (spin + stored).tolist(),  # about the centre of mass, N m s
                     "kinetic_energy": energy,  # J
-                    "velocity": dict(zip(coordinates.names, velocity.tolist(), strict=True)),  # rad/s and m/s
+                    "velocity": dict(zip(coordinates.names, hidden.known_velocities(velocity).tolist(), strict=True)),
                 }
                 for side, (momentum, spin, energy, velocity) in sides.items()
             },
+            **({} if self.stored is None else {"stored_momentum": stored.tolist()}),  # of the wheels, N m s
             "compliant": found,
             "miss": {
                 "position": float(np.linalg.norm(self.offset[3:])),  # m
@@ -136,7 +141,7 @@ class CaptureRollout:
         chosen = scenario or self._stop.loop.scenario
         if self._approach is None:
             log = self._stop.run(scenario, progress=progress)
-            model = make_true_plant(chosen)
+            model = make_flexible_plant(chosen)
             contact = planned_contact(chosen, model)
             mismatch = _mismatch(chosen, model, contact.q, contact.velocity, contact.target_velocity)
             grasp = GraspLog(
@@ -145,6 +150,7 @@ class CaptureRollout:
                 payload=chosen.payload.truth,
                 target=np.empty((0, 13)),
                 mismatch=mismatch,
+                stored=_stored(log),
             )
             return dataclasses.replace(log, grasp=grasp)
         handover = _Handover(chosen)
@@ -157,6 +163,7 @@ class CaptureRollout:
         if not approach.outcome.completed:
             return dataclasses.replace(approach, scenario=chosen, grasp=handover.ungrasped(approach.time.size))
         log = self._stop.run(scenario, progress=progress, leg=Leg(first=sample, begin=handover.grasp))
+        grasp = dataclasses.replace(handover.log, stored=_stored(log))
         return dataclasses.replace(
             log,
             time=np.concatenate([approach.time, log.time]),
@@ -166,7 +173,7 @@ class CaptureRollout:
                 "advance_to": approach.wall_time["advance_to"] + log.wall_time["advance_to"],
                 "total": time.perf_counter() - start,
             },
-            grasp=handover.log,
+            grasp=grasp,
         )
 
 
@@ -219,7 +226,7 @@ class _Handover:
             self._before.plant.GetMyContextFromRoot(self._context_before)
         )
         q, v = np.split(state, [plant.num_positions()])
-        model = PlantModel(plant=plant, context=context, coordinates=loop.coordinates)
+        model = loop.model(context)
         plant.SetPositions(context, q)
         X_WQ = RigidTransform(
             target_body(scenario, model).EvalPoseInWorld(context)
@@ -239,8 +246,9 @@ class _Handover:
             offset=np.concatenate([turn.angle() * turn.axis(), -offset]),
             mismatch=_mismatch(scenario, model, q, v, twist),
         )
-        loop.set_state(root_context, np.concatenate([q, contact.grasp.velocity]))
+        loop.set_whole_state(root_context, np.concatenate([q, contact.grasp.velocity]))
         loop.resume(root_context, self._before, self._context_before, self._reference)
+        loop.set_payload(root_context, payload)  # to the blocks, which resume with nothing in the gripper
 
 
 def target_path(scenario: Scenario, model: PlantModel, planned: Contact) -> tuple[RigidTransform, np.ndarray]:
@@ -295,14 +303,20 @@ def seen_from(properties: MassProperties, X_QP: RigidTransform) -> MassPropertie
     )
 
 
+def _stored(log: RunLog) -> np.ndarray | None:
+    """The momentum of wheels (3) at a log's start; None where there are none."""
+    return log.series["stored_momentum"][0] if "stored_momentum" in log.series else None
+
+
 def _without_target(scenario: Scenario) -> Scenario:
     """The scenario with nothing in the gripper, of which only the part before the grasp means anything."""
+    some = 1.0 + make_impulses(scenario.reference.shaper).length  # s
     capture = None if scenario.capture is None else dataclasses.replace(scenario.capture, compliance=None)
     return dataclasses.replace(
         scenario,
         capture=capture,
         payload=dataclasses.replace(scenario.payload, truth=NOTHING, nominal=NOTHING),
-        reference=dataclasses.replace(scenario.reference, duration=1.0),
+        reference=dataclasses.replace(scenario.reference, duration=some),
     )
 
 

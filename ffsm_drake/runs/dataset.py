@@ -6,14 +6,14 @@ import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
-from ffsm_drake.runs.actuators import add_thrusters, add_wheels
+from ffsm_drake.runs.actuators import add_drives, add_thrusters, add_wheels
 from ffsm_drake.runs.capture import NOTHING, GraspLog
 from ffsm_drake.runs.rollout import RunLog
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.grasp import shift_moment
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
-from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
+from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.plant import find_body, find_frame
 
 if TYPE_CHECKING:
@@ -29,12 +29,16 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     position, velocity = np.split(series["state"], [num_positions], axis=1)
     desired_position, desired_velocity = np.split(series["desired_state"], [num_positions], axis=1)
     measured_position, measured_velocity = np.split(series["measurement"], [num_positions], axis=1)
-    model = make_true_plant(scenario)
+    model = make_flexible_plant(scenario)
+    states = model.hidden.whole(series["state"], series.get("hidden_state"))
     if log.grasp is None:
-        momentum, energy = _momentum_and_energy(model, series["state"])
+        momentum, energy = _momentum_and_energy(model, states)
     else:
-        momentum, energy = _through_the_grasp(log, log.grasp, model)
-    end_effector, desired_end_effector = (_end_effector(model, scenario, q) for q in (position, desired_position))
+        momentum, energy = _through_the_grasp(log, log.grasp, model, states)
+    end_effector = _end_effector(model, scenario, states[:, : model.plant.num_positions()])
+    desired_end_effector = _end_effector(
+        model, scenario, np.array([model.hidden.whole_positions(q) for q in desired_position])
+    )
     unit = "rad (rotations) or m (translations)"
     force = "N m (rotations) or N (translations)"
     by_coordinate, by_position, by_axis = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
@@ -106,7 +110,10 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
         dataset = add_thrusters(dataset, scenario, series)
     if "wheel_momentum" in series:
         dataset = add_wheels(dataset, scenario, series)
-    return dataset if log.grasp is None else _with_phases(dataset, log, log.grasp, model)
+    dataset = add_drives(dataset, scenario, coordinates, series)
+    if model.hidden.names:
+        dataset = _with_hidden(dataset, model, states, series.get("hidden_force"))
+    return dataset if log.grasp is None else _with_phases(dataset, log.grasp, log.scenario, model, states)
 
 
 def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,9 +131,11 @@ def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndar
     return momentum, energy
 
 
-def _through_the_grasp(log: RunLog, grasp: GraspLog, model: PlantModel) -> tuple[np.ndarray, np.ndarray]:
+def _through_the_grasp(
+    log: RunLog, grasp: GraspLog, model: PlantModel, states: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """As ``_momentum_and_energy``, of servicer and target together, on both sides of the grasp."""
-    states, held = log.series["state"], grasp.payload
+    held = grasp.payload
     context, body = model.context, log.scenario.payload.body
     set_payload(model.plant, context, body=body, properties=NOTHING)
     momentum, energy = _momentum_and_energy(model, states[: grasp.sample])
@@ -141,10 +150,48 @@ def _through_the_grasp(log: RunLog, grasp: GraspLog, model: PlantModel) -> tuple
     return np.concatenate([momentum, of_both]), np.concatenate([energy, energy_of_both])
 
 
-def _with_phases(dataset: "xr.Dataset", log: RunLog, grasp: GraspLog, model: PlantModel) -> "xr.Dataset":
+def _with_hidden(
+    dataset: "xr.Dataset", model: PlantModel, states: np.ndarray, force: np.ndarray | None
+) -> "xr.Dataset":
+    """The dataset with the hidden coordinates, the energy of their springs and what dampers took."""
+    plant, context, hidden = model.plant, model.context, model.hidden
+    position, velocity = np.split(hidden.hidden_part(states), 2, axis=1)
+    elastic = np.full(len(states), np.nan)
+    for i, state in enumerate(states):
+        if np.isfinite(state).all():
+            plant.SetPositionsAndVelocities(context, state)
+            elastic[i] = plant.CalcPotentialEnergy(context)
+    joints = [joint for joint in map(plant.get_joint, plant.GetJointIndices()) if joint.num_velocities() == 1]
+    damping = np.array([joint.GetDampingVector(context)[0] for joint in joints])
+    angle = states[:, [joint.position_start() for joint in joints]]
+    rate = states[:, [plant.num_positions() + joint.velocity_start() for joint in joints]]
+    # The mean square of a rate that is quadratic within a sample, from its ends and from how far it went.
+    period = float(dataset.attrs["sample_time"])
+    before, after = rate[:-1], rate[1:]
+    bow = 6.0 * np.diff(angle, axis=0) / period - 3.0 * (before + after)
+    square = (before**2 + before * after + after**2) / 3.0 + bow * (before + after) / 6.0 + bow**2 / 30.0
+    lost = np.concatenate([np.zeros(1), np.cumsum(period * square @ damping)])
+    along, unit = ("time", "hidden_coordinate"), "rad or m"
+    dataset = dataset.assign(
+        hidden_position=(along, position, {"long_name": "deflection, unknown to the controller", "units": unit}),
+        hidden_velocity=(along, velocity, {"long_name": "its rate", "units": f"{unit} per s"}),
+        elastic_energy=("time", elastic, {"long_name": "energy of the springs", "units": "J"}),
+        damping_loss=("time", lost, {"long_name": "energy that dampers took since the start", "units": "J"}),
+    )
+    if force is not None:
+        meaning = {"long_name": "external forces on them at this instant, summed", "units": "N m or N"}
+        dataset = dataset.assign(hidden_force=(along, force, meaning))
+    return dataset.assign_coords(
+        hidden_coordinate=list(hidden.names), hidden_unit=("hidden_coordinate", list(hidden.units))
+    )
+
+
+def _with_phases(
+    dataset: "xr.Dataset", grasp: GraspLog, scenario: Scenario, model: PlantModel, states: np.ndarray
+) -> "xr.Dataset":
     """The dataset with the coordinate ``phase`` along time and the target's pose, held or not."""
-    count, states = grasp.sample, log.series["state"]
-    body = find_body(model.plant, log.scenario.payload.body, key="payload.body")
+    count = grasp.sample
+    body = find_body(model.plant, scenario.payload.body, key="payload.body")
     pose = np.empty((len(states), 7))
     pose[:count] = grasp.target[:, :7]
     pose[count:] = np.nan

@@ -18,10 +18,12 @@ from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.capture import planned_contact, velocity_at_start
 from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_error
-from ffsm_drake.spacecraft.joint_limits import JointLimits, force_limits, joint_limits
+from ffsm_drake.spacecraft.joint_limits import JointLimits, joint_limits, rate_limits
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration, find_body, make_plant, resolve_package, urdfs_of
+from ffsm_drake.systems.actuation.drives import DriveSet
+from ffsm_drake.systems.actuation.limits import base_limits, force_limits
 from ffsm_drake.systems.reference import PlannedMotion, make_motion
 
 if TYPE_CHECKING:
@@ -33,6 +35,9 @@ _SLACK = 1e-9  # relative; a plan may end at a limit
 _SAME_MASS = 1e-3  # relative
 _SAME_START = 1e-6  # rad, m, and per second
 CLEARANCE = "clearance"  # among the limits that a run leaves
+# Of an integrator with fixed steps: the power of w h in the damping ratio that it adds or takes, and its divisor.
+_STEP_ERRORS = {"explicit_euler": (1, 2.0), "runge_kutta2": (3, 8.0), "runge_kutta3": (3, 24.0)}
+_LEAST_DAMPING = 1e-4
 _INSTANTS = 51  # in which clearance is looked at along a plan; twice as many along a run
 
 
@@ -51,7 +56,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     """
     model = make_true_plant(scenario)
     limits = joint_limits(scenario.model, model.plant)
-    remarks = [*_cut_short(scenario), *_overridden_mass(scenario, model.plant)]
+    remarks = [*_cut_short(scenario), *_overridden_mass(scenario, model.plant), *_coarse_steps(scenario)]
     for name, posture in scenario.postures.items():
         q = configuration(model.plant, posture, key=name)[NUM_BASE_POSITIONS:]
         remarks += _positions(limits, q[None], f"{name}.joints", _no_time)
@@ -60,18 +65,34 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     motion = make_motion(scenario, model.coordinates)
     remarks += _starts_elsewhere(scenario, motion, model.plant)
     remarks += _clearance(lambda: plan_clearance(scenario), scenario.clearance, "the planned motion")
-    limit = np.full(len(model.coordinates.names), np.inf)
+    limit, limited_by = np.full(len(model.coordinates.names), np.inf), "actuation.limit"
     if scenario.blocks.actuation is None:
         limit = model.coordinates.vector(scenario.actuation.limit or {}, key="actuation.limit", default=np.inf)
-    remarks += _motion_remarks(model, motion, limits, limit, begin=motion.begin, end=min(motion.end, scenario.duration))
+        if scenario.actuation.thrusters is not None or scenario.actuation.wheels is not None:
+            limited_by += " or what thrusters and wheels give"
+        base = base_limits(scenario)
+        limit[:NUM_BASE_VELOCITIES] = np.minimum(limit[:NUM_BASE_VELOCITIES], np.repeat([base.torque, base.force], 3))
+    drives = None
+    if scenario.drives is not None:
+        drives = DriveSet(scenario.drives, scenario.actuation.limit, model.coordinates)
+    part = functools.partial(_motion_remarks, model, motion, limits, limit, limited_by, drives)
+    remarks += part(begin=motion.begin, end=min(motion.end, scenario.duration))
     if motion.begin > 0.0:
         set_payload(model.plant, model.context, body=scenario.payload.body, properties=NOTHING)
-        remarks += _motion_remarks(model, motion, limits, limit, begin=0.0, end=motion.begin - scenario.sample_time)
+        remarks += part(begin=0.0, end=motion.begin - scenario.sample_time)
     return remarks
 
 
 def _motion_remarks(
-    model: PlantModel, motion: PlannedMotion, limits: JointLimits, limit: np.ndarray, *, begin: float, end: float
+    model: PlantModel,
+    motion: PlannedMotion,
+    limits: JointLimits,
+    limit: np.ndarray,
+    limited_by: str,
+    drives: DriveSet | None,
+    *,
+    begin: float,
+    end: float,
 ) -> Iterator[str]:
     """Where a planned motion, or following it with the model's payload, is beyond the joints' limits or a force's."""
     times = np.linspace(begin, end, _POSTURES)
@@ -84,15 +105,22 @@ def _motion_remarks(
     if not np.isfinite(np.r_[limits.effort, limit]).any():
         return
     force, tracking = model.calc_tracking_force(q, v, a), "tracking the planned motion perfectly takes"
+    most, what = np.tile(limit, (len(times), 1)), limited_by
+    if drives is not None:
+        joints = slice(NUM_BASE_VELOCITIES, None)
+        force[:, joints] -= drives.friction(v[:, joints])
+        forward = force[:, joints] * v[:, joints] > 0.0
+        most[:, joints] = np.where(forward, drives.available(v[:, joints]), most[:, joints])
+        what += " or what drives give at their rate" if drives.has_rate_limit else ""
     yield from _sizes(limits, force[:, NUM_BASE_VELOCITIES:], limits.effort, tracking, " force", at)
     parts = []
     for i, name in enumerate(motion.coordinates.names):
-        worst = int(np.argmax(np.abs(force[:, i])))
-        if abs(force[worst, i]) > limit[i] * (1.0 + _SLACK):
+        worst = int(np.argmax(np.abs(force[:, i]) / np.maximum(most[:, i], 1e-12)))
+        if abs(force[worst, i]) > most[worst, i] * (1.0 + _SLACK):
             unit = {"rad": "N m", "m": "N"}[motion.coordinates.units[i]]
-            parts.append(f"{name} {abs(force[worst, i]):.4g} {unit}{at(worst)} (limit {limit[i]:.4g})")
+            parts.append(f"{name} {abs(force[worst, i]):.4g} {unit}{at(worst)} (limit {most[worst, i]:.4g})")
     if parts:
-        yield f"{tracking}: beyond actuation.limit: {', '.join(parts)}"
+        yield f"{tracking}: beyond {what}: {', '.join(parts)}"
 
 
 def run_remarks(record: "RunRecord") -> list[str]:
@@ -284,7 +312,7 @@ def limits_left(log: "RunLog") -> dict[str, float]:
     with np.errstate(invalid="ignore"):
         beyond = {
             "force on": (coordinates.names, np.abs(log.generalized_force) > reach * force_limits(scenario, plant)),
-            "velocity of": (joints.names, np.abs(v) > reach * joints.velocity),
+            "velocity of": (joints.names, np.abs(v) > reach * rate_limits(scenario, plant)),
             "position of": (joints.names, (q > joints.upper + _SLACK) | (q < joints.lower - _SLACK)),
         }
     found = {
@@ -345,6 +373,27 @@ def _cut_short(scenario: Scenario) -> Iterator[str]:
         yield (
             f"duration: {scenario.duration:g} s are not a whole number of samples of {scenario.sample_time:g} s; the "
             f"run ends at {end:g} s"
+        )
+
+
+def _coarse_steps(scenario: Scenario) -> Iterator[str]:
+    """Whether the integrator's steps damp or excite a hidden mode by more than a fifth of its own damping.
+
+    A fixed step h changes the amplitude of w by a factor 1 -+ (w h)^n / m: it adds the damping ratio (w h)^(n-1) / m.
+    """
+    config = scenario.simulator_config
+    if not scenario.model.flexible or config.use_error_control or config.integration_scheme not in _STEP_ERRORS:
+        return
+    model = make_flexible_plant(scenario)
+    mode = model.hidden_modes(configuration(model.plant, scenario.initial_posture, key="initial_posture"))[-1]
+    power, divisor = _STEP_ERRORS[config.integration_scheme]
+    w, step = 2.0 * np.pi * mode.frequency, min(config.max_step_size, scenario.sample_time)
+    added, own = (w * step) ** power / divisor, max(mode.damping_ratio, _LEAST_DAMPING)
+    if added > 0.2 * own:
+        finer = float(f"{(0.1 * own * divisor) ** (1.0 / power) / w:.1g}")
+        yield (
+            f"simulator_config.max_step_size: steps of {step:g} s change the damping of the hidden mode at "
+            f"{mode.frequency:.3g} Hz by {added:.2g}, its own is {mode.damping_ratio:.2g}; take {finer:g} s or less"
         )
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ffsm_drake.runs.actuators import thruster_metrics, wheel_metrics
+from ffsm_drake.runs.actuators import drive_metrics, thruster_metrics, wheel_metrics
+from ffsm_drake.runs.deflections import deflection_metrics
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,8 +24,10 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
         wrong.
       phases: of a run with a capture, by phase,
         those of ``tracking_metrics``, each with its own time.
-      thrusters, wheels: of a run with them,
-        those of ``actuators.thruster_metrics`` and ``wheel_metrics``.
+      thrusters, wheels, drives: of a run with them,
+        those of ``actuators.thruster_metrics``, ``wheel_metrics`` and ``drive_metrics``.
+      hidden: of a run with hidden coordinates,
+        those of ``deflections.deflection_metrics``.
     """
     tracking = tracking_metrics(
         time=dataset["time"].values,
@@ -50,7 +53,12 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
             )
             for name, part in phases.items()
         }
-    for name, figures in (("thrusters", thruster_metrics(dataset)), ("wheels", wheel_metrics(dataset))):
+    for name, figures in (
+        ("thrusters", thruster_metrics(dataset)),
+        ("wheels", wheel_metrics(dataset)),
+        ("drives", drive_metrics(dataset)),
+        ("hidden", deflection_metrics(dataset)),
+    ):
         if figures:
             tracking[name] = figures
     return tracking | {"momentum_residual": sizes}

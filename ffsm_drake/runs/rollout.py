@@ -25,7 +25,7 @@ from ffsm_drake.runs.metrics import tracking_metrics
 from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.runs.record import Outcome
 from ffsm_drake.scenario import Scenario, scenario_to_dict
-from ffsm_drake.spacecraft.coordinates import Coordinates, position_errors
+from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates, position_errors
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
 from ffsm_drake.systems.actuation import HELD_OUTPUTS
 from ffsm_drake.systems.registry import Factory, is_shipped
@@ -43,8 +43,9 @@ _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed",
 class RunLog:
     """The aligned time series of a run; of derived quantities, only the error.
 
-    ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, and the controller's optional
-    outputs, each (n, its width): a signal of sample k is the one that sample k used or produced.
+    ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, the controller's optional outputs
+    and, where there are hidden coordinates, ``hidden_state``, each (n, its width): a signal of sample k is the one that
+    sample k used or produced.
     """
 
     scenario: Scenario
@@ -53,6 +54,7 @@ class RunLog:
     time: np.ndarray  # (n,), control samples t_k, s
     series: Mapping[str, np.ndarray]
     wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
+    hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)
     grasp: "GraspLog | None" = None  # of a run with a capture, unless it ended before
 
     @property
@@ -106,7 +108,11 @@ class Rollout:
         """
         start = time.perf_counter()
         builder = DiagramBuilder()
-        plant = None if meshcat is None or target is not None else add_combined_plant(builder, scenario.model)
+        plant = (
+            None
+            if meshcat is None or target is not None
+            else add_combined_plant(builder, scenario.model, flexible=True)
+        )
         loop = add_closed_loop(builder, scenario, blocks=blocks, plant=plant)
         if meshcat is not None and target is not None:
             _show_apart(builder, loop, target)
@@ -188,6 +194,7 @@ class Rollout:
             scenario=scenario,
             outcome=outcome,
             coordinates=loop.coordinates,
+            hidden=loop.hidden,
             time=times,
             series=series,
             wall_time={

@@ -14,7 +14,8 @@ from pydrake.systems.analysis import SimulatorConfig
 
 PerCoordinate = dict[str, float]
 BASE_ROTATIONS = ("eigenaxis", "rpy")
-REFERENCE_KINDS = ("quintic", "optimal")
+REFERENCE_KINDS = ("quintic", "septic", "optimal")
+SHAPER_KINDS = ("zv", "zvd")
 ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 CAPTURE_AXES = ("target", "world")
 SERVICER_MOTIONS = ("rest", "track_joints", "track_all", "given")
@@ -22,10 +23,41 @@ GOALS = ("target_posture", "stop")
 GRASPING_JOINTS = ("free", "braked")
 MODULATORS = ("sigma_delta", "pulse_width", "pwpf")
 THRUSTER_FAILURES = ("stuck_off", "stuck_on")
+FLEXIBLE_KINDS = ("panel", "beam", "mass", "pendulum", "joint", "gear")
 
 
 def _published(**values: float) -> PerCoordinate:
     return dataclasses.field(default_factory=lambda: dict(values))
+
+
+@dataclasses.dataclass
+class Flexible:
+    """A part of the true spacecraft that moves on its own, and that the controller takes for rigid.
+
+    The mass of a panel, a beam, a sloshing mass or a pendulum is part of the body that carries it.
+    """
+
+    # "panel": plates on hinges; "beam": bending modes of a uniform cantilever; "mass": a point mass on a spring, such
+    # as slosh; "pendulum": a point mass on a rod; "joint": a joint of the model that a spring holds and no drive
+    # moves; "gear": a spring between the rotor of a joint's drive (actuation.drives.rotor_inertia) and its link
+    kind: str = "panel"
+    body: str = "servicer::base"  # that carries it, for panel, beam, mass and pendulum: scoped name
+    joint: str | None = None  # of the model, for joint and gear
+    # m; of the hinge, the root, the pendulum's pivot, or the mass at rest, in the body's frame
+    position: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    # from the hinge, root or pivot outwards, or along which the mass moves, in the body's frame; of any length
+    direction: list[float] = dataclasses.field(default_factory=lambda: [0.0, 1.0, 0.0])
+    # of the hinge or of bending, across ``direction``, in the body's frame; of any length
+    axis: list[float] = dataclasses.field(default_factory=lambda: [1.0, 0.0, 0.0])
+    mass: float = 2.0  # kg; of the panel, the beam, the sloshing mass or the pendulum
+    length: float = 3.0  # m; of the panel, the beam or the pendulum's rod
+    width: float = 1.0  # m; of the panel, along the axis
+    plates: int = 1  # of a panel: one behind the other, of equal length, each on a hinge
+    # Hz; with the body held fast: of a panel its lowest; of a joint or gear in the zero posture; null with stiffness
+    frequency: float | None = None
+    frequencies: list[float] = dataclasses.field(default_factory=list)  # Hz; of a beam's first modes, its root held
+    stiffness: float | None = None  # N m/rad, or N/m of a mass; of each hinge; null with frequency
+    damping_ratio: float = 0.005  # of that frequency, of each mode of a beam
 
 
 @dataclasses.dataclass
@@ -41,6 +73,8 @@ class Model:
     end_effector: str = "servicer::end_effector"  # frame that holds the target; its origin is reported
     grasp: str = "debris::grasp"  # with servicer: the target's frame that is welded to end_effector
     packages: dict[str, str] = dataclasses.field(default_factory=dict)  # package:// name -> folder, for meshes
+    # by name: what moves besides base and joints, of which the controller knows nothing
+    flexible: dict[str, Flexible] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass
@@ -115,10 +149,23 @@ class Capture:
 
 
 @dataclasses.dataclass
-class Reference:
-    """The planned motion: from the initial to the target posture by a fifth-order polynomial, or a plan from a file."""
+class Shaper:
+    """An input shaper: the motion as a sum of delayed copies of itself whose vibrations cancel."""
 
-    kind: str = "quintic"  # or "optimal": what ``plan`` holds, which 'ffsm plan' has computed as ``planning`` says
+    kind: str = "zv"  # "zv", exact at its frequencies, or "zvd", twice as long and good near them too
+    # Hz; of the vibrations, with the controlled coordinates held; half a period of each, with zvd a whole one, of
+    # ``reference.duration`` is the shaper's
+    frequencies: list[float] = dataclasses.field(default_factory=list)
+    damping_ratio: float = 0.005  # of the vibrations
+
+
+@dataclasses.dataclass
+class Reference:
+    """The planned motion: from the initial to the target posture by a polynomial, or a plan from a file."""
+
+    # "quintic", fifth order; "septic", seventh, without jerk at the ends; or "optimal": what ``plan`` holds, which
+    # 'ffsm plan' has computed as ``planning`` says
+    kind: str = "quintic"
     # s; the posture at its end is held afterwards; a plan may take no longer; auto (or null): the shortest that all the
     # limits of actuators and joints allow with the nominal payload
     duration: float | None = 20.0
@@ -128,6 +175,7 @@ class Reference:
     # how the base turns: "eigenaxis", the shorter way about one fixed axis, or "rpy", roll, pitch and yaw each a
     # polynomial, as in the paper
     base_rotation: str = "eigenaxis"
+    shaper: Shaper | None = None  # of a polynomial; null: it is not shaped
     # with optimal: file of the plan, a path from the scenario file's folder or a package:// address
     plan: str | None = None
 
@@ -176,6 +224,15 @@ class Estimator:
 
 
 @dataclasses.dataclass
+class CommandFilter:
+    """Filters of the force that the control law commands, before any actuator; stability and noise include them."""
+
+    low_pass: PerCoordinate = _published(all=0.0)  # Hz; cut-off of a first-order low-pass filter; 0: none
+    notch: PerCoordinate = _published(all=0.0)  # Hz; frequency that a notch takes out; 0: none
+    notch_width: PerCoordinate = _published(all=0.5)  # of its frequency; the notch's width at half power
+
+
+@dataclasses.dataclass
 class Harmonic:
     """One coordinate's disturbance, ``amplitude * sin(frequency * t + phase) + bias``."""
 
@@ -192,6 +249,32 @@ class Disturbance:
     amplitude_scale: float = 1.0  # multiplies amplitudes and biases
     frequency_scale: float = 1.0  # multiplies frequencies
     harmonics: dict[str, Harmonic] = dataclasses.field(default_factory=dict)  # harmonics, by coordinate or group
+
+
+@dataclasses.dataclass
+class SolarPressure:
+    """The force of sunlight on the base, constant in the world frame: -pressure * coefficient * area along ``sun``."""
+
+    area: float = 10.0  # m^2; that faces the sun
+    coefficient: float = 1.3  # of the pressure: 1 absorbs all light, 2 reflects it back
+    pressure: float = 4.56e-6  # N/m^2; of sunlight, here at the Earth's distance
+    sun: list[float] = dataclasses.field(default_factory=lambda: [1.0, 0.0, 0.0])  # towards it, world axes; any length
+    # m; where the force acts, in the base's frame
+    center_of_pressure: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+
+@dataclasses.dataclass
+class Environment:
+    """Forces of a circular orbit on every body; the world frame falls freely with a point of it and does not turn."""
+
+    altitude: float | None = 400e3  # m; of the orbit above the Earth's equator; null with ``mean_motion``
+    mean_motion: float | None = None  # rad/s; the orbit's angular rate, about any body, without an altitude
+    # rad; roll, pitch, yaw of Hill's frame in the world at the start: x away from the Earth, y along the flight, z
+    # along the orbit's normal, about which it turns
+    hill_rpy: list[float] = dataclasses.field(default_factory=lambda: [0.0, 0.0, 0.0])
+    gravity_gradient: bool = True  # difference of gravity from the spacecraft's centre of mass to each part of a body
+    tidal: bool = True  # difference of gravity from the world's origin to the spacecraft's centre of mass
+    solar_pressure: SolarPressure | None = None  # null: none
 
 
 @dataclasses.dataclass
@@ -287,17 +370,43 @@ class Wheels:
     desaturate_above: float = 0.8  # of a wheel's speed_limit: from there on thrusters unload the wheels
     desaturate_below: float = 0.2  # of every wheel's speed_limit: until then
     desaturation_time: float = 20.0  # s; time constant of unloading
+    # times the motors' torque; what is wanted beyond it is asked of thrusters; null: nothing
+    assist_above: float | None = None
+
+
+@dataclasses.dataclass
+class Drives:
+    """Drives of the joints: motor, gear and friction, all as seen at the joint. Force limit and step: ``actuation``."""
+
+    gear_ratio: PerCoordinate = _published(all=1.0)  # turns of the motor per turn of the joint; prismatic: rad per m
+    # kg m^2; of the motor about its axis, gear_ratio^2 times which adds to the joint's; null: as the URDF has it
+    rotor_inertia: PerCoordinate | None = None
+    nominal_rotor_inertia: PerCoordinate | None = None  # kg m^2; as the controller's model has it; null: as it is
+    # rad/s or m/s; of the joint, from which on a drive gives no force that accelerates it; null: none
+    rate_limit: PerCoordinate | None = None
+    # share of rate_limit up to which a drive gives all of its actuation.limit, which then falls linearly to nothing
+    knee: PerCoordinate = _published(all=0.9)
+    coulomb_friction: PerCoordinate = _published(all=0.0)  # N m or N; against the motion, of any rate
+    # N m or N; friction as the joint breaks away, above coulomb_friction; null: the same
+    static_friction: PerCoordinate | None = None
+    stribeck_rate: PerCoordinate = _published(
+        all=0.01
+    )  # rad/s or m/s; within which friction falls from static to Coulomb
+    viscous_friction: PerCoordinate = _published(all=0.0)  # N m s/rad or N s/m; grows with the rate
+    # rad/s or m/s; within which friction changes its sign, as tanh(rate / smoothing_rate)
+    smoothing_rate: PerCoordinate = _published(all=1e-3)
 
 
 @dataclasses.dataclass
 class Actuation:
-    """How the actuators change the commanded force: saturation, quantisation, delay, then wheels and thrusters."""
+    """How the actuators change the commanded force: saturation, quantisation, delay, then drives, wheels, thrusters."""
 
     limit: PerCoordinate | None = None  # N m or N; largest force either way; null: unlimited
     quantization: PerCoordinate = _published(all=0.0)  # N m or N; step of the force; 0: none
     delay: int = 0  # control samples; age of a command when it acts
     thrusters: Thrusters | None = None  # that give the base's force and torque; null: they act as commanded
     wheels: Wheels | None = None  # that give the base's torque in place of thrusters; null: none
+    drives: Drives | None = None  # of the joints; null: without inertia, friction and a limit of their rate
 
 
 @dataclasses.dataclass
@@ -317,7 +426,8 @@ class Blocks:
     reference: Block | None = None  # the planned motion
     sensing: Block | None = None  # what the controller reads of the state
     actuation: Block | None = None  # from the commanded to the applied force
-    # by name: external forces, summed; ``disturbance`` replaces the scenario's harmonics, any other name adds to them
+    # by name: external forces, summed; ``disturbance`` and ``environment`` replace the scenario's sections of those
+    # names, any other name adds to them
     forces: dict[str, Block] = dataclasses.field(default_factory=dict)
 
 
@@ -362,7 +472,9 @@ class Scenario:
     # scenario file's folder
     python_path: list[str] = dataclasses.field(default_factory=list)
     estimator: Estimator = dataclasses.field(default_factory=Estimator)
+    command_filter: CommandFilter = dataclasses.field(default_factory=CommandFilter)
     disturbance: Disturbance = dataclasses.field(default_factory=Disturbance)
+    environment: Environment | None = None  # the orbit's forces, recorded as force_environment; null: none
     sensing: Sensing = dataclasses.field(default_factory=Sensing)
     actuation: Actuation = dataclasses.field(default_factory=Actuation)
 
@@ -383,6 +495,11 @@ class Scenario:
     def wheels(self) -> Wheels | None:
         """The wheels of the scenario's own actuators."""
         return None if self.blocks.actuation is not None else self.actuation.wheels
+
+    @property
+    def drives(self) -> Drives | None:
+        """The drives of the scenario's own actuators."""
+        return None if self.blocks.actuation is not None else self.actuation.drives
 
     @property
     def grasp_time(self) -> float:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import yaml
 
-from ffsm_drake.scenario.schema import Thruster, Thrusters
+from ffsm_drake.scenario.schema import Scenario, Thruster, Thrusters
 
 
 @functools.cache
@@ -21,3 +21,9 @@ def thruster_layouts() -> dict[str, dict[str, Thruster]]:
 def thrusters_of(settings: Thrusters) -> dict[str, Thruster]:
     """The thrusters that settings describe, by name."""
     return settings.units if settings.layout is None else thruster_layouts()[settings.layout]
+
+
+def own_thrusters(scenario: Scenario) -> dict[str, Thruster]:
+    """The thrusters of a scenario's own actuators, by name; empty where it has none, or a user-supplied block."""
+    settings = scenario.actuation.thrusters
+    return {} if settings is None or scenario.blocks.actuation is not None else thrusters_of(settings)

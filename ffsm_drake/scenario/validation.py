@@ -13,16 +13,22 @@ from ffsm_drake.scenario.schema import (
     BASE_ROTATIONS,
     CAPTURE_AXES,
     ESTIMATOR_KINDS,
+    FLEXIBLE_KINDS,
     GOALS,
     GRASPING_JOINTS,
     MODULATORS,
     REFERENCE_KINDS,
     SERVICER_MOTIONS,
+    SHAPER_KINDS,
     THRUSTER_FAILURES,
     Capture,
+    Drives,
+    Environment,
+    Flexible,
     MassProperties,
     Posture,
     Scenario,
+    Shaper,
     Thrusters,
     Wheels,
     inertia_matrix,
@@ -33,9 +39,12 @@ _NAME = re.compile(r"[^\W\d]\w*|[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")  # or mo
 FIXED_STEP_SCHEMES = ("explicit_euler", "runge_kutta2", "semi_explicit_euler")  # without an error estimate
 MAX_SAMPLES = 10_000_000
 MAX_DELAY = 1000  # control samples
+MAX_MEAN_MOTION = 0.01  # rad/s; an orbit of ten minutes, which no body that holds together has
 MIN_SEGMENTS, MAX_SEGMENTS = 4, 100  # of a plan's spline
 MAX_FRAME = 1000  # control samples
 MAX_THRUSTERS, MAX_WHEELS = 24, 24
+MAX_PLATES, MAX_MODES = 10, 5
+MAX_SHAPED = 4  # frequencies
 MAX_STEPS = 1_000_000_000  # of the integrator; hours
 _BYTES_PER_SAMPLE = 4000  # of a run's logs and record, for the estimate in an error
 
@@ -74,6 +83,8 @@ def validate(scenario: Scenario) -> None:
         ("estimator.kind", scenario.estimator.kind, ESTIMATOR_KINDS),
     ):
         _require_choice(kind, key, kinds)
+    if scenario.reference.shaper is not None:
+        _validate_shaper(scenario.reference.shaper, scenario.reference.kind)
     _validate_planning(scenario)
     for name in ("walk", "force_walk"):
         for key, number in getattr(scenario.estimator, name).items():
@@ -83,7 +94,22 @@ def validate(scenario: Scenario) -> None:
             require(number >= 0, f"estimator.{name}.{key}", f"a standard deviation must be >= 0, not {number}")
     for key, number in scenario.tolerance.items():
         require(number > 0, f"tolerance.{key}", f"must be > 0, not {number}")
+    for name in ("low_pass", "notch"):
+        for key, number in getattr(scenario.command_filter, name).items():
+            require(number >= 0, f"command_filter.{name}.{key}", f"must be >= 0 Hz (0: none), not {number:g}")
+    for key, number in scenario.command_filter.notch_width.items():
+        require(number > 0, f"command_filter.notch_width.{key}", f"must be > 0, not {number:g}")
     _validate_simulator_config(scenario)
+    for name, part in scenario.model.flexible.items():
+        _validate_flexible(part, f"model.flexible.{name}")
+        problem = "is the target, of which nothing can be flexible before it is held; leave capture.approach out"
+        held = scenario.grasp_time == 0.0 or part.kind in ("joint", "gear") or part.body != scenario.payload.body
+        require(held, f"model.flexible.{name}.body", f"'{part.body}' {problem}")
+        drives = scenario.actuation.drives
+        rotors = {} if drives is None else drives.rotor_inertia or {}
+        rotor = next((rotors[key] for key in (part.joint, "joints", "all") if key in rotors), 0.0)
+        turns = f"give that of {part.joint}, > 0 kg m^2: it is what the drive turns against the spring of '{name}'"
+        require(part.kind != "gear" or rotor > 0, "actuation.drives.rotor_inertia", turns)
     for name in ("truth", "nominal"):
         _validate_mass_properties(getattr(scenario.payload, name), f"payload.{name}")
     for name, posture in scenario.postures.items():
@@ -97,6 +123,8 @@ def validate(scenario: Scenario) -> None:
             f"must be within divergence_speed ({scenario.divergence_speed:g}), not {number}",
         )
     require(scenario.disturbance.frequency_scale >= 0, "disturbance.frequency_scale", "must be >= 0")
+    if scenario.environment is not None:
+        _validate_environment(scenario.environment)
     sensing = scenario.sensing
     for name in (
         "velocity_noise", "position_noise", "velocity_correlated_noise", "position_correlated_noise",
@@ -125,6 +153,84 @@ def validate(scenario: Scenario) -> None:
         _validate_thrusters(scenario.actuation.thrusters, scenario.sample_time)
     if scenario.actuation.wheels is not None:
         _validate_wheels(scenario.actuation.wheels)
+    if scenario.actuation.drives is not None:
+        _validate_drives(scenario.actuation.drives)
+
+
+def _validate_drives(drives: Drives) -> None:
+    for field in dataclasses.fields(drives):
+        for key, number in (getattr(drives, field.name) or {}).items():
+            place = f"actuation.drives.{field.name}.{key}"
+            if field.name in ("gear_ratio", "rate_limit", "stribeck_rate", "smoothing_rate"):
+                require(number > 0, place, f"must be > 0, not {number:g}")
+            elif field.name == "knee":
+                require(0 <= number < 1, place, f"must be from 0 to below 1, not {number:g}")
+            else:
+                require(number >= 0, place, f"must be >= 0, not {number:g}")
+
+
+def _validate_flexible(part: Flexible, key: str) -> None:
+    name = key.rpartition(".")[2]
+    require(name.isidentifier(), key, "a part's name must be letters, digits and underscores")
+    _require_choice(part.kind, f"{key}.kind", FLEXIBLE_KINDS)
+    for vector in ("position", "direction", "axis"):
+        require(len(getattr(part, vector)) == 3, f"{key}.{vector}", "must hold three numbers [x, y, z]")
+    for vector in ("direction", "axis"):
+        require(bool(np.linalg.norm(getattr(part, vector)) > 1e-9), f"{key}.{vector}", "must not be zero")
+    along, axis = (np.array(each) / np.linalg.norm(each) for each in (part.direction, part.axis))
+    across = part.kind in ("mass", "joint", "gear") or abs(along @ axis) < 1e-6
+    require(across, f"{key}.axis", f"must be across direction {part.direction}, not {part.axis}")
+    for size in ("mass", "length", "width"):
+        require(getattr(part, size) > 0, f"{key}.{size}", f"must be > 0, not {getattr(part, size):g}")
+    require(1 <= part.plates <= MAX_PLATES, f"{key}.plates", f"must be from 1 to {MAX_PLATES}, not {part.plates}")
+    of_joint = part.kind in ("joint", "gear")
+    require(of_joint == (part.joint is not None), f"{key}.joint", (
+        "name the joint of the model" if of_joint else f"has no effect on a {part.kind}; leave it out"
+    ))  # fmt: skip
+    if part.kind == "beam":
+        given = part.frequency is None and part.stiffness is None
+        require(given, f"{key}.frequency", "a beam takes frequencies, of its modes; leave it out")
+        count = f"give the frequencies of 1 to {MAX_MODES} modes, Hz"
+        require(1 <= len(part.frequencies) <= MAX_MODES, f"{key}.frequencies", count)
+    else:
+        require(not part.frequencies, f"{key}.frequencies", f"are of a beam; a {part.kind} takes frequency")
+        one = (part.frequency is None) != (part.stiffness is None)
+        require(one, f"{key}.frequency", "give either frequency (Hz) or stiffness")
+    for number in (*part.frequencies, *((part.frequency,) if part.frequency is not None else ())):
+        require(number > 0, f"{key}.frequency", f"must be > 0 Hz, not {number:g}")
+    require(part.stiffness is None or part.stiffness > 0, f"{key}.stiffness", "must be > 0")
+    require(0 <= part.damping_ratio < 1, f"{key}.damping_ratio", f"must be from 0 to below 1, not {part.damping_ratio}")
+
+
+def _validate_shaper(shaper: Shaper, kind: str) -> None:
+    key = "reference.shaper"
+    require(kind != "optimal", key, "has no effect on a plan; take kind quintic or septic, or shaper: null")
+    _require_choice(shaper.kind, f"{key}.kind", SHAPER_KINDS)
+    count = f"give 1 to {MAX_SHAPED} frequencies in Hz, not {len(shaper.frequencies)}"
+    require(1 <= len(shaper.frequencies) <= MAX_SHAPED, f"{key}.frequencies", count)
+    for number in shaper.frequencies:
+        require(0 < number <= 1e3, f"{key}.frequencies", f"must be > 0, at most 1000 Hz, not {number:g}")
+    ratio = shaper.damping_ratio
+    require(0 <= ratio < 1, f"{key}.damping_ratio", f"must be from 0 to below 1, not {ratio:g}")
+
+
+def _validate_environment(environment: Environment) -> None:
+    key, altitude, rate = "environment", environment.altitude, environment.mean_motion
+    if rate is not None:
+        require(0 < rate <= MAX_MEAN_MOTION, f"{key}.mean_motion", f"must be > 0, at most 0.01 rad/s, not {rate:g}")
+        require(altitude is None, f"{key}.altitude", "has no effect beside a mean_motion; set altitude: null")
+    else:
+        require(altitude is not None, f"{key}.altitude", "give a number of metres, or mean_motion")
+        require(0 < (altitude or 0.0) <= 1e9, f"{key}.altitude", f"must be > 0, at most 1e9 m, not {altitude:g}")
+    require(len(environment.hill_rpy) == 3, f"{key}.hill_rpy", "must hold three numbers [roll, pitch, yaw]")
+    solar = environment.solar_pressure
+    if solar is not None:
+        key = f"{key}.solar_pressure"
+        for name in ("area", "coefficient", "pressure"):
+            require(getattr(solar, name) >= 0, f"{key}.{name}", f"must be >= 0, not {getattr(solar, name):g}")
+        for name in ("sun", "center_of_pressure"):
+            require(len(getattr(solar, name)) == 3, f"{key}.{name}", "must hold three numbers [x, y, z]")
+        require(bool(np.linalg.norm(solar.sun) > 1e-9), f"{key}.sun", "must not be zero")
 
 
 def _validate_wheels(wheels: Wheels) -> None:
@@ -148,6 +254,8 @@ def _validate_wheels(wheels: Wheels) -> None:
     require(0 <= below < above, f"{key}.desaturate_below", problem)
     time = wheels.desaturation_time
     require(time > 0, f"{key}.desaturation_time", f"must be > 0 s, not {time:g}")
+    if (assist := wheels.assist_above) is not None:
+        require(assist >= 1, f"{key}.assist_above", f"must be null or at least 1, not {assist:g}")
 
 
 def _validate_thrusters(thrusters: Thrusters, sample_time: float) -> None:

@@ -27,7 +27,7 @@ def closed_loop_dot(scenario: Scenario) -> str:
     """
     with quiet_drake():  # the server is there for the wiring only
         builder = DiagramBuilder()
-        plant = add_combined_plant(builder, scenario.model)
+        plant = add_combined_plant(builder, scenario.model, flexible=True)
         loop = add_closed_loop(builder, scenario, plant=plant)
         visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), start_meshcat())
         visualizer.set_name("meshcat_visualizer")

@@ -3,7 +3,7 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ffsm_drake.runs.record import RunRecord
@@ -66,6 +66,11 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
         figures = [value for e in errors for value in (max(e["base_rotation"], e["joints"]), e["base_position"])]
         figures += [m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")]
         rows.append([record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *(f"{x:.3g}" for x in figures)])
+    taken = [record.metrics.get("thrusters", {}).get("propellant") for record in records]
+    if any(each is not None for each in taken):
+        cells = [NONE if each is None else f"{1e3 * each:.4g}" for each in taken]
+        for row, cell in zip(rows, ("propellant", "g", *cells), strict=True):
+            row.append(cell)
     if distances is not None:
         for row, cell in zip(rows, ("over LQG", "", *(number(distance, 3) for distance in distances)), strict=True):
             row.append(cell)
@@ -79,7 +84,7 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
     lines += [grasp_line(record.grasp) for record in records if record.grasp is not None]
     for record in records:
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
-        lines += [name + line for line in actuator_lines(record.metrics)]
+        lines += [name + line for line in (*actuator_lines(record.metrics), *deflection_lines(record))]
     return "\n".join(lines)
 
 
@@ -105,7 +110,7 @@ def grasp_line(grasp: Mapping[str, Any]) -> str:
 
 
 def actuator_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """What a run took out of thrusters and wheels, a line each; nothing for one without."""
+    """What a run took out of thrusters, wheels and drives, a line each; nothing for one without."""
     lines = []
     if figures := metrics.get("thrusters"):
         propellant = (
@@ -127,7 +132,40 @@ def actuator_lines(metrics: Mapping[str, Any]) -> list[str]:
             f"torque of a wheel, a motor at its limit in {percent(figures['torque_limited'])} of the samples; unloaded "
             f"in {percent(figures['unloading'])}"
         )
+    if figures := metrics.get("drives"):
+        parts = [
+            f"up to {percent(max(figures[key].values()))} of the {what} of a joint"
+            for key, what in (("force_used", "force limit"), ("rate_used", "rate limit"))
+            if figures.get(key)
+        ]
+        if "rate_limited" in figures:
+            parts.append(f"cut by the rate in {percent(figures['rate_limited'])} of the samples")
+        if "friction_loss" in figures:
+            parts.append(
+                f"friction of up to {max(figures['peak_friction'].values()):.3g} in a joint, which took out "
+                f"{sum(figures['friction_loss'].values()):.3g} J"
+            )
+        if parts:
+            lines.append(f"drives: {', '.join(parts)}")
     return lines
+
+
+def deflection_lines(record: RunRecord) -> list[str]:
+    """How far the hidden coordinates of a run moved, and what is left of it, in a line; nothing for one without."""
+    figures = record.metrics.get("hidden")
+    if not figures:
+        return []
+    hidden = record.dataset["hidden_coordinate"]
+    units = dict(zip(hidden.values.astype(str), hidden["hidden_unit"].values.astype(str), strict=True))
+
+    def listed(values: Mapping[str, float]) -> str:
+        return ", ".join(f"{name} {value:.3g} {units[name]}" for name, value in values.items())
+
+    line = f"hidden coordinates: deflected by at most {listed(figures['peak'])}"
+    if figures["residual_since"] is not None:
+        amplitude, rms = listed(figures["residual_amplitude"]), listed(figures["residual_rms"])
+        line += f"; after the motion, from t = {figures['residual_since']:g} s, amplitude {amplitude}, rms {rms}"
+    return [line]
 
 
 def results_data(records: Sequence[RunRecord], distances: Sequence[float] | None = None) -> list[dict[str, Any]]:
@@ -154,6 +192,7 @@ def margins_table(margins: "Margins") -> str:
     lines = [
         f"{scenario.description or 'scenario'}: {scenario.controller}, L = {scenario.sample_time:g} s",
         f"eigenvalues eta of H^-1 Hhat along the planned motion: {low:.3f} to {high:.3f}",
+        *_hidden_lines(margins, data),
         "",
         f"slowest modes of the loop as it is wired, at t = {worst.time:g} s:",
     ]
@@ -185,9 +224,38 @@ def boundaries_table(boundaries: "Boundaries", scenario: Scenario) -> str:
         ["feedback gains", factor(boundaries.gains)],
         ["nominal payload", factor(boundaries.nominal_payload)],
         ["sample time", factor(boundaries.sample_time, f" ({boundaries.sample_time * period:.3g} ms)")],
+        *(
+            [f"mass of {name}" if name != "all" else "masses of all flexible parts", factor(value)]
+            for name, value in boundaries.flexible_mass.items()
+        ),
         ["further sensor delay", delay if math.isfinite(boundaries.delay) else factor(boundaries.delay)],
     ]
     return "\n".join(["unstable from, each changed alone at that posture:", *aligned(rows)])
+
+
+def _hidden_lines(margins: "Margins", data: Mapping[str, Any]) -> list[str]:
+    """The modes of vibration that the controller does not know of, and what they do to eta."""
+    if not margins.hidden:
+        return []
+    low, high = margins.locked_eta
+    rows = [
+        ["hidden mode", "free", "held", "damping", "carries most of"],
+        ["", "Hz", "Hz", "", ""],
+    ]
+    for mode in data["hidden_modes"]:
+        moves = ", ".join(f"{name} {value:+.2g}" for name, value in list(mode["shape"].items())[:3])
+        carries = ", ".join(f"{name} {100 * share:.2g} %" for name, share in list(mode["share"].items())[:2])
+        rows.append([
+            moves, *(f"{mode[key]:.4g}" for key in ("frequency", "clamped_frequency")),
+            f"{mode['damping_ratio']:.2g}", carries,
+        ])  # fmt: skip
+    locked = f"with the flexible parts locked it is {low:.3f} to {high:.3f}; a sample is too short for their springs"
+    return [
+        locked,
+        "",
+        "modes of vibration that the controller does not know of, where the motion starts:",
+        *aligned(rows),
+    ]
 
 
 def _axis_lines(axes: "AxisMargins", data: Mapping[str, Any]) -> list[str]:
@@ -239,8 +307,25 @@ def margins_data(margins: "Margins") -> dict[str, Any]:
             }
             for mode in margins.worst.modes()
         ],
+        "locked_eta": list(margins.locked_eta),
+        "hidden_modes": [
+            {
+                "frequency": mode.frequency,
+                "clamped_frequency": mode.clamped_frequency,
+                "damping_ratio": mode.damping_ratio,
+                "shape": _largest_first(margins.hidden, mode.shape, above=0.05),
+                "share": _largest_first(margins.coordinates.names, mode.share, above=1e-4),
+            }
+            for mode in margins.hidden_modes
+        ],
         "coordinates": by_coordinate,
     }
+
+
+def _largest_first(names: Sequence[str], values: Iterable[float], *, above: float) -> dict[str, float]:
+    """Name -> value, the largest first, without those whose size is below ``above``."""
+    found = {name: float(value) for name, value in zip(names, values, strict=True) if abs(value) >= above}
+    return dict(sorted(found.items(), key=lambda item: -abs(item[1])))
 
 
 def design_table(found: "Design") -> str:

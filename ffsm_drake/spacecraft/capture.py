@@ -7,7 +7,7 @@ from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Capture, Scenario
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, HiddenCoordinates
 from ffsm_drake.spacecraft.grasp import CompliantGrasp, Grasp, compliant_grasp, plastic_grasp, shift_moment
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
@@ -15,7 +15,10 @@ from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Contact:
-    """The instant of a grasp: the motion on both sides of it, and the grasp itself; world axes, SI units."""
+    """The instant of a grasp: the motion on both sides of it, and the grasp itself; world axes, SI units.
+
+    q and v are the plant's own, with its hidden coordinates.
+    """
 
     q: np.ndarray  # (nq)
     velocity: np.ndarray  # (nv) of the servicer before
@@ -28,6 +31,7 @@ class Contact:
     spin_before: np.ndarray  # (3) angular momentum of both about their centre of mass, N m s
     spin_after: np.ndarray
     compliant: CompliantGrasp | None  # with a compliance of the gripper
+    hidden: HiddenCoordinates
 
 
 def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
@@ -51,8 +55,8 @@ def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
 
 
 def target_twist(scenario: Scenario, capture: Capture, model: PlantModel, q: np.ndarray) -> np.ndarray:
-    """[w_WP; v_WP] (6) of the target's frame P just before the grasp in configuration q, world axes."""
-    model.plant.SetPositions(model.context, q)
+    """[w_WP; v_WP] (6) of the target's frame P just before the grasp in a known configuration q, world axes."""
+    model.plant.SetPositions(model.context, model.hidden.whole_positions(q))
     body = target_body(scenario, model)
     R_WP = body.EvalPoseInWorld(model.context).rotation().matrix()
     turn = R_WP if capture.axes == "target" else np.eye(3)
@@ -61,7 +65,7 @@ def target_twist(scenario: Scenario, capture: Capture, model: PlantModel, q: np.
 
 
 def servicer_velocity(scenario: Scenario, capture: Capture, model: PlantModel, q: np.ndarray) -> np.ndarray:
-    """v (nv) of the servicer at the grasp in configuration q.
+    """v (nv) of the servicer at the grasp in a known configuration q.
 
     To follow the grasp frame it takes, of the rates with the least mismatch of end effector and target, the cheapest.
 
@@ -79,6 +83,8 @@ def servicer_velocity(scenario: Scenario, capture: Capture, model: PlantModel, q
     twist[3:] += np.cross(twist[:3], effector.CalcPoseInWorld(context).translation() - p_WP)
     world = plant.world_frame()
     jacobian = plant.CalcJacobianSpatialVelocity(context, JacobianWrtVariable.kV, effector, np.zeros(3), world, world)
+    if model.hidden.names:
+        jacobian = jacobian[:, model.hidden.known]
     moving = slice(NUM_BASE_VELOCITIES if capture.servicer == "track_joints" else 0, None)
     weight = np.array([capture.tracking_length] * 3 + [1.0] * 3)
     scaled = weight[:, None] * jacobian[:, moving] / cost[moving]
@@ -90,6 +96,8 @@ def contact_at(
     scenario: Scenario, model: PlantModel, *, q: np.ndarray, velocity: np.ndarray, target_velocity: np.ndarray
 ) -> Contact:
     """The grasp of the target by a servicer in configuration q (nq) with velocity v (nv), the joints free or braked.
+
+    q and v are the plant's own; what is hidden in it is free.
 
     Args:
       scenario: with a capture.
@@ -107,7 +115,8 @@ def contact_at(
         context, JacobianWrtVariable.kV, body.body_frame(), origin, world, world
     )
     target_inertia = inertia.CopyToFullMatrix6()
-    braked = range(NUM_BASE_VELOCITIES, velocity.size) if capture.joints == "braked" else ()
+    known = model.hidden.known.tolist() if model.hidden.names else range(velocity.size)
+    braked = known[NUM_BASE_VELOCITIES:] if capture.joints == "braked" else ()
     grasp = plastic_grasp(
         mass_matrix=mass_matrix,
         jacobian=jacobian,
@@ -146,6 +155,7 @@ def contact_at(
         spin_before=shift_moment(grasp.momentum_before, p_WC - p_WB)[:3],
         spin_after=shift_moment(grasp.momentum_after, p_WC - p_WB)[:3],
         compliant=compliant,
+        hidden=model.hidden,
     )
 
 
@@ -176,7 +186,7 @@ def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
     return contact_at(
         scenario,
         model,
-        q=q,
-        velocity=servicer_velocity(scenario, capture, model, q),
+        q=model.hidden.whole_positions(q),
+        velocity=model.hidden.whole_velocities(servicer_velocity(scenario, capture, model, q)),
         target_velocity=target_twist(scenario, capture, model, q),
     )

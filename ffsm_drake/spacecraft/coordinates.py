@@ -6,7 +6,7 @@ v = [w_WB, v_WB, joint rates]; only this module depends on it.
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -69,6 +69,24 @@ class Coordinates:
             raise ScenarioError(key, f"gives no value for {', '.join(missing)}; add them, their group, or 'all'")
         return np.array(result, dtype=float)
 
+    def joint_vector(self, values: Mapping[str, float], *, key: str, default: float) -> np.ndarray:
+        """As ``vector``, of the joints alone, which a key other than ``all`` must be of. Raises ScenarioError."""
+        valid = ("all", "joints", *self.joints)
+        for name in values:
+            if name not in valid:
+                choice = f"{', '.join(valid)}{did_you_mean(name, valid)}"
+                raise ScenarioError(f"{key}.{name}", f"is no joint; valid here: {choice}")
+        return self.vector(values, key=key, default=default)[NUM_BASE_VELOCITIES:]
+
+    def indices(self, names: Iterable[str], *, key: str) -> np.ndarray:
+        """Which coordinates of v, ascending, names of groups and coordinates mean. Raises ScenarioError for others."""
+        wanted = dict.fromkeys(names)
+        self.check_names(wanted, key=key)
+        both = zip(self.names, self.group_of, strict=True)
+        return np.array(
+            [i for i, (name, group) in enumerate(both) if not wanted.keys().isdisjoint((name, group, "all"))], dtype=int
+        )
+
     def check_names(self, names: Mapping[str, object], *, key: str) -> None:
         """Raise ScenarioError when a key is neither ``all``, nor a group, nor a coordinate."""
         valid = ("all", *GROUPS, *self.names)
@@ -77,6 +95,60 @@ class Coordinates:
                 raise ScenarioError(
                     f"{key}.{name}", f"unknown coordinate; valid here: {', '.join(valid)}{did_you_mean(name, valid)}"
                 )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class HiddenCoordinates:
+    """Coordinates of the true plant that the controller does not know of, among those that it knows.
+
+    The plant's own [q; v] holds both; beside it stand the known state [q; v] and the hidden one [q_h; v_h].
+    """
+
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()  # "rad" or "m", one per coordinate
+    # Of the plant's [q; v]: where each entry of the known and of the hidden state stands.
+    known_state: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
+    hidden_state: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
+    # Of the plant's v: likewise.
+    known: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
+    hidden: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
+
+    def whole(self, state: np.ndarray, hidden_state: np.ndarray | None = None) -> np.ndarray:
+        """The plant's [q; v] of known and hidden states (..., their sizes); without the latter it is zero."""
+        if not self.names:
+            return state
+        result = np.zeros((*state.shape[:-1], self.known_state.size + self.hidden_state.size))
+        result[..., self.known_state] = state
+        if hidden_state is not None:
+            result[..., self.hidden_state] = hidden_state
+        return result
+
+    def whole_positions(self, q: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:
+        """The plant's q of known and hidden positions; without the latter it is zero."""
+        if not self.names:
+            return q
+        at_rest = None if hidden is None else np.concatenate([hidden, np.zeros(hidden.size)])
+        return self.whole(np.concatenate([q, np.zeros(q.size - 1)]), at_rest)[: q.size + len(self.names)]
+
+    def whole_velocities(self, v: np.ndarray) -> np.ndarray:
+        """The plant's v of known velocities (nv); the hidden ones are zero."""
+        if not self.names:
+            return v
+        result = np.zeros(v.size + len(self.names))
+        result[self.known] = v
+        return result
+
+    def known_part(self, state: np.ndarray) -> np.ndarray:
+        """The known state in the plant's [q; v] (..., its size)."""
+        return state[..., self.known_state] if self.names else state
+
+    def hidden_part(self, state: np.ndarray) -> np.ndarray:
+        """The hidden state in the plant's [q; v] (..., its size)."""
+        return state[..., self.hidden_state]
+
+    def known_velocities(self, v: np.ndarray) -> np.ndarray:
+        """The known part of a vector along the plant's v."""
+        return v[self.known] if self.names else v
 
 
 def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[float, float, float]:

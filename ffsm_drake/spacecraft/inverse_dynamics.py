@@ -74,6 +74,7 @@ class _Link:
     axis: np.ndarray
     slides: bool = False
     damping: float = 0.0  # N m s/rad or N s/m
+    rotor: float = 0.0  # kg m^2 or kg; of the joint's drive, as seen at the joint
 
 
 class InverseDynamics:
@@ -93,6 +94,9 @@ class InverseDynamics:
         for number, joint in enumerate(joints, start=1):
             link_of |= {body.index(): number for body in plant.GetBodiesWeldedTo(joint.child_body())}
         frames = [base.body_frame(), *(joint.frame_on_child() for joint in joints)]
+        rotors = {}
+        for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
+            rotors[actuator.joint().index()] = actuator.calc_reflected_inertia(context)
         self._links = []
         for number, frame in enumerate(frames):
             bodies = [index for index, link in link_of.items() if link == number]
@@ -103,7 +107,9 @@ class InverseDynamics:
                 rotation=np.eye(3), place=np.zeros(3), axis=np.zeros(3),
             )  # fmt: skip
             if number:
-                link = dataclasses.replace(link, **self._joint(joints[number - 1], link_of, frames, context))
+                joint = joints[number - 1]
+                own = self._joint(joint, link_of, frames, context)
+                link = dataclasses.replace(link, **own, rotor=rotors.get(joint.index(), 0.0))
             self._links.append(link)
 
     @staticmethod
@@ -162,7 +168,8 @@ class InverseDynamics:
         for number in range(len(self._links) - 1, 0, -1):
             link, row = self._links[number], number + NUM_BASE_VELOCITIES - 1
             along = forces[number] if link.slides else moments[number]
-            tau[row] = (axes[number] * along).sum(axis=0) + link.damping * rate[row]
+            own = link.damping * rate[row] + link.rotor * acceleration[row]
+            tau[row] = (axes[number] * along).sum(axis=0) + own
             forces[link.parent] = forces[link.parent] + forces[number]
             moments[link.parent] = moments[link.parent] + moments[number] + cross(arms[number], forces[number])
         tau[:3], tau[3:6] = moments[0], forces[0]

@@ -1,4 +1,4 @@
-"""Limits of the joints, as the URDFs give them, and of forces."""
+"""Limits of the joints, as the URDFs give them."""
 
 import dataclasses
 from xml.etree import ElementTree
@@ -59,13 +59,13 @@ def joint_limits(model: Model, plant: MultibodyPlant) -> JointLimits:
     return limits
 
 
-def force_limits(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
-    """The largest force of each coordinate (nv), N m or N: ``actuation.limit`` and the URDFs' efforts; else infinite.
+def rate_limits(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
+    """The largest rate of each joint (n), rad/s or m/s: the URDFs' velocities and those of drives; else infinite.
 
-    Raises ScenarioError, ModelError: the limit names an unknown coordinate, or a URDF cannot be read.
+    Raises ScenarioError, ModelError: a limit names what is no joint, or a URDF cannot be read.
     """
-    coordinates = coordinates_of(plant)
-    force = coordinates.vector(scenario.actuation.limit or {}, key="actuation.limit", default=np.inf)
-    joints = slice(len(coordinates.names) - len(coordinates.joints), None)
-    force[joints] = np.minimum(force[joints], joint_limits(scenario.model, plant).effort)
-    return force
+    velocity = joint_limits(scenario.model, plant).velocity
+    if scenario.drives is None:
+        return velocity
+    key, own = "actuation.drives.rate_limit", scenario.drives.rate_limit or {}
+    return np.minimum(velocity, coordinates_of(plant).joint_vector(own, key=key, default=np.inf))

@@ -1,4 +1,4 @@
-"""The captured payload: its mass properties, given to a plant in one context."""
+"""Mass properties that are given to a plant in one context: of the payload, and what wheels and drives change."""
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -6,8 +6,8 @@ from pydrake.multibody.tree import RotationalInertia, SpatialInertia, UnitInerti
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import ModelError, ScenarioError
-from ffsm_drake.scenario import MassProperties, Wheels, inertia_matrix
-from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, base_body, cause_of, coordinates_of, find_body
+from ffsm_drake.scenario import Drives, MassProperties, Wheels, inertia_matrix
+from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, base_body, cause_of, coordinates_of, find_body, hidden_of
 
 _SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues, between rounding and any spacecraft
 
@@ -28,12 +28,12 @@ def spatial_inertia(properties: MassProperties) -> SpatialInertia:
 def set_wheels(plant: MultibodyPlant, context: Context, wheels: Wheels | None) -> None:
     """Take the wheels' inertia about their axes, which does not turn with the base, out of the base's in one context.
 
-    Raises ScenarioError where the base has less.
+    Call it once for a context. Raises ScenarioError where the base has less.
     """
     if wheels is None:
         return
     base = base_body(plant)
-    M_BBo_B = base.CalcSpatialInertiaInBodyFrame(plant.CreateDefaultContext())
+    M_BBo_B = base.CalcSpatialInertiaInBodyFrame(context)
     inertia = M_BBo_B.CalcRotationalInertia().CopyToFullMatrix3()
     for unit in wheels.units.values():
         axis = np.array(unit.axis, dtype=float) / np.linalg.norm(unit.axis)
@@ -52,6 +52,32 @@ def set_wheels(plant: MultibodyPlant, context: Context, wheels: Wheels | None) -
         ) from error
 
 
+def set_drives(plant: MultibodyPlant, context: Context, drives: Drives | None, *, nominal: bool = False) -> None:
+    """Give the joints the inertia of their drives' rotors in one context, gear ratio squared times that of the motor.
+
+    Drake adds it to the mass matrix's diagonal: the rotor's spin about its axis, without its gyroscopic torque.
+
+    Args:
+      nominal: as the controller's model has it.
+
+    Raises ScenarioError: a value is given for what is no joint.
+    """
+    if drives is None:
+        return
+    coordinates, inertia, name = coordinates_of(plant), drives.rotor_inertia, "rotor_inertia"
+    if nominal and drives.nominal_rotor_inertia is not None:
+        inertia, name = drives.nominal_rotor_inertia, "nominal_rotor_inertia"
+    key = "actuation.drives"
+    rotors = coordinates.joint_vector(inertia or {}, key=f"{key}.{name}", default=np.nan)
+    ratios = coordinates.joint_vector(drives.gear_ratio, key=f"{key}.gear_ratio", default=1.0)
+    of = dict(zip(coordinates.joints, zip(rotors, ratios, strict=True), strict=True))
+    for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
+        rotor, ratio = of.get(actuator.joint().name(), (np.nan, 1.0))
+        if not np.isnan(rotor):  # else it stays as the URDF has it
+            actuator.SetRotorInertia(context, rotor)
+            actuator.SetGearRatio(context, ratio)
+
+
 def set_payload(plant: MultibodyPlant, context: Context, *, body: str, properties: MassProperties) -> None:
     """Give the payload body its mass properties in one context; the parsed model stays as it is.
 
@@ -66,8 +92,10 @@ def set_payload(plant: MultibodyPlant, context: Context, *, body: str, propertie
     except (*DRAKE_ERRORS, np.linalg.LinAlgError) as error:
         raise ModelError(f"payload: mass properties that Drake refuses: {cause_of(error)}") from error
     if not eigenvalues[0] > _SINGULAR * eigenvalues[-1]:
-        coordinates = coordinates_of(plant)
-        weakest = coordinates.names[int(np.argmax(np.abs(directions[:, 0])))]
+        coordinates, hidden = coordinates_of(plant), hidden_of(plant)
+        names = np.empty(len(directions), dtype=object)
+        names[hidden.known if hidden.names else slice(None)], names[hidden.hidden] = coordinates.names, hidden.names
+        weakest = names[int(np.argmax(np.abs(directions[:, 0])))]
         what = f"joint '{weakest}'" if weakest in coordinates.joints else weakest
         raise ModelError(
             f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular (eigenvalues "

@@ -5,12 +5,14 @@ import math
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.systems.framework import Context
 
 from ffsm_drake.scenario import MassProperties, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mass_properties import set_payload, set_wheels
-from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
+from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates
+from ffsm_drake.spacecraft.flexible import HiddenMode, apparent_mass_matrix, hidden_modes, set_flexible, take_masses
+from ffsm_drake.spacecraft.mass_properties import set_drives, set_payload, set_wheels
+from ffsm_drake.spacecraft.plant import coordinates_of, find_frame, hidden_of, make_plant
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -23,6 +25,7 @@ class PlantModel:
     plant: MultibodyPlant
     context: Context
     coordinates: Coordinates
+    hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)  # of ``make_flexible_plant`` only
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """The mass matrix H (..., nv, nv) in configurations q (..., nq)."""
@@ -30,6 +33,23 @@ class PlantModel:
             return np.stack([self.calc_mass_matrix(one) for one in q])
         self._set_positions(q)
         return self.plant.CalcMassMatrix(self.context)
+
+    def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """What the known coordinates weigh (nv, nv) in configuration q (nq) before a spring has had time to act.
+
+        That is H itself where nothing is hidden; see ``flexible.apparent_mass_matrix``. Hidden coordinates are zero.
+        """
+        mass_matrix = self.calc_mass_matrix(self.hidden.whole_positions(q))
+        if not self.hidden.names:
+            return mass_matrix
+        return apparent_mass_matrix(mass_matrix, self.hidden.known, self.hidden.hidden)
+
+    def hidden_modes(self, q: np.ndarray) -> list[HiddenMode]:
+        """The modes of vibration at rest in configuration q (nq), the slowest first; none where nothing is hidden."""
+        if not self.hidden.names:
+            return []
+        self._set_positions(self.hidden.whole_positions(q))
+        return hidden_modes(self.plant, self.context, self.hidden.known, self.hidden.hidden)
 
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The Coriolis and centrifugal term C (..., nv) of H dv/dt + C = tau + tau_d, N m and N."""
@@ -40,6 +60,25 @@ class PlantModel:
             raise ValueError("the velocity v is not finite")
         self.plant.SetVelocities(self.context, v)
         return self.plant.CalcBiasTerm(self.context)
+
+    def calc_jacobian(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """The Jacobian J (..., 6, nv) of a frame F in configurations q (..., nq): [w_WF; v_WF] = J v, world axes.
+
+        v_WF is the velocity of F's origin.
+
+        Args: q; the frame, or its scoped name, such as ``servicer::end_effector`` or, of a body's, ``debris::debris``.
+
+        Raises ModelError when there is no such frame.
+        """
+        if isinstance(frame, str):
+            frame = find_frame(self.plant, frame, key="frame")
+        if q.ndim > 1:
+            return np.stack([self.calc_jacobian(one, frame) for one in q])
+        self._set_positions(q)
+        world = self.plant.world_frame()
+        return self.plant.CalcJacobianSpatialVelocity(
+            self.context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
+        )
 
     def calc_inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """The force H a + C (..., nv) that gives accelerations a (..., nv), N m and N."""
@@ -61,17 +100,46 @@ class PlantModel:
 
 def make_nominal_plant(scenario: Scenario) -> PlantModel:
     """The plant with the nominal payload (``payload.nominal``): its mass matrix is the paper's H with a hat."""
-    return _make_plant_model(scenario, scenario.payload.nominal)
+    plant = make_plant(scenario.model)
+    context = plant.CreateDefaultContext()
+    _set_masses(plant, context, scenario, scenario.payload.nominal, nominal=True)
+    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))
 
 
 def make_true_plant(scenario: Scenario) -> PlantModel:
-    """The plant as it is (``payload.truth``)."""
-    return _make_plant_model(scenario, scenario.payload.truth)
-
-
-def _make_plant_model(scenario: Scenario, payload: MassProperties) -> PlantModel:
+    """The plant with the true payload (``payload.truth``), what is flexible in it locked."""
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
+    _set_masses(plant, context, scenario, scenario.payload.truth)
+    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))
+
+
+def make_flexible_plant(scenario: Scenario) -> PlantModel:
+    """The plant as it is: with the true payload and the hidden coordinates of ``model.flexible``, if there are any.
+
+    Its q and v hold both (``PlantModel.hidden``).
+    """
+    plant = make_plant(scenario.model, flexible=True)
+    context = plant.CreateDefaultContext()
+    set_true_masses(plant, context, scenario)
+    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant), hidden=hidden_of(plant))
+
+
+def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario) -> None:
+    """Give a plant with hidden coordinates its true payload, wheels, drives and springs, in a new context."""
+    _set_masses(plant, context, scenario, scenario.payload.truth)
+    set_flexible(plant, context, scenario.model)
+
+
+def change_payload(plant: MultibodyPlant, context: Context, scenario: Scenario, properties: MassProperties) -> None:
+    """Give a plant that has its masses another true payload, in one context."""
+    set_payload(plant, context, body=scenario.payload.body, properties=properties)
+    take_masses(plant, context, scenario.model, body=scenario.payload.body)
+
+
+def _set_masses(
+    plant: MultibodyPlant, context: Context, scenario: Scenario, payload: MassProperties, *, nominal: bool = False
+) -> None:
+    set_drives(plant, context, scenario.drives, nominal=nominal)  # first: a rotor may be all that a joint moves
     set_payload(plant, context, body=scenario.payload.body, properties=payload)
     set_wheels(plant, context, scenario.wheels)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))

@@ -17,8 +17,18 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
 from ffsm_drake.scenario import Model, Posture
-from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS, NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.coordinates import (
+    BASE_POSITION,
+    BASE_ROTATION,
+    GROUPS,
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    Coordinates,
+    HiddenCoordinates,
+)
+from ffsm_drake.spacecraft.flexible import HIDDEN, add_flexible, lock_joints
 from ffsm_drake.spacecraft.model_files import DRAWABLE, check_collada, files_of
+from ffsm_drake.spacecraft.panel_drawing import draw_on_plates
 
 # The types of C++ exceptions in Python; a violated condition arrives as SystemExit.
 DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError, SystemExit)
@@ -44,11 +54,13 @@ def resolve_package(address: str) -> Path:
     return models_dir() / address.removeprefix(OWN_PACKAGE) if address.startswith(OWN_PACKAGE) else Path(address)
 
 
-def add_combined_plant(builder: DiagramBuilder, model: Model, *, apart: str | None = None) -> MultibodyPlant:
+def add_combined_plant(
+    builder: DiagramBuilder, model: Model, *, apart: str | None = None, flexible: bool = False
+) -> MultibodyPlant:
     """Add the finalized plant (continuous, no gravity, quaternion floating base) and its scene graph to a diagram.
 
     Contact is off. A body ``apart`` (scoped name) is not held by anything: its pose, as a quaternion and a position,
-    follows the spacecraft's configuration.
+    follows the spacecraft's configuration. A ``flexible`` plant has the hidden coordinates too (``flexible.py``).
 
     Raises:
       ModelError: the directives or URDFs do not load, or do not give one floating base with one-degree joints.
@@ -56,7 +68,9 @@ def add_combined_plant(builder: DiagramBuilder, model: Model, *, apart: str | No
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     plant.set_name("plant")
     scene_graph.set_name("scene_graph")
-    _load(plant, model, apart=apart)
+    _load(plant, model, apart=apart, flexible=flexible)
+    if flexible:
+        draw_on_plates(plant, scene_graph, model)
     bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
     nothing_touches = CollisionFilterDeclaration().ExcludeWithin(plant.CollectRegisteredGeometries(bodies))
     scene_graph.collision_filter_manager().Apply(nothing_touches)
@@ -74,7 +88,8 @@ def add_pictures_apart(builder: DiagramBuilder, model: Model, body: str) -> Mult
     scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
     plant = MultibodyPlant(time_step=0.0)
     plant.RegisterAsSourceForSceneGraph(scene_graph)
-    _load(plant, model, apart=body)
+    _load(plant, model, apart=body, flexible=True)
+    draw_on_plates(plant, scene_graph, model)
     poses: MultibodyPositionToGeometryPose = builder.AddNamedSystem("poses", MultibodyPositionToGeometryPose(plant))
     builder.Connect(poses.get_output_port(), scene_graph.get_source_pose_port(plant.get_source_id()))
     return poses
@@ -83,7 +98,7 @@ def add_pictures_apart(builder: DiagramBuilder, model: Model, body: str) -> Mult
 def check_pictures(model: Model) -> None:
     """Raise ModelError unless the model loads with its visual geometry, which a run does not need."""
     builder = DiagramBuilder()
-    add_combined_plant(builder, model)
+    add_combined_plant(builder, model, flexible=True)
     inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
         shape = inspector.GetShape(geometry)
@@ -98,14 +113,14 @@ def check_pictures(model: Model) -> None:
             raise ModelError(f"model: mesh {path}: is no mesh that can be drawn: {cause_of(error)}") from error
 
 
-def make_plant(model: Model) -> MultibodyPlant:
-    """The finalized plant without a diagram, for computations. Raises ModelError as add_combined_plant does."""
+def make_plant(model: Model, *, flexible: bool = False) -> MultibodyPlant:
+    """The finalized plant without a diagram, for computations. Arguments and errors as for ``add_combined_plant``."""
     plant = MultibodyPlant(time_step=0.0)
-    _load(plant, model)
+    _load(plant, model, flexible=flexible)
     return plant
 
 
-def _load(plant: MultibodyPlant, model: Model, *, apart: str | None = None) -> None:
+def _load(plant: MultibodyPlant, model: Model, *, apart: str | None = None, flexible: bool = False) -> None:
     parser = Parser(plant)
     parser.SetStrictParsing()  # otherwise Drake replaces a non-physical inertia by a solid sphere
     folders = _package_folders(model)
@@ -140,8 +155,13 @@ def _load(plant: MultibodyPlant, model: Model, *, apart: str | None = None) -> N
         for joint in [plant.get_joint(index) for index in plant.GetJointIndices()]:
             if body.index() in (joint.parent_body().index(), joint.child_body().index()):
                 plant.RemoveJoint(joint)
+    try:
+        add_flexible(plant, model) if flexible else lock_joints(plant, model)
+    except DRAKE_ERRORS as error:
+        raise ModelError(f"model.flexible: {cause_of(error)}") from error
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
     try:
+        _add_drives(plant)
         plant.Finalize()
     except DRAKE_ERRORS as error:
         raise ModelError(f"{source}: {cause_of(error)}") from error
@@ -158,6 +178,16 @@ def _load(plant: MultibodyPlant, model: Model, *, apart: str | None = None) -> N
         except ModelError as error:
             raise ModelError(f"{source}: {error}") from None
     find_frame(plant, model.end_effector, key="model.end_effector")
+
+
+def _add_drives(plant: MultibodyPlant) -> None:
+    """Give each joint an actuator, for the inertia of its rotor; its force is applied as all others are."""
+    driven = {plant.get_joint_actuator(index).joint().index() for index in plant.GetJointActuatorIndices()}
+    for index in plant.GetJointIndices():
+        joint = plant.get_joint(index)
+        hidden = joint.name().startswith(HIDDEN)
+        if joint.num_velocities() == 1 and index not in driven and not hidden:
+            plant.AddJointActuator(f"{joint.name()}_drive", joint)
 
 
 def _package_folders(model: Model) -> dict[str, str]:
@@ -225,7 +255,8 @@ def coordinates_of(plant: MultibodyPlant) -> Coordinates:
         names = sorted(plant.get_body(index).name() for index in floating)
         raise ModelError(f"the model must have one floating base, not {len(floating)} ({', '.join(names) or 'none'})")
     moving = [joint for joint in map(plant.get_joint, plant.GetJointIndices()) if joint.num_velocities() > 0]
-    joints = [joint for joint in moving if joint.velocity_start() >= NUM_BASE_VELOCITIES]
+    known = [joint for joint in moving if not joint.name().startswith(HIDDEN)]
+    joints = [joint for joint in known if joint.velocity_start() >= NUM_BASE_VELOCITIES]
     joints.sort(key=lambda joint: joint.velocity_start())
     for joint in joints:
         if joint.num_velocities() != 1:
@@ -243,6 +274,29 @@ def coordinates_of(plant: MultibodyPlant) -> Coordinates:
         raise ModelError(f"joint names must differ; more than one is called {', '.join(repeated)}")
     units = tuple("m" if joint.type_name() == "prismatic" else "rad" for joint in joints)
     return Coordinates(tuple(names), units)
+
+
+def hidden_of(plant: MultibodyPlant) -> HiddenCoordinates:
+    """The hidden coordinates of a plant; none of one that was made without them."""
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    moving = [joint for joint in joints if joint.num_velocities() == 1]
+    moving.sort(key=lambda joint: joint.velocity_start())
+    hidden = [joint for joint in moving if joint.name().startswith(HIDDEN)]
+    if not hidden:
+        return HiddenCoordinates()
+    known = [joint for joint in moving if joint not in hidden]
+    nq = plant.num_positions()
+    base_q, base_v = list(range(NUM_BASE_POSITIONS)), list(range(NUM_BASE_VELOCITIES))
+    known_v = [*base_v, *(joint.velocity_start() for joint in known)]
+    hidden_v = [joint.velocity_start() for joint in hidden]
+    return HiddenCoordinates(
+        names=tuple(joint.name().removeprefix(HIDDEN) for joint in hidden),
+        units=tuple("m" if joint.type_name() == "prismatic" else "rad" for joint in hidden),
+        known_state=np.array([*base_q, *(joint.position_start() for joint in known), *(nq + v for v in known_v)]),
+        hidden_state=np.array([*(joint.position_start() for joint in hidden), *(nq + v for v in hidden_v)]),
+        known=np.array(known_v),
+        hidden=np.array(hidden_v),
+    )
 
 
 def find_body(plant: MultibodyPlant, name: str, *, key: str) -> RigidBody:

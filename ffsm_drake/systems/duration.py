@@ -9,25 +9,31 @@ import numpy as np
 from ffsm_drake.common.errors import LimitError, ScenarioError
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.joint_limits import force_limits, joint_limits
+from ffsm_drake.spacecraft.joint_limits import joint_limits, rate_limits
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.actuation.limits import force_limits
 
 if TYPE_CHECKING:
     from ffsm_drake.systems.reference import PlannedMotion
 
 _LONGEST = 1000.0  # s
 _GROWTH = 1.15  # from one duration that is tried to the next
-_INSTANTS = 101  # of a motion that are looked at
+_INSTANTS = 101  # of a motion that are looked at, or of what an input shaper copies
+_LEAST_SHAPED = 1.05  # of the part of it that an input shaper takes, the shortest duration that is tried
 
 
-def shortest_duration(scenario: Scenario, motion_in: Callable[[float], "PlannedMotion"]) -> float:
+def shortest_duration(
+    scenario: Scenario, motion_in: Callable[[float], "PlannedMotion"], *, shaped_by: float = 0.0
+) -> float:
     """The shortest duration, in s and whole control samples, of a motion that keeps every limit.
 
-    Limits: of the force ``actuation.limit`` and the URDFs' efforts, of the joints the URDFs' velocities, both less
-    ``reference.reserve``, and the URDFs' positions. The force is that of inverse dynamics with the nominal payload.
+    Limits: of the force those of actuators and URDFs, of the joints the velocities of URDFs and drives,
+    both less ``reference.reserve``, and the URDFs' positions. The force is that of inverse dynamics with the nominal
+    payload.
 
     Args:
       motion_in: the motion with a given duration, s.
+      shaped_by: s; the part of it that an input shaper takes.
 
     Raises:
       ScenarioError: there are no limits.
@@ -36,10 +42,11 @@ def shortest_duration(scenario: Scenario, motion_in: Callable[[float], "PlannedM
     key, free = "reference.duration", 1.0 - scenario.reference.reserve
     model = make_nominal_plant(scenario)
     coordinates, joints = model.coordinates, joint_limits(scenario.model, model.plant)
-    force = force_limits(scenario, model.plant)
-    if not np.isfinite(np.concatenate([force, joints.velocity])).any():
+    force, rate = force_limits(scenario, model.plant), rate_limits(scenario, model.plant)
+    if not np.isfinite(np.concatenate([force, rate])).any():
         raise ScenarioError(
-            key, "auto needs a limit of force or velocity: give actuation.limit, or a number of seconds"
+            key,
+            "auto needs a limit of force or velocity: give actuation.limit, thrusters, or a number of seconds",
         )
     names = [f"force on {name}" for name in coordinates.names]
     names += [f"{what} of {name}" for what in ("velocity", "position") for name in joints.names]
@@ -47,13 +54,14 @@ def shortest_duration(scenario: Scenario, motion_in: Callable[[float], "PlannedM
     def worst(duration: float) -> tuple[float, str]:
         """The largest share of its limit that anything takes, and what that is."""
         motion = motion_in(duration)
-        times = np.linspace(motion.begin, motion.end, _INSTANTS)
+        instants = math.ceil(_INSTANTS * duration / (duration - shaped_by))
+        times = np.linspace(motion.begin, motion.end, instants)
         nq, nv = len(coordinates.position_names), len(coordinates.names)
         q, v, a = np.split(motion.rows(times), [nq, nq + nv], axis=1)
         arm = q[:, NUM_BASE_POSITIONS:]
         shares = [
             np.abs(model.calc_tracking_force(q, v, a)) / (free * force),
-            np.abs(v[:, NUM_BASE_VELOCITIES:]) / (free * joints.velocity),
+            np.abs(v[:, NUM_BASE_VELOCITIES:]) / (free * rate),
             1.0 + np.fmax(arm - joints.upper, joints.lower - arm),
         ]
         largest = np.concatenate([share.max(axis=0) for share in shares])
@@ -61,7 +69,7 @@ def shortest_duration(scenario: Scenario, motion_in: Callable[[float], "PlannedM
         return float(largest[index]), names[index]
 
     sample_time, least = scenario.sample_time, (math.inf, "", 0.0)
-    before = samples = 1
+    before = samples = math.floor(_LEAST_SHAPED * shaped_by / sample_time) + 1
     while samples * sample_time <= _LONGEST:
         share, name = worst(samples * sample_time)
         if share <= 1.0:

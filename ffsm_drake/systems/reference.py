@@ -1,10 +1,10 @@
-"""The planned motion, with exact rates and accelerations: a plan from a file, or a fifth-order polynomial.
+"""The planned motion, with exact rates and accelerations: a plan from a file, or a polynomial, perhaps input-shaped.
 
 Position and joints follow q(t) = q_0 + (q_T - q_0) s(t/T). The base turns about the eigenaxis, the fixed axis of the
 rotation from its first to its last attitude, by an angle that follows the same blend; or, as in the paper, its roll,
 pitch and yaw follow it. Angular velocity and acceleration are exact either way. With zero boundary rates and
 accelerations the blend is s(x) = 10 x^3 - 15 x^4 + 6 x^5 (Section 4 of the paper; peak speed 1.875 D/T, peak
-acceleration 5.7735 D/T^2).
+acceleration 5.7735 D/T^2); ``blend`` has the others.
 
 After the grasp of a moving target the motion begins at the velocity v_0 that the grasp leaves, to which the blend
 g(x) = T x (1 - x)^3 (1 + 3 x) belongs: q(t) = q_0 + (q_T - q_0) s + v_0 g. The base's attitude follows the same
@@ -25,34 +25,11 @@ from ffsm_drake.scenario import Posture, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
 from ffsm_drake.systems.plan import Plan, load_plan
 
 _BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
-
-
-def quintic_blend(time: np.ndarray | float, duration: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The blend s in [0, 1] with its first (1/s) and second (1/s^2) derivative; constant outside [0, duration]."""
-    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
-    return (
-        x * x * x * (10.0 + x * (6.0 * x - 15.0)),
-        30.0 * x * x * (1.0 + x * (x - 2.0)) / duration,
-        60.0 * x * (1.0 + x * (2.0 * x - 3.0)) / (duration * duration),
-    )
-
-
-def quintic_stop(time: np.ndarray | float, duration: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How far something of unit velocity at the start goes, until it is back there at rest: g in s, g', g'' in 1/s.
-
-    g(x) = T x (1 - x)^3 (1 + 3 x), x = t/T: fifth order, without acceleration at either end; constant outside [0, T].
-    """
-    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
-    y = 1.0 - x
-    return (
-        duration * x * y * y * y * (1.0 + 3.0 * x),
-        y * y * (1.0 + x * (2.0 - 15.0 * x)),
-        -12.0 * x * y * (3.0 - 5.0 * x) / duration,
-    )
 
 
 def eigenaxis_motion(
@@ -176,8 +153,8 @@ class PlannedMotion(abc.ABC):
         return self._rows[sample - self._first_sample]
 
 
-class QuinticMotion(PlannedMotion):
-    """A fifth-order polynomial from one posture to another, or to wherever it costs least to come to rest."""
+class PolynomialMotion(PlannedMotion):
+    """A polynomial from one posture to another, or to wherever it costs least to come to rest."""
 
     def __init__(
         self,
@@ -185,17 +162,18 @@ class QuinticMotion(PlannedMotion):
         coordinates: Coordinates,
         start: Posture,
         target: Posture | None,
-        duration: float,
+        blend: Blend,
         base_rotation: str,
         sample_time: float,
         velocity: np.ndarray | None = None,
     ) -> None:
         """Args: start and target posture (SI units), how to move between them; the target is held afterwards.
 
-        Without a target it ends where the integral of the acceleration's square, in any constant metric, is least.
-        ``velocity`` (nv) at the start is zero without; ``base_rotation`` "rpy" takes none.
+        Without a target it ends where the integral of the acceleration's square, in any constant metric, is least; of a
+        shaped motion that of what is shaped. ``velocity`` (nv) at the start is zero without; ``base_rotation`` "rpy"
+        takes none.
         """
-        self._duration = duration
+        self._blend = blend
         vectors = [
             np.concatenate(
                 [
@@ -216,15 +194,15 @@ class QuinticMotion(PlannedMotion):
             )
             self._start[:3], self._change[:3] = 0.0, rotation_error(end, self._first)
         if target is None and self._velocity is not None:
-            self._change = (0.5 * duration) * self._velocity
-        super().__init__(coordinates=coordinates, sample_time=sample_time, end=duration)
+            self._change = blend.stopping_time * self._velocity
+        super().__init__(coordinates=coordinates, sample_time=sample_time, end=blend.duration)
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-        s, ds, dds = (column[:, None] for column in quintic_blend(times, self._duration))
+        s, ds, dds = (column[:, None] for column in self._blend.blend(times))
         value, rate, acceleration = self._start + s * self._change, ds * self._change, dds * self._change
         if self._velocity is not None:
-            g, dg, ddg = (column[:, None] for column in quintic_stop(times, self._duration))
+            g, dg, ddg = (column[:, None] for column in self._blend.stop(times))
             value += g * self._velocity
             rate += dg * self._velocity
             acceleration += ddg * self._velocity
@@ -255,7 +233,7 @@ class SplineMotion(PlannedMotion):
 class CaptureMotion(PlannedMotion):
     """Up to the grasp, at ``begin``, one motion run backwards; another from there on."""
 
-    def __init__(self, *, approach: QuinticMotion, stop: PlannedMotion, sample_time: float) -> None:
+    def __init__(self, *, approach: PolynomialMotion, stop: PlannedMotion, sample_time: float) -> None:
         """Args: from the velocity at the grasp, reversed, to the posture at the start; from the grasp to rest."""
         self._approach, self._stop = approach, stop
         begin = approach.end
@@ -296,12 +274,12 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
     contact = None if capture is None else planned_contact(scenario, make_nominal_plant(scenario))
     target = None if reference.goal == "stop" else scenario.target_posture
 
-    def quintic(duration: float, posture: Posture | None, velocity: np.ndarray | None) -> QuinticMotion:
-        return QuinticMotion(
+    def polynomial(blend: Blend, posture: Posture | None, velocity: np.ndarray | None) -> PolynomialMotion:
+        return PolynomialMotion(
             coordinates=coordinates,
             start=scenario.initial_posture,
             target=posture,
-            duration=duration,
+            blend=blend,
             base_rotation=reference.base_rotation,
             sample_time=scenario.sample_time,
             velocity=velocity,
@@ -315,11 +293,16 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
         stop = SplineMotion(plan, coordinates=coordinates, sample_time=scenario.sample_time)
     else:
         if duration is None:
-            duration = shortest_duration(scenario, lambda duration: quintic(duration, target, velocity))
-        stop = quintic(duration, target, velocity)
+            duration = shortest_duration(
+                scenario,
+                lambda duration: polynomial(Blend(reference, duration), target, velocity),
+                shaped_by=make_impulses(reference.shaper).length,
+            )
+        stop = polynomial(Blend(reference, duration), target, velocity)
     if capture is None or contact is None or capture.approach is None:
         return stop
-    approach = quintic(capture.approach.duration, capture.approach.posture, -contact.velocity)
+    before = Blend(reference, capture.approach.duration, backwards=True)
+    approach = polynomial(before, capture.approach.posture, -contact.velocity)
     return CaptureMotion(approach=approach, stop=stop, sample_time=scenario.sample_time)
 
 

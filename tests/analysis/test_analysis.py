@@ -400,7 +400,11 @@ def test_every_run_gives_every_finding_and_a_figure(analysis, overrides):
     assert len(plot_analysis(result).subfigs) == 6
 
 
-@pytest.mark.parametrize("overrides", [("controller=tdc", SHORT), DIVERGING, ("duration=0.01",)], ids=str)
+@pytest.mark.parametrize(
+    "overrides",
+    [("controller=tdc", SHORT), pytest.param(DIVERGING, marks=pytest.mark.slow), ("duration=0.01",)],
+    ids=str,
+)
 def test_the_figure_can_be_drawn(analysis, overrides):
     """With panels that do not apply, with numbers out of all bounds, and with two samples."""
     figure, file = plot_analysis(analysis("postcapture", *overrides)), io.BytesIO()

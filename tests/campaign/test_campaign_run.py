@@ -9,7 +9,6 @@ import signal
 import sqlite3
 import threading
 import time
-from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import pytest
 from campaign_tools import (
     HERE,
     count,
+    forked,
     run_here,
     start_driver,
     table,
@@ -35,7 +35,7 @@ from ffsm_drake.campaign.store import create_store, open_store
 from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.common.errors import CampaignError, InterruptedCampaign
 from ffsm_drake.common.time_limit import time_limit
-from ffsm_drake.common.workers import Stop, Workers
+from ffsm_drake.common.workers import Stop
 
 linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
 
@@ -61,6 +61,7 @@ def one_line_error(result, said):
     assert result.output.count("\n") == 1
 
 
+@pytest.mark.slow
 @linux
 def test_kills_and_an_interruption_change_nothing(spec, database, tmp_path):
     """One of two workers is killed, then the driver; SIGTERM interrupts what resumes; what resumes that finishes."""
@@ -112,10 +113,7 @@ def test_a_controller_killed_by_a_signal_is_a_row(tmp_path):
     controllers = ["tdc", "killed:Kills", "killed:Faults"]
     overrides = {"python_path": [str(tmp_path)], "duration": 0.05}
     spec = load_spec(write_spec(tmp_path / "s.yaml", controllers=controllers, overrides=overrides, cases=2))
-    forked = Workers(  # from this process, which has loaded everything
-        open=lambda: ProcessPoolExecutor(1, mp_context=get_context("fork")), in_flight=lambda: 2, renewable=True
-    )
-    start_campaign(spec, tmp_path / "x.db", workers=forked)
+    start_campaign(spec, tmp_path / "x.db", workers=forked(1, in_flight=2))
     with open_store(tmp_path / "x.db") as store:
         counts = {name: sorted(kind for kind, n in each.items() if n) for name, each in store.counts().items()}
         assert store.num_results() == 6
@@ -142,6 +140,7 @@ def test_a_failing_case_is_a_row(tmp_path):
     assert "all values equal the stored ones, bit for bit" in result.output
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_gives_the_same_table(spec, database, tmp_path):
     distributed = pytest.importorskip("distributed")
     path = tmp_path / "cluster.db"

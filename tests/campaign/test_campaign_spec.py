@@ -198,7 +198,7 @@ def test_a_file_without_end_is_not_opened(tmp_path):
 def test_a_missing_file():
     result = CliRunner().invoke(campaign, ["plan", "nothing"])
     assert result.exit_code == 2
-    assert "no such campaign; choose one of payload_uncertainty" in result.output
+    assert "no such campaign; choose one of flexible_panels" in result.output
 
 
 @pytest.mark.parametrize("sampling", ["latin_hypercube", "sobol", "random"])

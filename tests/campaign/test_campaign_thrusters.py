@@ -1,28 +1,41 @@
-"""Campaigns over thrusters: their failures are values as any other, and what they take is a column."""
+"""Campaigns over thrusters: layouts and failures are values as any other, and what they take is a column."""
 
 import contextlib
+import json
 import sqlite3
 
 import pytest
-from campaign_tools import run_here, write_spec
+from campaign_tools import forked, run_here, write_spec
 
 from ffsm_drake import load_scenario, simulate
 
+THRUSTERS = [
+    {"layout": "12x5N"},
+    {"layout": "12x5N", "failures": {"a_y": "stuck_off"}},
+    {"layout": "16x22N", "failures": {"top_1_x": "stuck_off"}},
+    {"layout": "16x22N", "failures": {"bottom_2_y": "stuck_on"}},
+    {"layout": "12x5N", "failures": {"a_x": "stuck_off", "b_x": "stuck_off"}},
+]
 CHANGES = {
-    "scenario": "thrusters_only",
+    "scenario": "thrusters_and_wheels",
     "overrides": {"duration": 0.4},
     "controllers": ["tdc"],
-    "cases": 4,
+    "cases": len(THRUSTERS),
     "parameters": {
-        "actuation.thrusters.failures.top_1_x": {"distribution": "choice", "values": ["stuck_off", "stuck_on"]},
-        "actuation.thrusters.layout": {"distribution": "choice", "values": ["16x22N"]},
+        "actuation.thrusters": {"distribution": "list", "values": THRUSTERS},
+        "disturbance.amplitude_scale": {"distribution": "uniform", "low": 0.5, "high": 2.0},
     },
     "factors": {},
     "derive": {},
     "settled": {"hold": 0.1},
 }
+USED = (
+    "propellant", "thruster_impulse", "thruster_pulses", "thrusters_saturated",
+    "wheel_speed_used", "wheel_torque_used", "wheels_torque_limited", "wheels_unloading",
+)  # fmt: skip
 COLUMNS = (
-    'case_index, random_seed, outcome, itae, propellant, thrusters_saturated, "actuation.thrusters.failures.top_1_x"'
+    f"case_index, random_seed, outcome, message, itae, {', '.join(USED)}, "
+    '"disturbance.amplitude_scale", "actuation.thrusters"'
 )
 
 
@@ -33,14 +46,26 @@ def rows_of(database):
         ).fetchall()
 
 
-def test_failures_and_propellant(tmp_path):
+def test_layouts_and_failures(tmp_path):
     spec = write_spec(tmp_path / "spec.yaml", **CHANGES)
-    here = rows_of(run_here(spec, tmp_path / "here.sqlite"))
-    assert here == rows_of(run_here(spec, tmp_path / "two.sqlite", workers=2))
-    assert {row[-1] for row in here} == {"stuck_off", "stuck_on"}
-    _, seed, _, _, propellant, saturated, failure = here[0]
-    overrides = ["duration=0.4", "controller=tdc", f"random_seed={seed}"]
-    overrides.append(f"actuation.thrusters.failures={{top_1_x: {failure}}}")
-    record = simulate(load_scenario("thrusters_only", overrides), check_stability=False)
-    assert propellant == pytest.approx(record.metrics["thrusters"]["propellant"])
-    assert saturated == pytest.approx(record.metrics["thrusters"]["saturated"])
+    one, *others = (
+        rows_of(run_here(spec, tmp_path / f"{n}.sqlite", workers=forked(n, in_flight=n))) for n in (1, 2, 4)
+    )
+    assert others == [one, one]
+    assert [json.loads(row[-1]) for row in one] == THRUSTERS
+    *run, refused = one
+    assert refused[2] == "error"
+    assert "with a_x stuck_off, b_x stuck_off no thrusters give a force along [-1, 0, 0]" in refused[3]
+    assert len({row[4] for row in run}) == len(run)
+    _, seed, _, _, itae, *used, scale, thrusters = run[3]
+    overrides = ["duration=0.4", f"random_seed={seed}", f"disturbance.amplitude_scale={scale}"]
+    record = simulate(
+        load_scenario("thrusters_and_wheels", [*overrides, f"actuation.thrusters={thrusters}"]), check_stability=False
+    )
+    assert itae == record.metrics["itae"]
+    fired, turned = record.metrics["thrusters"], record.metrics["wheels"]
+    sums = [sum(fired[name].values()) for name in ("impulse", "pulses")]
+    shares = [turned[name] for name in ("speed_used", "torque_used", "torque_limited", "unloading")]
+    assert used == pytest.approx([fired["propellant"], *sums, fired["saturated"], *shares])
+    assert min(sums) > 0.0
+    assert min(shares[:2]) > 0.0

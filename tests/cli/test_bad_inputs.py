@@ -557,6 +557,58 @@ TABLE = [
         "design flight_sensors --payload-range 9 5",
         "payload range: must be two masses 0 < LOW < HIGH",
     ),
+    # Thrusters and wheels.
+    override(
+        "unknown-layout",
+        "actuation.thrusters.layout=12x5",
+        "thrusters.layout: '12x5' is unknown",
+        "did you mean '12x5N'?",
+    ),
+    override(
+        "unknown-stuck-thruster",
+        "actuation.thrusters.failures={a_w: stuck_off}",
+        "override: actuation.thrusters.failures.a_w: 'a_w' is unknown; choose one of a_x, a_y, a_z",
+    ),
+    override("unknown-failure", "actuation.thrusters.failures={a_x: stuck}", "failures.a_x: 'stuck' is unknown"),
+    override(
+        "force-that-is-lost",
+        "actuation.thrusters.failures={a_x: stuck_off, b_x: stuck_off}",
+        "actuation.thrusters.failures: with a_x stuck_off, b_x stuck_off no thrusters give a force along [-1, 0, 0]",
+    ),
+    override(
+        "stuck-on-too-strong",
+        "actuation.thrusters.failures={a_x: stuck_on, d_x: stuck_off}",
+        "actuation.thrusters.failures: the others cannot hold against a_x stuck on",
+    ),
+    scenario(
+        "frame-below-on-time",
+        "sample_time: 0.005\nactuation: {thrusters: {frame: 3}}\n",
+        "actuation.thrusters.frame: 3 control samples are 0.015 s, shorter than minimum_on_time, 0.02 s; take 4",
+    ),
+    override("negative-on-time", "actuation.thrusters.minimum_on_time=-1", "minimum_on_time: must be from 0 to 1000 s"),
+    override("no-thrust", "actuation.thrusters={layout: null, units: {a: {force: 0}}}", "units.a.force: must be > 0 N"),
+    override("no-wheels", "actuation.wheels={}", "actuation.wheels.units: give wheels by name, such as {z: "),
+    override("one-wheel", "actuation.wheels.units={z: {axis: [0, 0, 1]}}", "units: give no torque about some axis"),
+    override("misspelt-axis", "actuation.wheels.units={z: {axes: [0, 0, 1]}}", "units.z.axes", "did you mean 'axis'?"),
+    override(
+        "wheel-too-fast",
+        "actuation.wheels.units={z: {initial_momentum: -51}}",
+        "z.initial_momentum: must be within inertia * speed_limit, 50.24 N m s, not -51",
+    ),
+    override(
+        "wheel-too-heavy",
+        "actuation={thrusters: {}, wheels: {units: {z: {inertia: 300}}}}",
+        "actuation.wheels: their inertia is part of the base's, which has less",
+    ),
+    Row(
+        "failure-in-a-campaign",
+        "campaign plan c.yaml",
+        ("actuation.thrusters.failures.a_w: 'a_w' is unknown",),
+        {
+            "c.yaml": "scenario: thrusters_and_wheels\ncases: 2\nparameters:\n  actuation.thrusters: "
+            "{distribution: list, values: [{failures: {a_w: stuck_off}}]}\n"
+        },
+    ),
     # Captures.
     bad(
         "capture-vector", "validate tumbling_capture --set capture.rate=[1,2]", "capture.rate: must hold three numbers"
@@ -619,6 +671,29 @@ TABLE = [
         "auto-without-limits",
         "validate tumbling_capture --set reference.duration=auto --set actuation.limit=null",
         "reference.duration: auto needs a limit of force or velocity",
+    ),
+    # The environment.
+    bad(
+        "low-orbit",
+        "validate postcapture --set environment.altitude=-400",
+        "override: environment.altitude: must be > 0, at most 1e9 m, not -400",
+    ),
+    bad("two-orbits", "validate postcapture --set environment.mean_motion=1e-3", "set altitude: null"),
+    bad(
+        "friction-too-stiff",
+        "validate postcapture --set actuation.drives.coulomb_friction=0.5",
+        "simulator_config.max_step_size: 0.01 s does not resolve the friction of joint_3, which near rest acts within",
+        "take at most 0.0035 s",
+    ),
+    bad(
+        "drive-of-the-base",
+        "validate postcapture --set actuation.drives.rotor_inertia.base_rotation=1",
+        "actuation.drives.rotor_inertia.base_rotation: is no joint; valid here: all, joints, joint_1",
+    ),
+    bad(
+        "drive-without-force-limit",
+        "run postcapture --set actuation.drives.rate_limit=0.1",
+        "actuation.drives.rate_limit: joint_1 has no actuation.limit",
     ),
     # Models.
     model("no-such-servicer", "model: {servicer: none.urdf}\n", "model.servicer: ", "none.urdf: no such file"),
@@ -1229,8 +1304,10 @@ def test_files_of_two_runs_are_refused(tmp_path, good_run, run, name):
         RunRecord.load(other)
 
 
-def test_a_report_of_another_run_is_noticed(tmp_path, run):
+def test_a_report_of_another_run_is_noticed(tmp_path, run, monkeypatch):
     """One in the run's folder that was copied; that of a comparison above, whose runs were made anew one by one."""
+    for section in ("analyze", "stability"):  # which cost most of a report
+        monkeypatch.setattr(f"ffsm_drake.show.report.page.{section}", left_out)
     records = [run("postcapture", "duration=0.1", f"controller={name}") for name in ("tdc", "asmc")]
     folders = [record.save(tmp_path / record.scenario.controller) for record in records]
     page = render_report(records[:1])
@@ -1251,6 +1328,10 @@ def test_a_report_of_another_run_is_noticed(tmp_path, run):
     assert [str(item.message).partition(" shows")[0] for item in told] == [str(tmp_path / "report.html")]
     CliRunner().invoke(main, shlex.split(f"compare -c tdc --no-report {SHORT} --out {shlex.quote(str(tmp_path))}"))
     assert not (tmp_path / "report.html").exists()
+
+
+def left_out(_):
+    raise RecordError("left out")
 
 
 # Runs that end early keep their record.
@@ -1302,7 +1383,12 @@ def _started(process: subprocess.Popen) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "signals"), [(signal.SIGINT, 1), (signal.SIGTERM, 1), (signal.SIGINT, 2)], ids=["int", "term", "twice"]
+    ("number", "signals"),
+    [
+        pytest.param(signal.SIGINT, 1, id="int"),
+        pytest.param(signal.SIGTERM, 1, id="term", marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, 2, id="twice"),
+    ],
 )
 def test_interrupted_runs_keep_their_record(tmp_path, number, signals):
     """A signal in mid-run ends with a record; a second one, whenever it comes, leaves a whole record or none."""
@@ -1382,7 +1468,7 @@ def test_an_interrupted_record_is_the_whole_one_up_to_its_end(where, run, monkey
     from ffsm_drake.systems import reference
     from ffsm_drake.systems.controllers import time_delay as tde
 
-    owner, name = {"logging": (reference.QuinticMotion, "row"), "update": (tde, "time_delay_force")}[where]
+    owner, name = {"logging": (reference.PolynomialMotion, "row"), "update": (tde, "time_delay_force")}[where]
     original, calls = getattr(owner, name), 0
 
     def interrupting(*args, **kwargs):
@@ -1496,7 +1582,7 @@ def test_a_controller_that_leaves_the_folder(tmp_path, monkeypatch):
     check_kept(tmp_path / "out" / "postcapture_Elsewhere", "completed")  # not where another controller's run would be
 
 
-@pytest.mark.parametrize("stderr", ["closed", "full"])
+@pytest.mark.parametrize("stderr", ["closed", pytest.param("full", marks=pytest.mark.slow)])
 def test_standard_error_that_takes_nothing(tmp_path, stderr):
     """A controller that leaves a thread, too: the process ends nevertheless."""
     (tmp_path / "mine_bad.py").write_text(CONTROLLERS)
@@ -1542,8 +1628,9 @@ def test_a_joint_whose_name_looks_like_mathematics(tmp_path, monkeypatch):
     Path("mine.yaml").write_text(MINE + "duration: 0.3\ndescription: cost in $\\beta_{$\n")
     assert CliRunner().invoke(main, ["run", "--no-report", "mine.yaml", "--out", "new"]).exit_code == 0
     record = RunRecord.load("new")
-    run_figures.plot_errors([record]).savefig(io.BytesIO(), dpi=20)
-    plot_analysis(analyze(record)).savefig(io.BytesIO(), dpi=20)
+    for figure in (run_figures.plot_errors([record]), plot_analysis(analyze(record))):
+        figure.set_layout_engine("none")  # half the cost
+        figure.savefig(io.BytesIO(), dpi=20)
 
 
 def test_plot_passes_over_what_is_no_run(tmp_path, good_run, monkeypatch):

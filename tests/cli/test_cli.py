@@ -104,7 +104,7 @@ def test_stability(tmp_path, monkeypatch):
     data = json.loads(unstable.stdout)
     assert data["stable"] is False
     assert data["coordinates"]["joint_1"]["k_s_limit"] == pytest.approx(100, rel=1e-6)
-    found = Boundaries(gains=1.25, nominal_payload=float("inf"), sample_time=1.25, delay=3.0)
+    found = Boundaries(gains=1.25, nominal_payload=float("inf"), sample_time=1.25, flexible_mass={}, delay=3.0)
     monkeypatch.setattr(boundaries, "find_boundaries", lambda scenario, *, time: found)
     other = ffsm("stability", "-c", "pd_plus", "--out", tmp_path / "other")
     assert other.exit_code == 0
@@ -135,8 +135,10 @@ def test_analyze_needs_a_record(tmp_path):
     assert result.output.count("\n") == 1
 
 
-def test_plot_overlays_runs(run, tmp_path):
+def test_plot_overlays_runs(run, tmp_path, monkeypatch):
     """Of two runs with the fewest samples that there are; a whole run's are drawn by ``test_the_main_job``."""
+    save = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: save(figure, path, dpi=20))
     record = run("postcapture", "duration=0.5")
     for name in ("one", "two"):
         dataclasses.replace(record, dataset=record.dataset.isel(time=slice(0, 1))).save(tmp_path / name)

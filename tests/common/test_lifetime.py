@@ -17,6 +17,7 @@ SCENARIOS = {
     "the paper's": ["controller=aismc"],
     "adaptive": ["controller=tde_aismc"],
     "from elsewhere": ["controller=pd_plus"],
+    "in orbit": ["environment={altitude: 4e5}"],
     "with faults": ["sensing.velocity_quantization=1e-6", "sensing.delay=2", "actuation.quantization=0.1"],
 }
 

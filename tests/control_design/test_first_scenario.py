@@ -57,9 +57,12 @@ CONTROLLERS = {
     "two_arms": ["asmc", "tde_aismc"],
     "seven_joints": ["computed_torque"],
 }
+SLOW = ("two_arms", "seven_joints")
 
 
-@pytest.mark.parametrize("name", OUTSIDE)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in OUTSIDE]
+)
 def test_every_controller_settles(made, name):
     new = made(name)
     check_model(new)

@@ -11,7 +11,8 @@ from ffsm_drake.cli import main
 from ffsm_drake.control_design.gains import design
 from ffsm_drake.control_design.limit import find_limit
 from ffsm_drake.control_design.stability import stability
-from ffsm_drake.control_design.stability.prediction import make_demand, predict
+from ffsm_drake.control_design.stability.demand import make_demand
+from ffsm_drake.control_design.stability.prediction import predict
 from ffsm_drake.show.report.results import results_of
 
 
@@ -23,7 +24,10 @@ def rms_after(record, seconds=5.0):
     return {name: float(np.sqrt(np.mean(error[:, group == name] ** 2))) for name in np.unique(group)}
 
 
-@pytest.mark.parametrize(("controller", "seed"), [("tde_aismc", 0), ("tde_aismc", 1), ("tde_aismc", 2), ("tdc", 0)])
+@pytest.mark.parametrize(
+    ("controller", "seed"),
+    [("tde_aismc", 0), *(pytest.param("tde_aismc", seed, marks=pytest.mark.slow) for seed in (1, 2)), ("tdc", 0)],
+)
 def test_it_flies(run, controller, seed):
     record = run("flight_sensors", f"controller={controller}", f"random_seed={seed}")
     assert record.outcome.completed
@@ -37,6 +41,7 @@ def test_it_flies(run, controller, seed):
     assert rms["base_position"] <= 2e-4
 
 
+@pytest.mark.slow
 def test_the_coupled_estimate_is_worth_its_matrix(run):
     """28 % less effort beyond the ideal 366.2 than one filter for each coordinate, and more accurate joints."""
     variants = ["random_seed=0", "estimator.kind=coupled"]  # the first is looked at by others, too
@@ -57,7 +62,7 @@ def test_a_known_delay_costs_little(run):
     assert rms["base_position"] <= 2e-4
 
 
-@pytest.mark.parametrize("controller", ["tde_aismc", "tdc"])
+@pytest.mark.parametrize("controller", ["tde_aismc", pytest.param("tdc", marks=pytest.mark.slow)])
 def test_slow_late_navigation_and_a_biased_gyro(run, controller):
     """Within the scenario's tolerance over the last second, at little more effort than perfect tracking's 366."""
     record = run("slow_navigation", f"controller={controller}")
@@ -101,6 +106,7 @@ def test_the_published_estimate_does_not_fly(run, controller):
     assert (np.abs(commanded) > np.abs(applied) + 1e-9)[:, 3:6].mean() > 0.5  # saturated more than half of the time
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["tde_aismc", "tdc", "pd_plus"])
 def test_prediction_against_three_seeds(run, controller):
     """Rms error and effort foreseen from the wiring agree with Monte Carlo."""
@@ -132,6 +138,7 @@ def test_perfect_tracking_effort_is_that_of_a_noiseless_run(run):
     assert demand.ideal_isv == pytest.approx(simulated, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_design_beats_the_hand_made_gains(monkeypatch):
     """No more error in any group, at no more effort, than w = 2, 5, 10 rad/s with walks 1e-3, 1e-3, 1e-2."""
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.08, 0.022, 0.006))
@@ -169,7 +176,7 @@ def test_design_from_the_shell(tmp_path, monkeypatch):
         "design",
         "flight_sensors",
         "--set",
-        "duration=8",
+        "duration=6",
         "--controller",
         "asmc",
         "--payload-range",

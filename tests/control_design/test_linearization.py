@@ -192,8 +192,8 @@ def test_it_is_freed():
     [
         ("postcapture", ["sensing.delay=1"], False),
         ("postcapture", ["controller=computed_torque", "sensing.delay=1", "duration=8"], True),
-        ("flight_sensors", ["sensing.delay=4", "estimator.delay=0"], False),
-        ("flight_sensors", ["sensing.delay=6", "duration=6"], True),
+        pytest.param("flight_sensors", ["sensing.delay=4", "estimator.delay=0"], False, marks=pytest.mark.slow),
+        pytest.param("flight_sensors", ["sensing.delay=6", "duration=6"], True, marks=pytest.mark.slow),
         ("flight_sensors", ["actuation.delay=4", "controller=pd_plus", "duration=8"], True),
     ],
 )
@@ -224,6 +224,7 @@ def grows(scenario):
     return not record.outcome.completed or rate[-len(rate) // 4 :].max() > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["pd_plus", "lab_of_the_boundaries:Damper"])
 def test_boundaries_against_simulation(controller, monkeypatch):
     """The initial posture held after a kick: 1.5 % inside a boundary the oscillation decays, 1.5 % outside it grows."""

@@ -165,6 +165,7 @@ def test_parts_that_come_too_near_are_warned_of():
         prepare(load_scenario("postcapture", ["clearance=0.1"])).release()
 
 
+@pytest.mark.slow
 def test_a_plan_after_a_grasp_leaves_room_for_the_true_payload(tmp_path):
     """Nominal 80 kg, true 100 kg: with a reserve of 0.3 the force saturates, and the run diverges."""
     overrides = ["capture.approach=null", "planning.segments=6", "reference.duration=12", "duration=12"]

@@ -197,6 +197,7 @@ def test_verdicts(name, overrides, stable, words):
     assert words in margins.verdict
 
 
+@pytest.mark.slow
 def test_expected_adaptation_against_simulation(run):
     """The forecast ends within 3 % of the simulated K_s, and puts the published gains' end at about the right time."""
     for overrides in ((), ("controller=aismc",)):
@@ -241,7 +242,7 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
 def test_command_line(arguments, code, words, monkeypatch):
     """The boundaries of a stable loop: ``test_table_and_picture``."""
     if code == 0:
-        found = Boundaries(gains=1.25, nominal_payload=float("inf"), sample_time=1.25, delay=3.0)
+        found = Boundaries(gains=1.25, nominal_payload=float("inf"), sample_time=1.25, flexible_mass={}, delay=3.0)
         monkeypatch.setattr(boundaries, "find_boundaries", lambda scenario, *, time: found)
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == code, result.output
@@ -249,6 +250,7 @@ def test_command_line(arguments, code, words, monkeypatch):
     assert "Traceback" not in result.output
 
 
+@pytest.mark.slow
 def test_table_and_picture(tmp_path):
     from matplotlib import image
 

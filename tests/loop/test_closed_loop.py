@@ -71,7 +71,7 @@ def test_the_plant_is_continuous_weightless_and_free():
     assert plant.num_velocities() == 11
     assert plant.num_positions() == 12
     assert plant.gravity_field().gravity_vector().tolist() == [0, 0, 0]
-    assert plant.num_actuators() == 0
+    assert plant.num_actuators() == 5  # of the joints' rotors; no force goes that way
 
 
 def test_initialize_sets_posture_payload_and_seed():

@@ -287,7 +287,10 @@ def itae(errors: np.ndarray) -> float:
     return float(PERIOD * times @ np.abs(errors).sum(axis=1))
 
 
-@pytest.fixture(scope="module", params=list(LAWS))
+SLOW = ("asmc", "aismc")
+
+
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in LAWS])
 def both(request: pytest.FixtureRequest) -> tuple[RunRecord, Series]:
     return run(request.param)
 

@@ -16,6 +16,9 @@ from ffsm_drake.runs.dataset import make_dataset
 from ffsm_drake.runs.metrics import momentum_residual, phases_of
 from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.scenario import MassProperties, from_grasp
+from ffsm_drake.show.report.grasp import grasp_of
+from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.tables import number
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
@@ -87,6 +90,24 @@ def test_momentum_is_that_of_both_on_both_sides(record):
     for name, size in record.metrics["momentum_residual"].items():
         assert size == max(np.linalg.norm(residual[name], axis=1).max() for residual in residuals)
         assert size < 1e-6
+
+
+def test_the_ledger_counts_the_wheels(run):
+    """No torque acts on a wheel about its axis at the grasp: its momentum is the same on both sides of it."""
+    units = "{x: {axis: [1, 0, 0], initial_momentum: 3}, y: {axis: [0, 1, 0]}, z: {axis: [0, 0, 1]}}"
+    record = run("tumbling_capture", *SHORT[1:], "duration=2.2", f"actuation.wheels={{units: {units}}}")
+    data, ledger = record.dataset, record.grasp
+    stored = np.array(ledger["stored_momentum"])
+    assert np.linalg.norm(stored) > 1.0
+    assert np.array_equal(stored, data["stored_momentum"].values[GRASP])
+    assert_allclose(data["angular_momentum"].values[GRASP], ledger["after"]["angular_momentum"], rtol=1e-12)
+    for name in ("angular_momentum", "spin"):
+        assert_allclose(ledger["after"][name], ledger["before"][name], atol=1e-12)
+    # Between two samples torques and forces of a few N m and N act.
+    change = data["angular_momentum"].values[GRASP - 1] - ledger["before"]["angular_momentum"]
+    assert np.linalg.norm(change) < 0.2
+    rows = {row[0]: row[1:3] for row in grasp_of(results_of([record])[0])["ledger"]}
+    assert rows["of which in the wheels [N m s]"] == [", ".join(number(each) for each in stored)] * 2
 
 
 def test_the_target_tumbles_freely_up_to_the_grasp(record):

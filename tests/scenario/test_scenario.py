@@ -133,7 +133,7 @@ directives:
         ("disturbance.harmonics.joint_1.amp=1", "unknown key; valid here: amplitude, frequency, phase, bias"),
         ("reference.duration=0", "override: reference.duration: must be > 0 s"),
         ("reference.base_rotation=eigen", "reference.base_rotation: 'eigen' is unknown; choose one of eigenaxis, rpy"),
-        ("reference.kind=best", "reference.kind: 'best' is unknown; choose one of quintic, optimal"),
+        ("reference.kind=best", "reference.kind: 'best' is unknown; choose one of quintic, septic, optimal"),
         ("reference.kind=optimal", "reference.plan: name the plan's file"),
         ("clearance=-1", "override: clearance: must be >= 0 m, not -1"),
         ("reference.goal=rest", "reference.goal: 'rest' is unknown; choose one of target_posture, stop"),

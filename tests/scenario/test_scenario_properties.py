@@ -98,6 +98,22 @@ SPECIAL = {
         },
         optional={"desaturation_time": st.floats(1.0, 100.0)},
     ),
+    "drives": st.none()
+    | st.fixed_dictionaries(
+        {},
+        optional={"gear_ratio": st.floats(1.0, 200.0), "knee": st.floats(0.0, 0.9), "rate_limit": st.none() | POSITIVE},
+    ),
+    "command_filter": st.fixed_dictionaries(
+        {}, optional={"low_pass": st.floats(0.0, 50.0), "notch": st.dictionaries(COORDINATES, st.floats(0.0, 50.0))}
+    ),
+    "environment": st.none()
+    | st.fixed_dictionaries(
+        {"altitude": st.floats(1.0, 1e9)},
+        optional={
+            "tidal": st.booleans(),
+            "solar_pressure": st.fixed_dictionaries({}, optional={"area": POSITIVE, "sun": st.just([0.0, 3.0, 4.0])}),
+        },
+    ),
     "model": st.fixed_dictionaries(
         {}, optional={"directives": NAME, "end_effector": TEXT, "packages": st.dictionaries(NAME, NAME, max_size=2)}
     )

@@ -4,6 +4,7 @@ import base64
 import dataclasses
 import re
 
+import flight_settings
 import numpy as np
 import pytest
 from meshcat_page import click
@@ -12,7 +13,9 @@ from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.scenario import thruster_layouts
 from ffsm_drake.show.meshcat import LiveReplay, live, recording_html, replay_live, start_meshcat, write_recording
+from ffsm_drake.show.meshcat.actuators import Plumes
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.live import PLAY, QUIT, SPEED, TIME
 from ffsm_drake.show.meshcat.replay_view import ReplayView
@@ -184,6 +187,67 @@ def test_a_record_that_ends_in_no_numbers_is_shown_up_to_there(meshcat, record):
     shown.show(shown.duration)
     assert np.isfinite(shown.arrows.peaks).all()
     assert "peak nan" not in recording_html(broken, forces=True)
+
+
+@pytest.fixture
+def firing(run):
+    wheels = "{units: {up: {axis: [0, 0, 2]}, x: {axis: [1, 0, 0]}, y: {axis: [0, 1, 0]}}}"
+    short = ("duration=1", "actuation.thrusters.layout=12x5N", f"actuation.wheels={wheels}")
+    return run(*flight_settings.FLIGHT, *flight_settings.NO_NOISE, *short)
+
+
+def test_thrusters_and_wheels_are_drawn_on_the_base(meshcat, firing):
+    base = view(meshcat, firing).spacecraft.base_path
+    for name, unit in thruster_layouts()["12x5N"].items():
+        for kind in ("thrusters", "plumes"):
+            pose = transform(meshcat, f"{base}/{kind}/{name}")
+            assert pose[:3, 3] == pytest.approx(unit.position)
+            assert pose[:3, 2] == pytest.approx(-np.array(unit.direction))  # the cone opens against the force
+    wheel = transform(meshcat, f"{base}/wheels/up")
+    assert wheel[:3, 2] == pytest.approx([0.0, 0.0, 1.0])
+    page = recording_html(firing)
+    assert "pale cones: open thrusters; discs in the base: reaction wheels" in page
+
+
+def test_a_plume_is_seen_in_the_pictures_in_whose_time_its_thruster_opens(meshcat, firing):
+    shown = view(meshcat, firing)
+    opened, seen = firing.dataset["thruster_open"].values > 0.0, []
+    for sample in range(0, 100, 4):  # 25 pictures a second
+        shown.show(sample * 0.01)
+        packed = [
+            meshcat._GetPackedProperty(f"{shown.spacecraft.base_path}/plumes/{name}", "visible")
+            for name in firing.dataset["thruster"].values
+        ]
+        seen.append([each.endswith(b"\xc3") for each in packed])  # msgpack's true
+        assert seen[-1] == opened[sample : sample + 4].any(axis=0).tolist()
+    assert 0.02 < np.mean(seen) < 0.98
+
+
+def test_a_recording_tells_only_when_plumes_change():
+    told = []
+
+    class Page:
+        def SetProperty(self, *words):
+            told.append(words)
+
+        def SetObject(self, *_):
+            pass
+
+        SetTransform = SetObject
+
+    units = dict(list(thruster_layouts()["12x5N"].items())[:2])
+    opened = np.array([[0, 1], [0, 1], [0.3, 1], [0, 1], [0, 0], [0, 0], [0, 0]])
+    plumes = Plumes(Page(), "base", units, opened, longest=1.0)
+    plumes.show(0, 2)  # before the recording
+    assert told == [("base/plumes/a_x", "visible", False, None), ("base/plumes/a_y", "visible", True, None)]
+    told.clear()
+    for frame in range(4):
+        plumes.show(2 * frame, 2, time_in_recording=frame)
+    first, second = "base/plumes/a_x", "base/plumes/a_y"
+    assert told == [
+        (first, "visible", False, 0), (second, "visible", True, 0), (first, "visible", True, 1),
+        (first, "visible", False, 2), (second, "visible", False, 2),
+    ]  # fmt: skip
 
 
 # The live replay: no browser, the test moves the sliders and sends the clicks.

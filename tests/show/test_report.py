@@ -391,6 +391,7 @@ def test_command_and_scenario_make_the_same_run(short, text):
     assert scenario_to_dict(again) == scenario_to_dict(short.scenario)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: the page cannot be looked at")
 def test_draws_in_a_browser_without_complaint(short, tmp_path):
     records = [with_scenario(short, description=HOSTILE), shortened(short, 1)]

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import MassProperties, Model, load_scenario
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import make_plant
 
 DEBRIS = "debris::debris"
@@ -83,8 +83,10 @@ def drake_dynamics(plant: MultibodyPlant, context: Context, state: State) -> Dyn
     return plant.CalcMassMatrix(context), plant.CalcBiasTerm(context), acceleration
 
 
-def mujoco_dynamics(target: oracle.Target) -> Callable[[State], Dynamics]:
+def mujoco_dynamics(target: oracle.Target, rotors: np.ndarray | float = 0.0) -> Callable[[State], Dynamics]:
+    """``rotors``: inertia of the joints' drives, seen at the joints (5), kg m^2."""
     spacecraft = oracle.MujocoSpacecraft(target)
+    spacecraft.model.dof_armature[6:] = rotors
     order = oracle.V_TO_DRAKE
 
     def dynamics(state: State) -> Dynamics:
@@ -99,7 +101,9 @@ def mujoco_dynamics(target: oracle.Target) -> Callable[[State], Dynamics]:
     return dynamics
 
 
-def pinocchio_dynamics(pin: Any, target: oracle.Target) -> Callable[[State], Dynamics]:
+def pinocchio_dynamics(
+    pin: Any, target: oracle.Target, rotors: np.ndarray | float = 0.0
+) -> Callable[[State], Dynamics]:
     """Pinocchio takes q = (p_WB, quaternion xyzw, joints) and v = (v_B, w_B, joint rates), both base vectors in B."""
 
     def at(z: float) -> Any:
@@ -119,6 +123,7 @@ def pinocchio_dynamics(pin: Any, target: oracle.Target) -> Callable[[State], Dyn
         model.appendBodyToJoint(body, pin.Inertia(mass, np.zeros(3), central), at(length / 2))
     held = pin.Inertia(target.mass, np.array(target.center_of_mass), oracle.inertia_matrix(target))
     model.appendBodyToJoint(body, held, at(oracle.LINK_LENGTHS[-1] + oracle.TARGET_OFFSET))
+    model.armature = np.r_[np.zeros(6), np.zeros(5) + rotors]
     data = model.createData()
 
     def dynamics(state: State) -> Dynamics:
@@ -169,6 +174,28 @@ def test_dynamics_agree_with_mujoco(ours: tuple[MultibodyPlant, Context, oracle.
 def test_dynamics_agree_with_pinocchio(ours: tuple[MultibodyPlant, Context, oracle.Target]) -> None:
     pinocchio = pytest.importorskip("pinocchio", reason="needs the extra 'oracles'")
     assert_same_dynamics(ours, pinocchio_dynamics(pinocchio, ours[2]))
+
+
+ROTORS = np.array([2.0, 0.5, 0.1, 3.0, 0.02])  # kg m^2, of a ratio of 100
+
+
+@pytest.mark.parametrize("name", ["mujoco", "pinocchio"])
+def test_rotors_of_drives_are_armature(name: str) -> None:
+    """Mass matrix, bias and acceleration; the mass matrix to 1e-12 of its largest element by kind of coordinate."""
+    rotors = {f"joint_{i + 1}": float(1e-4 * value) for i, value in enumerate(ROTORS)}
+    scenario = load_scenario("postcapture", [f"actuation.drives={{gear_ratio: 100, rotor_inertia: {rotors}}}"])
+    model = make_true_plant(scenario)
+    ours = (model.plant, model.context, oracle.TRUE_TARGET)
+    if name == "mujoco":
+        theirs = mujoco_dynamics(oracle.TRUE_TARGET, ROTORS)
+    else:
+        theirs = pinocchio_dynamics(pytest.importorskip("pinocchio"), oracle.TRUE_TARGET, ROTORS)
+    assert_same_dynamics(ours, theirs)
+    groups = (slice(0, 3), slice(3, 6), slice(6, 11))
+    for state in random_states(20):
+        mine, expected = drake_dynamics(model.plant, model.context, state)[0], theirs(state)[0]
+        for i, j in itertools.product(groups, groups):
+            assert_allclose(mine[i, j], expected[i, j], rtol=0, atol=1e-12 * np.abs(expected[i, j]).max() + 1e-13)
 
 
 def test_mass_matrix_is_symmetric_positive_definite(ours: tuple[MultibodyPlant, Context, oracle.Target]) -> None:

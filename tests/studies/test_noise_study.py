@@ -31,6 +31,7 @@ def only(controller, estimator, sigma, **kwargs):
     return row
 
 
+@pytest.mark.slow
 def test_there_is_a_row_for_every_point():
     swept = len(CONTROLLERS) * 2 * (len(SIGMAS) + 1)
     exchanged = len(CONTROLLERS) * 2
@@ -38,6 +39,7 @@ def test_there_is_a_row_for_every_point():
     assert study().sigmas == SIGMAS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("estimator", "overrides"),
     [
@@ -74,6 +76,7 @@ def test_the_sensor_set_is_that_of_flight_sensors():
     assert case.actuation.limit is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["tde_aismc", "asmc", "tdc"])
 def test_effort_of_the_published_estimate_grows_with_the_square_of_the_noise(controller):
     # 1e-5 is too little for TDC's noise to drown what else its effort holds, the first samples for instance.
@@ -85,11 +88,13 @@ def test_effort_of_the_published_estimate_grows_with_the_square_of_the_noise(con
     )
 
 
+@pytest.mark.slow
 def test_noise_gains_are_those_of_the_published_gains():
     assert study().noise_gain["tdc"] == pytest.approx(375, rel=0.01)
     assert study().noise_gain["aismc"] == pytest.approx(1330, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["tde_aismc", "asmc", "tdc"])
 def test_the_kalman_estimate_is_cheaper_and_takes_its_gains_to_be_so(controller):
     published, exchanged = (
@@ -100,6 +105,7 @@ def test_the_kalman_estimate_is_cheaper_and_takes_its_gains_to_be_so(controller)
     assert exchanged < published
 
 
+@pytest.mark.slow
 def test_diverged_rows_are_flagged_and_hold_no_figures():
     row = only("aismc", "one_sample", 1e-4)
     assert row.diverged
@@ -109,6 +115,7 @@ def test_diverged_rows_are_flagged_and_hold_no_figures():
     assert {row.controller for row in study().rows if row.diverged} == {"aismc"}
 
 
+@pytest.mark.slow
 def test_every_file_is_written_whole(tmp_path):
     path = write_study(study(), tmp_path / "new" / "folder")
     assert path.name == "noise.md"
@@ -138,6 +145,7 @@ def test_one_sigma_and_several_seeds_can_be_written(tmp_path):
     assert write_study(few, tmp_path).is_file()
 
 
+@pytest.mark.slow
 def test_same_seeds_same_table_whatever_the_workers():
     there = study_noise(sigmas=SIGMAS[1:], duration=DURATION, controllers=("aismc",), workers=2).rows
     here = [row for row in study().rows if row.controller == "aismc" and row.sigma != SIGMAS[0]]

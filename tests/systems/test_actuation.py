@@ -145,7 +145,7 @@ def replay(record, *, applied):
     return np.array(n), np.array(commands)
 
 
-@pytest.mark.parametrize("kind", ["kalman", "one_sample"])
+@pytest.mark.parametrize("kind", ["kalman", pytest.param("one_sample", marks=pytest.mark.slow)])
 def test_a_limit_that_binds_for_a_while_does_not_wind_up_the_estimate(run, kind):
     fed = run(*FLIGHT, *QUIET, TIGHT, f"estimator.kind={kind}")
     blind = simulate(fed.scenario, blocks={"controller": without_feedback}, check_stability=False)

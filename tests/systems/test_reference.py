@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import load_scenario, make_closed_loop
 from ffsm_drake.scenario import Reference
 from ffsm_drake.spacecraft.nominal import make_true_plant
-from ffsm_drake.systems.reference import make_motion, quintic_blend
+from ffsm_drake.systems.blend import quintic_blend
+from ffsm_drake.systems.reference import make_motion
 
 DURATION = 20.0
 

@@ -15,8 +15,10 @@ from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Thrusters, thruster_layouts, thrusters_of
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.actuator_panels import actuator_views
+from ffsm_drake.show.report.comparison import rankings, table
 from ffsm_drake.show.report.page import render_report
 from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.tables import NONE, number, results_table
 from ffsm_drake.systems.actuation.allocation import Allocation, lost_direction
 from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.actuation.modulation import SchmittTrigger, mean_level, pulse_widths, whole_frames
@@ -201,13 +203,34 @@ def test_the_report_draws_every_pulse(run):
     (panel,) = view.panels
     figures, drawn = record.metrics["thrusters"], {}
     for trace in panel.figure.data:
-        bars = np.reshape(trace.x, (-1, 3))
-        drawn[trace.name] = (len(bars), (bars[:, 1] - bars[:, 0]).sum())
+        boxes = np.reshape(trace.x, (-1, 6))
+        drawn[trace.name] = (len(boxes), (boxes[:, 2] - boxes[:, 0]).sum())
+        assert np.ptp(np.reshape(trace.y, (-1, 6))[:, :5], axis=1) == pytest.approx(
+            0.4
+        )  # seen where they are narrower than a pixel
     assert {name: number for name, (number, _) in drawn.items()} == pytest.approx(figures["pulses"], abs=1)
     assert {name: total for name, (_, total) in drawn.items()} == pytest.approx(figures["on_time"], abs=0.011)
     page = render_report([record])
-    assert "Thrusters and wheels" in page
+    assert ">Actuators<" in page
     assert f"{1e3 * figures['propellant']:.3g} g of propellant" in page
+    assert f'<td class="text">a_x</td><td>{number(figures["impulse"]["a_x"])}</td>' in page
+
+
+def test_a_comparison_shows_and_ranks_propellant(run):
+    few = run(*SHORT, "actuation.thrusters.layout=12x5N")
+    many = run(*SHORT, "actuation.thrusters.layout=12x5N", "disturbance.amplitude_scale=4")
+    without = run(*SHORT)
+    taken = [1e3 * record.metrics["thrusters"]["propellant"] for record in (few, many)]
+    assert taken[0] < taken[1]
+    results = results_of([many, without, few])
+    (ranking,) = (each for each in rankings(results) if each["title"] == "By propellant (g)")
+    texts = [number(taken[0]), number(taken[1]), "not recorded"]
+    assert [entry["text"] for entry in ranking["entries"]] == texts
+    (row,) = (row for row in table(results) if row.label == "Propellant")
+    assert [(cell.text, cell.kind) for cell in row.cells] == [(texts[1], ""), (NONE, ""), (texts[0], "best")]
+    lines = results_table([many, without, few]).splitlines()
+    assert [line.split()[-1] for line in lines[:5]] == ["propellant", "g", f"{taken[1]:.4g}", NONE, f"{taken[0]:.4g}"]
+    assert not any(each["title"].startswith("By prop") for each in rankings(results_of([without, without])))
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,9 @@ from ffsm_drake import ScenarioError, load_scenario, make_closed_loop
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Wheels
 from ffsm_drake.scenario.schema import Wheel
+from ffsm_drake.show.report.actuator_panels import actuator_tables
+from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.tables import number
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import models_dir
 from ffsm_drake.systems.actuation.wheels import WheelSet
@@ -138,6 +141,10 @@ def test_torque_on_the_base_is_what_the_wheels_take(turning):
     assert figures["speed_used"] == pytest.approx(np.abs(data["wheel_speed"].values).max() / 628.0)
     assert figures["torque_used"] == pytest.approx(max(figures["peak_torque"].values()) / 10.0)
     assert figures["unloading"] == 0.0
+    (table,) = actuator_tables(results_of([turning]))
+    speed = np.abs(data["wheel_speed"].values).max(axis=0)
+    assert [row[2:4] for row in table["wheels"]] == [[number(each), number(628.0)] for each in speed]
+    assert table["thrusters"] == []
 
 
 def test_momentum_of_the_stack_follows_what_fires(run):
@@ -191,9 +198,25 @@ def test_wheels_stay_within_their_limits():
     assert less.on_base == pytest.approx([0, 0, 1])
 
 
+def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():
+    units = {name: Wheel(axis=list(map(float, axis)), torque_limit=0.5) for name, axis in AXES.items()}
+    helped, alone = (
+        WheelSet(Wheels(units=units, assist_above=above), sample_time=0.01, alone=False) for above in (2.0, None)
+    )
+    most = 0.5 * 4.0 / np.sqrt(3.0) * np.array([0.0, 0.0, 1.0])  # that they give about z
+    assert helped.most(most / np.linalg.norm(most)) == pytest.approx(np.linalg.norm(most))
+    assert helped.beyond(1.9 * most) == pytest.approx(np.zeros(3))
+    assert helped.beyond(-5.0 * most) == pytest.approx(-3.0 * most)
+    assert alone.beyond(5.0 * most) == pytest.approx(np.zeros(3))
+
+
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
+        (
+            ("actuation.wheels={units: {z: {}}, assist_above: 0.5}",),
+            "assist_above: must be null or at least 1, not 0.5",
+        ),
         (("actuation.wheels.units={}",), "actuation.wheels.units: give wheels by name"),
         (("actuation.wheels.units={z: {}}",), "units: give no torque about some axis; add wheels, or actuation.thrust"),
         (("actuation.wheels.units={z: {axis: [0, 0, 0]}}",), "actuation.wheels.units.z.axis: must not be zero"),

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ffsm_drake.control_design.stability.prediction import Prediction
+from ffsm_drake.control_design.stability.rehearsal import Rehearsal
 from ffsm_drake.scenario import Scenario
 
 
@@ -16,6 +17,7 @@ class DesignPoint:
     scenario: Scenario
     prediction: Prediction
     radius_by_mass: Mapping[float, float]  # true payload mass in kg -> spectral radius
+    rehearsal: Rehearsal | None = None  # with thrusters or wheels, where all else is kept to
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -39,6 +41,8 @@ class Requirement:
             return f"it asks {prediction.coordinates.names[i]} for {peak:.3g}, whose actuation.limit is {limit:g}"
         if prediction.isv > self.budget:
             return f"ISV {prediction.isv:.1f} is over the budget of {self.budget:.1f}"
+        if point.rehearsal is not None and point.rehearsal.share_diverged > 0.0:
+            return f"with its actuators it diverges: {point.rehearsal}"
         return ""
 
     def rank(self, point: DesignPoint) -> tuple[int, float]:

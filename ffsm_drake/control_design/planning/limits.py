@@ -6,8 +6,9 @@ import numpy as np
 
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.joint_limits import joint_limits
+from ffsm_drake.spacecraft.joint_limits import joint_limits, rate_limits
 from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.actuation.limits import force_limits
 
 _ACCURACY = 1e-3  # m; of Drake's distances between cylinders
 _SLACK = 1e-3  # relative; by which a solved plan may pass a limit between the instants that the solver looks at
@@ -50,7 +51,7 @@ class Margin:
 
 
 def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:
-    """The limits of a scenario: ``actuation.limit``, those of its URDFs, and of ``planning``.
+    """The limits of a scenario: of its actuators, its URDFs and drives, and of ``planning``.
 
     Raises ScenarioError for a coordinate that does not exist, ModelError for a URDF that cannot be read.
     """
@@ -61,9 +62,10 @@ def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:
 
     urdf = joint_limits(scenario.model, model.plant)
     base = np.full(NUM_BASE_VELOCITIES, np.inf)
+    rate = np.r_[base, rate_limits(scenario, model.plant)]
     return MotionLimits(
-        force=np.minimum(vector(scenario.actuation.limit, "actuation.limit"), np.r_[base, urdf.effort]),
-        rate=np.minimum(vector(planning.velocity_limit, "planning.velocity_limit"), np.r_[base, urdf.velocity]),
+        force=force_limits(scenario, model.plant),
+        rate=np.minimum(vector(planning.velocity_limit, "planning.velocity_limit"), rate),
         lower=np.r_[-base, urdf.lower],
         upper=np.r_[base, urdf.upper],
         impulse=vector(planning.impulse_limit, "planning.impulse_limit"),

@@ -4,9 +4,10 @@ Every trial builds the loop anew and linearises it at the posture that is neares
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
+from ffsm_drake.common.errors import ModelError
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
 from ffsm_drake.systems.controllers import complete_gains, declared_gains
@@ -24,6 +25,7 @@ class Boundaries:
     gains: float  # factor on all feedback gains of the controller; infinite, too, where it declares none
     nominal_payload: float  # factor on the nominal payload's mass and inertia
     sample_time: float  # factor on the control period
+    flexible_mass: Mapping[str, float]  # by part of ``model.flexible`` that has a mass, and "all": factor on it
     delay: float  # further delay of the sensors, unknown to the estimator; the first number of samples that is unstable
 
 
@@ -32,25 +34,32 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
 
     Args:
       scenario: what to look at.
-      time: s, the posture; ``Margins.worst.time`` of ``stability``.
+      time: s, the posture; ``Margins.edge_time`` of ``stability``.
 
     Raises ModelError, ScenarioError and BlockError as ``stability`` does.
     """
     scenario = complete_gains(scenario)
 
+    heavy = [name for name, part in scenario.model.flexible.items() if part.kind not in ("joint", "gear")]
+    parts = {name: [name] for name in heavy} | ({"all": heavy} if len(heavy) > 1 else {})
+
     def is_stable(changed: Scenario) -> bool:
         with Linearizer(changed) as linearizer:
             return linearizer.at(time).spectral_radius < 1.0
 
+    def largest_mass(names: Collection[str]) -> float:
+        return _largest_factor(lambda factor: is_stable(with_flexible_mass(scenario, names, factor)))
+
     if not is_stable(scenario):
         nan = float("nan")
-        return Boundaries(gains=nan, nominal_payload=nan, sample_time=nan, delay=nan)
+        return Boundaries(gains=nan, nominal_payload=nan, sample_time=nan, flexible_mass={}, delay=nan)
     return Boundaries(
         gains=_largest_factor(lambda factor: is_stable(with_gains(scenario, factor)))
         if any(gain.feedback for gain in declared_gains(scenario).values())
         else float("inf"),
         nominal_payload=_largest_factor(lambda factor: is_stable(with_nominal_payload(scenario, factor))),
         sample_time=_largest_factor(lambda factor: is_stable(with_sample_time(scenario, factor))),
+        flexible_mass={label: largest_mass(names) for label, names in parts.items()},
         delay=next(
             (
                 float(further)
@@ -90,6 +99,21 @@ def with_sample_time(scenario: Scenario, factor: float) -> Scenario:
     return dataclasses.replace(scenario, sample_time=factor * scenario.sample_time)
 
 
+def with_flexible_mass(scenario: Scenario, names: Collection[str], factor: float) -> Scenario:
+    """The scenario with the masses of some parts of ``model.flexible`` times a factor; frequencies stay."""
+    parts = {
+        name: dataclasses.replace(
+            part,
+            mass=factor * part.mass,
+            stiffness=None if part.stiffness is None else factor * part.stiffness,
+        )
+        if name in names
+        else part
+        for name, part in scenario.model.flexible.items()
+    }
+    return dataclasses.replace(scenario, model=dataclasses.replace(scenario.model, flexible=parts))
+
+
 def with_delay(scenario: Scenario, delay: int) -> Scenario:
     """The scenario with another delay of its sensors, control samples, that its estimator does not know of."""
     known = scenario.sensing.delay if scenario.estimator.delay is None else scenario.estimator.delay
@@ -101,12 +125,18 @@ def with_delay(scenario: Scenario, delay: int) -> Scenario:
 
 
 def _largest_factor(is_stable: Callable[[float], bool]) -> float:
-    """The largest factor from 1 up with which the loop is stable; infinite where there is no other up to the last."""
+    """The largest factor from 1 up with which the loop is stable; infinite where there is no other up to the last.
+
+    A model that cannot be built any more (of a part that outweighs what carries it) ends the search, too.
+    """
     inside, outside = 1.0, _RATIO
-    while is_stable(outside):
-        inside, outside = outside, outside * _RATIO
-        if outside > LARGEST_FACTOR:
-            return float("inf")
+    try:
+        while is_stable(outside):
+            inside, outside = outside, outside * _RATIO
+            if outside > LARGEST_FACTOR:
+                return float("inf")
+    except ModelError:
+        return float("inf")
     while outside - inside > _ACCURACY * inside:
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if is_stable(middle) else (inside, middle)

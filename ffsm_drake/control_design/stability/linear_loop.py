@@ -20,7 +20,7 @@ class Mode:
     pole: complex  # z, over the common period of all blocks; of a pair the one with the positive imaginary part
     frequency: float  # rad/s, natural
     damping: float  # ratio; negative where the mode grows
-    coordinates: PerCoordinate  # coordinate -> share of the plant's motion in the mode, largest first
+    coordinates: PerCoordinate  # coordinate, known or hidden -> share of the plant's motion in the mode, largest first
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,20 +37,26 @@ class SampleMap:
 class LinearLoop:
     """The loop near one instant of the planned motion.
 
-    Its state x begins with the plant's e and its rate (2 nv); u is the controller's force until the next sample (nv,
-    N m or N); w is the white noise of unit variance that a sample reads.
+    Its state x begins with the plant's e and its rate (2 nv), then its hidden coordinates and their rates; u is the
+    controller's force until the next sample (nv, N m or N); w is the white noise of unit variance that a sample reads.
     """
 
     coordinates: Coordinates
     time: float  # s
     sample_time: float  # s
     samples: tuple[SampleMap, ...]  # of one common period of all blocks
+    hidden: tuple[str, ...] = ()  # names of the hidden coordinates
     memory: Mapping[str, slice] = dataclasses.field(default_factory=dict)  # of the controller: name -> its part of x
+    noise: Mapping[str, slice] = dataclasses.field(default_factory=dict)  # name of a source -> its part of w
 
     @functools.cached_property
     def a(self) -> np.ndarray:
         """The map of x over the common period."""
         return functools.reduce(lambda product, sample: sample.a @ product, self.samples[1:], self.samples[0].a)
+
+    @property
+    def _plant_size(self) -> int:
+        return 2 * (len(self.coordinates.names) + len(self.hidden))
 
     @property
     def poles(self) -> np.ndarray:
@@ -65,20 +71,21 @@ class LinearLoop:
     def modes(self, count: int = 6) -> list[Mode]:
         """The slowest modes, those that grow first."""
         names, found = self.coordinates.names, list[Mode]()
+        parts = (*names, *self.hidden)
         if not np.isfinite(self.poles).all():
             return found
         for pole, vector in zip(self.poles.tolist(), self._eigen[1].T, strict=True):
             if pole.imag < 0.0 or abs(pole) < 1e-6 or len(found) == count:
                 continue
             exponent = np.log(complex(pole)) / (len(self.samples) * self.sample_time)
-            weight = np.abs(vector[: len(names)])
+            weight = np.abs(np.concatenate([vector[: len(names)], vector[2 * len(names) :][: len(self.hidden)]]))
             share = weight / weight.sum()
             found.append(
                 Mode(
                     pole=complex(pole),
                     frequency=float(abs(exponent)),
                     damping=float(-exponent.real / abs(exponent)) if exponent else 0.0,
-                    coordinates={names[i]: float(share[i]) for i in np.argsort(-share, kind="stable")},
+                    coordinates={parts[i]: float(share[i]) for i in np.argsort(-share, kind="stable")},
                 )
             )
         return found
@@ -151,7 +158,7 @@ class LinearLoop:
         """Poles, largest first, and right eigenvectors of the part of the loop that feeds back."""
         if not np.isfinite(self.a).all():
             return np.full(1, np.inf), np.ones((len(self.a), 1))
-        keep = self._matters(np.arange(len(self.a)) < 2 * len(self.coordinates.names))
+        keep = self._matters(np.arange(len(self.a)) < self._plant_size)
         poles, vectors = np.linalg.eig(self.a[np.ix_(keep, keep)])
         order = np.argsort(-np.abs(poles), kind="stable")
         return poles[order], vectors[:, order]
@@ -159,7 +166,7 @@ class LinearLoop:
     def _matters(self, driven: np.ndarray) -> np.ndarray:
         """Mask of the entries of x that act on the plant and that the plant, or ``driven`` (mask), acts on."""
         arrows = sum(np.abs(sample.a) for sample in self.samples) > 0.0
-        plant = np.arange(len(arrows)) < 2 * len(self.coordinates.names)
+        plant = np.arange(len(arrows)) < self._plant_size
         acting, driven = plant, driven | plant
         for _ in range(len(arrows)):
             acting, driven = acting | (arrows[acting].any(axis=0)), driven | (arrows[:, driven].any(axis=1))

@@ -1,10 +1,10 @@
 """The sampled loop as it is wired, linearised: the map from just before one control sample to just before the next.
 
-All state that feeds back is in it: the plant's (its attitude as a small rotation), the controller's and its
-estimator's, delays, actuators. Its columns are differences on a context of the closed loop, so every controller, plant,
-and block with discrete state is covered without a formula for any of them; a block with other state is refused. What a
-law holds (``ControlLaw.held``: gains under adaptation, sign terms) is held. Noise is an input. Limits, which have no
-derivative, are left out, and quantisation counts as white noise of its sawtooth's variance.
+All state that feeds back is in it: the plant's (its attitude as a small rotation) with its hidden coordinates, the
+controller's and its estimator's, delays, actuators. Its columns are differences on a context of the closed loop, so
+every controller, plant, and block with discrete state is covered without a formula for any of them; a block with other
+state is refused. What a law holds (``ControlLaw.held``: gains under adaptation, sign terms) is held. Noise is an input.
+Limits, which have no derivative, are left out, and quantisation counts as white noise of its sawtooth's variance.
 
 The update at the sample and the motion up to the next are differenced apart, which is several times faster: the motion
 depends only on the plant's state and on the few held values that reach it. Where a block updates less often than the
@@ -28,12 +28,15 @@ from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMa
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import Actuation, Estimator, MassProperties, PerCoordinate, Scenario, Sensing, from_grasp
 from ffsm_drake.spacecraft.coordinates import position_errors, rotation_error
-from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.actuation import make_actuation
+from ffsm_drake.systems.actuation.drives import FRICTION
+from ffsm_drake.systems.actuation.mean import make_mean_base
 from ffsm_drake.systems.controllers.estimators import assumed_noise
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.reference import make_motion, timed
 from ffsm_drake.systems.registry import Factory
+from ffsm_drake.systems.setup import BlockSetup
 
 # Of a difference: rad, m, and per s; of other states relative to their size.
 _STEP = 1e-7
@@ -53,7 +56,14 @@ class Linearizer:
         sensing, estimator = smooth_sensing(scenario), scenario.estimator
         if sensing is not scenario.sensing:  # the estimator goes on to assume what it assumed
             estimator = _with_assumptions(scenario)
-        actuation = Actuation(delay=scenario.actuation.delay)
+        drives = scenario.actuation.drives
+        if drives is not None:
+            drives = dataclasses.replace(drives, rate_limit=None)
+        actuation = Actuation(delay=scenario.actuation.delay, drives=drives)
+        if has_base_actuators(scenario):
+            own = scenario.actuation
+            actuation = dataclasses.replace(actuation, thrusters=own.thrusters, wheels=own.wheels)
+            blocks = {"actuation": _mean_actuation, **(blocks or {})}
         self.scenario = dataclasses.replace(scenario, sensing=sensing, estimator=estimator, actuation=actuation)
         self.loop = make_closed_loop(self.scenario, blocks=blocks)
         diagram, self._plant = self.loop.diagram, self.loop.plant
@@ -65,7 +75,7 @@ class Linearizer:
         for leaf in _leaves(diagram):  # what starts at random starts without noise
             if leaf is not self._plant:
                 leaf.SetDefaultContext(leaf.GetMyMutableContextFromRoot(self._context))
-        self._set_initial_state(self._plant_state())
+        self.loop.set_blocks(self._context, self._known_state())
         self._start = self._context.Clone()
         controller = self.loop.blocks["controller"]
         self._held: Mapping[str, tuple[int, float | None]] = getattr(controller, "held_groups", dict)()
@@ -76,7 +86,9 @@ class Linearizer:
         parts = [part for part in diagram.GetSystems() if part in heard]
         leaves = [leaf for part in parts for leaf in _leaves(part) if leaf not in noise]
         for leaf in leaves:
-            if leaf is not self._plant and leaf.num_continuous_states() + leaf.num_abstract_states():
+            if leaf is self._plant or leaf.get_name() == FRICTION:
+                continue
+            if leaf.num_continuous_states() + leaf.num_abstract_states():
                 raise BlockError(f"{leaf.get_name()}: continuous or abstract state cannot be linearised, only discrete")
         held = {index for index, _ in self._held.values()}
         self._force = controller.GetOutputPort("generalized_force")
@@ -87,10 +99,10 @@ class Linearizer:
             sample_time=scenario.sample_time,
             leave_out=lambda system, group: system is controller and group in held,
         )
-        nv = len(self.loop.coordinates.names)
+        self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.hidden.names))  # of the plant's part of x
         groups: Mapping[str, int] = getattr(controller, "memory_groups", dict)()
         self._parts_of_memory = {
-            name: slice(2 * nv + part.start, 2 * nv + part.stop)
+            name: slice(self._width + part.start, self._width + part.stop)
             for name, group in groups.items()
             if (part := self._memory.part_of(controller, group)) is not None
         }
@@ -131,14 +143,18 @@ class Linearizer:
             if np.isfinite(self._plant_state()).all():
                 reason = f"{type(error).__name__}: {one_line(error)}"
                 raise BlockError(f"{self.scenario.controller}: the loop cannot be linearised: {reason}") from error
-            unknown = np.full((2 * len(self.loop.coordinates.names),) * 2, np.nan)  # diverged within the warm-up
+            unknown = np.full((self._width,) * 2, np.nan)  # diverged within the warm-up
             samples = (SampleMap(a=unknown, b=unknown, c=unknown, d=unknown),)
         return LinearLoop(
             coordinates=self.loop.coordinates,
             time=index * period,
             sample_time=period,
             samples=samples,
+            hidden=self.loop.hidden.names,
             memory=self._parts_of_memory,
+            noise={
+                source.get_name(): part for source, part in zip(self._noise.systems, self._noise.parts, strict=True)
+            },
         )
 
     def follow(
@@ -174,7 +190,7 @@ class Linearizer:
             controller.remember_velocity(controller_context, self.motion.evaluate(0.0)[1])
         with contextlib.suppress(Exception, SystemExit), np.errstate(over="ignore", invalid="ignore"):
             for index in range(count):
-                states[index] = self._plant.GetPositions(plant_context)
+                states[index] = self._known_state(plant_context)[: nv + 1]
                 self._hold(controller_context, held or {})
                 if silent:
                     simulator.AdvanceTo((index + 1) * period)
@@ -184,11 +200,6 @@ class Linearizer:
                     self._move(index)
                 force[index] = self._force.Eval(controller_context)
         return position_errors(desired, states), force
-
-    def _set_initial_state(self, state: np.ndarray) -> None:
-        for block in self.loop.blocks.values():
-            if hasattr(block, "set_initial_state"):
-                block.set_initial_state(block.GetMyMutableContextFromRoot(self._context), state)
 
     def _quiet(self, held: Mapping[str, np.ndarray]) -> None:
         """No noise at the next sample, and the controller's held memory at its values."""
@@ -214,9 +225,7 @@ class Linearizer:
             self._context.SetTimeStateAndParametersFrom(self._start)
             self._context.SetTime(first * self.scenario.sample_time)
             q_d, v_d, _ = self.motion.evaluate(first * self.scenario.sample_time)
-            state = np.concatenate([q_d, v_d])
-            self._plant.SetPositionsAndVelocities(self._plant_context, state)
-            self._set_initial_state(state)
+            self.loop.set_state(self._context, np.concatenate([q_d, v_d]))
             index = first + _WARM_UP
             for earlier in range(first, index):
                 self._quiet(held)
@@ -235,12 +244,12 @@ class Linearizer:
 
     def _update(self, index: int) -> "_Update":
         """The update at the control sample ``index``, which the context stands just before; it is made."""
-        nv, memory, state = len(self.loop.coordinates.names), self._memory.read(), self._plant_state()
-        size = 2 * nv + memory.size
+        width, memory, state = self._width, self._memory.read(), self._plant_state()
+        size = width + memory.size
         parts = [*self._memory.parts, *(slice(memory.size + p.start, memory.size + p.stop) for p in self._noise.parts)]
-        groups = [slice(0, 2 * nv), *(slice(2 * nv + part.start, 2 * nv + part.stop) for part in parts)]
+        groups = [slice(0, width), *(slice(width + part.start, width + part.stop) for part in parts)]
         memory_steps = _STEP * np.maximum(1.0, np.abs(memory))
-        steps = np.concatenate([np.full(2 * nv, _STEP), memory_steps, np.ones(self._noise.size)])
+        steps = np.concatenate([np.full(width, _STEP), memory_steps, np.ones(self._noise.size)])
         owner = np.repeat(np.arange(len(groups)), [group.stop - group.start for group in groups])
         written = np.zeros(steps.size)
 
@@ -251,7 +260,7 @@ class Linearizer:
             """
             for k in set(owner[x != written].tolist()):
                 if k == 0:
-                    self._plant.SetPositionsAndVelocities(self._plant_context, _moved(state, x[: 2 * nv]))
+                    self._set_plant_state(self._moved(state, x[:width]))
                 elif k <= len(self._memory.parts):
                     self._memory.write_part(k - 1, memory[parts[k - 1]] + x[groups[k]])
                 else:
@@ -267,17 +276,17 @@ class Linearizer:
 
     def _map(self, update: "_Update", truth: MassProperties | None) -> SampleMap:
         """The map of a control sample: its update and the motion up to the next."""
-        nv, size = len(self.loop.coordinates.names), update.steps.size
+        nv, width, size = len(self.loop.coordinates.names), self._width, update.steps.size
         self._context.SetTimeStateAndParametersFrom(update.after)
         if truth is not None:
-            set_payload(self._plant, self._plant_context, body=self.scenario.payload.body, properties=truth)
+            self.loop.set_payload(self._context, truth)
         after, state, updated = self._context.Clone(), self._plant_state(), self._memory.read()
 
         def move(x: np.ndarray) -> np.ndarray:
-            """[q; v] of the plant at the next sample, and the controller's force until then."""
+            """The plant's state at the next sample, and the controller's force until then."""
             self._context.SetTimeStateAndParametersFrom(after)
-            self._plant.SetPositionsAndVelocities(self._plant_context, _moved(state, x[: 2 * nv]))
-            self._memory.write(updated + x[2 * nv :])
+            self._set_plant_state(self._moved(state, x[:width]))
+            self._memory.write(updated + x[width:])
             force = self._force.Eval(self._controller_context).copy()
             self._move(update.index)
             return np.concatenate([self._plant_state(), force])
@@ -292,15 +301,36 @@ class Linearizer:
 
         motion = _jacobian(change, update.groups, update.steps)
         # From [x; w] to [x+; u], by way of the memory after the update.
-        whole = motion[:, 2 * nv :] @ update.jacobian
-        whole[:, : 2 * nv] += motion[:, : 2 * nv]
-        both = np.vstack([whole[: 2 * nv], update.jacobian])
-        force = whole[2 * nv :]
+        whole = motion[:, width:] @ update.jacobian
+        whole[:, :width] += motion[:, :width]
+        both = np.vstack([whole[:width], update.jacobian])
+        force = whole[width:]
         return SampleMap(a=both[:, :size], b=both[:, size:], c=force[:, :size], d=force[:, size:])
 
+    def _known_state(self, plant_context: Context | None = None) -> np.ndarray:
+        """[q; v] of the plant without what is hidden."""
+        return self.loop.hidden.known_part(
+            self._plant.GetPositionsAndVelocities(plant_context or self._plant_context)
+        ).copy()
+
     def _plant_state(self) -> np.ndarray:
-        state: np.ndarray = self._plant.GetPositionsAndVelocities(self._plant_context).copy()
-        return state
+        """[q; v] of the plant, then its hidden state."""
+        whole = self._plant.GetPositionsAndVelocities(self._plant_context)
+        return np.concatenate([self._known_state(), self.loop.hidden.hidden_part(whole)])
+
+    def _set_plant_state(self, state: np.ndarray) -> None:
+        known, hidden = np.split(state, [2 * len(self.loop.coordinates.names) + 1])
+        self._plant.SetPositionsAndVelocities(self._plant_context, self.loop.hidden.whole(known, hidden))
+
+    def _moved(self, state: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """A plant's state moved by e, its rate and the hidden state, the attitude by a rotation vector in the world."""
+        moved, nv = state.copy(), len(self.loop.coordinates.names)
+        w, x, y, z = state[:4]
+        a, b, c = 0.5 * change[:3]  # small: the quaternion needs no sine, and its norm does not matter
+        moved[:4] += (-a * x - b * y - c * z, a * w + b * z - c * y, b * w + c * x - a * z, c * w + a * y - b * x)
+        moved[4 : nv + 1] += change[3:nv]
+        moved[nv + 1 :] += change[nv:]
+        return moved
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -400,6 +430,18 @@ class _Memory:
         context.SetDiscreteState(group, values)
 
 
+def has_base_actuators(scenario: Scenario) -> bool:
+    """Whether thrusters or wheels of the scenario's own give the base's wrench."""
+    actuation = scenario.actuation
+    return scenario.blocks.actuation is None and (actuation.thrusters is not None or actuation.wheels is not None)
+
+
+def _mean_actuation(setup: BlockSetup) -> Diagram | None:
+    settings, coordinates, period = setup.scenario.actuation, setup.coordinates, setup.sample_time
+    base = make_mean_base(settings, coordinates, sample_time=period)
+    return make_actuation(settings, coordinates, sample_time=period, base=base)
+
+
 def smooth_sensing(scenario: Scenario) -> Sensing:
     """The sensors without quantisation, which counts as noise: rounding to a step adds the variance of its sawtooth."""
     sensing = scenario.sensing
@@ -477,17 +519,6 @@ def _leaves(system: System) -> Iterator[System]:
         yield system
 
 
-def _moved(state: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """[q; v] moved by e and its rate (2 nv), the attitude by a rotation vector in the world frame."""
-    moved, nv = state.copy(), change.size // 2
-    w, x, y, z = state[:4]
-    a, b, c = 0.5 * change[:3]  # small: the quaternion needs no sine, and its norm does not matter
-    moved[:4] += (-a * x - b * y - c * z, a * w + b * z - c * y, b * w + c * x - a * z, c * w + a * y - b * x)
-    moved[4 : nv + 1] += change[3:nv]
-    moved[nv + 1 :] += change[nv:]
-    return moved
-
-
 def _difference(state: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """The change of e and its rate (2 nv) from ``base`` to ``state``, both [q; v]."""
+    """The change of e, its rate and the hidden state from ``base`` to ``state``, both [q; v] and the hidden state."""
     return np.concatenate([rotation_error(state[:4], base[:4]), state[4:] - base[4:]])

@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop
-from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.linearization import Linearizer, has_base_actuators
+from ffsm_drake.control_design.stability.rehearsal import Rehearsal, rehearse
 from ffsm_drake.control_design.stability.sampled_loop import (
     LawGains,
     LoopGains,
@@ -22,7 +23,8 @@ from ffsm_drake.control_design.stability.sampled_loop import (
 from ffsm_drake.loop.blocks import block_choices
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.flexible import HiddenMode
+from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors
 from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_estimator
 from ffsm_drake.systems.disturbance import make_disturbance
@@ -71,16 +73,28 @@ class Margins:
     scenario: Scenario
     coordinates: Coordinates
     times: np.ndarray  # (m,) s, the postures looked at
-    eta: np.ndarray  # (m, nv) eigenvalues of H^-1 Hhat there
+    eta: np.ndarray  # (m, nv) eigenvalues of H^-1 Hhat there, H apparent (``PlantModel.calc_apparent_mass_matrix``)
     loops: tuple[LinearLoop, ...]  # the loop as it is wired, at some of them, at the starting gains
     loops_expected: tuple[LinearLoop, ...]  # the same with every K_s at its largest expected value
     radius_at_bounds: float  # spectral radius at the worst of these with every K_s at its bound; NaN without bounds
+    hidden_modes: tuple[HiddenMode, ...]  # at the start of the motion; none where nothing is hidden
+    hidden: tuple[str, ...]  # names of the hidden coordinates
+    locked_eta: tuple[float, float]  # smallest and largest eta along the motion with what is hidden locked
     axes: AxisMargins | None  # None for a controller that is not the paper's, and where something delays
+    rehearsal: Rehearsal | None = None  # with thrusters or wheels, of a loop that is stable without their limits
 
     @property
     def worst(self) -> LinearLoop:
         """The loop of the posture with the largest spectral radius, at the starting gains."""
         return max(self.loops, key=lambda loop: loop.spectral_radius)
+
+    @property
+    def edge_time(self) -> float:
+        """The time, s, of the posture nearest to the edge: that of the largest spectral radius.
+
+        With hidden coordinates, whose slow poles decay alike everywhere, that of the largest eta.
+        """
+        return float(self.times[int(np.argmax(self.eta.max(axis=1)))]) if self.hidden else self.worst.time
 
     @property
     def starts_stable(self) -> bool:
@@ -97,7 +111,7 @@ class Margins:
                 f"{worst.spectral_radius:.4f} at the posture of t = {worst.time:g} s"
             )
         if self.axes is None:
-            return "stable"
+            return self._with_actuators
         if self.axes.forecast_leaves.any():
             i = int(np.argmax(self.axes.forecast_leaves))
             limit = self.axes.k_s_limit[i]
@@ -112,12 +126,39 @@ class Margins:
                 f"predicted stable, but nothing stops K_s before its limit "
                 f"({self.axes.k_s_limit[i]:.1f} 1/s for {self.coordinates.names[i]}); set k_s_max"
             )
-        return "stable"
+        return self._with_actuators
+
+    @property
+    def _with_actuators(self) -> str:
+        """The verdict on a loop that is stable while nothing saturates."""
+        found = self.rehearsal
+        if found is None:
+            return "stable"
+        if found.share_diverged > 0.0:
+            unstable = "unstable" if found.share_diverged >= 0.5 else "at the edge of stability"
+            return f"{unstable} with its actuators: {found}"
+        names = found.coordinates.names
+        tolerance = np.array([
+            self.scenario.tolerance_of(name, group)
+            for name, group in zip(names, found.coordinates.group_of, strict=True)
+        ])  # fmt: skip
+        i = int(np.argmax(found.largest_error / tolerance))
+        if found.largest_error[i] <= tolerance[i]:
+            return f"stable with its actuators: {found}"
+        return (
+            f"stable with its actuators, but not expected to settle: {names[i]} is off by up to "
+            f"{found.largest_error[i]:.2g} {found.coordinates.units[i]} at the end, beyond its tolerance of "
+            f"{tolerance[i]:g}; {found}"
+        )
 
     @property
     def is_stable(self) -> bool:
         """Whether the run starts inside its margin and is expected to stay there."""
-        return self.starts_stable and (self.axes is None or not bool(self.axes.forecast_leaves.any()))
+        return (
+            self.starts_stable
+            and (self.axes is None or not bool(self.axes.forecast_leaves.any()))
+            and (self.rehearsal is None or self.rehearsal.share_diverged < 0.5)
+        )
 
 
 def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
@@ -132,13 +173,18 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
       BlockError: a user-supplied block cannot be loaded, built, wired or run.
     """
     scenario = from_grasp(scenario)
-    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    nominal, true = make_nominal_plant(scenario), make_flexible_plant(scenario)
     coordinates, motion = nominal.coordinates, make_motion(scenario, nominal.coordinates)
     times = np.linspace(motion.begin, motion.end, postures)
     eta = np.array([inertia_ratios(*_mass_matrices(true, nominal, motion, time)) for time in times])
+    locked = eta
+    if true.hidden.names:
+        rigid = make_true_plant(scenario)
+        locked = np.array([inertia_ratios(*_mass_matrices(rigid, nominal, motion, time)) for time in times])
     instants = [motion.part(share) for share in POSTURES]
     with Linearizer(scenario) as linearizer:
-        loops = expected = tuple(linearizer.at(time) for time in instants)
+        held, loops = dict[str, np.ndarray](), tuple(linearizer.at(time) for time in instants)
+        expected = loops
         axes = _axis_margins(scenario, true, nominal, eta, loops[0]) if has_closed_form(scenario) else None
         if axes is not None and axes.forecast_k_s.max() > axes.law.k_s.max():
             held = {"reaching_gain": axes.forecast_k_s.max(axis=0)}
@@ -147,6 +193,10 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
         if bounds is not None and np.isfinite(bounds).all():
             worst = max(instants, key=lambda time: expected[instants.index(time)].spectral_radius)
             at_bounds = linearizer.at(worst, held={"reaching_gain": bounds}).spectral_radius
+        rehearsal = None
+        if has_base_actuators(scenario) and max(loop.spectral_radius for loop in (*loops, *expected)) < 1.0:
+            mean = linearizer.follow(held=held)
+            rehearsal = rehearse(scenario, held=held, mean=mean)
     return Margins(
         scenario=scenario,
         coordinates=coordinates,
@@ -155,7 +205,11 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
         loops=loops,
         loops_expected=expected,
         radius_at_bounds=at_bounds,
+        hidden_modes=tuple(true.hidden_modes(motion.evaluate(motion.begin)[0])),
+        hidden=true.hidden.names,
+        locked_eta=(float(locked.min()), float(locked.max())),
         axes=axes,
+        rehearsal=rehearsal,
     )
 
 
@@ -214,7 +268,12 @@ def stability_warning(scenario: Scenario) -> str:
     """
     scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
-        return _warning(scenario, linearizer)
+        if remark := _warning(scenario, linearizer):
+            return remark
+        if not has_base_actuators(scenario):
+            return ""
+        found = rehearse(scenario, seeds=1, held=expected_gains(linearizer))
+    return f"with its actuators the sampled loop is expected to diverge: {found}" if found.share_diverged else ""
 
 
 def _warning(scenario: Scenario, linearizer: Linearizer) -> str:
@@ -224,7 +283,7 @@ def _warning(scenario: Scenario, linearizer: Linearizer) -> str:
         return f"the sampled loop is unstable at the starting gains (spectral radius {radius:.4f}); {remedy}"
     if not has_closed_form(scenario):
         return ""
-    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    nominal, true = make_nominal_plant(scenario), make_flexible_plant(scenario)
     law, sampling = law_gains(scenario, nominal.coordinates), sampling_of(scenario, nominal.coordinates)
     if np.array_equal(law.k_s_max, law.k_s):
         return ""
@@ -247,7 +306,7 @@ def expected_gains(linearizer: Linearizer, loop: LinearLoop | None = None) -> di
     scenario = linearizer.given
     if not has_closed_form(scenario):
         return {}
-    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    nominal, true = make_nominal_plant(scenario), make_flexible_plant(scenario)
     law, sampling = law_gains(scenario, nominal.coordinates), sampling_of(scenario, nominal.coordinates)
     if np.array_equal(law.k_s_max, law.k_s):
         return {}
@@ -286,7 +345,8 @@ def forecast_reaching_gain(
         coordinates.vector(getattr(scenario.sensing, f"{name}_noise"), key=f"sensing.{name}_noise", default=0.0)
         for name in ("position", "velocity")
     ]
-    drift = _lumped_uncertainty_drift(scenario, true, nominal, times)
+    locked = make_true_plant(scenario) if true.hidden.names else true
+    drift = _lumped_uncertainty_drift(scenario, locked, nominal, times)
     square = scenario.controller == "aismc"
 
     # Per coordinate, the deviation of s and the sign term's amplitude against K_s, on a grid.
@@ -393,7 +453,7 @@ def _mass_matrices(
     true: PlantModel, nominal: PlantModel, motion: PlannedMotion, time: float
 ) -> tuple[np.ndarray, np.ndarray]:
     q, _, _ = motion.evaluate(time)
-    return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
+    return true.calc_apparent_mass_matrix(q), nominal.calc_mass_matrix(q)
 
 
 def sampling_of(scenario: Scenario, coordinates: Coordinates) -> Sampling:

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from ffsm_drake.campaign.evaluate import OUTCOMES, fires
+from ffsm_drake.campaign.evaluate import OUTCOMES, has_actuators, hidden_units
 from ffsm_drake.campaign.statistics import CONFIDENCE, Findings, Interval, find, quantiles, worst_runs
 from ffsm_drake.campaign.store import Store
 from ffsm_drake.common.errors import CampaignError, RecordError, one_line
@@ -33,7 +33,26 @@ _OF_CAPTURE = {
     "grasp_impulse": "impulse of the grasp [N s]",
     "grasp_angular_impulse": "angular [N m s]",
 }
-_OF_THRUSTERS = {"propellant": "propellant [kg]"}
+_OF_THRUSTERS = {
+    "propellant": "propellant [kg]",
+    "thruster_pulses": "pulses",
+    "thrusters_saturated": "thrusters saturated [share]",
+}
+_OF_WHEELS = {
+    "wheel_speed_used": "wheel's speed [of its limit]",
+    "wheels_torque_limited": "torque at the limit [share]",
+    "wheels_unloading": "unloading [share]",
+}
+_OF_HIDDEN = {
+    "rad": {
+        "peak_deflection_angle": "peak deflection [rad]",
+        "residual_angle": "residual amplitude [rad]",
+    },
+    "m": {
+        "peak_deflection_distance": "peak deflection [m]",
+        "residual_distance": "residual amplitude [m]",
+    },
+}
 _PREDICTED = ("stable_settled", "stable_failed", "unstable_settled", "unstable_failed")
 
 
@@ -96,8 +115,12 @@ def summary_text(findings: Findings) -> str:
 
 def _page(store: Store, findings: Findings) -> str:
     spec, table = findings.spec, findings.table
-    more = (_OF_CAPTURE if spec.base["capture"] is not None else {}) | (_OF_THRUSTERS if fires(spec) else {})
-    tables = [_METRICS, *([more] if more else [])]
+    tables = [_METRICS]
+    if spec.base["capture"] is not None:
+        tables.append(_OF_CAPTURE)
+    kinds = {"thrusters": _OF_THRUSTERS, "wheels": _OF_WHEELS}
+    tables += [columns for kind, columns in kinds.items() if has_actuators(spec, kind)]
+    tables += [_OF_HIDDEN[unit] for unit in hidden_units(spec)]
     views = chart_views(findings)
     content: dict[str, Any] = {
         "title": spec.description or store.path.stem,

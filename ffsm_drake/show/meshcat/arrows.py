@@ -5,12 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, Role, SceneGraphInspector
+from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, SceneGraphInspector
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 
-from ffsm_drake.show.meshcat.stage import box_around
-from ffsm_drake.spacecraft.plant import base_body
+from ffsm_drake.show.meshcat.stage import base_bounding_box
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -109,7 +108,7 @@ class ForceArrows:
         control = self.peaks[:2] * 2  # force and torque, whose scales the disturbance's arrows share
         for peak, largest in zip(self.peaks, control, strict=True):
             reference = largest or peak or 1.0
-            self.magnifications.append(_magnification(peak / reference))
+            self.magnifications.append(magnification(peak / reference))
             self._scales.append(self._longest / reference * self.magnifications[-1])
         self._arrows = [
             Arrow(meshcat, kind.path, size=self._longest, color=kind.color, heads=2 if kind.is_torque else 1)
@@ -153,20 +152,7 @@ def _finite_rows(vectors: np.ndarray) -> np.ndarray:
         return np.where(np.isfinite(np.linalg.norm(vectors, axis=1, keepdims=True)), vectors, 0.0)
 
 
-def _magnification(ratio: float) -> int:
-    """The largest of 1, 2, 5, 10, ... 1000 that leaves a ratio to the longest arrow below one."""
+def magnification(ratio: float) -> int:
+    """The largest of 1, 2, 5, 10, ... 1000 that leaves a ratio to the longest that is drawn below one."""
     allowed = [step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if step * ratio <= 1.0]
     return allowed[-1] if allowed and ratio > 0.0 else 1
-
-
-def base_bounding_box(plant: MultibodyPlant, inspector: SceneGraphInspector) -> tuple[RigidTransform, np.ndarray]:
-    """Pose in the base's frame and half width (3), m, of a box around the base's largest visible geometry."""
-    frame = plant.GetBodyFrameIdOrThrow(base_body(plant).index())
-    found = (RigidTransform(), np.full(3, 0.5))  # an invisible base: a cube of 1 m
-    largest = 0.0
-    for geometry in inspector.GetGeometries(frame, Role.kIllustration):
-        box = box_around(inspector, geometry)
-        if box is not None and (size := float(np.prod(box.half_width()))) > largest:
-            largest = size
-            found = (inspector.GetPoseInFrame(geometry) @ box.pose(), np.array(box.half_width()))
-    return found

@@ -25,7 +25,7 @@ from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.meshcat import set_stage, start_meshcat
-from ffsm_drake.show.meshcat.arrows import Arrow, base_bounding_box
+from ffsm_drake.show.meshcat.arrows import Arrow
 from ffsm_drake.show.meshcat.controls import CodeLock, Controls, label_text
 from ffsm_drake.show.meshcat.stage import SpacecraftView
 from ffsm_drake.spacecraft.plant import configuration, find_body
@@ -173,11 +173,9 @@ class _Operator:
         self._events: list[str] = []
         self._due = self._drawn = 0.0  # wall time, s
         set_stage(meshcat, scenario)
-        self._view = SpacecraftView(meshcat, scenario.model)
+        self._view = SpacecraftView(meshcat, scenario)
         self._payload_frame = find_body(self._view.plant, scenario.payload.body, key="payload.body").body_frame()
-        _, half_width = base_bounding_box(self._view.plant, self._view.scene_graph.model_inspector())
-        self._arrow_length = 2.0 * float(half_width.max())
-        self._arrow = Arrow(meshcat, "push", size=self._arrow_length, color=_PUSH_COLOR)
+        self._arrow = Arrow(meshcat, "push", size=self._view.longest, color=_PUSH_COLOR)
         self._arrow_direction, self._arrow_until = np.array(_AXES["z"]), 0.0
         self._show(0.0, configuration(self._view.plant, scenario.initial_posture, key="initial_posture"))
 
@@ -386,6 +384,6 @@ class _Operator:
     def _show(self, now: float, q: np.ndarray) -> None:
         """The spacecraft, and for a while after a push an arrow whose tip is where it acts."""
         self._view.show(q)
-        length = self._arrow_length if now < self._arrow_until else 0.0
+        length = self._view.longest if now < self._arrow_until else 0.0
         tip = self._view.position_of(self._payload_frame, np.array(self._scenario.payload.truth.center_of_mass))
         self._arrow.show(tip - length * self._arrow_direction, self._arrow_direction, length)

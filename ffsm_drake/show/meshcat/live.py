@@ -42,6 +42,8 @@ class LiveReplay:
         self._visible = [True] * len(self._arrow_buttons)
         for label in self._arrow_buttons:
             self._controls.add_button(label)
+        if self._view.deflections.legend:  # Meshcat has no labels: a button that does nothing
+            self._controls.add_button(f"[ {self._view.deflections.legend} ]")
         self._controls.add_button(QUIT, keycode="Escape")
         self.time = 0.0  # s of the run
         self.playing = True

@@ -57,7 +57,9 @@ def recording_html(
     frames_per_second = min(FRAMES_PER_SECOND, speed / record.scenario.sample_time)
     with quiet_drake():  # the server is only a means to the page; nobody should open its address
         meshcat = start_meshcat()
-    view = ReplayView(meshcat, record, ghost=ghost, path=path, forces=forces, frames_per_second=frames_per_second)
+    view = ReplayView(
+        meshcat, record, ghost=ghost, path=path, forces=forces, frames_per_second=frames_per_second, speed=speed
+    )
     view.spacecraft.visualizer.StartRecording(set_transforms_while_recording=False)
     for frame in range(math.ceil(view.duration / speed * frames_per_second - 1e-9) + 1):
         # Drake rounds times down to frames: the middle of a frame is safe from rounding errors.
@@ -81,6 +83,8 @@ def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: floa
     lines = [f"<b>{html.escape(title)}</b>", f"{record.scenario.controller}: {html.escape(record.outcome.message)}"]
     if record.grasp is not None and record.grasp["time"] > 0.0:
         lines.append(f"grasp at t = {record.grasp['time']:g} s")
+    if view.deflections.legend:
+        lines.append(view.deflections.legend)
     if speed != 1.0:
         lines.append(f"{speed:g} times real time")
     if view.arrows is not None:
@@ -88,6 +92,10 @@ def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: floa
             color = "rgb({:.0f},{:.0f},{:.0f})".format(*(255 * part for part in kind.color))
             lines.append(_SWATCH.format(color=color) + html.escape(text))
         lines.append("All act on the base; torques have two heads.")
+    drawn = ["pale cones: open thrusters"] * (view.plumes is not None)
+    drawn += ["discs in the base: reaction wheels"] * (record.scenario.wheels is not None)
+    if drawn:
+        lines.append("; ".join(drawn))
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>", 1)
     head, end, tail = page.rpartition("</body>")
     return head + _CAPTION.format(lines="<br>".join(lines)) + end + tail

@@ -7,7 +7,10 @@ from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.scenario import own_thrusters
+from ffsm_drake.show.meshcat.actuators import Plumes
 from ffsm_drake.show.meshcat.arrows import ForceArrows
+from ffsm_drake.show.meshcat.deflections import Deflections
 from ffsm_drake.show.meshcat.stage import SpacecraftView, set_stage
 
 FRAMES_PER_SECOND = 25.0
@@ -16,16 +19,20 @@ _PATH_VERTICES = 400
 
 
 class ReplayView:
-    """Stage, spacecraft and, if wanted, ghost of the target posture, end effector's path and force arrows."""
+    """Stage, spacecraft with plumes and, if wanted, ghost of the target posture, end effector's path, force arrows."""
 
     def __init__(
         self, meshcat: Meshcat, record: RunRecord, *, ghost: bool, path: bool, forces: bool,
-        frames_per_second: float = FRAMES_PER_SECOND,
+        frames_per_second: float = FRAMES_PER_SECOND, speed: float = 1.0,
     ) -> None:  # fmt: skip
-        """Set the scene and show the first sample. Raises ModelError where the model does not load any more."""
+        """Set the scene and show the first sample. Raises ModelError where the model does not load any more.
+
+        A picture stands for ``speed / frames_per_second`` s of the run: so short pulses are seen, too.
+        """
         dataset = record.dataset
         # A run that diverged may end in numbers that no picture can show.
-        finite = np.isfinite(dataset["position"].values).all(axis=1)
+        shown = [dataset[name].values for name in ("position", "hidden_position") if name in dataset]
+        finite = np.isfinite(np.hstack(shown)).all(axis=1)
         count = finite.size if finite.all() else max(1, int(np.argmin(finite)))
         dataset = dataset.isel(time=slice(count))
         self.times = dataset["time"].values
@@ -37,7 +44,8 @@ class ReplayView:
             self._target = np.hstack([free["target_quaternion"].values, free["target_position"].values])
             self._target_body = record.scenario.payload.body
         set_stage(meshcat, record.scenario, ghost=ghost)
-        self.spacecraft = SpacecraftView(meshcat, record.scenario.model, frames_per_second=frames_per_second)
+        self.spacecraft = SpacecraftView(meshcat, record.scenario, frames_per_second=frames_per_second)
+        self.deflections = Deflections(dataset, record.scenario.model, self.spacecraft.plant, self.spacecraft.hidden)
         if path and count > 1:
             every = max(1, count // _PATH_VERTICES)
             vertices = dataset["end_effector_position"].values[::every]
@@ -46,6 +54,12 @@ class ReplayView:
         if forces:
             inspector = self.spacecraft.scene_graph.model_inspector()
             self.arrows = ForceArrows(meshcat, dataset, self.spacecraft.plant, inspector)
+        self.plumes: Plumes | None = None
+        thrusters = own_thrusters(record.scenario)
+        if thrusters and "thruster_open" in dataset:
+            opened, spacecraft = dataset["thruster_open"].values, self.spacecraft
+            self.plumes = Plumes(meshcat, spacecraft.base_path, thrusters, opened, longest=spacecraft.longest)
+        self._per_picture = max(1, round(speed / frames_per_second / record.scenario.sample_time))
         self.show(0.0)
 
     @property
@@ -56,13 +70,16 @@ class ReplayView:
     def show(self, time: float, *, time_in_recording: float | None = None) -> None:
         """Show the sample at or next after a time of the run, s."""
         sample = min(int(np.searchsorted(self.times, time - 1e-9)), self.times.size - 1)
-        self.spacecraft.show(self._positions[sample], time=time_in_recording or 0.0)
+        deflection = self.deflections.at(sample)
+        self.spacecraft.show(self._positions[sample], deflection=deflection, time=time_in_recording or 0.0)
         if self._target is not None and sample < len(self._target):
             pose = self._target[sample]
             X_WP = RigidTransform(Quaternion(pose[:4] / np.linalg.norm(pose[:4])), pose[4:])
             self.spacecraft.place(self._target_body, X_WP, time_in_recording=time_in_recording)
         if self.arrows is not None:
             self.arrows.show(sample, time_in_recording=time_in_recording)
+        if self.plumes is not None:
+            self.plumes.show(sample, self._per_picture, time_in_recording=time_in_recording)
 
 
 def check_speed(speed: float) -> None:

@@ -1,6 +1,5 @@
 """Meshcat: the server, the stage, and the spacecraft on it."""
 
-import itertools
 import logging
 import math
 import secrets
@@ -9,13 +8,12 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 from pydrake.geometry import (
-    GeometryId,
+    FrameId,
     IllustrationProperties,
     Meshcat,
     MeshcatParams,
     MeshcatVisualizer,
     MeshcatVisualizerParams,
-    Obb,
     Rgba,
     Role,
     RoleAssign,
@@ -28,14 +26,24 @@ from pydrake.multibody.tree import BodyIndex, Frame
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.scenario import Model, Scenario
-from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, coordinates_of, find_body
+from ffsm_drake.scenario import Scenario, own_thrusters
+from ffsm_drake.show.meshcat.actuators import draw_thrusters, draw_wheels
+from ffsm_drake.spacecraft.panel_drawing import box_around, box_corners
+from ffsm_drake.spacecraft.plant import (
+    add_combined_plant,
+    base_body,
+    configuration,
+    coordinates_of,
+    find_body,
+    hidden_of,
+)
 from ffsm_drake.systems.reference import make_motion
 
 _VIEW = np.array([0.5843, -0.7176, 0.3793])  # unit vector from what the camera looks at to the camera
 _TANGENT = 0.85 * math.tan(math.radians(37.5))  # Meshcat shows 37.5 degrees up and down; some of it stays free
 _HIDDEN_TRIES = 4
 _TO_TARGET = ("quintic", "target_posture")  # kind and goal of a reference that ends there
+_WITHIN = ("mass", "pendulum")  # flexible parts within what carries them
 _GHOST_COLOR = Rgba(0.45, 0.85, 1.0, 0.10)
 
 
@@ -80,7 +88,7 @@ def set_stage(meshcat: Meshcat, scenario: Scenario, *, ghost: bool = True) -> No
     meshcat.SetProperty("/Axes", "visible", False)
     meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 1.2)
     builder = DiagramBuilder()
-    plant = add_combined_plant(builder, scenario.model)
+    plant = add_combined_plant(builder, scenario.model, flexible=True)
     scene_graph = builder.GetSubsystemByName("scene_graph")
     camera, center = camera_pose(plant, scenario, scene_graph.model_inspector())
     meshcat.SetCameraPose(camera, center)
@@ -102,7 +110,8 @@ def _show_target_posture(
     MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
-    plant.SetPositions(plant.GetMyMutableContextFromRoot(context), _last_configuration(scenario, plant))
+    q = hidden_of(plant).whole_positions(_last_configuration(scenario, plant))
+    plant.SetPositions(plant.GetMyMutableContextFromRoot(context), q)
     diagram.ForcedPublish(context)
 
 
@@ -128,7 +137,7 @@ def camera_pose(
     for name, posture in scenario.postures.items():
         last = name == "target_posture"
         q = _last_configuration(scenario, plant) if last else configuration(plant, posture, key=name)
-        plant.SetPositions(context, q)
+        plant.SetPositions(context, hidden_of(plant).whole_positions(q))
         points += [_outline(plant, context, inspector, BodyIndex(k)) for k in range(1, plant.num_bodies())]  # no world
     p_WP = np.concatenate(points)
     center = 0.5 * (p_WP.min(axis=0) + p_WP.max(axis=0))
@@ -138,12 +147,17 @@ def camera_pose(
     return center + distance * _VIEW, center
 
 
-def box_around(inspector: SceneGraphInspector, geometry: GeometryId) -> Obb | None:
-    """The box around a geometry, in its frame; None for what has no end, and for COLLADA, which only browsers read."""
-    try:
-        return inspector.GetObbInGeometryFrame(geometry)
-    except RuntimeError:
-        return None
+def base_bounding_box(plant: MultibodyPlant, inspector: SceneGraphInspector) -> tuple[RigidTransform, np.ndarray]:
+    """Pose in the base's frame and half width (3), m, of a box around the base's largest visible geometry."""
+    frame = plant.GetBodyFrameIdOrThrow(base_body(plant).index())
+    found = (RigidTransform(), np.full(3, 0.5))  # an invisible base: a cube of 1 m
+    largest = 0.0
+    for geometry in inspector.GetGeometries(frame, Role.kIllustration):
+        box = box_around(inspector, geometry)
+        if box is not None and (size := float(np.prod(box.half_width()))) > largest:
+            largest = size
+            found = (inspector.GetPoseInFrame(geometry) @ box.pose(), np.array(box.half_width()))
+    return found
 
 
 def _outline(plant: MultibodyPlant, context: Context, inspector: SceneGraphInspector, index: BodyIndex) -> np.ndarray:
@@ -152,24 +166,23 @@ def _outline(plant: MultibodyPlant, context: Context, inspector: SceneGraphInspe
     points = [X_WB.translation()[None]]
     frame = plant.GetBodyFrameIdIfExists(index)
     for geometry in inspector.GetGeometries(frame, Role.kIllustration) if frame is not None else ():
-        box = box_around(inspector, geometry)
-        if box is not None:
-            corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * box.half_width()
-            points.append((X_WB @ inspector.GetPoseInFrame(geometry) @ box.pose() @ corners.T).T)
+        if (corners := box_corners(inspector, geometry)) is not None:
+            points.append((X_WB @ corners.T).T)
     return np.concatenate(points)
 
 
 class SpacecraftView:
-    """The spacecraft in Meshcat, in any configuration, without a simulation."""
+    """The spacecraft with its thrusters and wheels in Meshcat, in any configuration, without a simulation."""
 
-    def __init__(self, meshcat: Meshcat, model: Model, *, frames_per_second: float = 25.0) -> None:
+    def __init__(self, meshcat: Meshcat, scenario: Scenario, *, frames_per_second: float = 25.0) -> None:
         """Show the default configuration; ``frames_per_second`` of an animation that ``visualizer`` records.
 
         Raises:
           ModelError: the model does not load.
         """
         builder = DiagramBuilder()
-        self.plant = add_combined_plant(builder, model)
+        self.plant = add_combined_plant(builder, scenario.model, flexible=True)
+        self.hidden = hidden_of(self.plant)
         self.scene_graph = builder.GetSubsystemByName("scene_graph")
         params = MeshcatVisualizerParams()
         params.publish_period = 1.0 / frames_per_second
@@ -179,19 +192,44 @@ class SpacecraftView:
         self._context = self._diagram.CreateDefaultContext()
         self._plant_context = self.plant.GetMyMutableContextFromRoot(self._context)
         self._diagram.ForcedPublish(self._context)
+        for name, part in scenario.model.flexible.items():
+            if part.kind in _WITHIN:
+                self._show_through(name)
+        self.base_path = self._path_of(self.plant.GetBodyFrameIdOrThrow(base_body(self.plant).index()))
+        _, half_width = base_bounding_box(self.plant, self.scene_graph.model_inspector())
+        self.longest = 2.0 * float(half_width.max())  # edge of the base, m
+        draw_thrusters(meshcat, self.base_path, own_thrusters(scenario), longest=self.longest)
+        if scenario.wheels is not None:
+            draw_wheels(meshcat, self.base_path, scenario.wheels, longest=self.longest)
 
-    def show(self, q: np.ndarray, *, time: float = 0.0) -> None:
-        """Show configuration q (nq); ``time`` (s) is its place in an animation being recorded."""
+    def show(self, q: np.ndarray, *, deflection: np.ndarray | None = None, time: float = 0.0) -> None:
+        """Show configuration q (nq), with hidden coordinates, if any, at rest or at ``deflection``.
+
+        ``time`` (s) is its place in an animation being recorded.
+        """
         self._context.SetTime(time)
-        self.plant.SetPositions(self._plant_context, q)
+        self.plant.SetPositions(self._plant_context, self.hidden.whole_positions(q, deflection))
         self._diagram.ForcedPublish(self._context)
 
     def place(self, body: str, X_WB: RigidTransform, *, time_in_recording: float | None = None) -> None:
         """Show a body (scoped name) apart from the rest; until the next ``show``."""
         frame = self.plant.GetBodyFrameIdOrThrow(find_body(self.plant, body, key="payload.body").index())
+        self._meshcat.SetTransform(self._path_of(frame), X_WB, time_in_recording)
+
+    def _show_through(self, body: str) -> None:
+        """Let nothing hide a body."""
+        frame, inspector = (
+            self.plant.GetBodyFrameIdOrThrow(self.plant.GetBodyByName(body).index()),
+            self.scene_graph.model_inspector(),
+        )
+        for geometry in inspector.GetGeometries(frame, Role.kIllustration):
+            path = f"{self._path_of(frame)}/{inspector.GetName(geometry).replace('::', '/')}"
+            self._meshcat.SetProperty(f"{path}/<object>", "material.depthTest", False)
+            self._meshcat.SetProperty(f"{path}/<object>", "renderOrder", 1.0)  # after the spacecraft
+
+    def _path_of(self, frame: FrameId) -> str:
         name = self.scene_graph.model_inspector().GetName(frame)
-        path = f"{self._prefix}/{name.replace('::', '/')}"
-        self._meshcat.SetTransform(path, X_WB, time_in_recording)
+        return f"{self._prefix}/{name.replace('::', '/')}"
 
     def position_of(self, frame: Frame, point: np.ndarray) -> np.ndarray:
         """A point (3) of a frame of ``plant``, in world (3), in the configuration that is shown, m."""

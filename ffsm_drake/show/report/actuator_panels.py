@@ -1,6 +1,7 @@
-"""The report's panels of thrusters and wheels: a timeline of firings, momentum and torque of each wheel."""
+"""The report's panels of actuators: a timeline of firings, each wheel's momentum and torque, each drive's friction."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -8,13 +9,14 @@ from ffsm_drake.runs.actuators import pulses_of
 from ffsm_drake.show.panels import Panel, Thinning, View, escape, time_panel
 from ffsm_drake.show.report.results import Result
 from ffsm_drake.show.report.time_panels import run_curve
-from ffsm_drake.show.tables import actuator_lines
+from ffsm_drake.show.tables import actuator_lines, number
 
 _MOST_PULSES = 20_000  # of one run that are drawn one by one
+_BOX = (-0.2, 0.2, 0.2, -0.2, -0.2)  # of a row's height
 
 
 def actuator_views(results: Sequence[Result], thin: Thinning) -> list[View]:
-    """Views of what the runs' thrusters and wheels did; none for runs without."""
+    """Views of what the runs' thrusters, wheels and drives did; none for runs without."""
     views = []
     if any("thruster_open" in result.record.dataset for result in results):
         views.append(View(label="Firings", panels=_firings(results)))
@@ -24,11 +26,14 @@ def actuator_views(results: Sequence[Result], thin: Thinning) -> list[View]:
             ("wheel_torque", "Wheels: torque of the motors", "N m", "hv"),
         ):
             views.append(View(label=label, panels=_by_wheel(results, thin, name, unit, shape)))
+    for name, label in (("friction_force", "Drives: friction"), ("rate_share", "Drives: share of the rate limit")):
+        if any(name in result.record.dataset for result in results):
+            views.append(View(label=label, panels=_by_joint(results, thin, name)))
     return views
 
 
 def actuator_text(results: Sequence[Result]) -> str:
-    """What the runs took out of thrusters and wheels, in sentences."""
+    """What the runs took out of their actuators, in sentences."""
     lines = []
     for result in results:
         name = f"{result.label}: " if len(results) > 1 else ""
@@ -36,8 +41,28 @@ def actuator_text(results: Sequence[Result]) -> str:
     return " ".join(lines)
 
 
+def actuator_tables(results: Sequence[Result]) -> list[dict[str, Any]]:
+    """What each thruster and each wheel of the runs did, a row each."""
+    found = []
+    for result in results:
+        data, fired, turned = result.record.dataset, result.thrusters, result.wheels
+        thrusters = [
+            [name, number(fired["impulse"][name]), fired["pulses"][name], number(fired["on_time"][name])]
+            for name in fired.get("impulse", {})
+        ]
+        wheels = []
+        for i, name in enumerate(turned.get("peak_momentum", {})):
+            speed, torque = (turned[f"peak_{kind}"][name] for kind in ("speed", "torque"))
+            limits = [float(data[f"{kind}_limit"].values[i]) for kind in ("speed", "torque")]
+            figures = (turned["peak_momentum"][name], speed, limits[0], torque, limits[1])
+            wheels.append([name, *map(number, figures)])
+        if thrusters or wheels:
+            found.append({"result": result, "thrusters": thrusters, "wheels": wheels})
+    return found
+
+
 def _firings(results: Sequence[Result]) -> list[Panel]:
-    """A panel per run: a row for each thruster, a bar for each pulse."""
+    """A panel per run: a row for each thruster, a box for each pulse."""
     panels = []
     for i, result in enumerate(results):
         data = result.record.dataset
@@ -53,10 +78,14 @@ def _firings(results: Sequence[Result]) -> list[Panel]:
                 gap = 2.0 * (time[-1] - time[0]) * len(names) / _MOST_PULSES
                 apart = np.flatnonzero(starts[1:] - ends[:-1] > gap)
                 starts, ends = starts[np.r_[0, apart + 1]], ends[np.r_[apart, ends.size - 1]]
-            x = np.stack([starts, ends, np.full(starts.size, np.nan)], axis=1).ravel()
-            y = np.where(np.isnan(x), np.nan, float(row))
-            look = {"name": names[row], "width": 9.0, "hovertemplate": "%{x:.2f} s", "connectgaps": False}
-            traces.append(run_curve(results, i, (x, y), **look) | {"mode": "lines"})
+            # A box of each pulse: its outline is seen where it is narrower than a pixel.
+            x = np.stack([starts, starts, ends, ends, starts, np.full(starts.size, np.nan)], axis=1)
+            y = np.tile(row + np.array([*_BOX, np.nan]), starts.size)
+            look = {
+                "name": names[row], "width": 1.0, "hovertemplate": "%{x:.2f} s", "connectgaps": False,
+                "fill": "toself", "hoveron": "points",
+            }  # fmt: skip
+            traces.append(run_curve(results, i, (x.ravel().astype(np.float32), y), **look) | {"mode": "lines"})
         title = result.label if len(results) > 1 else "Open valves"
         panel = time_panel(title, "", traces)
         panel.figure.update_layout(hovermode="closest")
@@ -86,4 +115,26 @@ def _by_wheel(results: Sequence[Result], thin: Thinning, variable: str, unit: st
                 curve = thin(data["time"].values, data[variable].sel(wheel=name).values)
                 traces.append(run_curve(results, i, curve, shape=shape))
         panels.append(time_panel(name.replace("_", " "), unit, traces))
+    return panels
+
+
+def _by_joint(results: Sequence[Result], thin: Thinning, variable: str) -> list[Panel]:
+    """A panel for each joint of any run, the runs that have the variable overlaid."""
+    units = {
+        str(name): {"rad": "N m", "m": "N"}[str(unit)] if variable == "friction_force" else ""
+        for data in (result.record.dataset for result in results)
+        for name, group, unit in zip(*(data[key].values for key in ("coordinate", "group", "unit")), strict=True)
+        if variable in data and str(group) == "joints"
+    }
+    panels = []
+    for name, unit in units.items():
+        traces = []
+        for i, result in enumerate(results):
+            data = result.record.dataset
+            if variable in data and name in data["coordinate"].values:
+                values = data[variable].sel(coordinate=name).values
+                if values.any():
+                    traces.append(run_curve(results, i, thin(data["time"].values, values)))
+        if traces:
+            panels.append(time_panel(name.replace("_", " "), unit, traces))
     return panels

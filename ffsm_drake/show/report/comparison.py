@@ -4,10 +4,11 @@
 import dataclasses
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.runs.deflections import deflection_metrics
 from ffsm_drake.runs.limits import plan_remarks, run_clearance, run_remarks, saturation
 from ffsm_drake.show.report.results import Result, actuators_act, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
@@ -59,6 +60,8 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
     for k, name in enumerate(dict.fromkeys(name for share in shares for name in share)):
         cells = [Cell(percent(share.get(name, 0.0))) for share in shares]
         rows.append(Row(name.replace("_", " "), cells, head="" if k else "Samples at the limit of the actuators"))
+    rows += _of_actuators(results)
+    rows += _hidden_rows(results)
     simulated = [Cell(f"{result.record.outcome.time:g}") for result in results]
     rows.append(Row("Simulated time", simulated, unit="s", head="Computation"))
     for label, key in (("Wall time, simulation", "advance_to"), ("Wall time, all told", "total")):
@@ -67,9 +70,63 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
     return rows
 
 
+def _of_actuators(results: Sequence[Result]) -> list[Row]:
+    """What the runs took out of thrusters and wheels; nothing where there are none."""
+    rows = []
+    if any(result.thrusters for result in results):
+        figures = [result.thrusters for result in results]
+        least = [Cell(number(1e3 * each.get("propellant_of_force", math.nan))) for each in figures]
+        impulse, pulses = ([sum(each.get(key, {}).values()) for each in figures] for key in ("impulse", "pulses"))
+        rows += [
+            Row("Propellant", _compared(results, propellant, digits=4), unit="g", head="Thrusters"),
+            Row("At least, for the commanded force", least, unit="g"),
+            Row("Impulse", [Cell(number(each)) for each in impulse], unit="N s"),
+            Row("Pulses", [Cell(str(each)) for each in pulses]),
+            Row("Samples with less than was wanted", [_share(each, "saturated") for each in figures]),
+        ]
+    if any(result.wheels for result in results):
+        keys = {
+            "Speed, of a wheel's limit": "speed_used", "Torque, of a motor's limit": "torque_used",
+            "Samples with a motor at its limit": "torque_limited", "Samples in which they are unloaded": "unloading",
+        }  # fmt: skip
+        made = [Row(label, [_share(result.wheels, key) for result in results]) for label, key in keys.items()]
+        rows += [dataclasses.replace(made[0], head="Wheels"), *made[1:]]
+    return rows
+
+
+def propellant(result: Result) -> float:
+    """What a run took of it, g; NaN where that is not known."""
+    return 1e3 * float(result.thrusters.get("propellant", math.nan))
+
+
+def _share(figures: Mapping[str, Any], key: str) -> Cell:
+    return Cell(percent(figures.get(key, math.nan)))
+
+
 def _magnitude(result: Result, group: str, unit: str, field: str) -> float:
     found = [getattr(part, field) for part in result.magnitudes if (part.group, part.unit) == (group, unit)]
     return float(found[0]) if found else math.nan
+
+
+def _hidden_rows(results: Sequence[Result]) -> list[Row]:
+    """How far each hidden coordinate of any run is deflected, and what is left of it after the motion."""
+    units: dict[str, str] = {}
+    for data in (result.record.dataset for result in results):
+        if "hidden_unit" in data.coords:
+            units |= dict(
+                zip(*(data[f"hidden_{key}"].values.astype(str) for key in ("coordinate", "unit")), strict=True)
+            )
+    found = [deflection_metrics(result.record.dataset) for result in results]
+    rows = []
+    for key, head in (
+        ("peak", "Largest deflection of hidden coordinates"),
+        ("residual_amplitude", "Their amplitude after the motion"),
+        ("residual_rms", "Their rms after the motion"),
+    ):
+        for k, (name, unit) in enumerate(units.items()):
+            cells = [Cell(number((figures.get(key) or {}).get(name))) for figures in found]
+            rows.append(Row(name.replace("_", " "), cells, unit=unit, head="" if k else head))
+    return rows
 
 
 def _compared(results: Sequence[Result], figure: Callable[[Result], float], *, digits: int) -> list[Cell]:
@@ -122,8 +179,13 @@ def _limits_left(results: Sequence[Result]) -> list[str]:
 def rankings(results: Sequence[Result]) -> list[dict[str, Any]]:
     """The runs by accuracy and by effort: place, value, and how many times the best one's value that is."""
     made = []
-    for title, name, digits in (("By accuracy (ITAE)", "itae", 4), ("By effort (ISV)", "isv", 5)):
-        figure = operator.attrgetter(name)
+    figures: list[tuple[str, Callable[[Result], float], int]] = [
+        ("By accuracy (ITAE)", operator.attrgetter("itae"), 4),
+        ("By effort (ISV)", operator.attrgetter("isv"), 5),
+    ]
+    if any(math.isfinite(propellant(result)) for result in results):
+        figures.append(("By propellant (g)", propellant, 4))
+    for title, figure, digits in figures:
         ranked = ranking(results, figure)
         entries = []
         for place, result in enumerate(ranked, start=1):

@@ -25,6 +25,8 @@ def grasp_of(result: Result) -> dict[str, Any] | None:
     for key, title, unit in _LEDGER:
         change = float(np.linalg.norm(np.subtract(after[key], before[key])))
         rows.append([f"{title} [{unit}]", _vector(before[key]), _vector(after[key]), number(change, 2)])
+    if stored := grasp.get("stored_momentum"):
+        rows.append(["of which in the wheels [N m s]", _vector(stored), _vector(stored), "0"])
     lost = before["kinetic_energy"] - after["kinetic_energy"]
     rows.append(["Kinetic energy [J]", number(before["kinetic_energy"]), number(after["kinetic_energy"]), number(lost)])
     units = dict(

@@ -14,8 +14,9 @@ from ffsm_drake.runs.record import IDENTIFIER, RunRecord
 from ffsm_drake.scenario import controller_key
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.panels import Thinning
-from ffsm_drake.show.report.actuator_panels import actuator_text, actuator_views
+from ffsm_drake.show.report.actuator_panels import actuator_tables, actuator_text, actuator_views
 from ffsm_drake.show.report.comparison import rankings, table, table_notes
+from ffsm_drake.show.report.deflection_panels import deflection_views
 from ffsm_drake.show.report.grasp import grasp_of
 from ffsm_drake.show.report.provenance import provenance, software
 from ffsm_drake.show.report.results import SETTLED_OVER, Result, results_of
@@ -102,6 +103,8 @@ def render_report(
     views = run_views(results, thin)
     if actuators := actuator_views(results, thin):
         views["actuators"] = actuators
+    if deflections := deflection_views(results, thin):
+        views["hidden"] = deflections
     views |= {"stability": stability_views(results, [margin for margin, _ in margins], thin)}
     descriptions = list(dict.fromkeys(record.scenario.description for record in records))
     description = descriptions[0] or "Run report"
@@ -112,7 +115,11 @@ def render_report(
     settled = " and ".join(dict.fromkeys(within.values()))
     sections = dict(_SECTIONS)
     if actuators:
-        sections["actuators"] = ("Thrusters and wheels", actuator_text(results), "")
+        sections["actuators"] = ("Actuators", actuator_text(results), "")
+    if deflections:
+        sections["hidden"] = (
+            "Hidden coordinates", "What moves in the true spacecraft that the controller takes for rigid.", "",
+        )  # fmt: skip
     content: Json = {
         "title": title or description,
         "kicker": "; ".join(descriptions) if title or len(descriptions) > 1 else "free-flying space manipulator",
@@ -132,6 +139,7 @@ def render_report(
             for key, (heading, text, nothing) in sections.items()
         ],
         "views": views,
+        "actuators": actuator_tables(results) if actuators else [],
         "grasps": [grasp for result in results if (grasp := grasp_of(result)) is not None],
         "thinning": _thinning(thin),
         "findings": [_findings(result) for result in results],

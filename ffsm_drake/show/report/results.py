@@ -2,11 +2,12 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from typing import Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
 
+from ffsm_drake.runs.actuators import thruster_metrics, wheel_metrics
 from ffsm_drake.runs.metrics import isv, itae
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.style import Style, labels_of, styles_of
@@ -43,6 +44,8 @@ class Result:
     itae: float
     isv: float
     magnitudes: tuple[Magnitude, ...]
+    thrusters: Mapping[str, Any]  # of ``runs.actuators``; empty where there are none
+    wheels: Mapping[str, Any]
 
     @property
     def comparable(self) -> bool:
@@ -88,9 +91,11 @@ def _result(record: RunRecord, label: str, style: Style) -> Result:
     accuracy = math.nan if error is None else itae(record.dataset["time"].values[:-1], error[:-1], period)
     cost = math.nan if effort is None else isv(effort[:-1], period)
     magnitudes = tuple(_magnitudes(record, error, effort))
+    sampled = record.dataset.sizes.get("time", 0) > 0
     return Result(
         record=record, label=label, style=style, status=status, verdict=verdict, itae=accuracy, isv=cost,
-        magnitudes=magnitudes,
+        magnitudes=magnitudes, thrusters=thruster_metrics(record.dataset) if sampled else {},
+        wheels=wheel_metrics(record.dataset) if sampled else {},
     )  # fmt: skip
 
 

@@ -100,7 +100,7 @@ def study_noise(
       ScenarioError: an argument cannot be used.
       KeyboardInterrupt: the user stopped the runs.
     """
-    from ffsm_drake.control_design.stability.prediction import make_demand  # SciPy is slow to import
+    from ffsm_drake.control_design.stability.demand import make_demand  # SciPy is slow to import
 
     cases = study_cases(seeds=seeds, sigmas=sigmas, duration=duration, controllers=controllers)
     return NoiseStudy(

@@ -1,5 +1,6 @@
 """Thrusters and wheels in the closed loop: they give the base's force and torque."""
 
+import itertools
 import math
 
 import numpy as np
@@ -19,8 +20,8 @@ _REPAID_IN = 10
 class BaseActuators(LeafSystem):
     """Thrusters, wheels or both: they give the base's wrench, all else passes.
 
-    Torque is the wheels', force the thrusters', which unload the wheels too; without wheels torque is the thrusters',
-    without thrusters force acts as commanded. In each sample the wheels counter the torque that the thrusters fire.
+    Torque is the wheels', force the thrusters', which unload the wheels and may help them; without wheels torque is the
+    thrusters', without thrusters force acts as commanded. In each sample the wheels counter what torque thrusters fire.
     Inputs:
       commanded_force: (nv), the base's torque and force in world axes.
       state: [q; v] of the plant (nq + nv).
@@ -61,9 +62,10 @@ class BaseActuators(LeafSystem):
             count = len(wheels.names)
             self.sizes |= {"wheel_momentum": count, "wheel_torque": count, "wheel_unloads": 1, "wheel_reaction": 3}
             self._stored = self.DeclareVectorInputPort("stored_momentum", 3)
-        memory = np.concatenate(initial)
+        self.initial_memory = memory = np.concatenate(initial)
         self.sizes["memory"] = memory.size
-        self._parts = np.cumsum([each.size for each in initial])[:-1]
+        ends = np.cumsum([0, *(each.size for each in initial)]).tolist()
+        self._parts = list(itertools.starmap(slice, itertools.pairwise(ends)))
         self._commanded = self.DeclareVectorInputPort("commanded_force", nv)
         self._state = self.DeclareVectorInputPort("state", 2 * nv + 1)
         self._rotation = self.DeclareDiscreteState(np.eye(3).ravel())
@@ -78,21 +80,25 @@ class BaseActuators(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        thrusters, wheels, value = self._thrusters, self._wheels, context.get_discrete_state().value
-        commanded, rotation = self._commanded.Eval(context), value(self._rotation).reshape(3, 3)
+    def give(
+        self, commanded: np.ndarray, memory: np.ndarray, *, rotation: np.ndarray, turning: np.ndarray, begins: bool
+    ) -> np.ndarray:
+        """The output ``sample``, as a pure function of the command (nv) and of what the discrete state holds."""
+        thrusters, wheels = self._thrusters, self._wheels
         wanted = commanded[:6].reshape(2, 3).dot(rotation)  # torque, force in the base's axes
-        memories = iter(np.split(value(self._memory), self._parts))
-        parts, memory = list[np.ndarray](), list[np.ndarray]()
-        applied, by_wheels, begins = commanded.copy(), np.zeros(3), bool(value(self._begins).item())
+        memories = iter([memory[part] for part in self._parts])
+        parts, kept = list[np.ndarray](), list[np.ndarray]()
+        applied, by_wheels = commanded.copy(), np.zeros(3)
         asked = wanted.copy()  # of the thrusters
         if wheels is not None:
             short, momentum, unloads = next(memories), next(memories), bool(next(memories).item())
-            w_WB, missing = np.split(value(self._turning), 2)
+            w_WB, missing = turning[:3], turning[3:]
             wanted[0] += short.dot(rotation) / (_REPAID_IN * self._sample_time)
             if begins:
                 unloads = wheels.unloads(unloads, momentum, w_WB)
-            asked[0] = wheels.unloading_torque(momentum) if unloads else 0.0
+            asked[0] = wheels.beyond(wanted[0])
+            if unloads:
+                asked[0] += wheels.unloading_torque(momentum)
         if thrusters is not None:
             owed, fuel = next(memories), ThrusterMemory.unpacked(next(memories))
             if begins:
@@ -106,16 +112,29 @@ class BaseActuators(LeafSystem):
             parts += [firing.force, firing.open_share, np.array([firing.given])]
             if thrusters.carries_over:
                 owed = owed + (asked - fired).dot(rotation.T).ravel() * self._sample_time
-            memory += [owed, fuel.packed()]
+            kept += [owed, fuel.packed()]
             wanted[0] -= fired[0]
         if wheels is not None:
             torques = wheels.give(wanted[0], momentum, w_WB)
             by_wheels = rotation.dot(torques.on_base) + missing
             applied[:3] = by_wheels + (0.0 if thrusters is None else applied[:3])
             parts += [momentum, torques.motor, np.array([float(unloads)]), by_wheels]
-            short = wheels.bounded(short + (commanded[:3] - applied[:3]) * self._sample_time, _REPAID_IN)
-            memory = [short, momentum + torques.on_wheels * self._sample_time, np.array([float(unloads)]), *memory]
-        output.SetFromVector(np.concatenate([applied, *parts, *memory]))
+            # What is missing has been given already, in a direction that was held.
+            given = applied[:3] - missing
+            short = wheels.bounded(short + (commanded[:3] - given) * self._sample_time, _REPAID_IN)
+            kept = [short, momentum + torques.on_wheels * self._sample_time, np.array([float(unloads)]), *kept]
+        return np.concatenate([applied, *parts, *kept])
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        value = context.get_discrete_state().value
+        sample = self.give(
+            self._commanded.Eval(context),
+            value(self._memory),
+            rotation=value(self._rotation).reshape(3, 3),
+            turning=value(self._turning),
+            begins=bool(value(self._begins).item()),
+        )
+        output.SetFromVector(sample)
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
         sample, memory = round(context.get_time() / self._sample_time), None
@@ -130,7 +149,7 @@ class BaseActuators(LeafSystem):
         if self._wheels is not None:
             rotation = attitude_ahead(quaternion, w_WB, 0.0).reshape(3, 3)
             kept = context.get_discrete_state().value(self._memory) if memory is None else memory
-            momentum = np.split(kept, self._parts)[1]
+            momentum = kept[self._parts[1]]
             # The held direction of the torque, and the integrator, leave a little between the two.
             missing = self._stored.Eval(context) - rotation.dot(self._wheels.axes.dot(momentum))
             values.set_value(self._turning, np.concatenate([w_WB.dot(rotation), missing / self._sample_time]))

@@ -92,6 +92,11 @@ class ThrusterSet:
         none = np.zeros(len(self.names))
         return ThrusterMemory(none, self._stuck_on.astype(float), none, none, none, 1.0)
 
+    def most(self, direction: np.ndarray) -> float:
+        """The largest multiple of a wrench (6; base's axes, N m and N) that they give."""
+        beyond = 10.0 * float(self.force.sum()) * float(np.linalg.norm(direction))
+        return beyond * self._allocation.solve(beyond * direction)[1]
+
     def allocate(self, wrench: np.ndarray, memory: ThrusterMemory) -> ThrusterMemory:
         """The start of a frame: memory with what a wanted wrench (6; base's axes, N m and N) opens."""
         forces, given = self._allocation.solve(wrench - self._leak)

@@ -18,6 +18,7 @@ from ffsm_drake.scenario import Wheels
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
 
 _FADES_BELOW = 0.1  # rad/s; Coulomb friction, which jumps at rest otherwise
+_LEAST = 1e-12
 _UNLOADING = 0.5  # of the motors' torque, at most
 
 
@@ -76,6 +77,17 @@ class WheelSet:
         speed = self.speed(momentum, angular_velocity)
         on_wheels = motor - self._coulomb * np.tanh(speed / _FADES_BELOW) - self._viscous * speed
         return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-self.axes.dot(on_wheels))
+
+    def most(self, direction: np.ndarray) -> float:
+        """The largest multiple of a torque (3; base's axes, N m) that the motors give."""
+        return 1.0 / float((np.abs(self._share.dot(direction)) / self._torque).max())
+
+    def beyond(self, torque: np.ndarray) -> np.ndarray:
+        """What of a wanted torque on the base (3, base's axes, N m) thrusters are to give, by ``assist_above``."""
+        if self.settings.assist_above is None:
+            return np.zeros(3)
+        share = self.settings.assist_above / float((np.abs(self._share.dot(torque)) / self._torque).max() + _LEAST)
+        return max(0.0, 1.0 - share) * torque
 
     def bounded(self, impulse: np.ndarray, samples: int) -> np.ndarray:
         """An impulse of torque (3, N m s), cut to twice what the weakest motor gives in some control samples."""

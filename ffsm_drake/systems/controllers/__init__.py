@@ -9,6 +9,7 @@ from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.controllers.filtering import make_filtered
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
     Gain,
@@ -75,8 +76,12 @@ def make_controller(scenario: Scenario, nominal: PlantModel, factory: Factory | 
     setup = controller_setup(scenario, nominal)
     _check_other_gains(scenario, setup.coordinates)
     made = _make(setup, factory)
-    if hasattr(made, "initial_state") and hasattr(made, "step"):
-        return SampledController(made, name=setup.name, coordinates=setup.coordinates, sample_time=setup.sample_time)
+    is_law = hasattr(made, "initial_state") and hasattr(made, "step")
+    law = make_filtered(made, scenario.command_filter, setup.coordinates, sample_time=setup.sample_time)
+    if is_law:
+        return SampledController(law, name=setup.name, coordinates=setup.coordinates, sample_time=setup.sample_time)
+    if law is not made:
+        raise ScenarioError("command_filter", f"is for control laws; '{setup.name}' is a Drake system of its own")
     return made
 
 

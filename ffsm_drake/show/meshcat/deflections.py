@@ -1,0 +1,58 @@
+"""Hidden coordinates of a record as they are shown: panels bend by milliradians, which nobody sees."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+
+from ffsm_drake.scenario import Model
+from ffsm_drake.show.meshcat.arrows import magnification
+from ffsm_drake.spacecraft.coordinates import HiddenCoordinates
+from ffsm_drake.spacecraft.flexible import HIDDEN, labels_of
+from ffsm_drake.spacecraft.plant import find_frame
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_LARGEST = {"rad": math.radians(10.0), "m": 0.3}  # of a part that is drawn larger
+_PLURAL = {"mass": "masses"}
+
+
+class Deflections:
+    """The hidden coordinates of a record, drawn larger by a round factor for each kind of part.
+
+    The factor leaves the part that bends most below 10 degrees (a chain's plates together) or 0.3 m. What the end
+    effector hangs on is drawn as it is, so that the arm still meets its path.
+    """
+
+    def __init__(self, dataset: "xr.Dataset", model: Model, plant: MultibodyPlant, hidden: HiddenCoordinates) -> None:
+        """Args: of a run; its model, and the plant and its hidden coordinates that show it."""
+        self.factors: dict[str, int] = {}  # by kind; those beyond 1
+        self._shown = np.zeros((dataset.sizes["time"], len(hidden.names)))
+        if not hidden.names:
+            return
+        self._shown = dataset["hidden_position"].sel(hidden_coordinate=list(hidden.names)).values.copy()
+        tip = find_frame(plant, model.end_effector, key="model.end_effector").body()
+        columns: dict[str, list[list[int]]] = {}  # kind -> the coordinates of each part
+        for name, part in model.flexible.items():
+            joints = [plant.GetJointByName(f"{HIDDEN}{label}").index() for label in labels_of(name, part)]
+            if tip.index() not in plant.GetBodiesKinematicallyAffectedBy(joints):
+                columns.setdefault(part.kind, []).append([hidden.names.index(each) for each in labels_of(name, part)])
+        for kind, parts in columns.items():
+            largest = max(float(np.abs(self._shown[:, part]).sum(axis=1).max()) for part in parts)
+            factor = magnification(largest / _LARGEST[hidden.units[parts[0][0]]])
+            self._shown[:, [column for part in parts for column in part]] *= factor
+            if factor > 1:
+                self.factors[kind] = factor
+
+    def at(self, sample: int) -> np.ndarray:
+        """What is shown of a sample of the record."""
+        shown: np.ndarray = self._shown[sample]
+        return shown
+
+    @property
+    def legend(self) -> str:
+        """By how much they are drawn larger; empty where they are as they were."""
+        factors = [f"{_PLURAL.get(kind, f'{kind}s')} x {factor}" for kind, factor in self.factors.items()]
+        return f"deflections drawn larger: {', '.join(factors)}" if factors else ""

@@ -1,0 +1,254 @@
+"""Free floating: where undriven base coordinates go when the driven coordinates move, by conservation of momentum.
+
+Of the velocities v, some are driven (a), the others not (u): the whole base, or its position alone. Then
+
+    H_uu v_u + H_ua v_a = p_u
+
+with the mass matrix H and the momentum p_u, of which v_u, generalized Jacobians, H* and the reaction null space follow
+(``docs/free_floating.md``). World axes throughout; twists are [w; v], rad/s and m/s, as Drake has them. Momenta are
+[angular about the world's origin; linear], N m s and N s: constant while no force acts from outside.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import numpy as np
+from pydrake.multibody.tree import Frame
+from scipy.optimize import minimize_scalar
+
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.nominal import PlantModel
+
+_RANK = 1e-9  # ratio of singular values, between rounding and what an arm has
+_BASE = Coordinates((), ())
+_POSITION = slice(4, NUM_BASE_POSITIONS)  # of q: p_WB
+
+Task = Literal["pose", "attitude", "position"]
+_ROWS: dict[str, slice] = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6)}  # of a twist
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class FreeFloating:
+    """A spacecraft in one configuration or many (...), part of whose coordinates nothing drives.
+
+    ``free_floating`` makes it of a plant. What it computes once is kept.
+    """
+
+    mass_matrix: np.ndarray  # H (..., nv, nv)
+    base_position: np.ndarray  # p_WB (..., 3), m
+    driven: np.ndarray  # (na) indices of v, ascending
+
+    @functools.cached_property
+    def undriven(self) -> np.ndarray:
+        """Indices of v that nothing drives (nu)."""
+        return np.delete(np.arange(self.mass_matrix.shape[-1]), self.driven)
+
+    @functools.cached_property
+    def momentum_map(self) -> np.ndarray:
+        """A (..., 6, nv) of the momentum A v: the first six rows of H, moments taken about the world's origin."""
+        rows = self.mass_matrix[..., :NUM_BASE_VELOCITIES, :].copy()
+        rows[..., :3, :] += np.cross(self.base_position[..., :, None], rows[..., 3:, :], axis=-2)
+        return rows
+
+    @functools.cached_property
+    def following(self) -> np.ndarray:
+        """-H_uu^-1 H_ua (..., nu, na): the undriven velocities for each driven one, at zero momentum."""
+        rows = self.mass_matrix[..., self.undriven, :]
+        return -np.linalg.solve(rows[..., self.undriven], rows[..., self.driven])
+
+    def velocity(self, driven_velocity: np.ndarray, momentum: np.ndarray | None = None) -> np.ndarray:
+        """v (..., nv) of driven velocities (..., na): v_u = H_uu^-1 (p_u - H_ua v_a), the base's twist in v[:6].
+
+        Args:
+          driven_velocity: v_a, rad/s and m/s.
+          momentum: (..., 6) of all; None: zero.
+
+        Raises ValueError unless base or base position are undriven: of nothing else is momentum conserved.
+        """
+        self._check_conserved()
+        following = _times(self.following, driven_velocity)
+        if momentum is not None:
+            about_base = np.array(np.broadcast_to(momentum, (*self.base_position.shape[:-1], 6)), dtype=float)
+            about_base[..., :3] -= np.cross(self.base_position, about_base[..., 3:])
+            own = self.mass_matrix[..., self.undriven[:, None], self.undriven]
+            following = following + np.linalg.solve(own, about_base[..., self.undriven, None])[..., 0]
+        v = np.empty((*following.shape[:-1], self.mass_matrix.shape[-1]))
+        v[..., self.undriven], v[..., self.driven] = following, driven_velocity
+        return v
+
+    def momentum(self, v: np.ndarray) -> np.ndarray:
+        """The momentum (..., 6) of velocities v (..., nv)."""
+        return _times(self.momentum_map, v)
+
+    def generalized_jacobian(self, jacobian: np.ndarray) -> np.ndarray:
+        """J* = J_a - J_u H_uu^-1 H_ua (..., m, na): a frame's twist is J* v_a, and its ``drift``.
+
+        Args: the Jacobian J (..., m, nv), such as that of ``PlantModel.calc_jacobian``. Raises as ``velocity``.
+        """
+        self._check_conserved()
+        return jacobian[..., self.driven] + jacobian[..., self.undriven] @ self.following
+
+    def drift(self, jacobian: np.ndarray, momentum: np.ndarray) -> np.ndarray:
+        """J_u H_uu^-1 p_u (..., m): a frame's twist while the driven coordinates stand still. Raises as ``velocity``.
+
+        Args: the Jacobian J (..., m, nv); the momentum (..., 6).
+        """
+        return _times(jacobian, self.velocity(np.zeros(self.driven.size), momentum))
+
+    @functools.cached_property
+    def reduced_mass_matrix(self) -> np.ndarray:
+        """H* = H_aa - H_au H_uu^-1 H_ua (..., na, na) of H* dv_a/dt + C* = tau_a."""
+        rows = self.mass_matrix[..., self.driven, :]
+        return rows[..., self.driven] + rows[..., self.undriven] @ self.following
+
+    def reduced_bias(self, bias: np.ndarray) -> np.ndarray:
+        """C* = C_a - H_au H_uu^-1 C_u (..., na), N m and N, of the bias C (..., nv) of ``PlantModel.calc_bias``."""
+        across = np.swapaxes(self.following, -1, -2)
+        return bias[..., self.driven] + _times(across, bias[..., self.undriven])
+
+    def reaction_null_space(self, held: Sequence[str] = ("base_rotation",)) -> np.ndarray:
+        """The projector N (..., na, na): velocities v_a = N z leave the held base coordinates alone at zero momentum.
+
+        N is symmetric, N z the nearest to z that does so; N = 0 where there is none. Its rank is
+        na less the independent rows of ``following`` that are held.
+
+        Args: groups or names of undriven base coordinates. Raises ValueError for others, and as ``velocity``.
+        """
+        self._check_conserved()
+        rows = np.flatnonzero(np.isin(self.undriven, _BASE.indices(held, key="held")))
+        if rows.size < len(_BASE.indices(held, key="held")):
+            raise ValueError(f"held: {', '.join(held)} is driven, so that no reaction moves it")
+        _, sizes, directions = np.linalg.svd(self.following[..., rows, :])
+        kept = sizes > _RANK * sizes.max(axis=-1, keepdims=True, initial=0.0)
+        directions = directions[..., : sizes.shape[-1], :] * kept[..., None]
+        return np.eye(self.driven.size) - np.swapaxes(directions, -1, -2) @ directions
+
+    def _check_conserved(self) -> None:
+        if self.undriven.tolist() not in ([0, 1, 2, 3, 4, 5], [3, 4, 5], []):
+            raise ValueError(
+                "momentum says where undriven coordinates go only if they are the whole base or its position"
+            )
+
+
+def free_floating(model: PlantModel, q: np.ndarray, driven: Sequence[str] = ("joints",)) -> FreeFloating:
+    """A plant in configurations q (..., nq) whose coordinates are driven in part.
+
+    Args:
+      model: the plant with its payload.
+      driven: names of coordinates or groups; ("base_rotation", "joints") where wheels hold the base's attitude.
+
+    Raises:
+      ScenarioError: a name is unknown.
+      ValueError: the plant has hidden coordinates, or q is not finite.
+    """
+    if model.hidden.names:
+        raise ValueError("the plant has hidden coordinates, which springs move too; take one without")
+    return FreeFloating(
+        mass_matrix=model.calc_mass_matrix(q),
+        base_position=q[..., _POSITION],
+        driven=model.coordinates.indices(driven, key="driven"),
+    )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Manipulability:
+    """How well driven coordinates move a frame, of generalized Jacobians (..., m, na) or of a fixed base's."""
+
+    singular_values: np.ndarray  # (..., k), the largest first; k is the smaller of m and na
+    lost: np.ndarray  # (..., m) the direction of the twist that the smallest one moves
+
+    @property
+    def measure(self) -> np.ndarray:
+        """sqrt(det(J* J*^T)) (...), the product of the singular values; of J*^T J* where na < m."""
+        return self.singular_values.prod(axis=-1)
+
+    @property
+    def smallest(self) -> np.ndarray:
+        """The smallest singular value (...): zero at a dynamic singularity."""
+        return self.singular_values[..., -1]
+
+
+def manipulability(jacobian: np.ndarray, *, task: Task = "pose", length: float = 1.0) -> Manipulability:
+    """The dynamic manipulability of a generalized Jacobian J* (..., 6, na).
+
+    Args:
+      task: which rows count: of the twist [w; v], of w, or of v.
+      length: what makes radians comparable to metres, m: w counts as length w.
+    """
+    scaled = (np.repeat([length, 1.0], 3)[:, None] * jacobian)[..., _ROWS[task], :]
+    left, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+    return Manipulability(singular_values=sizes, lost=left[..., -1])
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Singularity:
+    """Where a motion comes nearest to a dynamic singularity, for a while."""
+
+    time: float  # s
+    smallest: float  # singular value
+    lost: np.ndarray  # (m) the direction of the twist that then takes the largest rates, length w for w
+
+
+def manipulability_along(
+    model: PlantModel,
+    positions: np.ndarray,
+    frame: Frame | str,
+    *,
+    driven: Sequence[str] = ("joints",),
+    task: Task = "pose",
+    length: float = 1.0,
+) -> Manipulability:
+    """The dynamic manipulability of a frame along a motion, configurations (n, nq). Where the base is does not matter.
+
+    Args: as ``free_floating``, ``PlantModel.calc_jacobian`` and ``manipulability``, whose errors it raises.
+    """
+    spacecraft = free_floating(model, positions, driven)
+    jacobian = spacecraft.generalized_jacobian(model.calc_jacobian(positions, frame))
+    return manipulability(jacobian, task=task, length=length)
+
+
+def singularities_along(
+    model: PlantModel,
+    positions: Callable[[np.ndarray], np.ndarray],
+    times: np.ndarray,
+    frame: Frame | str,
+    *,
+    below: float,
+    driven: Sequence[str] = ("joints",),
+    task: Task = "pose",
+    length: float = 1.0,
+) -> list[Singularity]:
+    """Where a motion's smallest singular value has a minimum below some value, in order of time.
+
+    Args:
+      positions: configurations (n, nq) at times (n,), s, such as the first columns of ``Plan.rows``.
+      times: where to look first, ascending; minima are then found between them to 1e-9 of their distance.
+      below: of singular values.
+      others: as ``manipulability_along``.
+    """
+
+    def at(some: np.ndarray) -> Manipulability:
+        return manipulability_along(model, positions(some), frame, driven=driven, task=task, length=length)
+
+    size = np.concatenate([[np.inf], at(times).smallest, [np.inf]])
+    found = []
+    for index in np.flatnonzero((size[1:-1] <= size[:-2]) & (size[1:-1] < size[2:])).tolist():
+        first, last = times[max(index - 1, 0)], times[min(index + 1, len(times) - 1)]
+        inner = minimize_scalar(
+            lambda time: float(at(np.array([time])).smallest[0]),
+            bounds=(first, last),
+            method="bounded",
+            options={"xatol": 1e-9 * (last - first)},
+        )
+        time = float(inner.x) if inner.fun < size[index + 1] else float(times[index])
+        here = at(np.array([time]))
+        if here.smallest[0] < below:
+            found.append(Singularity(time=time, smallest=float(here.smallest[0]), lost=here.lost[0]))
+    return found
+
+
+def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """matrix @ vector for arrays (..., m, n) and (..., n)."""
+    return (matrix @ vector[..., None])[..., 0]

@@ -1,0 +1,173 @@
+"""How far along its path a motion is: a polynomial from rest to rest, or from a velocity to rest, perhaps input-shaped.
+
+Input shaping (Singer and Seering 1990, doi:10.1115/1.2894142) makes a motion a weighted sum of copies of itself that
+are delayed by half and whole periods of a vibration, so that what each excites cancels what the others do. Here the
+copies are of the path parameter: the path, its start and its end stay as they are, and the whole takes its given
+duration.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.scenario import Reference, Shaper
+
+Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray]  # of time: a value, its rate, its acceleration
+
+
+def quintic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
+    """The blend s in [0, 1] with its first (1/s) and second (1/s^2) derivative; constant outside [0, duration]."""
+    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+    return (
+        x * x * x * (10.0 + x * (6.0 * x - 15.0)),
+        30.0 * x * x * (1.0 + x * (x - 2.0)) / duration,
+        60.0 * x * (1.0 + x * (2.0 * x - 3.0)) / (duration * duration),
+    )
+
+
+def quintic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
+    """How far something of unit velocity at the start goes, until it is back there at rest: g in s, g', g'' in 1/s.
+
+    g(x) = T x (1 - x)^3 (1 + 3 x), x = t/T: fifth order, without acceleration at either end; constant outside [0, T].
+    """
+    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+    y = 1.0 - x
+    return (
+        duration * x * y * y * y * (1.0 + 3.0 * x),
+        y * y * (1.0 + x * (2.0 - 15.0 * x)),
+        -12.0 * x * y * (3.0 - 5.0 * x) / duration,
+    )
+
+
+def septic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
+    """As ``quintic_blend``, of seventh order, without jerk at either end: peak speed 2.1875/T, acceleration 7.5132/T^2.
+
+    s(x) = x^4 (35 - 84 x + 70 x^2 - 20 x^3), s' = 140 x^3 (1 - x)^3 / T.
+    """
+    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+    xy = x * (1.0 - x)
+    return (
+        x * x * x * x * (35.0 + x * (-84.0 + x * (70.0 - 20.0 * x))),
+        140.0 * xy * xy * xy / duration,
+        420.0 * xy * xy * (1.0 - 2.0 * x) / (duration * duration),
+    )
+
+
+def septic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
+    """As ``quintic_stop``, of seventh order, without jerk at either end: g(x) = T x (1 - x)^4 (1 + 4 x + 10 x^2)."""
+    x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+    y = 1.0 - x
+    return (
+        duration * x * y * y * y * y * (1.0 + x * (4.0 + 10.0 * x)),
+        y * y * y * (1.0 + x * (3.0 + x * (6.0 - 70.0 * x))),
+        -60.0 * x * x * y * y * (4.0 - 7.0 * x) / duration,
+    )
+
+
+_POLYNOMIALS = {"quintic": (quintic_blend, quintic_stop), "septic": (septic_blend, septic_stop)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Impulses:
+    """An input shaper: what is shaped comes ``delays`` (s) late with the ``shares``, which add up to one."""
+
+    delays: tuple[float, ...] = (0.0,)
+    shares: tuple[float, ...] = (1.0,)
+
+    @property
+    def length(self) -> float:
+        """By how much the shaped motion outlasts what is shaped, s."""
+        return max(self.delays)
+
+    @property
+    def mean(self) -> float:
+        """How late it is on average, s."""
+        return math.fsum(delay * share for delay, share in zip(self.delays, self.shares, strict=True))
+
+    def reversed(self) -> "Impulses":
+        """The shaper of a motion that is run backwards."""
+        return Impulses(tuple(self.length - delay for delay in self.delays), self.shares)
+
+
+def make_impulses(shaper: Shaper | None) -> Impulses:
+    """The shaper of a scenario: one for each frequency, in series.
+
+    ZV leaves no vibration at its frequency: with K = exp(-pi z / sqrt(1 - z^2)) the shares 1, K at half a damped period
+    from each other, over their sum. ZVD, two of them in series, stays near that in a neighbourhood.
+    """
+    if shaper is None:
+        return Impulses()
+    delays, shares = np.zeros(1), np.ones(1)
+    for frequency in shaper.frequencies:
+        root = math.sqrt(1.0 - shaper.damping_ratio**2)
+        half = 0.5 / (frequency * root)
+        ratio = math.exp(-math.pi * shaper.damping_ratio / root)
+        for _ in range(1 if shaper.kind == "zv" else 2):
+            delays = np.concatenate([delays, delays + half])
+            shares = np.concatenate([shares, ratio * shares]) / (1.0 + ratio)
+    found = dict[float, float]()  # without copies that coincide, such as the two in the middle of ZVD
+    for delay, share in zip(np.round(delays, 12).tolist(), shares.tolist(), strict=True):
+        found[delay] = found.get(delay, 0.0) + share
+    return Impulses(tuple(found), tuple(found.values()))
+
+
+class Blend:
+    """The blend of a motion, and the stop from a velocity, over a duration."""
+
+    def __init__(self, reference: Reference, duration: float, *, backwards: bool = False) -> None:
+        """Args: how the motion goes; s; whether it is to be run backwards.
+
+        Raises ScenarioError: the shaper takes all the duration or more.
+        """
+        impulses = make_impulses(reference.shaper)
+        self._impulses = impulses.reversed() if backwards else impulses
+        self._blend, self._stop = _POLYNOMIALS.get(reference.kind, _POLYNOMIALS["quintic"])
+        self.duration, self._own = duration, duration - impulses.length
+        if self._own <= 0.0:
+            raise ScenarioError(
+                "reference.shaper",
+                f"takes {impulses.length:.4g} s, and the motion {duration:g} s; lengthen reference.duration or shape "
+                "fewer or higher frequencies",
+            )
+
+    @property
+    def stopping_time(self) -> float:
+        """How far something of unit velocity goes until it rests where it costs least, s."""
+        return 0.5 * self._own + self._impulses.mean
+
+    def blend(self, times: np.ndarray) -> Derivatives:
+        """s from 0 to 1 with its derivatives at times (n,); constant outside the duration."""
+        if self._impulses.length == 0.0:
+            return self._blend(times, self._own)
+        return self._shaped([self._blend(times - delay, self._own) for delay in self._impulses.delays])
+
+    def stop(self, times: np.ndarray) -> Derivatives:
+        """How far something of unit velocity at the start goes, until it is back there at rest; as ``blend``.
+
+        Shaped as if it had had that velocity since ever, which excites nothing.
+        """
+        if self._impulses.length == 0.0:
+            return self._stop(times, self._own)
+        copies = []
+        for delay in self._impulses.delays:
+            late = times - delay
+            g, rate, acceleration = self._stop(late, self._own)
+            copies.append((np.where(late < 0.0, late, g), rate, acceleration))
+        mean = self._impulses.mean
+        g, rate, acceleration = self._shaped(copies)
+        s, s_rate, s_acceleration = self.blend(times)
+        at_start = times < 0.0
+        return (
+            np.where(at_start, 0.0, g + mean * (1.0 - s)),
+            rate - mean * s_rate,
+            acceleration - mean * s_acceleration,
+        )
+
+    def _shaped(self, copies: list[Derivatives]) -> Derivatives:
+        shares = self._impulses.shares
+        first, second, third = (
+            sum(share * copy[order] for share, copy in zip(shares, copies, strict=True)) for order in range(3)
+        )
+        return np.asarray(first), np.asarray(second), np.asarray(third)

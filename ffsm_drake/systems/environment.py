@@ -1,0 +1,189 @@
+"""The orbit's forces on every body, as one generalized force: the gravity gradient, the tide, and sunlight's pressure.
+
+The world frame W falls freely with a point of a circular orbit, its origin; its axes do not turn. A mass at p_W then
+feels the difference of gravity, to first order in p over the orbit's radius
+
+  a(p) = n^2 (3 r r' - 1) p,
+
+with the mean motion n and the unit vector r away from the attracting body, which turns at n about the orbit's normal h.
+With Hill's axes r, t = h x r and h, and what a uniform rotation at 1 rad/s about an axis u through the origin
+accelerates p by, c_u(p) = u x (u x p), that is n^2 (2 c_r - c_t - c_h). So the generalized force of all bodies, with
+their extent, is the same sum of three inverse dynamics (``PlantModel``).
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RollPitchYaw, RotationMatrix
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from ffsm_drake.common.lifetime import weak_callback
+from ffsm_drake.scenario import Environment, MassProperties, Scenario
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
+from ffsm_drake.spacecraft.nominal import PlantModel, change_payload, make_flexible_plant
+from ffsm_drake.systems.setup import BlockSetup
+
+EARTH_GRAVITY = 3.986004418e14  # m^3/s^2; gravitational parameter of the Earth (EGM2008)
+EARTH_RADIUS = 6378136.3  # m; at the equator, likewise
+
+
+def mean_motion(settings: Environment) -> float:
+    """Angular rate n of the circular orbit, rad/s."""
+    if settings.mean_motion is not None:
+        return settings.mean_motion
+    return math.sqrt(EARTH_GRAVITY / (EARTH_RADIUS + (settings.altitude or 0.0)) ** 3)
+
+
+class OrbitalForce:
+    """The generalized force of the environment on a plant, as a function of configuration and time."""
+
+    def __init__(self, settings: Environment, model: PlantModel) -> None:
+        """Args: what acts; the plant with its mass properties, whose context is set at every call."""
+        self._settings, self._model = settings, model
+        self._rate = mean_motion(settings)
+        self._velocity = np.zeros(model.plant.num_velocities())  # of a rotation; a scratch pad
+        self._hill = RollPitchYaw(settings.hill_rpy).ToRotationMatrix().matrix()  # R_WH at the start
+        solar = settings.solar_pressure
+        self._pressure, self._arm = np.zeros(3), np.zeros(3)
+        if solar is not None:
+            sun = np.array(solar.sun, dtype=float)
+            self._pressure = -solar.pressure * solar.coefficient * solar.area / np.linalg.norm(sun) * sun
+            self._arm = np.array(solar.center_of_pressure, dtype=float)
+
+    def axes(self, time: float) -> np.ndarray:
+        """Hill's axes in the world frame at a time in s: rows r, t, h (3, 3)."""
+        c, s = math.cos(self._rate * time), math.sin(self._rate * time)
+        turned: np.ndarray = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._hill.T
+        return turned
+
+    def calc(self, q: np.ndarray, time: float) -> np.ndarray:
+        """Generalized force (nv) in a configuration q (nq) at a time in s, N m and N.
+
+        Raises ValueError: q is not finite.
+        """
+        settings, plant, context = self._settings, self._model.plant, self._model.context
+        H = self._model.calc_mass_matrix(q)
+        force, axes, n_squared = np.zeros(len(H)), self.axes(time), self._rate * self._rate
+        # A rotation about the origin gives gravity gradient and tide, about the centre of mass the gravity gradient.
+        both = settings.gravity_gradient and settings.tidal
+        center = np.zeros(3) if both else plant.CalcCenterOfMassPositionInWorld(context)
+        if settings.gravity_gradient:
+            x, y, z = (q[4:NUM_BASE_POSITIONS] - center).tolist()
+            arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # arm x
+            across = -axes @ arm.T  # axis x arm
+            acceleration = np.zeros(3)
+            for axis, velocity, share in zip(axes, across, (2.0, -1.0, -1.0), strict=True):
+                self._velocity[:3], self._velocity[3:6] = axis, velocity
+                plant.SetVelocities(context, self._velocity)
+                force += share * plant.CalcBiasTerm(context)
+                acceleration += share * (axis * axis.dot((x, y, z)) - (x, y, z))
+            force = n_squared * (force + H[:, 3:6] @ acceleration)
+        elif settings.tidal:
+            force = n_squared * (H[:, 3:6] @ (3.0 * axes[0] * axes[0].dot(center) - center))
+        if settings.solar_pressure is not None:
+            R_WB = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4]))).matrix()
+            force[:3] += np.cross(R_WB @ self._arm, self._pressure)
+            force[3:6] += self._pressure
+        return force
+
+
+class EnvironmentForce(LeafSystem):
+    """The environment's force in the closed loop, held over each control sample.
+
+    Inputs:
+      state: known [q; v] (nq + nv) of the plant.
+      hidden_state: where there are hidden coordinates, theirs.
+    Outputs:
+      generalized_force: (nv), held.
+      next_generalized_force: the force at this instant, for the record.
+      hidden_force, next_hidden_force: likewise, on hidden coordinates.
+    What is held is the force at the middle of the sample, on a line through the ones at its start and one sample
+    earlier: it is off by 3/8 of its second difference from sample to sample.
+    State (discrete, period ``sample_time``): what is held (nv, then the hidden ones), and the whole force at the last
+    sample. Parameter: the payload's mass, centre of mass and inertia (10), as ``MassProperties``.
+    """
+
+    def __init__(
+        self, settings: Environment, model: PlantModel, *, sample_time: float, scenario: Scenario | None = None
+    ) -> None:
+        """Args: what acts; the plant, for its own use; s; whose true payload ``set_payload`` changes, if it is to."""
+        super().__init__()
+        self._model, self._scenario = model, scenario
+        self._force = OrbitalForce(settings, model)
+        self._held_payload = np.zeros(10)
+        whole, hidden = model.plant.num_velocities(), len(model.hidden.names)
+        self._state = self.DeclareVectorInputPort("state", model.plant.num_multibody_states() - 2 * hidden)
+        self._hidden_state = self.DeclareVectorInputPort("hidden_state", 2 * hidden) if hidden else None
+        self._acting = self.DeclareDiscreteState(np.zeros(whole - hidden))
+        self._acting_hidden = self.DeclareDiscreteState(np.zeros(hidden))
+        self._last = self.DeclareDiscreteState(np.zeros(whole))
+        truth = self._held_payload if scenario is None else _packed(scenario.payload.truth)
+        self._payload = self.DeclareNumericParameter(BasicVector(truth))
+        depends = {self.all_input_ports_ticket(), self.time_ticket(), self.all_parameters_ticket()}
+        self._instant = self.DeclareVectorOutputPort("whole_force", whole, weak_callback(self._calc_whole), depends)
+        self.DeclareStateOutputPort("generalized_force", self._acting)
+        self.DeclareVectorOutputPort("next_generalized_force", whole - hidden, weak_callback(self._calc_known), depends)
+        if hidden:
+            self.DeclareStateOutputPort("hidden_force", self._acting_hidden)
+            self.DeclareVectorOutputPort("next_hidden_force", hidden, weak_callback(self._calc_hidden), depends)
+        self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
+
+    @classmethod
+    def from_setup(cls, setup: BlockSetup) -> "EnvironmentForce":
+        """Of a scenario with an ``environment``."""
+        scenario = setup.scenario
+        if scenario.environment is None:
+            raise ValueError("environment: there is none")
+        # The wheels' mass is pulled at as a part of the base's.
+        actuation = dataclasses.replace(scenario.actuation, wheels=None)
+        model = make_flexible_plant(dataclasses.replace(scenario, actuation=actuation))
+        return cls(scenario.environment, model, sample_time=setup.sample_time, scenario=scenario)
+
+    def set_payload(self, context: Context, properties: MassProperties) -> None:
+        """Give the payload other mass properties."""
+        context.get_mutable_numeric_parameter(self._payload).SetFromVector(_packed(properties))
+
+    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
+        """Begin at a known state [q; v] (nq + nv) of the plant."""
+        force = self._calc(context, self._model.hidden.whole(state))
+        known, hidden = self._split(force)
+        for group, part in ((self._acting, known), (self._acting_hidden, hidden), (self._last, force)):
+            context.SetDiscreteState(group, part)
+
+    def _split(self, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        hidden = self._model.hidden
+        return hidden.known_velocities(force), force[hidden.hidden]
+
+    def _calc(self, context: Context, state: np.ndarray) -> np.ndarray:
+        payload = context.get_numeric_parameter(self._payload).value()
+        if self._scenario is not None and not np.array_equal(payload, self._held_payload):
+            mass, center, inertia = float(payload[0]), payload[1:4].tolist(), payload[4:].tolist()
+            properties = MassProperties(mass=mass, center_of_mass=center, inertia=inertia)
+            change_payload(self._model.plant, self._model.context, self._scenario, properties)
+            self._held_payload = payload.copy()
+        return self._force.calc(state[: self._model.plant.num_positions()], context.get_time())
+
+    def _calc_whole(self, context: Context, output: BasicVector) -> None:
+        deflected = None if self._hidden_state is None else self._hidden_state.Eval(context)
+        output.SetFromVector(self._calc(context, self._model.hidden.whole(self._state.Eval(context), deflected)))
+
+    def _calc_known(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._split(self._instant.Eval(context))[0])
+
+    def _calc_hidden(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._split(self._instant.Eval(context))[1])
+
+    def _update(self, context: Context, values: DiscreteValues) -> None:
+        force = self._instant.Eval(context)
+        last = context.get_discrete_state(self._last).value()
+        known, hidden = self._split(force + 0.5 * (force - last))
+        for group, part in ((self._acting, known), (self._acting_hidden, hidden), (self._last, force)):
+            values.set_value(group, part)
+
+
+def _packed(properties: MassProperties) -> np.ndarray:
+    """[mass, centre of mass, Ixx, Iyy, Izz, Ixy, Ixz, Iyz] (10)."""
+    inertia = (*properties.inertia, 0.0, 0.0, 0.0)[:6]
+    return np.array([properties.mass, *properties.center_of_mass, *inertia], dtype=float)
