@@ -11,7 +11,7 @@ import functools
 import weakref
 from collections.abc import Callable
 from importlib.metadata import version
-from typing import Any
+from typing import Any, cast
 
 from pydrake.systems.framework import Diagram, System
 
@@ -40,16 +40,16 @@ def untie(system: System) -> None:
     if isinstance(system, Diagram):
         for part in system.GetSystems():
             untie(part)
-    peers = _peers(system)
-    for peer in list(peers):
+    for peer in tuple(_peers(system)):
         if not isinstance(peer, tuple):  # a tuple is a callback, to which the C++ side holds no reference
             _peers(peer).discard(system)
-            peers.discard(peer)
+            _peers(system).discard(peer)
 
 
 def _peers(thing: Any) -> set[Any]:
-    found: set[Any] = getattr(thing, "__dict__", {}).get(_PEERS, set())
-    return found
+    # No variable may hold this set, here or above: a profiler in another thread (a Dask worker has one) may keep the
+    # frame for a moment, and Drake ends the run when it meets a set with a second holder.
+    return cast("set[Any]", getattr(thing, "__dict__", {}).get(_PEERS, set()))
 
 
 @functools.cache  # reads a file

@@ -1,6 +1,9 @@
 """Closed loops are freed once they are released, however many Python systems they hold."""
 
+import collections
 import gc
+import sys
+import threading
 import weakref
 
 import numpy as np
@@ -93,3 +96,24 @@ def test_without_release_it_is_not():
     del rollout
     gc.collect()
     assert controller() is not None
+
+
+def test_a_profiler_in_another_thread_does_not_stop_the_building_of_loops():
+    """Frames that somebody holds keep the variables of calls that have returned (a Dask worker's profiler does)."""
+    frames, done = collections.deque(maxlen=200), threading.Event()
+
+    def watch():
+        while not done.wait(2e-4):
+            frames.append(sys._current_frames())
+
+    interval = sys.getswitchinterval()
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    sys.setswitchinterval(1e-5)
+    try:
+        for _ in range(25):
+            Rollout(load_scenario("postcapture", ["duration=0.02"]))
+    finally:
+        done.set()
+        watcher.join()
+        sys.setswitchinterval(interval)
