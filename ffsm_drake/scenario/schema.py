@@ -16,6 +16,8 @@ PerCoordinate = dict[str, float]
 BASE_ROTATIONS = ("eigenaxis", "rpy")
 REFERENCE_KINDS = ("quintic", "septic", "optimal")
 SHAPER_KINDS = ("zv", "zvd")
+# What ``actuation.driven`` may name, together.
+DRIVEN = (("base_rotation", "base_position", "joints"), ("base_rotation", "joints"), ("joints",))
 ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 CAPTURE_AXES = ("target", "world")
 SERVICER_MOTIONS = ("rest", "track_joints", "track_all", "given")
@@ -401,6 +403,9 @@ class Drives:
 class Actuation:
     """How the actuators change the commanded force: saturation, quantisation, delay, then drives, wheels, thrusters."""
 
+    # groups of coordinates that actuators move and that are tracked: all, [base_rotation, joints], where wheels hold the
+    # attitude, or [joints]; no force acts on the others, which conservation of momentum moves
+    driven: list[str] = dataclasses.field(default_factory=lambda: ["all"])
     limit: PerCoordinate | None = None  # N m or N; largest force either way; null: unlimited
     quantization: PerCoordinate = _published(all=0.0)  # N m or N; step of the force; 0: none
     delay: int = 0  # control samples; age of a command when it acts
@@ -482,6 +487,17 @@ class Scenario:
     def num_control_periods(self) -> int:
         """Number of whole control periods within the duration."""
         return math.floor(self.duration / self.sample_time + 1e-9)
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """The groups of coordinates that actuators move."""
+        given = self.actuation.driven
+        return DRIVEN[0] if "all" in given else tuple(group for group in DRIVEN[0] if group in given)
+
+    @property
+    def undriven(self) -> tuple[str, ...]:
+        """The groups of coordinates that only conservation of momentum moves."""
+        return tuple(group for group in DRIVEN[0] if group not in self.driven)
 
     @property
     def postures(self) -> dict[str, Posture]:

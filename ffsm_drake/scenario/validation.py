@@ -12,6 +12,7 @@ from ffsm_drake.scenario.resolving import shown
 from ffsm_drake.scenario.schema import (
     BASE_ROTATIONS,
     CAPTURE_AXES,
+    DRIVEN,
     ESTIMATOR_KINDS,
     FLEXIBLE_KINDS,
     GOALS,
@@ -149,12 +150,35 @@ def validate(scenario: Scenario) -> None:
         delay = getattr(scenario, place).delay or 0
         problem = f"must be from 0 to {MAX_DELAY} control samples, not {delay}"
         require(0 <= delay <= MAX_DELAY, f"{place}.delay", problem)
+    _validate_driven(scenario)
     if scenario.actuation.thrusters is not None:
         _validate_thrusters(scenario.actuation.thrusters, scenario.sample_time)
     if scenario.actuation.wheels is not None:
         _validate_wheels(scenario.actuation.wheels)
     if scenario.actuation.drives is not None:
         _validate_drives(scenario.actuation.drives)
+
+
+def _validate_driven(scenario: Scenario) -> None:
+    key, given = "actuation.driven", scenario.actuation.driven
+    sound = given == ["all"] or (len(set(given)) == len(given) and set(given) in map(set, DRIVEN))
+    choices = " or ".join(f"[{', '.join(groups)}]" for groups in DRIVEN[1:])
+    require(sound, key, f"must be all, {choices}, not {shown(given)}")
+    undriven, actuation = scenario.undriven, scenario.actuation
+    if not undriven:
+        return
+    for kind, group in (("thrusters", "base_position"), ("wheels", "base_rotation")):
+        without = f"{', '.join(undriven)}: {kind} cannot act; leave actuation.{kind} out, or have {group} driven"
+        require(getattr(actuation, kind) is None or group in scenario.driven, key, f"leaves out {without}")
+    first, last = scenario.initial_posture, scenario.target_posture
+    for group, field in (("base_rotation", "base_rpy"), ("base_position", "base_position")):
+        asked = group in undriven and getattr(first, field) != getattr(last, field)
+        where = f"{group} is not driven (actuation.driven) and goes nowhere by command: give the initial posture's"
+        require(scenario.reference.goal == "stop" or not asked, f"target_posture.{field}", where)
+    approach = scenario.capture is not None and scenario.capture.approach is not None
+    require(not approach, "capture.approach", "needs every coordinate driven (actuation.driven); leave it out")
+    rpy = scenario.reference.base_rotation == "rpy" and "base_rotation" in undriven
+    require(not rpy, "reference.base_rotation", "rpy needs the base's attitude driven; leave it at eigenaxis")
 
 
 def _validate_drives(drives: Drives) -> None:
