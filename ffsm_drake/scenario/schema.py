@@ -403,8 +403,8 @@ class Drives:
 class Actuation:
     """How the actuators change the commanded force: saturation, quantisation, delay, then drives, wheels, thrusters."""
 
-    # groups of coordinates that actuators move and that are tracked: all, [base_rotation, joints], where wheels hold the
-    # attitude, or [joints]; no force acts on the others, which conservation of momentum moves
+    # groups of coordinates that actuators move and that are tracked: all; [base_rotation, joints], where wheels hold
+    # the attitude; or [joints]; no force acts on the others, which conservation of momentum moves
     driven: list[str] = dataclasses.field(default_factory=lambda: ["all"])
     limit: PerCoordinate | None = None  # N m or N; largest force either way; null: unlimited
     quantization: PerCoordinate = _published(all=0.0)  # N m or N; step of the force; 0: none
