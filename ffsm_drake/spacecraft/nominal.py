@@ -103,7 +103,7 @@ def make_nominal_plant(scenario: Scenario) -> PlantModel:
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
     _set_masses(plant, context, scenario, scenario.payload.nominal, nominal=True)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))
+    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven))
 
 
 def make_true_plant(scenario: Scenario) -> PlantModel:
@@ -111,7 +111,7 @@ def make_true_plant(scenario: Scenario) -> PlantModel:
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
     _set_masses(plant, context, scenario, scenario.payload.truth)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))
+    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven))
 
 
 def make_flexible_plant(scenario: Scenario) -> PlantModel:
@@ -122,7 +122,12 @@ def make_flexible_plant(scenario: Scenario) -> PlantModel:
     plant = make_plant(scenario.model, flexible=True)
     context = plant.CreateDefaultContext()
     set_true_masses(plant, context, scenario)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant), hidden=hidden_of(plant))
+    return PlantModel(
+        plant=plant,
+        context=context,
+        coordinates=coordinates_of(plant, undriven=scenario.undriven),
+        hidden=hidden_of(plant),
+    )
 
 
 def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario) -> None:
