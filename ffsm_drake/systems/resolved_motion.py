@@ -89,12 +89,14 @@ class ResolvedMotion(MomentumMotion):
         self._first_reaction = stack.following[self._held][:, self._arm] @ self._first_rate
         super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=path.end)
 
+    def velocity(self, time: float, q: np.ndarray) -> np.ndarray:
+        return self._resolved(q, self._asked(np.array([time]))[0][0])[0]
+
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
-        asked, _ = self._asked(np.array([time]))
-        return self._resolved(q, asked[0])[0][self._model.coordinates.driven]
+        return self.velocity(time, q)[self._driven]
 
     def driven_motion(self, times: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        driven = self._model.coordinates.driven
+        driven = self._driven
         velocity, acceleration = np.empty((2, times.size, driven.size))
         for i, (one, asked, change) in enumerate(zip(q, *self._asked(times), strict=True)):
             v, _ = self._resolved(one, asked)
@@ -188,10 +190,15 @@ class ResolvedMotion(MomentumMotion):
         jacobian = self._model.calc_jacobian(q, self._frame)[self._task]
         feedback = self._goal.feedback * self._error(q, pose)[self._task]
         feedback /= np.sqrt(1.0 + feedback @ feedback / self._most**2)
-        standing = jacobian @ stack.velocity(driven_velocity, self._momentum)
+        v = stack.velocity(driven_velocity, self._momentum)  # with the joints at rest
+        following = stack.following[:, arm]
         tasks = [
-            (stack.following[self._held][:, arm], slow * self._first_reaction, 0.0),
-            (stack.generalized_jacobian(jacobian)[:, arm], twist[self._task] + feedback - standing, self._goal.damping),
+            (following[self._held], slow * self._first_reaction, 0.0),
+            (
+                jacobian[:, stack.driven[arm]] + jacobian[:, stack.undriven] @ following,
+                twist[self._task] + feedback - jacobian @ v,
+                self._goal.damping,
+            ),
         ]
         rates, free, smallest = np.zeros(count), np.eye(count), np.inf
         for matrix, target, damping in tasks if self._goal.priority == "hold" else tasks[::-1]:
@@ -206,5 +213,6 @@ class ResolvedMotion(MomentumMotion):
             rates = rates + right.T @ (inverse * (left.T @ (target - matrix @ rates)))
             free = free - (right.T * (inverse * sizes)) @ right
         rates = rates + free @ (rate + pull * (joints - q[NUM_BASE_POSITIONS:]))
-        v = stack.velocity(np.concatenate([base, rates]), self._momentum)
+        v[NUM_BASE_VELOCITIES:] = rates
+        v[stack.undriven] += following @ rates
         return v, smallest
