@@ -12,7 +12,6 @@ squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2), once differentiable in s,
 """
 
 import dataclasses
-from collections.abc import Iterator
 
 import numpy as np
 from pydrake.multibody.tree import Frame
@@ -84,6 +83,7 @@ class ResolvedMotion(MomentumMotion):
         self._most = max(_SLOWEST, float(np.linalg.norm(path.rows(times)[:, 7:13], axis=1).max()))  # of the feedback
         self._fastest = float(path.blend.blend(times)[1].max())
         q, v, _ = wanted.evaluate(0.0)
+        self._posture = goal.joints == "target_posture" or goal.task == "none"
         self._first_rate = v[NUM_BASE_VELOCITIES:]
         stack = free_floating(model, q, [coordinates.names[i] for i in coordinates.driven])
         self._first_reaction = stack.following[self._held][:, self._arm] @ self._first_rate
@@ -129,11 +129,11 @@ class ResolvedMotion(MomentumMotion):
             base_shift=np.linalg.norm(moved[:, 3:6], axis=1),
         )
 
-    def remarks(self) -> Iterator[str]:
+    def remarks(self) -> list[str]:
         """What of the path is missed, and why; a line, or none."""
         found, damping = self.resolution(), self._goal.damping
         if not found.missed:
-            return
+            return []
         miss = np.hypot(found.attitude_miss, found.position_miss)
         worst, nearest = int(np.argmax(miss)), int(np.argmin(found.smallest))
         sizes = [f"{found.position_miss[i]:.3g} m and {found.attitude_miss[i]:.3g} rad" for i in (worst, -1)]
@@ -143,10 +143,10 @@ class ResolvedMotion(MomentumMotion):
                 f"it is damped near a dynamic singularity, with a singular value of {found.smallest[nearest]:.3g} at "
                 f"t = {found.times[nearest]:.3g} s (reference.frame.damping {damping:g})"
             )
-        yield (
+        return [
             f"reference.frame: the plan misses its path by up to {sizes[0]} at t = {found.times[worst]:.3g} s "
             f"and by {sizes[1]} at its end: {why}"
-        )
+        ]
 
     def _asked(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the joints depend on beside the configuration, (n, .), and how fast it changes.
@@ -154,22 +154,25 @@ class ResolvedMotion(MomentumMotion):
         Pose (quaternion, position) and twist of the frame, velocities of the base that are driven, positions and rates
         that the joints would have, the pull towards these positions, 1/s, and the share of the first reaction.
         """
-        coordinates = self._model.coordinates
-        path, wanted = self._path.rows(times), self._wanted.rows(times)
-        q, v, a = np.split(wanted, np.cumsum([len(coordinates.position_names), len(coordinates.names)]), axis=1)
-        (_, slow, slower), (_, speed, acceleration) = self._path.blend.stop(times), self._path.blend.blend(times)
-        joints, rate, change = q[:, NUM_BASE_POSITIONS:], v[:, NUM_BASE_VELOCITIES:], a[:, NUM_BASE_VELOCITIES:]
-        pull = self._goal.feedback / self._fastest
-        if self._goal.joints == "least" and self._goal.task != "none":
-            rate, change, pull = slow[:, None] * self._first_rate, slower[:, None] * self._first_rate, 0.0
+        path, coordinates, arm = self._path.rows(times), self._model.coordinates, self._first_rate.size
         turn = quaternion_rate(path[:, :4].T, path[:, 7:10].T).T
+        _, slow, slower = (column[:, None] for column in self._path.blend.stop(times))
+        _, speed, acceleration = (column[:, None] for column in self._path.blend.blend(times))
+        pull, rest = self._goal.feedback / self._fastest, np.zeros((times.size, arm))
+        q = v = a = rest
+        if self._posture or self._base.size:
+            wanted = self._wanted.rows(times)
+            q, v, a = np.split(wanted, np.cumsum([len(coordinates.position_names), len(coordinates.names)]), axis=1)
+        if self._posture:
+            joints, rate, change = (each[:, -arm:] for each in (q, v, a))
+            free, changing = [joints, rate, pull * speed], [rate, change, pull * acceleration]
+        else:
+            free = [rest, slow * self._first_rate, rest[:, :1]]
+            changing = [rest, slower * self._first_rate, rest[:, :1]]
         return (
-            np.hstack([path[:, :13], v[:, self._base], joints, rate, np.stack([pull * speed, slow], axis=1)]),
-            np.hstack([
-                turn, path[:, 10:], a[:, self._base], v[:, NUM_BASE_VELOCITIES:], change,
-                np.stack([pull * acceleration, slower], axis=1),
-            ]),
-        )  # fmt: skip
+            np.hstack([path[:, :13], v[:, self._base], *free, slow]),
+            np.hstack([turn, path[:, 10:], a[:, self._base], *changing, slower]),
+        )
 
     def _error(self, q: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """(6) from the frame in a configuration, which the plant is set to, to a pose."""
@@ -190,7 +193,7 @@ class ResolvedMotion(MomentumMotion):
         jacobian = self._model.calc_jacobian(q, self._frame)[self._task]
         feedback = self._goal.feedback * self._error(q, pose)[self._task]
         feedback /= np.sqrt(1.0 + feedback @ feedback / self._most**2)
-        v = stack.velocity(driven_velocity, self._momentum)  # with the joints at rest
+        v = stack.velocity(driven_velocity, self._momentum if self._momentum.any() else None)  # with the joints at rest
         following = stack.following[:, arm]
         tasks = [
             (following[self._held], slow * self._first_reaction, 0.0),
