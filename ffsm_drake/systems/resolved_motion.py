@@ -12,6 +12,7 @@ squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2), once differentiable in s,
 """
 
 import dataclasses
+from collections.abc import Hashable
 
 import numpy as np
 from pydrake.multibody.tree import Frame
@@ -69,8 +70,9 @@ class ResolvedMotion(MomentumMotion):
         frame: Frame,
         model: PlantModel,
         sample_time: float,
+        key: Hashable = None,
     ) -> None:
-        """Args: the motion without the frame; its path; what is asked of it; the frame; the nominal plant; s."""
+        """Args: the motion without the frame; its path; what is asked of it; the frame; as MomentumMotion."""
         self._wanted, self._path, self._goal, self._frame = wanted, path, goal, frame
         coordinates = model.coordinates
         self._arm = np.flatnonzero(coordinates.driven >= NUM_BASE_VELOCITIES)  # of the driven coordinates
@@ -87,7 +89,7 @@ class ResolvedMotion(MomentumMotion):
         self._first_rate = v[NUM_BASE_VELOCITIES:]
         stack = free_floating(model, q, [coordinates.names[i] for i in coordinates.driven])
         self._first_reaction = stack.following[self._held][:, self._arm] @ self._first_rate
-        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=path.end)
+        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=path.end, key=key)
 
     def velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         return self._resolved(q, self._asked(np.array([time]))[0][0])[0]
