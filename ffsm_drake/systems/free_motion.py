@@ -98,7 +98,7 @@ class MomentumMotion(PlannedMotion, abc.ABC):
 
     def _integrated(self, times: np.ndarray) -> np.ndarray:
         """q (n, nq) at times (n,)."""
-        part = np.floor(times / self._duration).astype(int)
+        part = np.maximum(np.ceil(times / self._duration).astype(int) - 1, 0)
         while len(self._parts) <= part.max():
             found = self.solve() if self._key is None else _solved(_Part(self._key, len(self._parts), self))
             self._parts.append(found)

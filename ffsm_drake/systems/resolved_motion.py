@@ -29,7 +29,6 @@ from ffsm_drake.systems.rotation_motion import quaternion_rate
 
 _ROWS = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6), "none": slice(0, 0)}  # of a twist
 _RANK = 1e-9  # ratio of singular values, between rounding and what an arm has
-_TINY = 1e-300  # damping of what is not damped
 _STEP = 1e-4  # s; of the difference quotient along the motion
 _INSTANTS = 201  # that a report looks at
 _SLOWEST = 1e-3  # m/s; bound of the feedback for a frame that is to stay where it is
@@ -216,8 +215,10 @@ class ResolvedMotion(MomentumMotion):
             left, sizes, right = np.linalg.svd(matrix @ free, full_matrices=False)
             real = sizes > _RANK * np.linalg.norm(matrix, axis=(1, 2))[:, None]
             if damping:
+                inverse = damped_inverse(sizes, damping)
                 smallest = np.where(real, sizes, np.inf).min(axis=1)
-            inverse = np.where(real, damped_inverse(sizes, damping or _TINY), 0.0)
+            else:
+                inverse = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=real)
             right = np.swapaxes(right, 1, 2)
             rates = rates + _times(right, inverse * _times(np.swapaxes(left, 1, 2), target - _times(matrix, rates)))
             free = free - (right * (inverse * sizes)[:, None]) @ np.swapaxes(right, 1, 2)
