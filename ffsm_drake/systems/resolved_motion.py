@@ -1,0 +1,233 @@
+"""Resolved motion rate: the joints that take a frame along its path, with the generalized Jacobian.
+
+The joint rates u solve tasks in order of priority, each in what the ones before leave free, with least squares:
+
+    frame   A u = V_d + feedback - V_0    A: columns of J* (rows of the task), V_0: the frame's twist with u = 0
+    hold    F u = 0                       F: rows of -H_uu^-1 H_ua: what the held base coordinates do
+
+and what then is left goes to a rate of the joints' own: zero, or towards the target posture. The frame's task is damped
+where its Jacobian has singular values s below ``damping`` e: 1/s becomes s (2 e^2 - s^2) / e^4, which is damped least
+squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2), once differentiable in s, and at most sqrt(32/27)/e = 1.09/e.
+(Nakamura 1991, "Advanced Robotics", chapters 4 and 9; Siciliano and Slotine 1991, doi:10.1109/ICAR.1991.240390.)
+"""
+
+import dataclasses
+from collections.abc import Hashable
+from typing import NamedTuple
+
+import numpy as np
+from pydrake.multibody.tree import Frame
+
+from ffsm_drake.scenario import FrameGoal
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_errors
+from ffsm_drake.spacecraft.free_floating import free_floating
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.frame_path import FramePath
+from ffsm_drake.systems.free_motion import MomentumMotion
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.rotation_motion import quaternion_rate
+
+_ROWS = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6), "none": slice(0, 0)}  # of a twist
+_RANK = 1e-9  # ratio of singular values, between rounding and what an arm has
+_STEP = 1e-4  # s; of the difference quotient along the motion
+_INSTANTS = 201  # that a report looks at
+_SLOWEST = 1e-3  # m/s; bound of the feedback for a frame that is to stay where it is
+MISSED = 1e-6  # rad, m; from which on a path counts as missed
+
+
+def damped_inverse(sizes: np.ndarray, damping: float) -> np.ndarray:
+    """Instead of 1/s of singular values s: 1/s from ``damping`` on, below less, zero at zero; at most 1.09/damping."""
+    share = np.minimum(sizes / damping, 1.0)
+    return share * (2.0 - share**2) / np.maximum(sizes, damping)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Resolution:
+    """How well a resolved motion follows its path, at times (n,)."""
+
+    times: np.ndarray  # (n) s
+    smallest: np.ndarray  # (n) singular value of the task's Jacobian that is not zero; infinite without a task
+    attitude_miss: np.ndarray  # (n) rad; angle between the frame's attitude and the path's; zero where it has no part
+    position_miss: np.ndarray  # (n) m; likewise
+    joint_rate: np.ndarray  # (n) rad/s or m/s; norm of the joints' rates
+    base_turn: np.ndarray  # (n) rad; of the base from its first attitude
+    base_shift: np.ndarray  # (n) m; likewise of its position
+
+    @property
+    def missed(self) -> bool:
+        """Whether the frame leaves the path."""
+        return bool(np.fmax(self.attitude_miss, self.position_miss).max() > MISSED)
+
+
+class _Resolved(NamedTuple):
+    """In configurations (n, nq)."""
+
+    v: np.ndarray  # (n, nv)
+    smallest: np.ndarray  # (n) singular value of the frame's task
+    error: np.ndarray  # (n, rows of the task) from the frame to its path
+
+
+class ResolvedMotion(MomentumMotion):
+    """A frame goes along its path; driven base coordinates, and as far as they are free the joints, as is wanted."""
+
+    def __init__(
+        self,
+        wanted: PlannedMotion,
+        *,
+        path: FramePath,
+        goal: FrameGoal,
+        frame: Frame,
+        model: PlantModel,
+        sample_time: float,
+        key: Hashable = None,
+    ) -> None:
+        """Args: the motion without the frame; its path; what is asked of it; the frame; as MomentumMotion."""
+        self._wanted, self._path, self._goal, self._frame = wanted, path, goal, frame
+        coordinates = model.coordinates
+        self._arm = np.flatnonzero(coordinates.driven >= NUM_BASE_VELOCITIES)  # of the driven coordinates
+        self._base = coordinates.driven[: self._arm[0]]  # of v: what of the base is driven
+        held = coordinates.indices(goal.hold, key="reference.frame.hold")
+        # Of the undriven coordinates.
+        self._held = np.flatnonzero(np.isin(np.delete(np.arange(len(coordinates.names)), coordinates.driven), held))
+        self._task = _ROWS[goal.task]
+        times = np.linspace(0.0, path.end, _INSTANTS)
+        self._most = max(_SLOWEST, float(np.linalg.norm(path.rows(times)[:, 7:13], axis=1).max()))  # of the feedback
+        self._fastest = float(path.blend.blend(times)[1].max())
+        q, v, _ = wanted.evaluate(0.0)
+        self._posture = goal.joints == "target_posture" or goal.task == "none"
+        self._first_rate = v[NUM_BASE_VELOCITIES:]
+        stack = free_floating(model, q, [coordinates.names[i] for i in coordinates.driven])
+        self._first_reaction = stack.following[self._held][:, self._arm] @ self._first_rate
+        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=path.end, key=key)
+
+    def velocity(self, time: float, q: np.ndarray) -> np.ndarray:
+        return self._resolved(q[None], self._asked(np.array([time]))[0]).v[0]
+
+    def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
+        return self.velocity(time, q)[self._driven]
+
+    def driven_motion(self, times: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        asked, change = self._asked(times)
+        v = self._resolved(q, asked).v
+        # What the rates depend on goes on as fast as it does: first order is enough of central differences.
+        rate = np.hstack([quaternion_rate(q[:, :4].T, v[:, :3].T).T, v[:, 3:]])
+        after, before = (self._resolved(q + h * rate, asked + h * change).v for h in (_STEP, -_STEP))
+        return q, v[:, self._driven], (after - before)[:, self._driven] / (2.0 * _STEP)
+
+    def resolution(self, times: np.ndarray | None = None) -> Resolution:
+        """How well the path is followed, at times (n,), s; without them, over the motion."""
+        times = np.linspace(0.0, self.end, _INSTANTS) if times is None else times
+        q = self._integrated(times)
+        found, miss = self._resolved(q, self._asked(times)[0]), np.zeros((times.size, 6))
+        miss[:, self._task] = found.error
+        moved = position_errors(q, np.tile(self._first, (times.size, 1)))
+        return Resolution(
+            times=times,
+            smallest=found.smallest,
+            attitude_miss=np.linalg.norm(miss[:, :3], axis=1),
+            position_miss=np.linalg.norm(miss[:, 3:], axis=1),
+            joint_rate=np.linalg.norm(found.v[:, NUM_BASE_VELOCITIES:], axis=1),
+            base_turn=np.linalg.norm(moved[:, :3], axis=1),
+            base_shift=np.linalg.norm(moved[:, 3:6], axis=1),
+        )
+
+    def remarks(self) -> list[str]:
+        """What of the path is missed, and why; a line, or none."""
+        found, damping = self.resolution(), self._goal.damping
+        if not found.missed:
+            return []
+        miss = np.hypot(found.attitude_miss, found.position_miss)
+        worst, nearest = int(np.argmax(miss)), int(np.argmin(found.smallest))
+        sizes = [f"{found.position_miss[i]:.3g} m and {found.attitude_miss[i]:.3g} rad" for i in (worst, -1)]
+        why = "more is asked of it than the joints" + (" and what is held" if self._goal.hold else "") + " leave free"
+        if found.smallest[nearest] < damping:
+            why = (
+                f"it is damped near a dynamic singularity, with a singular value of {found.smallest[nearest]:.3g} at "
+                f"t = {found.times[nearest]:.3g} s (reference.frame.damping {damping:g})"
+            )
+        return [
+            f"reference.frame: the plan misses its path by up to {sizes[0]} at t = {found.times[worst]:.3g} s "
+            f"and by {sizes[1]} at its end: {why}"
+        ]
+
+    def _asked(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the joints depend on beside the configuration, (n, .), and how fast it changes.
+
+        Pose (quaternion, position) and twist of the frame, velocities of the base that are driven, positions and rates
+        that the joints would have, the pull towards these positions, 1/s, and the share of the first reaction.
+        """
+        path, coordinates, arm = self._path.rows(times), self._model.coordinates, self._first_rate.size
+        turn = quaternion_rate(path[:, :4].T, path[:, 7:10].T).T
+        _, slow, slower = (column[:, None] for column in self._path.blend.stop(times))
+        _, speed, acceleration = (column[:, None] for column in self._path.blend.blend(times))
+        pull, rest = self._goal.feedback / self._fastest, np.zeros((times.size, arm))
+        q = v = a = rest
+        if self._posture or self._base.size:
+            wanted = self._wanted.rows(times)
+            q, v, a = np.split(wanted, np.cumsum([len(coordinates.position_names), len(coordinates.names)]), axis=1)
+        if self._posture:
+            joints, rate, change = (each[:, -arm:] for each in (q, v, a))
+            free, changing = [joints, rate, pull * speed], [rate, change, pull * acceleration]
+        else:
+            free = [rest, slow * self._first_rate, rest[:, :1]]
+            changing = [rest, slower * self._first_rate, rest[:, :1]]
+        return (
+            np.hstack([path[:, :13], v[:, self._base], *free, slow]),
+            np.hstack([turn, path[:, 10:], a[:, self._base], *changing, slower]),
+        )
+
+    def _resolved(self, q: np.ndarray, asked: np.ndarray) -> _Resolved:
+        """In configurations (n, nq), of what is asked (n, .)."""
+        arm, count = self._arm, self._arm.size
+        pose, twist, base, joints, rate, pull, slow = np.split(
+            asked, np.cumsum([7, 6, self._base.size, count, count, 1]), axis=1
+        )
+        q = np.hstack([q[:, :4] / np.linalg.norm(q[:, :4], axis=1, keepdims=True), q[:, 4:]])
+        stack = self._stack(q)
+        jacobian, found = np.empty((len(q), 6, q.shape[1] - 1)), np.empty((len(q), 7))
+        for i, one in enumerate(q):
+            jacobian[i] = self._model.calc_jacobian(one, self._frame)
+            X_WF = self._frame.CalcPoseInWorld(self._model.context)
+            found[i] = *X_WF.rotation().ToQuaternion().wxyz(), *X_WF.translation()
+        error = position_errors(pose, found)[:, self._task]
+        feedback = self._goal.feedback * error
+        feedback /= np.sqrt(1.0 + (feedback * feedback).sum(axis=1, keepdims=True) / self._most**2)
+        jacobian = jacobian[:, self._task]
+        # With the joints at rest.
+        v = stack.velocity(np.hstack([base, np.zeros((len(q), count))]), self._momentum)
+        following = stack.following[..., arm]
+        tasks = [
+            (following[:, self._held], slow * self._first_reaction, 0.0),
+            (
+                jacobian[..., stack.driven[arm]] + jacobian[..., stack.undriven] @ following,
+                twist[:, self._task] + feedback - _times(jacobian, v),
+                self._goal.damping,
+            ),
+        ]
+        rates, free, smallest = (
+            np.zeros((len(q), count)),
+            np.tile(np.eye(count), (len(q), 1, 1)),
+            np.full(len(q), np.inf),
+        )
+        for matrix, target, damping in tasks if self._goal.priority == "hold" else tasks[::-1]:
+            if not target.shape[1]:
+                continue
+            left, sizes, right = np.linalg.svd(matrix @ free, full_matrices=False)
+            real = sizes > _RANK * np.linalg.norm(matrix, axis=(1, 2))[:, None]
+            if damping:
+                inverse = damped_inverse(sizes, damping)
+                smallest = np.where(real, sizes, np.inf).min(axis=1)
+            else:
+                inverse = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=real)
+            right = np.swapaxes(right, 1, 2)
+            rates = rates + _times(right, inverse * _times(np.swapaxes(left, 1, 2), target - _times(matrix, rates)))
+            free = free - (right * (inverse * sizes)[:, None]) @ np.swapaxes(right, 1, 2)
+        rates = rates + _times(free, rate + pull * (joints - q[:, NUM_BASE_POSITIONS:]))
+        v[:, NUM_BASE_VELOCITIES:] = rates
+        v[:, stack.undriven] += _times(following, rates)
+        return _Resolved(v, smallest, error)
+
+
+def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Matrices (n, m, k) times vectors (n, k)."""
+    return (matrix @ vector[..., None])[..., 0]
