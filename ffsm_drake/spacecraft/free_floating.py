@@ -108,6 +108,16 @@ class FreeFloating:
         across = np.swapaxes(self.following, -1, -2)
         return bias[..., self.driven] + _times(across, bias[..., self.undriven])
 
+    def bias_acceleration(self, jacobian: np.ndarray, frame_bias: np.ndarray, bias: np.ndarray) -> np.ndarray:
+        """J' v - J_u H_uu^-1 C_u (..., m): a frame's [alpha; a] is J* dv_a/dt and this, whatever tau_a is.
+
+        Args: J (..., m, nv); J' v (..., m) of ``PlantModel.calc_bias_acceleration``; C (..., nv) of ``calc_bias``.
+        """
+        own = self.mass_matrix[..., self.undriven[:, None], self.undriven]
+        following = np.linalg.solve(own, bias[..., self.undriven, None])[..., 0]
+        result: np.ndarray = frame_bias - _times(jacobian[..., self.undriven], following)
+        return result
+
     def reaction_null_space(self, held: Sequence[str] = ("base_rotation",)) -> np.ndarray:
         """The projector N (..., na, na): velocities v_a = N z leave the held base coordinates alone at zero momentum.
 
