@@ -18,7 +18,7 @@ import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
-from pydrake.systems.primitives import Adder, MatrixGain, Selector, SelectorParams, ZeroOrderHold
+from pydrake.systems.primitives import Adder, Gain, MatrixGain, Selector, SelectorParams, ZeroOrderHold
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.loop.blocks import kind_of, make_blocks
@@ -190,7 +190,7 @@ def add_closed_loop(
     """
     if plant is None:
         plant = builder.AddNamedSystem("plant", make_plant(scenario.model, flexible=True))
-    coordinates, hidden = coordinates_of(plant), hidden_of(plant)
+    coordinates, hidden = coordinates_of(plant, undriven=scenario.undriven), hidden_of(plant)
     for name, posture in scenario.postures.items():
         configuration(plant, posture, key=name)
     for name in ("initial_velocity", "tolerance"):
@@ -221,6 +221,10 @@ def add_closed_loop(
         if actuation.HasInputPort("state"):
             builder.Connect(state, actuation.GetInputPort("state"))
         applied = (actuation, "applied_force")
+    if coordinates.undriven:  # where no force acts, whatever is commanded
+        only_driven = builder.AddNamedSystem("driven_force", Gain(coordinates.is_driven.astype(float)))
+        builder.Connect(applied[0].GetOutputPort(applied[1]), only_driven.get_input_port())
+        applied = (only_driven, only_driven.get_output_port().get_name())
     if controller.HasInputPort("applied_force"):
         builder.Connect(applied[0].GetOutputPort(applied[1]), controller.GetInputPort("applied_force"))
 

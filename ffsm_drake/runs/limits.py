@@ -24,7 +24,8 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_
 from ffsm_drake.spacecraft.plant import configuration, find_body, make_plant, resolve_package, urdfs_of
 from ffsm_drake.systems.actuation.drives import DriveSet
 from ffsm_drake.systems.actuation.limits import base_limits, force_limits
-from ffsm_drake.systems.reference import PlannedMotion, make_motion
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import make_motion
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord

@@ -177,8 +177,6 @@ def _validate_driven(scenario: Scenario) -> None:
         require(scenario.reference.goal == "stop" or not asked, f"target_posture.{field}", where)
     approach = scenario.capture is not None and scenario.capture.approach is not None
     require(not approach, "capture.approach", "needs every coordinate driven (actuation.driven); leave it out")
-    rpy = scenario.reference.base_rotation == "rpy" and "base_rotation" in undriven
-    require(not rpy, "reference.base_rotation", "rpy needs the base's attitude driven; leave it at eigenaxis")
 
 
 def _validate_drives(drives: Drives) -> None:

@@ -5,6 +5,7 @@ v = [w_WB, v_WB, joint rates]; only this module depends on it.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterable, Mapping
 
@@ -27,6 +28,7 @@ class Coordinates:
 
     joints: tuple[str, ...]
     joint_units: tuple[str, ...]  # "rad" or "m", one per joint
+    undriven: tuple[str, ...] = ()  # groups that no actuator moves
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -47,6 +49,16 @@ class Coordinates:
     def groups(self) -> dict[str, slice]:
         """Group name -> its slice of v."""
         return {"base_rotation": slice(0, 3), "base_position": slice(3, 6), "joints": slice(6, len(self.names))}
+
+    @functools.cached_property
+    def is_driven(self) -> np.ndarray:
+        """Whether actuators move each coordinate (nv)."""
+        return np.array([group not in self.undriven for group in self.group_of])
+
+    @functools.cached_property
+    def driven(self) -> np.ndarray:
+        """Indices of v that actuators move (na), ascending."""
+        return np.flatnonzero(self.is_driven)
 
     @property
     def group_of(self) -> tuple[str, ...]:

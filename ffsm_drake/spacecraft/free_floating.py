@@ -19,6 +19,7 @@ from pydrake.multibody.tree import Frame
 from scipy.optimize import minimize_scalar
 
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.flexible import apparent_mass_matrix
 from ffsm_drake.spacecraft.nominal import PlantModel
 
 _RANK = 1e-9  # ratio of singular values, between rounding and what an arm has
@@ -160,6 +161,52 @@ def free_floating(model: PlantModel, q: np.ndarray, driven: Sequence[str] = ("jo
         base_position=q[..., _POSITION],
         driven=model.coordinates.indices(driven, key="driven"),
     )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReducedModel(PlantModel):
+    """A plant whose undriven coordinates (``coordinates.undriven``) follow, as a control law has it.
+
+    Its mass matrix holds H* and its bias C* in the rows and columns of the driven coordinates; in those of the others a
+    unit mass and no bias, which no force on the driven ones meets. Of its other methods, ``calc_jacobian`` is the whole
+    plant's.
+    """
+
+    def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """H* and ones (..., nv, nv) in configurations q (..., nq)."""
+        whole = super().calc_mass_matrix(q)  # of several, each came by here
+        return whole if q.ndim > 1 else self._reduced(whole, q)
+
+    def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """As PlantModel: H* of what the known coordinates weigh."""
+        whole = PlantModel.calc_mass_matrix(self, self.hidden.whole_positions(q))
+        if self.hidden.names:
+            whole = apparent_mass_matrix(whole, self.hidden.known, self.hidden.hidden)
+        return self._reduced(whole, q)
+
+    def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """C* and zeros (..., nv), N m and N, of the velocities v of all."""
+        whole = super().calc_bias(q, v)
+        if q.ndim > 1:
+            return whole
+        result = np.zeros_like(whole)
+        result[self.coordinates.driven] = self._stack(PlantModel.calc_mass_matrix(self, q), q).reduced_bias(whole)
+        return result
+
+    def _stack(self, mass_matrix: np.ndarray, q: np.ndarray) -> FreeFloating:
+        return FreeFloating(mass_matrix=mass_matrix, base_position=q[_POSITION], driven=self.coordinates.driven)
+
+    def _reduced(self, whole: np.ndarray, q: np.ndarray) -> np.ndarray:
+        result, driven = np.eye(len(whole)), self.coordinates.driven
+        result[np.ix_(driven, driven)] = self._stack(whole, q).reduced_mass_matrix
+        return result
+
+
+def driven_model(model: PlantModel) -> PlantModel:
+    """The plant as a control law has it: a ReducedModel where some coordinates are undriven, else itself."""
+    if not model.coordinates.undriven:
+        return model
+    return ReducedModel(plant=model.plant, context=model.context, coordinates=model.coordinates, hidden=model.hidden)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

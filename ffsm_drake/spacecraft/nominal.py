@@ -133,7 +133,7 @@ def make_nominal_plant(scenario: Scenario) -> PlantModel:
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
     _set_masses(plant, context, scenario, scenario.payload.nominal, nominal=True)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))
+    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven))
 
 
 def make_true_plant(scenario: Scenario) -> PlantModel:
@@ -141,7 +141,7 @@ def make_true_plant(scenario: Scenario) -> PlantModel:
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
     _set_masses(plant, context, scenario, scenario.payload.truth)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant))
+    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven))
 
 
 def make_flexible_plant(scenario: Scenario) -> PlantModel:
@@ -152,7 +152,12 @@ def make_flexible_plant(scenario: Scenario) -> PlantModel:
     plant = make_plant(scenario.model, flexible=True)
     context = plant.CreateDefaultContext()
     set_true_masses(plant, context, scenario)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant), hidden=hidden_of(plant))
+    return PlantModel(
+        plant=plant,
+        context=context,
+        coordinates=coordinates_of(plant, undriven=scenario.undriven),
+        hidden=hidden_of(plant),
+    )
 
 
 def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario) -> None:

@@ -248,8 +248,11 @@ def base_body(plant: MultibodyPlant) -> RigidBody:
     return plant.get_body(index)
 
 
-def coordinates_of(plant: MultibodyPlant) -> Coordinates:
-    """Names of the plant's generalized velocities. Raises ModelError for a layout that the package cannot control."""
+def coordinates_of(plant: MultibodyPlant, *, undriven: tuple[str, ...] = ()) -> Coordinates:
+    """Names of the plant's generalized velocities, and the groups of them that nothing drives.
+
+    Raises ModelError for a layout that the package cannot control.
+    """
     floating = plant.GetFloatingBaseBodies()
     if len(floating) != 1:
         names = sorted(plant.get_body(index).name() for index in floating)
@@ -273,7 +276,7 @@ def coordinates_of(plant: MultibodyPlant) -> Coordinates:
     if repeated:
         raise ModelError(f"joint names must differ; more than one is called {', '.join(repeated)}")
     units = tuple("m" if joint.type_name() == "prismatic" else "rad" for joint in joints)
-    return Coordinates(tuple(names), units)
+    return Coordinates(tuple(names), units, undriven)
 
 
 def hidden_of(plant: MultibodyPlant) -> HiddenCoordinates:

@@ -14,7 +14,7 @@ from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.actuation.limits import force_limits
 
 if TYPE_CHECKING:
-    from ffsm_drake.systems.reference import PlannedMotion
+    from ffsm_drake.systems.planned_motion import PlannedMotion
 
 _LONGEST = 1000.0  # s
 _GROWTH = 1.15  # from one duration that is tried to the next

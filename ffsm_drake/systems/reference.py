@@ -11,7 +11,6 @@ g(x) = T x (1 - x)^3 (1 + 3 x) belongs: q(t) = q_0 + (q_T - q_0) s + v_0 g. The 
 polynomial of a rotation vector from its first attitude, world frame, along the eigenaxis when v_0 is zero.
 """
 
-import abc
 import dataclasses
 import math
 
@@ -27,9 +26,9 @@ from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
+from ffsm_drake.systems.free_motion import FreeMotion
 from ffsm_drake.systems.plan import Plan, load_plan
-
-_BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
+from ffsm_drake.systems.planned_motion import PlannedMotion
 
 
 def eigenaxis_motion(
@@ -112,45 +111,6 @@ def rpy_motion(
         cr2 * cp2 * sy2 - sr2 * sp2 * cy2,
     )
     return np.stack(quaternion, axis=1), np.stack(omega, axis=1), np.stack(alpha, axis=1)
-
-
-class PlannedMotion(abc.ABC):
-    """A planned motion as a function of time; a subclass gives ``rows``."""
-
-    def __init__(self, *, coordinates: Coordinates, sample_time: float, begin: float = 0.0, end: float) -> None:
-        """Args: what moves; the control period, s; when the motion with the target held begins, and its end, s.
-
-        At multiples of ``sample_time`` the motion is read from a precomputed block.
-        """
-        self.coordinates, self.begin, self.end = coordinates, begin, end
-        self._sample_time = sample_time
-        # A cache: the motion at the control samples from self._first_sample on.
-        self._first_sample = 0
-        self._rows = self.rows(sample_time * np.arange(_BLOCK))
-
-    @abc.abstractmethod
-    def rows(self, times: np.ndarray) -> np.ndarray:
-        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-
-    def part(self, share: float) -> float:
-        """The time at which a share (0 to 1) of the motion with the target held has passed, s."""
-        return self.begin + share * (self.end - self.begin)
-
-    def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """q_d (nq), v_d (nv) and dv_d/dt (nv) at a time in s."""
-        num_positions, num_velocities = len(self.coordinates.position_names), len(self.coordinates.names)
-        q_d, v_d, a_d = np.split(self.row(time).copy(), [num_positions, num_positions + num_velocities])
-        return q_d, v_d, a_d
-
-    def row(self, time: float) -> np.ndarray:
-        """[q_d; v_d; dv_d/dt] (nq + 2 nv) at a time in s; must not be changed in place."""
-        sample = round(time / self._sample_time)
-        if sample * self._sample_time != time:  # between the control samples
-            return self.rows(np.array([time]))[0]
-        if not 0 <= sample - self._first_sample < _BLOCK:
-            self._first_sample = sample
-            self._rows = self.rows(self._sample_time * np.arange(sample, sample + _BLOCK))
-        return self._rows[sample - self._first_sample]
 
 
 class PolynomialMotion(PlannedMotion):
@@ -266,12 +226,15 @@ class _MotionSource(LeafSystem):
 def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
     """The planned motion of a scenario; with a capture from the velocity after the grasp of the nominal payload.
 
+    What nothing drives follows by conservation of momentum.
+
     Raises:
       ModelError, ScenarioError: no grasp of the target, or no motion within the limits, can be computed, or the plan
         cannot be read.
     """
     capture, reference = scenario.capture, scenario.reference
-    contact = None if capture is None else planned_contact(scenario, make_nominal_plant(scenario))
+    nominal = make_nominal_plant(scenario)
+    contact = None if capture is None else planned_contact(scenario, nominal)
     target = None if reference.goal == "stop" else scenario.target_posture
 
     def polynomial(blend: Blend, posture: Posture | None, velocity: np.ndarray | None) -> PolynomialMotion:
@@ -285,6 +248,11 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
             velocity=velocity,
         )
 
+    def free(motion: PlannedMotion) -> PlannedMotion:
+        if not scenario.undriven:
+            return motion
+        return FreeMotion(motion, model=nominal, sample_time=scenario.sample_time)
+
     velocity = None if contact is None else contact.grasp.velocity
     duration = reference.duration
     stop: PlannedMotion
@@ -295,12 +263,12 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
         if duration is None:
             duration = shortest_duration(
                 scenario,
-                lambda duration: polynomial(Blend(reference, duration), target, velocity),
+                lambda duration: free(polynomial(Blend(reference, duration), target, velocity)),
                 shaped_by=make_impulses(reference.shaper).length,
             )
         stop = polynomial(Blend(reference, duration), target, velocity)
     if capture is None or contact is None or capture.approach is None:
-        return stop
+        return free(stop)
     before = Blend(reference, capture.approach.duration, backwards=True)
     approach = polynomial(before, capture.approach.posture, -contact.velocity)
     return CaptureMotion(approach=approach, stop=stop, sample_time=scenario.sample_time)

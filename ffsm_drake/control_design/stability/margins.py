@@ -28,7 +28,8 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_
 from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors
 from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_estimator
 from ffsm_drake.systems.disturbance import make_disturbance
-from ffsm_drake.systems.reference import PlannedMotion, make_motion
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import make_motion
 
 _RUN_AWAY = 5.0  # times 2/L: beyond, no loop is stable whose inertia is at least a sixth of the nominal one
 POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of the planned motion that the loop is linearised at

@@ -26,7 +26,7 @@ from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.actuation.limits import base_limits
 from ffsm_drake.systems.controllers import gain_vectors
 from ffsm_drake.systems.controllers.laws import asmc, tde_aismc
-from ffsm_drake.systems.reference import PlannedMotion
+from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.systems.setup import BlockSetup
 

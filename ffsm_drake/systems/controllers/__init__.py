@@ -8,6 +8,7 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.filtering import make_filtered
 from ffsm_drake.systems.controllers.law import (
@@ -53,8 +54,8 @@ def controller_names() -> tuple[str, ...]:
 
 
 def controller_setup(scenario: Scenario, nominal: PlantModel) -> BlockSetup:
-    """What the scenario's controller is built from."""
-    name = controller_key(scenario.controller)
+    """What the scenario's controller is built from; its model is that of the driven coordinates."""
+    name, nominal = controller_key(scenario.controller), driven_model(nominal)
     return BlockSetup(name=name, scenario=scenario, nominal=nominal, settings=scenario.controllers.get(name, {}))
 
 

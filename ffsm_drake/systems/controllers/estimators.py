@@ -30,6 +30,7 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers.filter_gains import LateAxis, coupled_gain, kalman_gain, late_gains
@@ -329,7 +330,7 @@ def _make_coupled(
     velocity_noise: np.ndarray,
 ) -> CoupledEstimator:
     """With the gain of the initial posture: that of any other on the way differs by less than its tuning matters."""
-    nominal = make_nominal_plant(scenario)
+    nominal = driven_model(make_nominal_plant(scenario))
     q = configuration(nominal.plant, scenario.initial_posture, key="initial_posture")
     axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
     inverse = np.linalg.inv(nominal.calc_mass_matrix(q))

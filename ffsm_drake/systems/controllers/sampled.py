@@ -18,6 +18,8 @@ _ONE = np.ones(1)
 class SampledController(LeafSystem):
     """A control law, evaluated once per control period.
 
+    Of undriven coordinates the law sees no error, and commands no force.
+
     Inputs:
       estimated_state: measured [q; v] (nq + nv).
       desired_state: [q_d; v_d] (nq + nv).
@@ -39,6 +41,7 @@ class SampledController(LeafSystem):
         self.law = law
         num_velocities = len(coordinates.names)
         self._num_positions = len(coordinates.position_names)
+        self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
         num_states = self._num_positions + num_velocities
         self._estimated_state = self.DeclareVectorInputPort("estimated_state", num_states)
         self._desired_state = self.DeclareVectorInputPort("desired_state", num_states)
@@ -108,6 +111,8 @@ class SampledController(LeafSystem):
         e, e_dot = difference[1:split], difference[split:]
         e[:3] = rotation = rotation_error(desired[:4], estimated[:4])
         e_dot[:3] = rotation_error_rate(rotation, desired[split : split + 3], estimated[split : split + 3])
+        if self._undriven is not None:
+            e[self._undriven] = e_dot[self._undriven] = 0.0
         value = context.get_discrete_state().value
         is_first = not value(self._has_previous).item()
         sample = Sample(
@@ -138,6 +143,9 @@ class SampledController(LeafSystem):
             self._check(returned)
             discrete_values.set_value(self._has_previous, _ONE)  # unset, a value stays what it was
         force, memory = returned
+        if self._undriven is not None:
+            force = np.array(force)
+            force[self._undriven] = 0.0
         discrete_values.set_value(self._force, force)
         for name, index in self._memory.items():
             discrete_values.set_value(index, memory[name])

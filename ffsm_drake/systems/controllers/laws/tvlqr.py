@@ -17,6 +17,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import scenario_from_dict, scenario_to_dict
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import urdfs_of
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values, gain
@@ -72,7 +73,7 @@ class Tvlqr(ControlLaw):
 def _gains_of(text: str, settings: str, changed: tuple[int, ...]) -> np.ndarray:
     """K_k (samples, nv, 2 nv) of a scenario as text up to the end of its motion; ``changed`` is when its files were."""
     scenario = scenario_from_dict(json.loads(text))
-    model = make_nominal_plant(scenario)
+    model = driven_model(make_nominal_plant(scenario))
     setup = BlockSetup(name=scenario.controller, scenario=scenario, nominal=model, settings=json.loads(settings))
     law, motion, period = (
         Tvlqr(**field_values(Tvlqr, setup)),

@@ -1,0 +1,118 @@
+"""Planned motions of a spacecraft part of which nothing drives: the rest goes where conservation of momentum takes it.
+
+Only the pose of the base is integrated, with the momentum at the start and the nominal payload. At any instant its
+velocity follows from that momentum, its acceleration from the equations of motion, so that inverse dynamics of the
+motion gives no force where nothing drives.
+"""
+
+import abc
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
+from ffsm_drake.spacecraft.free_floating import FreeFloating
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.planned_motion import PlannedMotion
+
+_ACCURACY = 1e-11  # of the integration, relative; a hundredth of it absolute
+
+
+class MomentumMotion(PlannedMotion, abc.ABC):
+    """A planned motion that is integrated; a subclass says how the driven coordinates move."""
+
+    def __init__(
+        self,
+        *,
+        model: PlantModel,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        sample_time: float,
+        end: float,
+    ) -> None:
+        """Args: the plant with the nominal payload; q (nq) and v (nv) at the start; the control period, s; its end, s.
+
+        Of ``velocity`` only the momentum counts.
+        """
+        self._model, self._driven = model, model.coordinates.driven
+        self._momentum = self._stack(position).momentum(velocity)
+        self._first, self._duration = position, end
+        self._parts = list[Any]()  # dense solutions q(t) over [0, end], [end, 2 end], ..., as far as was asked
+        super().__init__(coordinates=model.coordinates, sample_time=sample_time, end=end)
+
+    @abc.abstractmethod
+    def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
+        """v_a (na) at a time, s, in a configuration q (nq)."""
+
+    @abc.abstractmethod
+    def driven_motion(self, times: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Configurations q (n, nq), v_a (n, na) and dv_a/dt (n, na) at times (n,), of integrated configurations."""
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+        times = np.maximum(times, 0.0)
+        q, v_a, a_a = self.driven_motion(times, self._integrated(times))
+        stack = self._stack(q)
+        v = stack.velocity(v_a, self._momentum)
+        bias = self._model.calc_bias(q, v)[:, stack.undriven, None]
+        own = stack.mass_matrix[:, stack.undriven[:, None], stack.undriven]
+        a = np.empty_like(v)
+        a[:, stack.driven] = a_a
+        a[:, stack.undriven] = (stack.following @ a_a[..., None] - np.linalg.solve(own, bias))[..., 0]
+        return np.hstack([q, v, a])
+
+    def _stack(self, q: np.ndarray) -> FreeFloating:
+        mass_matrix = self._model.calc_mass_matrix(q)
+        return FreeFloating(mass_matrix=mass_matrix, base_position=q[..., 4:NUM_BASE_POSITIONS], driven=self._driven)
+
+    def _rate(self, time: float, q: np.ndarray) -> np.ndarray:
+        """q' (nq) = N(q) v."""
+        unit = np.concatenate([q[:4] / np.linalg.norm(q[:4]), q[4:]])
+        v = self._stack(unit).velocity(self.driven_velocity(time, unit), self._momentum)
+        (w, x, y, z), (a, b, c) = unit[:4], 0.5 * v[:3]
+        turn = (-a * x - b * y - c * z, a * w + b * z - c * y, b * w + c * x - a * z, c * w + a * y - b * x)
+        return np.concatenate([turn, v[3:]])
+
+    def _integrated(self, times: np.ndarray) -> np.ndarray:
+        """q (n, nq) at times (n,)."""
+        part = np.floor(times / self._duration).astype(int)
+        while len(self._parts) <= part.max():
+            begin, end = (self._duration * (len(self._parts) + i) for i in (0, 1))
+            first = self._parts[-1](begin) if self._parts else self._first
+            solved = solve_ivp(
+                self._rate,
+                (begin, end),
+                first,
+                method="DOP853",
+                dense_output=True,
+                rtol=_ACCURACY,
+                atol=0.01 * _ACCURACY,
+            )
+            self._parts.append(solved.sol)
+        q = np.empty((times.size, self._first.size))
+        for i in set(part.tolist()):
+            q[part == i] = self._parts[i](times[part == i]).T
+        q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
+        return q
+
+
+class FreeMotion(MomentumMotion):
+    """A planned motion of the driven coordinates, whatever it asks of the others."""
+
+    def __init__(self, wanted: PlannedMotion, *, model: PlantModel, sample_time: float) -> None:
+        """Args: the motion; the plant with the nominal payload; the control period, s."""
+        self._wanted = wanted
+        coordinates = model.coordinates
+        self._columns = np.concatenate([[0] if coordinates.is_driven[0] else [], coordinates.driven + 1]).astype(int)
+        self._sizes = [len(coordinates.position_names), len(coordinates.position_names) + len(coordinates.names)]
+        q, v, _ = wanted.evaluate(0.0)
+        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=wanted.end)
+
+    def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
+        return self._wanted.rows(np.array([time]))[0, self._sizes[0] : self._sizes[1]][self._driven]
+
+    def driven_motion(self, times: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        wanted, v, a = np.split(self._wanted.rows(times), self._sizes, axis=1)
+        q[:, self._columns] = wanted[:, self._columns]
+        return q, v[:, self._driven], a[:, self._driven]

@@ -1,0 +1,48 @@
+"""A planned motion as a function of time."""
+
+import abc
+
+import numpy as np
+
+from ffsm_drake.spacecraft.coordinates import Coordinates
+
+_BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
+
+
+class PlannedMotion(abc.ABC):
+    """A planned motion as a function of time; a subclass gives ``rows``."""
+
+    def __init__(self, *, coordinates: Coordinates, sample_time: float, begin: float = 0.0, end: float) -> None:
+        """Args: what moves; the control period, s; when the motion with the target held begins, and its end, s.
+
+        At multiples of ``sample_time`` the motion is read from a precomputed block.
+        """
+        self.coordinates, self.begin, self.end = coordinates, begin, end
+        self._sample_time = sample_time
+        # A cache: the motion at the control samples from self._first_sample on.
+        self._first_sample = 0
+        self._rows = self.rows(sample_time * np.arange(_BLOCK))
+
+    @abc.abstractmethod
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+
+    def part(self, share: float) -> float:
+        """The time at which a share (0 to 1) of the motion with the target held has passed, s."""
+        return self.begin + share * (self.end - self.begin)
+
+    def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """q_d (nq), v_d (nv) and dv_d/dt (nv) at a time in s."""
+        num_positions, num_velocities = len(self.coordinates.position_names), len(self.coordinates.names)
+        q_d, v_d, a_d = np.split(self.row(time).copy(), [num_positions, num_positions + num_velocities])
+        return q_d, v_d, a_d
+
+    def row(self, time: float) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (nq + 2 nv) at a time in s; must not be changed in place."""
+        sample = round(time / self._sample_time)
+        if sample * self._sample_time != time:  # between the control samples
+            return self.rows(np.array([time]))[0]
+        if not 0 <= sample - self._first_sample < _BLOCK:
+            self._first_sample = sample
+            self._rows = self.rows(self._sample_time * np.arange(sample, sample + _BLOCK))
+        return self._rows[sample - self._first_sample]
