@@ -27,7 +27,7 @@ _BASE = Coordinates((), ())
 _POSITION = slice(4, NUM_BASE_POSITIONS)  # of q: p_WB
 
 Task = Literal["pose", "attitude", "position"]
-_ROWS: dict[str, slice] = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6)}  # of a twist
+TASK_ROWS: dict[str, slice] = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6)}  # of a twist
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -234,7 +234,7 @@ def manipulability(jacobian: np.ndarray, *, task: Task = "pose", length: float =
       task: which rows count: of the twist [w; v], of w, or of v.
       length: what makes radians comparable to metres, m: w counts as length w.
     """
-    scaled = (np.repeat([length, 1.0], 3)[:, None] * jacobian)[..., _ROWS[task], :]
+    scaled = (np.repeat([length, 1.0], 3)[:, None] * jacobian)[..., TASK_ROWS[task], :]
     left, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
     return Manipulability(singular_values=sizes, lost=left[..., -1])
 

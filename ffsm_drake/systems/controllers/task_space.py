@@ -24,11 +24,10 @@ from typing import ClassVar, Self
 import numpy as np
 from pydrake.multibody.tree import Frame
 
-from ffsm_drake.spacecraft.coordinates import error_rate, position_error
-from ffsm_drake.spacecraft.free_floating import TASK_ROWS, FreeFloating, free_floating
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, error_rate, position_error
+from ffsm_drake.spacecraft.free_floating import TASK_ROWS, FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
-from ffsm_drake.systems.controllers.time_delay import matrix_vector
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values, gain
 from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -50,15 +49,20 @@ class TaskSpace:
 
         Raises ModelError: there is no such frame.
         """
-        goal, model = setup.scenario.reference.frame, setup.nominal
+        goal, given = setup.scenario.reference.frame, setup.nominal
         task = "pose" if goal is None or goal.task == "none" else goal.task
-        driven = setup.coordinates.indices(setup.scenario.driven, key="actuation.driven")
-        return cls(model=model, frame=goal_frame(setup.scenario, model), rows=TASK_ROWS[task], driven=driven)
+        # Not that of the driven coordinates alone, which a law gets otherwise.
+        model = PlantModel(plant=given.plant, context=given.context, coordinates=given.coordinates)
+        frame = goal_frame(setup.scenario, model)
+        return cls(model=model, frame=frame, rows=TASK_ROWS[task], driven=given.coordinates.driven)
 
     def at(self, sample: Sample, *, damping: float) -> "TaskPoint":
         """The task at one sample (not several runs), singular values below ``damping`` damped."""
         model, q = self.model, sample.q
-        spacecraft = free_floating(model, q, self.driven)
+        mass_matrix = model.calc_mass_matrix(q)
+        spacecraft = FreeFloating(
+            mass_matrix=mass_matrix, base_position=q[4:NUM_BASE_POSITIONS], driven=self.driven
+        )
         jacobian = model.calc_jacobian(q, self.frame)
         desired = self.planned(sample) if sample.desired_frame is None else sample.desired_frame
         twist = jacobian.dot(sample.v)
@@ -194,6 +198,11 @@ class TaskSpaceLaw(ControlLaw):
         force = np.zeros_like(sample.v)
         force[self.task_space.driven] = on_driven
         return force, {**memory, "smallest_singular_value": np.array([point.smallest_singular_value])}
+
+    @classmethod
+    def from_setup(cls, setup: BlockSetup) -> Self:
+        """See ControlLaw. Raises ModelError also: there is no such frame."""
+        return cls(**field_values(cls, setup, task_space=TaskSpace.from_setup(setup)))
 
     @abc.abstractmethod
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers.estimators import Estimator, make_task_estimator
-from ffsm_drake.systems.controllers.law import State, gain, gain_values
+from ffsm_drake.systems.controllers.law import State, field_values, gain
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.controllers.task_space import AccelerationLaw, TaskPoint, TaskSpace
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics, time_delay_force
@@ -71,11 +71,8 @@ class TaskTimeDelay(AccelerationLaw):
         task_space = TaskSpace.from_setup(setup)
         q = configuration(task_space.model.plant, setup.scenario.initial_posture, key="initial_posture")
         jacobian = task_space.model.calc_jacobian(q, task_space.frame)[task_space.rows]
-        return cls(
-            task_space=task_space,
-            estimator=make_task_estimator(setup.scenario, setup.coordinates, jacobian),
-            **gain_values(cls, setup.settings, setup.coordinates, name=setup.name),
-        )
+        estimator = make_task_estimator(setup.scenario, setup.coordinates, jacobian)
+        return cls(**field_values(cls, setup, task_space=task_space, estimator=estimator))
 
 
 def _named(memory: State) -> State:
