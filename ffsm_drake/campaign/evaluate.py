@@ -149,7 +149,7 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     settled_time, outcome, message = None, "diverged", log.outcome.message
     if log.outcome.completed:
         velocity = log.series["state"][:, len(log.coordinates.position_names) :]
-        settled_time = spec.settled.time(log.time, log.error, log.coordinates.group_of, velocity=velocity)
+        settled_time = spec.settled.time(log.time, log.error, log.coordinates, velocity=velocity)
         outcome, message = "not_settled" if settled_time is None else "settled", ""
     metrics = log.metrics
     values = {"itae": metrics["itae"], "isv": metrics["isv"], "settled_time": settled_time}

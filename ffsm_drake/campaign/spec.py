@@ -5,7 +5,7 @@ import dataclasses
 import hashlib
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ from ffsm_drake.scenario import (
 )
 from ffsm_drake.scenario.loading import MAX_FILE_SIZE
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
-from ffsm_drake.spacecraft.coordinates import GROUPS
+from ffsm_drake.spacecraft.coordinates import GROUPS, Coordinates
 from ffsm_drake.systems.registry import find_factory, module_folder
 
 _KEYS = (
@@ -59,17 +59,18 @@ class Settled:
     rest: float | None = None  # rad/s and m/s; no coordinate moves faster either; None: it may
 
     def time(
-        self, time: np.ndarray, error: np.ndarray, group_of: Sequence[str], *, velocity: np.ndarray
+        self, time: np.ndarray, error: np.ndarray, coordinates: Coordinates, *, velocity: np.ndarray
     ) -> float | None:
         """The time (s) from which error and velocity stay within these; None when the run is not settled.
 
-        Takes the control samples (n,), s, the tracking error (n, nv), rad or m, each coordinate's group (nv), and the
-        velocity (n, nv), rad/s or m/s.
+        Takes the control samples (n,), s, the tracking error (n, nv), rad or m, and the velocity (n, nv), rad/s or m/s.
+        Undriven coordinates do not count.
         """
-        bound = np.array([self.tolerance[group] for group in group_of])
-        within = (np.abs(error) <= bound).all(axis=1)  # NaN is not
+        driven = coordinates.driven
+        bound = np.array([self.tolerance[group] for group in coordinates.group_of])
+        within = (np.abs(error) <= bound)[:, driven].all(axis=1)  # NaN is not
         if self.rest is not None:
-            within &= (np.abs(velocity) <= self.rest).all(axis=1)
+            within &= (np.abs(velocity) <= self.rest)[:, driven].all(axis=1)
         outside = np.flatnonzero(~within)
         first = 0 if outside.size == 0 else int(outside[-1]) + 1
         if first == time.size:

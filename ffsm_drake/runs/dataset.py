@@ -106,6 +106,8 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
             "random_seed": scenario.random_seed,
         },
     )
+    if coordinates.undriven:
+        dataset = dataset.assign_coords(driven=("coordinate", coordinates.is_driven))
     if "thruster_force" in series:
         dataset = add_thrusters(dataset, scenario, series)
     if "wheel_momentum" in series:

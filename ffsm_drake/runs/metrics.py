@@ -10,6 +10,7 @@ import numpy as np
 
 from ffsm_drake.runs.actuators import drive_metrics, thruster_metrics, wheel_metrics
 from ffsm_drake.runs.deflections import deflection_metrics
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, position_errors
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,6 +25,8 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
         wrong.
       phases: of a run with a capture, by phase,
         those of ``tracking_metrics``, each with its own time.
+      drift: of a run with undriven coordinates,
+        those of ``drift_metrics``.
       thrusters, wheels, drives: of a run with them,
         those of ``actuators.thruster_metrics``, ``wheel_metrics`` and ``drive_metrics``.
       hidden: of a run with hidden coordinates,
@@ -35,6 +38,7 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
         effort=dataset["generalized_force"].values,
         period=float(dataset.attrs["sample_time"]),
         group=dataset["group"].values.tolist(),
+        driven=driven_of(dataset),
     )
     phases = phases_of(dataset)
     residuals = [momentum_residual(part) for part in phases.values()] or [momentum_residual(dataset)]
@@ -50,10 +54,12 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
                 effort=part["generalized_force"].values,
                 period=float(part.attrs["sample_time"]),
                 group=part["group"].values.tolist(),
+                driven=driven_of(part),
             )
             for name, part in phases.items()
         }
     for name, figures in (
+        ("drift", drift_metrics(dataset)),
         ("thrusters", thruster_metrics(dataset)),
         ("wheels", wheel_metrics(dataset)),
         ("drives", drive_metrics(dataset)),
@@ -62,6 +68,34 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
         if figures:
             tracking[name] = figures
     return tracking | {"momentum_residual": sizes}
+
+
+def driven_of(dataset: "xr.Dataset") -> np.ndarray:
+    """Whether actuators move each coordinate (nv), which is then tracked."""
+    everything: np.ndarray = np.ones(dataset.sizes["coordinate"], dtype=bool)
+    return dataset["driven"].values.astype(bool) if "driven" in dataset.coords else everything
+
+
+def drift_metrics(dataset: "xr.Dataset") -> dict[str, dict[str, float]]:
+    """Where the undriven base goes: ``largest`` and ``final`` distance from its start, by group, rad and m."""
+    undriven = set(dataset["group"].values[~driven_of(dataset)].tolist())
+    if not undriven:
+        return {}
+    moved = base_drift(dataset)
+    drift = {
+        "base_rotation": np.linalg.norm(moved[:, :3], axis=1),
+        "base_position": np.linalg.norm(moved[:, 3:], axis=1),
+    }
+    return {
+        "largest": {group: float(size.max()) for group, size in drift.items() if group in undriven},
+        "final": {group: float(size[-1]) for group, size in drift.items() if group in undriven},
+    }
+
+
+def base_drift(dataset: "xr.Dataset") -> np.ndarray:
+    """The base's motion since the start (n, 6): rotation vector (rad) and displacement (m), world axes."""
+    base = dataset["position"].values[:, :NUM_BASE_POSITIONS]
+    return position_errors(base, np.broadcast_to(base[0], base.shape))
 
 
 def phases_of(dataset: "xr.Dataset") -> "dict[str, xr.Dataset]":
@@ -73,7 +107,13 @@ def phases_of(dataset: "xr.Dataset") -> "dict[str, xr.Dataset]":
 
 
 def tracking_metrics(
-    *, time: np.ndarray, error: np.ndarray, effort: np.ndarray, period: float, group: Sequence[str]
+    *,
+    time: np.ndarray,
+    error: np.ndarray,
+    effort: np.ndarray,
+    period: float,
+    group: Sequence[str],
+    driven: np.ndarray | None = None,
 ) -> dict[str, Any]:
     """Accuracy and effort of a run, as plain numbers.
 
@@ -83,12 +123,14 @@ def tracking_metrics(
       effort: tau held from each to the next (n, nv), N m or N.
       period: control period, s.
       group: group of each coordinate (nv).
+      driven: whether each is driven (nv); None: all are.
 
     Keys:
-      itae: sum of t |e|_1 L (equation (22)).
+      itae: sum of t |e|_1 L (equation (22)), e of the driven coordinates.
       isv: sum of |tau|_2^2 L (equation (23)).
       peak_error, final_error, peak_effort: by group, the largest |e| of the run, the largest |e| of the last sample
-        (rad or m), the largest |tau| (N m or N), each over the group's coordinates.
+        (rad or m), the largest |tau| (N m or N), each over the group's coordinates; e of an undriven group is how far
+        it is from where the nominal payload would have taken it.
     """
     members = {name: [i for i, other in enumerate(group) if other == name] for name in dict.fromkeys(group)}
 
@@ -96,7 +138,7 @@ def tracking_metrics(
         return {name: float(peak[indices].max()) for name, indices in members.items()}
 
     return {
-        "itae": itae(time[:-1], error[:-1], period),
+        "itae": itae(time[:-1], (error if driven is None else error[:, driven])[:-1], period),
         "isv": isv(effort[:-1], period),
         "peak_error": by_group(np.abs(error).max(axis=0)),
         "final_error": by_group(np.abs(error[-1])),

@@ -77,6 +77,7 @@ class RunLog:
             effort=self.generalized_force,
             period=self.scenario.sample_time,
             group=self.coordinates.group_of,
+            driven=self.coordinates.is_driven,
         )
 
 

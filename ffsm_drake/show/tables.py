@@ -61,11 +61,14 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
         ["", "", "", "rad", "m", "rad", "m", "base, N", "base, N m", "joints"],
     ]
     for record in records:
-        m = record.metrics
-        errors = m["peak_error"], m["final_error"]
-        figures = [value for e in errors for value in (max(e["base_rotation"], e["joints"]), e["base_position"])]
+        m, figures = record.metrics, list[float]()
+        tracked = record.scenario.driven
+        for errors in (m["peak_error"], m["final_error"]):
+            figures.append(max(errors[group] for group in ("base_rotation", "joints") if group in tracked))
+            figures.append(errors["base_position"] if "base_position" in tracked else math.nan)
         figures += [m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")]
-        rows.append([record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *(f"{x:.3g}" for x in figures)])
+        cells = [NONE if math.isnan(x) else f"{x:.3g}" for x in figures]
+        rows.append([record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *cells])
     taken = [record.metrics.get("thrusters", {}).get("propellant") for record in records]
     if any(each is not None for each in taken):
         cells = [NONE if each is None else f"{1e3 * each:.4g}" for each in taken]
@@ -84,8 +87,23 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
     lines += [grasp_line(record.grasp) for record in records if record.grasp is not None]
     for record in records:
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
-        lines += [name + line for line in (*actuator_lines(record.metrics), *deflection_lines(record))]
+        lines += [
+            name + line for line in (*drift_lines(record), *actuator_lines(record.metrics), *deflection_lines(record))
+        ]
     return "\n".join(lines)
+
+
+def drift_lines(record: RunRecord) -> list[str]:
+    """Where the undriven base of a run went, in one line; none where all is driven."""
+    drift = record.metrics.get("drift")
+    if not drift:
+        return []
+    units = {"base_rotation": (180.0 / math.pi, "deg"), "base_position": (1e3, "mm")}
+    final, largest = (
+        " and ".join(f"{units[group][0] * size:.4g} {units[group][1]}" for group, size in drift[kind].items())
+        for kind in ("final", "largest")
+    )
+    return [f"the base, which nothing drives there, ends {final} from its start (at most {largest})"]
 
 
 def grasp_line(grasp: Mapping[str, Any]) -> str:

@@ -39,6 +39,7 @@ class LinearLoop:
 
     Its state x begins with the plant's e and its rate (2 nv), then its hidden coordinates and their rates; u is the
     controller's force until the next sample (nv, N m or N); w is the white noise of unit variance that a sample reads.
+    Undriven coordinates have no poles: they go where the others take them at the momentum that there is.
     """
 
     coordinates: Coordinates
@@ -111,6 +112,7 @@ class LinearLoop:
         """The squares of ``noise_response``; not finite where the loop grows beyond all numbers."""
         nv = len(self.coordinates.names)
         keep = self._matters(sum(np.abs(sample.b).sum(axis=1) for sample in self.samples) > 0.0)
+        keep[: self._plant_size] = True  # the drift of what nothing drives, too
         maps = [(sample.a[np.ix_(keep, keep)], sample.b[keep], sample.c[:, keep], sample.d) for sample in self.samples]
         power, once = np.eye(int(keep.sum())), np.zeros((keep.sum(),) * 2)
         for a, b, _, _ in maps:
@@ -158,15 +160,18 @@ class LinearLoop:
         """Poles, largest first, and right eigenvectors of the part of the loop that feeds back."""
         if not np.isfinite(self.a).all():
             return np.full(1, np.inf), np.ones((len(self.a), 1))
-        keep = self._matters(np.arange(len(self.a)) < self._plant_size)
-        poles, vectors = np.linalg.eig(self.a[np.ix_(keep, keep)])
+        keep = self._matters(np.zeros(len(self.a), dtype=bool))
+        poles, kept = np.linalg.eig(self.a[np.ix_(keep, keep)])
         order = np.argsort(-np.abs(poles), kind="stable")
-        return poles[order], vectors[:, order]
+        vectors = np.zeros((len(self.a), len(poles)), dtype=kept.dtype)
+        vectors[keep] = kept[:, order]
+        return poles[order], vectors
 
     def _matters(self, driven: np.ndarray) -> np.ndarray:
         """Mask of the entries of x that act on the plant and that the plant, or ``driven`` (mask), acts on."""
         arrows = sum(np.abs(sample.a) for sample in self.samples) > 0.0
         plant = np.arange(len(arrows)) < self._plant_size
+        plant[: 2 * len(self.coordinates.names)] = np.tile(self.coordinates.is_driven, 2)
         acting, driven = plant, driven | plant
         for _ in range(len(arrows)):
             acting, driven = acting | (arrows[acting].any(axis=0)), driven | (arrows[:, driven].any(axis=1))

@@ -27,7 +27,8 @@ from ffsm_drake.common.lifetime import untie
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import Actuation, Estimator, MassProperties, PerCoordinate, Scenario, Sensing, from_grasp
-from ffsm_drake.spacecraft.coordinates import position_errors, rotation_error
+from ffsm_drake.spacecraft.coordinates import BASE_ROTATION, NUM_BASE_POSITIONS, position_errors, rotation_error
+from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.actuation import make_actuation
 from ffsm_drake.systems.actuation.drives import FRICTION
@@ -59,7 +60,7 @@ class Linearizer:
         drives = scenario.actuation.drives
         if drives is not None:
             drives = dataclasses.replace(drives, rate_limit=None)
-        actuation = Actuation(delay=scenario.actuation.delay, drives=drives)
+        actuation = Actuation(driven=scenario.actuation.driven, delay=scenario.actuation.delay, drives=drives)
         if has_base_actuators(scenario):
             own = scenario.actuation
             actuation = dataclasses.replace(actuation, thrusters=own.thrusters, wheels=own.wheels)
@@ -303,6 +304,9 @@ class Linearizer:
         # From [x; w] to [x+; u], by way of the memory after the update.
         whole = motion[:, width:] @ update.jacobian
         whole[:, :width] += motion[:, :width]
+        undriven = np.flatnonzero(~self.loop.coordinates.is_driven)
+        whole[:, np.concatenate([undriven, nv + undriven])] = 0.0  # but for rounding
+        whole[undriven, undriven] = 1.0  # their drift adds up
         both = np.vstack([whole[:width], update.jacobian])
         force = whole[width:]
         return SampleMap(a=both[:, :size], b=both[:, size:], c=force[:, :size], d=force[:, size:])
@@ -330,7 +334,31 @@ class Linearizer:
         moved[:4] += (-a * x - b * y - c * z, a * w + b * z - c * y, b * w + c * x - a * z, c * w + a * y - b * x)
         moved[4 : nv + 1] += change[3:nv]
         moved[nv + 1 :] += change[nv:]
-        return moved
+        return moved if not self.loop.coordinates.undriven else self._at_same_momentum(moved, state)
+
+    def _at_same_momentum(self, moved: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """A plant's state with the undriven coordinates of another: their place, and velocities of equal momentum."""
+        coordinates, hidden = self.loop.coordinates, self.loop.hidden
+        nq, model = len(coordinates.position_names), self.loop.model(self._plant_context)
+        undriven = np.flatnonzero(~coordinates.is_driven)  # of the base, which comes first in every state
+        places = np.arange(4) if "base_rotation" in coordinates.undriven else np.empty(0, dtype=int)
+        places = np.concatenate([places, undriven[undriven >= len(BASE_ROTATION)] + 1])
+        result = moved.copy()
+        result[places] = state[places]
+
+        def whole(known_and_hidden: np.ndarray) -> tuple[FreeFloating, np.ndarray]:
+            known, rest = np.split(known_and_hidden, [nq + len(coordinates.names)])
+            q, v = np.split(hidden.whole(known, rest), [nq + len(hidden.names)])
+            others = np.delete(np.arange(v.size), undriven)
+            mass_matrix = model.calc_mass_matrix(q)
+            return FreeFloating(mass_matrix=mass_matrix, base_position=q[4:NUM_BASE_POSITIONS], driven=others), v
+
+        before, v_before = whole(state)
+        after, v = whole(result)
+        momentum = before.momentum(v_before)
+        change = after.velocity(v[after.driven], momentum) - before.velocity(v_before[before.driven], momentum)
+        result[nq + undriven] = state[nq + undriven] + change[undriven]  # to the last bit as it was without a change
+        return result
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

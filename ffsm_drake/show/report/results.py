@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ffsm_drake.runs.actuators import thruster_metrics, wheel_metrics
-from ffsm_drake.runs.metrics import isv, itae
+from ffsm_drake.runs.metrics import driven_of, isv, itae
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.style import Style, labels_of, styles_of
 from ffsm_drake.show.tables import number
@@ -130,11 +130,10 @@ def _evaluate(record: RunRecord) -> tuple[Status, str]:
     late = record.dataset["time"].values >= outcome.time - SETTLED_OVER - 1e-9
     units, names, groups = (record.dataset[name].values.astype(str) for name in ("unit", "coordinate", "group"))
     peaks = np.abs(error[late]).max(axis=0)
-    largest = ", ".join(
-        f"{number(float(peaks[units == unit].max()), 3)} {unit}" for unit in ("rad", "m") if (units == unit).any()
-    )
+    tracked = {unit: peaks[driven_of(record.dataset) & (units == unit)] for unit in ("rad", "m")}
+    largest = ", ".join(f"{number(float(each.max()), 3)} {unit}" for unit, each in tracked.items() if each.size)
     tolerance = [scenario.tolerance_of(name, group) for name, group in zip(names, groups, strict=True)]
-    excess = peaks / np.array(tolerance)
+    excess = np.where(driven_of(record.dataset), peaks / np.array(tolerance), 0.0)
     if excess.max() <= 1.0:
         return "settled", f"Settled: over the last second no error exceeds {largest}."
     worst = int(np.argmax(excess))
