@@ -63,6 +63,11 @@ class ClosedLoop:
     sources: Mapping[str, tuple[System, str]]  # signal -> the system and the name of its output port
     diagram: Any = None  # Diagram, of ``make_closed_loop``; its outputs are the signals
 
+    @property
+    def tracks_frame(self) -> bool:
+        """Whether the controller tracks the pose of a frame, and coordinates only as far as that leaves them free."""
+        return bool(self.blocks["controller"].HasInputPort("desired_frame"))
+
     def output_port(self, signal: str) -> OutputPort:
         """The port of a signal; see SIGNALS. ``disturbance_force`` is the sum of the external forces."""
         system, name = self.sources[signal]
