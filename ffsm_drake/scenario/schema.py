@@ -18,6 +18,9 @@ REFERENCE_KINDS = ("quintic", "septic", "optimal")
 SHAPER_KINDS = ("zv", "zvd")
 # What ``actuation.driven`` may name, together.
 DRIVEN = (("base_rotation", "base_position", "joints"), ("base_rotation", "joints"), ("joints",))
+FRAME_TASKS = ("pose", "position", "attitude", "none")
+FRAME_PRIORITIES = ("hold", "frame")
+FRAME_JOINTS = ("least", "target_posture")
 ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 CAPTURE_AXES = ("target", "world")
 SERVICER_MOTIONS = ("rest", "track_joints", "track_all", "given")
@@ -162,6 +165,31 @@ class Shaper:
 
 
 @dataclasses.dataclass
+class FrameGoal:
+    """A frame whose pose the planned motion prescribes; the joints follow by the generalized Jacobian.
+
+    The origin goes along a line, the attitude about the eigenaxis. Base coordinates that are driven move as without it.
+    """
+
+    frame: str | None = None  # scoped name; null: ``model.end_effector``
+    # what of the frame is prescribed: "pose", "position", "attitude", or "none", which leaves the joints to
+    # target_posture.joints, as far as ``hold`` lets them
+    task: str = "pose"
+    position: list[float] | None = None  # m; goal of its origin, world frame; null: where it starts
+    # rad; goal of its attitude: roll, pitch, yaw in the world frame; null: as it starts
+    rpy: list[float] | None = None
+    # base coordinates that are not driven, or groups of them, which the joints then do not move: reaction null space
+    hold: list[str] = dataclasses.field(default_factory=list)
+    priority: str = "hold"  # which comes first where not both are possible: "hold", or "frame"
+    # what the joints do with the freedom that is left: "least", least rates, or "target_posture": they go towards it
+    joints: str = "least"
+    # singular value of the task's Jacobian, radians of the frame counted as metres, below which joints are damped: no
+    # twist takes more than 1.09/damping times its size in joint rates, and the path is missed instead
+    damping: float = 0.05
+    feedback: float = 2.0  # 1/s; at which the plan takes back what it has missed of the path
+
+
+@dataclasses.dataclass
 class Reference:
     """The planned motion: from the initial to the target posture by a polynomial, or a plan from a file."""
 
@@ -178,6 +206,7 @@ class Reference:
     # polynomial, as in the paper
     base_rotation: str = "eigenaxis"
     shaper: Shaper | None = None  # of a polynomial; null: it is not shaped
+    frame: FrameGoal | None = None  # whose pose is prescribed, in place of target_posture.joints; null: none
     # with optimal: file of the plan, a path from the scenario file's folder or a package:// address
     plan: str | None = None
 

@@ -15,6 +15,9 @@ from ffsm_drake.scenario.schema import (
     DRIVEN,
     ESTIMATOR_KINDS,
     FLEXIBLE_KINDS,
+    FRAME_JOINTS,
+    FRAME_PRIORITIES,
+    FRAME_TASKS,
     GOALS,
     GRASPING_JOINTS,
     MODULATORS,
@@ -26,6 +29,7 @@ from ffsm_drake.scenario.schema import (
     Drives,
     Environment,
     Flexible,
+    FrameGoal,
     MassProperties,
     Posture,
     Scenario,
@@ -151,6 +155,8 @@ def validate(scenario: Scenario) -> None:
         problem = f"must be from 0 to {MAX_DELAY} control samples, not {delay}"
         require(0 <= delay <= MAX_DELAY, f"{place}.delay", problem)
     _validate_driven(scenario)
+    if scenario.reference.frame is not None:
+        _validate_frame(scenario, scenario.reference.frame)
     if scenario.actuation.thrusters is not None:
         _validate_thrusters(scenario.actuation.thrusters, scenario.sample_time)
     if scenario.actuation.wheels is not None:
@@ -177,6 +183,31 @@ def _validate_driven(scenario: Scenario) -> None:
         require(scenario.reference.goal == "stop" or not asked, f"target_posture.{field}", where)
     approach = scenario.capture is not None and scenario.capture.approach is not None
     require(not approach, "capture.approach", "needs every coordinate driven (actuation.driven); leave it out")
+
+
+def _validate_frame(scenario: Scenario, frame: FrameGoal) -> None:
+    key, reference = "reference.frame", scenario.reference
+    require(reference.kind != "optimal", key, "has no effect on a plan; take kind quintic or septic, or frame: null")
+    approach = scenario.capture is not None and scenario.capture.approach is not None
+    require(not approach, "capture.approach", "needs reference.frame: null; leave one of them out")
+    for name, choice, choices in (
+        ("task", frame.task, FRAME_TASKS),
+        ("priority", frame.priority, FRAME_PRIORITIES),
+        ("joints", frame.joints, FRAME_JOINTS),
+    ):
+        _require_choice(choice, f"{key}.{name}", choices)
+    for name, given, other in (("position", frame.position, "attitude"), ("rpy", frame.rpy, "position")):
+        require(given is None or len(given) == 3, f"{key}.{name}", "must hold three numbers, or be null")
+        unused = given is None or frame.task not in (other, "none")
+        require(unused, f"{key}.{name}", f"has no effect with task: {frame.task}; leave it out")
+        stops = given is None or reference.goal != "stop"
+        require(stops, f"{key}.{name}", "has no effect with goal: stop, which ends wherever it can; leave it out")
+    undriven = [name for group in scenario.undriven for name in (group, *(f"{group}_{axis}" for axis in "xyz"))]
+    for name in frame.hold:
+        known = f"choose of {', '.join(undriven)}{did_you_mean(name, undriven)}" if undriven else "leave it out"
+        require(name in undriven, f"{key}.hold", f"'{name}' is no base coordinate that is left undriven; {known}")
+    require(frame.damping > 0, f"{key}.damping", f"must be > 0, not {frame.damping:g}")
+    require(0 <= frame.feedback <= 100, f"{key}.feedback", f"must be from 0 to 100 1/s, not {frame.feedback:g}")
 
 
 def _validate_drives(drives: Drives) -> None:

@@ -26,7 +26,7 @@ from ffsm_drake.scenario import (
     schema_fields,
     thruster_layouts,
 )
-from ffsm_drake.scenario.schema import MODULATORS
+from ffsm_drake.scenario.schema import FRAME_TASKS, MODULATORS
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
 
 SETTINGS = settings(
@@ -72,6 +72,7 @@ SPECIAL = {
     "base_rotation": st.sampled_from(BASE_ROTATIONS),
     "inertia": moments(),
     "delay": st.integers(0, 1000),
+    "driven": st.just(["all"]),
     "segments": st.integers(4, 100),
     **dict.fromkeys(
         ("velocity_period", "position_period", "velocity_delay", "position_delay"),
@@ -124,7 +125,15 @@ SPECIAL = {
 }
 
 REFERENCES = st.fixed_dictionaries(
-    {}, optional={"duration": POSITIVE, "base_rotation": st.sampled_from(BASE_ROTATIONS)}
+    {},
+    optional={
+        "duration": POSITIVE,
+        "base_rotation": st.sampled_from(BASE_ROTATIONS),
+        "frame": st.none()
+        | st.fixed_dictionaries(
+            {}, optional={"frame": TEXT, "task": st.sampled_from(FRAME_TASKS), "damping": POSITIVE}
+        ),
+    },
 ) | st.fixed_dictionaries({"kind": st.just("optimal"), "plan": NAME})
 
 

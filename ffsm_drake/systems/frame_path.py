@@ -1,0 +1,96 @@
+"""The path of a frame that a scenario prescribes: a line for its origin, the eigenaxis for its attitude.
+
+Both follow the blend of the planned motion. After a capture the frame moves at the start, and the blend's stop takes
+that velocity to rest, as it does with coordinates (``systems/reference.py``).
+"""
+
+import dataclasses
+
+import numpy as np
+from pydrake.math import RollPitchYaw, RotationMatrix
+from pydrake.multibody.tree import Frame
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.scenario import FrameGoal, Scenario
+from ffsm_drake.spacecraft.capture import planned_contact
+from ffsm_drake.spacecraft.coordinates import rotation_error
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.plant import configuration, find_frame
+from ffsm_drake.systems.blend import Blend
+from ffsm_drake.systems.rotation_motion import eigenaxis_motion, rotation_vector_motion
+
+FRAME_SIZE = 19  # of a row of FramePath
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class FramePath:
+    """The pose of a frame F over time, with velocities and accelerations; world axes, rad, m, s."""
+
+    first: np.ndarray  # (7) quaternion (w, x, y, z) of R_WF, then p_WF, at the start
+    change: np.ndarray  # (6) rotation vector from the first attitude to the last, then the line
+    twist: np.ndarray  # (6) [w_WF; v_WF] at the start
+    blend: Blend
+
+    @property
+    def end(self) -> float:
+        """When the frame comes to rest, s."""
+        return self.blend.duration
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """Rows (n, 19) at times (n,), s; at rest outside the motion.
+
+        [quaternion wxyz of R_WF (4), p_WF (3), w_WF (3), v_WF (3), alpha_WF (3), a_WF (3)].
+        """
+        s, ds, dds = (column[:, None] for column in self.blend.blend(times))
+        value, rate, acceleration = s * self.change, ds * self.change, dds * self.change
+        if self.twist.any():
+            g, dg, ddg = (column[:, None] for column in self.blend.stop(times))
+            value, rate, acceleration = value + g * self.twist, rate + dg * self.twist, acceleration + ddg * self.twist
+            turn = rotation_vector_motion(self.first[:4], value[:, :3], rate[:, :3], acceleration[:, :3])
+        else:
+            turn = eigenaxis_motion(self.first[:4], self.change[:3], (s, ds, dds))
+        quaternion, omega, alpha = turn
+        return np.hstack([quaternion, self.first[4:] + value[:, 3:], omega, rate[:, 3:], alpha, acceleration[:, 3:]])
+
+
+def goal_frame(scenario: Scenario, model: PlantModel) -> Frame:
+    """The frame of ``reference.frame``. Raises ModelError: there is none of that name."""
+    goal = scenario.reference.frame or FrameGoal()
+    if goal.frame is None:
+        return find_frame(model.plant, scenario.model.end_effector, key="model.end_effector")
+    return find_frame(model.plant, goal.frame, key="reference.frame.frame")
+
+
+def make_frame_path(scenario: Scenario, model: PlantModel, *, duration: float | None = None) -> FramePath:
+    """The path of ``reference.frame`` from where the frame is in ``initial_posture``.
+
+    Args:
+      scenario: without a frame of its own the end effector stays where it is.
+      model: the plant with the nominal payload.
+      duration: of the motion, s; without it ``reference.duration``.
+
+    Raises:
+      ModelError: there is no such frame, or no grasp of the target.
+      ScenarioError: the duration is still to be found, or an input shaper takes all of it.
+    """
+    reference = scenario.reference
+    goal = reference.frame or FrameGoal()
+    duration = reference.duration if duration is None else duration
+    if duration is None:
+        raise ScenarioError("reference.duration", "auto is still to be found; give a number of seconds")
+    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    frame = goal_frame(scenario, model)
+    model.plant.SetPositions(model.context, q)
+    X_WF = frame.CalcPoseInWorld(model.context)
+    twist = np.zeros(6)
+    if scenario.capture is not None:
+        twist = model.calc_jacobian(q, frame) @ planned_contact(scenario, model).grasp.velocity
+    blend = Blend(reference, duration)
+    quaternion, change = X_WF.rotation().ToQuaternion().wxyz(), np.zeros(6)
+    if reference.goal == "stop":
+        change = blend.stopping_time * twist
+    if goal.rpy is not None:
+        change[:3] = rotation_error(RotationMatrix(RollPitchYaw(goal.rpy)).ToQuaternion().wxyz(), quaternion)
+    if goal.position is not None:
+        change[3:] = goal.position - X_WF.translation()
+    return FramePath(first=np.concatenate([quaternion, X_WF.translation()]), change=change, twist=twist, blend=blend)
