@@ -22,9 +22,10 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.actuation import make_actuation
 from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK
-from ffsm_drake.systems.controllers import FRAME_SIZE, OPTIONAL_OUTPUTS, SMALLEST, make_controller
+from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST, make_controller
 from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.environment import EnvironmentForce
+from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.reference import make_reference
 from ffsm_drake.systems.registry import Factory, call_factory, find_factory, module_file
 from ffsm_drake.systems.sensing import make_sensing

@@ -28,13 +28,14 @@ from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates, position_errors
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
 from ffsm_drake.systems.actuation import HELD_OUTPUTS
+from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.registry import Factory, is_shipped
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.capture import GraspLog
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
-_HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable", *HELD_OUTPUTS)
+_HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable", SMALLEST, *HELD_OUTPUTS)
 # Besides the payload's true mass properties, what can change without a new build.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
 

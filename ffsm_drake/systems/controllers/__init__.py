@@ -21,13 +21,12 @@ from ffsm_drake.systems.controllers.law import (
     gain_values,
     gains_of,
 )
-from ffsm_drake.systems.controllers.sampled import FRAME_SIZE, OPTIONAL_OUTPUTS, SMALLEST, SampledController
+from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS, SMALLEST, SampledController
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 from ffsm_drake.systems.registry import Factory, block_names, call_factory, find_factory
 from ffsm_drake.systems.setup import BlockSetup
 
 __all__ = [
-    "FRAME_SIZE",
     "OPTIONAL_OUTPUTS",
     "PAPER_LAWS",
     "SMALLEST",

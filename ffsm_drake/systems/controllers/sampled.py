@@ -9,11 +9,11 @@ from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error, rotation_error_rate
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample
+from ffsm_drake.systems.frame_path import FRAME_SIZE
 
 # What of a law's memory is an output, and recorded: (nv) each, and one number.
 OPTIONAL_OUTPUTS = ("sliding_variable", "reaching_gain", "switching_gain")
 SMALLEST = "smallest_singular_value"
-FRAME_SIZE = 19
 _ONE = np.ones(1)
 
 

@@ -12,8 +12,9 @@ units of the driven coordinates are (the dynamically consistent inverse, Khatib 
 
     J# = H*^-1 J*^T Lambda,     Lambda = (J* H*^-1 J*^T + sum_i max(0, d^2 - s_i^2) b_i u_i u_i^T)^-1,
 
-with J* = sum_i s_i u_i v_i^T and b_i = v_i^T H*^-1 v_i. A twist along u_i alone then takes the rates 1/s_i of it where
-s_i > d, and s_i/d^2 below: 1/d at most, and none at a singularity.
+with J* = sum_i s_i u_i v_i^T and b_i = v_i^T H*^-1 v_i. Along u_i alone it takes 1/s_i of A where s_i > d, and s_i/d^2
+below: 1/d at most, and none at a singularity. Rates are those of least size, so that no twist takes more than 1/d of it:
+J+ is J# with 1 for H*.
 """
 
 import abc
@@ -167,9 +168,11 @@ class TaskPoint:
         left, sizes, right = self._directions
         return self.mobility @ right.T @ (sizes[:, None] * self._inertia) @ left.T
 
-    def free(self, z: np.ndarray) -> np.ndarray:
-        """(1 - J# J*) z (na): what of z (na) leaves the frame alone."""
-        return z - self.inverse.dot(self.jacobian.dot(z))
+    @functools.cached_property
+    def rate_inverse(self) -> np.ndarray:
+        """J+ (na, m)."""
+        left, sizes, right = self._directions
+        return right.T @ (sizes / np.maximum(sizes, self.damping) ** 2 * left).T
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -231,10 +234,11 @@ class AccelerationLaw(TaskSpaceLaw):
         return by_row(self.task_space, self.k_d_rotation, self.k_d_position)
 
     def free_acceleration(self, point: TaskPoint) -> np.ndarray:
-        """(na) that follows the plan and leaves the frame alone."""
+        """(1 - J# J*) z (na): what of an acceleration z that follows the plan leaves the frame alone."""
         sample, driven = point.sample, self.task_space.driven
         wanted = sample.a_d + self.k_d_free * sample.e_dot + self.k_p_free * sample.e
-        return point.free(wanted[driven])
+        free: np.ndarray = wanted[driven] - point.inverse.dot(point.jacobian.dot(wanted[driven]))
+        return free
 
 
 def by_row(task_space: TaskSpace, rotation: float, position: float) -> np.ndarray:

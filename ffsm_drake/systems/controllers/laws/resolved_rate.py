@@ -14,7 +14,7 @@ from ffsm_drake.systems.controllers.task_space import TaskPoint, TaskSpaceLaw, b
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ResolvedRate(TaskSpaceLaw):
-    """v_r = J# (V_d + K e - V_0) + (1 - J# J*) (v_d + k_free e_q),  tau_a = H* k_v (v_r - v_a) + C*.
+    """v_r = J+ (V_d + K e - V_0) + (1 - J+ J*) (v_d + k_free e_q),  tau_a = H* k_v (v_r - v_a) + C*.
 
     V_0 = J v - J* v_a is the frame's drift while the driven coordinates stand still. The rates v_r lag: the frame is
     behind its path by about A_d / (k_v K).
@@ -33,6 +33,7 @@ class ResolvedRate(TaskSpaceLaw):
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
         sample, driven = point.sample, self.task_space.driven
         drift = point.twist - point.jacobian.dot(point.v_a)
-        rates = point.inverse.dot(point.desired_twist + self.k_p * point.e - drift)
-        rates = rates + point.free((sample.v_d + self.k_p_free * sample.e)[driven])
+        free = (sample.v_d + self.k_p_free * sample.e)[driven]
+        wanted = point.desired_twist + self.k_p * point.e - drift
+        rates = free + point.rate_inverse.dot(wanted - point.jacobian.dot(free))
         return point.mass_matrix.dot(self.k_v * (rates - point.v_a)) + point.bias, {}
