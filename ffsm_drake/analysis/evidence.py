@@ -11,6 +11,7 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import from_grasp
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.systems.controllers import gain_vectors
 from ffsm_drake.systems.registry import is_shipped
@@ -59,8 +60,8 @@ class Evidence:
         self.data = finite_part(phases.get("stop", record.dataset))
         self.time = self.data["time"].values
         self.period = float(record.dataset.attrs["sample_time"])
-        self.nominal = make_nominal_plant(self.scenario)
-        self.true = make_flexible_plant(self.scenario)
+        self.nominal = driven_model(make_nominal_plant(self.scenario))
+        self.true = driven_model(make_flexible_plant(self.scenario))
         self.coordinates = self.nominal.coordinates
         self.after_start_up = self.time >= estimation.start_up_time(self.period) - 1e-9
         self.series: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
@@ -73,9 +74,9 @@ class Evidence:
 
     @property
     def groups(self) -> dict[str, slice]:
-        """The groups that have coordinates (an arm may have no joints)."""
-        size = len(self.coordinates.names)
-        return {name: part for name, part in self.coordinates.groups.items() if len(range(*part.indices(size)))}
+        """The groups that have coordinates (an arm may have no joints) and are driven."""
+        size, groups = len(self.coordinates.names), self.coordinates.driven_groups
+        return {name: part for name, part in groups.items() if len(range(*part.indices(size)))}
 
     @functools.cached_property
     def constants(self) -> Mapping[str, Any]:
@@ -115,7 +116,8 @@ class Evidence:
         commanded = estimation.commanded_acceleration(
             effort=effort, measured_velocity=velocity, nominal_mass_matrix=inertia, period=self.period
         )
-        return estimation.estimation_error(velocity=self.values("velocity"), commanded=commanded, period=self.period)
+        error = estimation.estimation_error(velocity=self.values("velocity"), commanded=commanded, period=self.period)
+        return np.where(self.coordinates.is_driven, error, 0.0)
 
     @functools.cached_property
     def bound(self) -> np.ndarray:

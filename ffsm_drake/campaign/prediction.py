@@ -19,6 +19,7 @@ from ffsm_drake.control_design.stability.margins import POSTURES, expected_gains
 from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.control_design.stability.sampled_loop import inertia_ratios
 from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant, make_true_plant
 from ffsm_drake.systems.actuation.limits import force_limits
 from ffsm_drake.systems.disturbance import make_disturbance
@@ -67,7 +68,7 @@ def predicted_load(linearizer: Linearizer) -> float:
     true payload, less the disturbance.
     """
     scenario, motion = linearizer.given, linearizer.motion
-    true = make_true_plant(scenario)
+    true = driven_model(make_true_plant(scenario))
     disturbance = make_disturbance(scenario.disturbance, motion.coordinates)
     port, context = disturbance.GetOutputPort("generalized_force"), disturbance.CreateDefaultContext()
     answer = min(round(_ANSWER / scenario.sample_time), scenario.num_control_periods)
@@ -90,13 +91,14 @@ def _radii(linearizer: Linearizer, times: Sequence[float]) -> tuple[float, float
 
 def _most_overestimated(scenario: Scenario) -> list[float]:
     """Times (s) of the postures, the one with the largest inertia ratio first, of equal ones the earliest."""
-    nominal, true = make_nominal_plant(scenario), make_flexible_plant(scenario)
+    nominal, true = driven_model(make_nominal_plant(scenario)), driven_model(make_flexible_plant(scenario))
+    pick = np.ix_(nominal.coordinates.driven, nominal.coordinates.driven)
     reference = make_motion(scenario, nominal.coordinates)
     times = [reference.part(share) for share in POSTURES]
     postures = {time: reference.evaluate(time)[0] for time in times}
     ratio = {
         time: round(
-            inertia_ratios(true.calc_apparent_mass_matrix(q), nominal.calc_mass_matrix(q))[-1], 9
+            inertia_ratios(true.calc_apparent_mass_matrix(q)[pick], nominal.calc_mass_matrix(q)[pick])[-1], 9
         )  # beyond: rounding
         for time, q in postures.items()
     }

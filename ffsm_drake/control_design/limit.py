@@ -19,6 +19,7 @@ from ffsm_drake.control_design.stability.linearization import Linearizer, smooth
 from ffsm_drake.control_design.stability.margins import expected_gains
 from ffsm_drake.control_design.stability.sampled_loop import covariance_after
 from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.controllers.filter_gains import kalman_gain
 from ffsm_drake.systems.reference import make_motion
@@ -61,7 +62,7 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     motion, step, count = make_motion(scenario, demand.coordinates), scenario.sample_time, scenario.num_control_periods
     time = motion.part(0.5)
     q, _, _ = motion.evaluate(time)
-    mass = make_true_plant(scenario).calc_mass_matrix(q)
+    mass = driven_model(make_true_plant(scenario)).calc_mass_matrix(q)
     walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
     with Linearizer(scenario) as linearizer:
         loop = linearizer.at(time, held=expected_gains(linearizer))

@@ -64,7 +64,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     if scenario.blocks.reference is not None:
         return remarks
     motion = make_motion(scenario, model.coordinates)
-    remarks += _starts_elsewhere(scenario, motion, model.plant)
+    remarks += [*motion.remarks(), *_starts_elsewhere(scenario, motion, model.plant)]
     remarks += _clearance(lambda: plan_clearance(scenario), scenario.clearance, "the planned motion")
     limit, limited_by = np.full(len(model.coordinates.names), np.inf), "actuation.limit"
     if scenario.blocks.actuation is None:

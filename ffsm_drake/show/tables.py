@@ -304,7 +304,7 @@ def margins_data(margins: "Margins") -> dict[str, Any]:
             "sample_time_limit": float(axes.sample_time_limit[i]),
             "eta_tolerated": axes.eta_tolerated[i].tolist(),
         }
-        for i, name in enumerate(margins.coordinates.names)
+        for i, name in enumerate(margins.coordinates.names) if margins.coordinates.is_driven[i]
     }  # fmt: skip
     return {
         "controller": margins.scenario.controller,

@@ -50,6 +50,11 @@ class Coordinates:
         """Group name -> its slice of v."""
         return {"base_rotation": slice(0, 3), "base_position": slice(3, 6), "joints": slice(6, len(self.names))}
 
+    @property
+    def driven_groups(self) -> dict[str, slice]:
+        """``groups`` without those that nothing drives."""
+        return {group: part for group, part in self.groups.items() if group not in self.undriven}
+
     @functools.cached_property
     def is_driven(self) -> np.ndarray:
         """Whether actuators move each coordinate (nv)."""

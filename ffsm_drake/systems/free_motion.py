@@ -15,6 +15,7 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.rotation_motion import quaternion_rate
 
 _ACCURACY = 1e-11  # of the integration, relative; a hundredth of it absolute
 
@@ -45,6 +46,10 @@ class MomentumMotion(PlannedMotion, abc.ABC):
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         """v_a (na) at a time, s, in a configuration q (nq)."""
 
+    def velocity(self, time: float, q: np.ndarray) -> np.ndarray:
+        """v (nv) at a time, s, in a configuration q (nq)."""
+        return self._stack(q).velocity(self.driven_velocity(time, q), self._momentum)
+
     @abc.abstractmethod
     def driven_motion(self, times: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Configurations q (n, nq), v_a (n, na) and dv_a/dt (n, na) at times (n,), of integrated configurations."""
@@ -69,10 +74,8 @@ class MomentumMotion(PlannedMotion, abc.ABC):
     def _rate(self, time: float, q: np.ndarray) -> np.ndarray:
         """q' (nq) = N(q) v."""
         unit = np.concatenate([q[:4] / np.linalg.norm(q[:4]), q[4:]])
-        v = self._stack(unit).velocity(self.driven_velocity(time, unit), self._momentum)
-        (w, x, y, z), (a, b, c) = unit[:4], 0.5 * v[:3]
-        turn = (-a * x - b * y - c * z, a * w + b * z - c * y, b * w + c * x - a * z, c * w + a * y - b * x)
-        return np.concatenate([turn, v[3:]])
+        v = self.velocity(time, unit)
+        return np.concatenate([quaternion_rate(unit[:4], v[:3]), v[3:]])
 
     def _integrated(self, times: np.ndarray) -> np.ndarray:
         """q (n, nq) at times (n,)."""

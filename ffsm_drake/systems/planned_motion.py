@@ -27,6 +27,10 @@ class PlannedMotion(abc.ABC):
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
 
+    def remarks(self) -> list[str]:
+        """What of the motion is not as it was asked, a line each."""
+        return []
+
     def part(self, share: float) -> float:
         """The time at which a share (0 to 1) of the motion with the target held has passed, s."""
         return self.begin + share * (self.end - self.begin)

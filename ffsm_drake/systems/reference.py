@@ -25,10 +25,11 @@ from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
-from ffsm_drake.systems.frame_path import FramePath, make_frame_path
+from ffsm_drake.systems.frame_path import FramePath, goal_frame, make_frame_path
 from ffsm_drake.systems.free_motion import FreeMotion
 from ffsm_drake.systems.plan import Plan, load_plan
 from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.resolved_motion import ResolvedMotion
 from ffsm_drake.systems.rotation_motion import eigenaxis_motion, rotation_vector_motion, rpy_motion
 
 
@@ -179,6 +180,15 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
         )
 
     def free(motion: PlannedMotion) -> PlannedMotion:
+        if reference.frame is not None:
+            return ResolvedMotion(
+                motion,
+                path=make_frame_path(scenario, nominal, duration=motion.end),
+                goal=reference.frame,
+                frame=goal_frame(scenario, nominal),
+                model=nominal,
+                sample_time=scenario.sample_time,
+            )
         if not scenario.undriven:
             return motion
         return FreeMotion(motion, model=nominal, sample_time=scenario.sample_time)

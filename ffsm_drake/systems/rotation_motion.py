@@ -5,6 +5,12 @@ import math
 import numpy as np
 
 
+def quaternion_rate(quaternion: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """Rate (4, ...) of a quaternion (4, ...; w, x, y, z) of R_WB, of an angular velocity w_WB_W (3, ...), rad/s."""
+    (w, x, y, z), (a, b, c) = quaternion, 0.5 * omega
+    return np.array([-a * x - b * y - c * z, a * w + b * z - c * y, b * w + c * x - a * z, c * w + a * y - b * x])
+
+
 def eigenaxis_motion(
     first: np.ndarray, rotation: np.ndarray, blend: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -12,6 +12,7 @@ from ffsm_drake.control_design.stability.demand import Demand
 from ffsm_drake.control_design.stability.linearization import smooth_sensing
 from ffsm_drake.control_design.stability.sampled_loop import LoopGains, Sampling, axis_loop, axis_poles, inertia_ratios
 from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
 from ffsm_drake.systems.controllers.filter_gains import kalman_gain
 from ffsm_drake.systems.reference import make_motion
@@ -245,10 +246,11 @@ def _eta_range(scenario: Scenario, masses: list[float]) -> np.ndarray:
 
 def _mass_matrices(scenario: Scenario, parts: list[float]) -> list[tuple[np.ndarray, np.ndarray]]:
     """(H, Hhat) at fractions of the planned motion."""
-    nominal, true = make_nominal_plant(scenario), make_flexible_plant(scenario)
+    nominal, true = driven_model(make_nominal_plant(scenario)), driven_model(make_flexible_plant(scenario))
+    pick = np.ix_(nominal.coordinates.driven, nominal.coordinates.driven)
     motion = make_motion(scenario, nominal.coordinates)
     configurations = [motion.evaluate(motion.part(share))[0] for share in parts]
-    return [(true.calc_apparent_mass_matrix(q), nominal.calc_mass_matrix(q)) for q in configurations]
+    return [(true.calc_apparent_mass_matrix(q)[pick], nominal.calc_mass_matrix(q)[pick]) for q in configurations]
 
 
 def with_true_mass(scenario: Scenario, mass: float) -> Scenario:

@@ -53,7 +53,7 @@ def _group_costs(point: DesignPoint, price: float) -> dict[str, float]:
 
 
 def _groups(point: DesignPoint) -> Mapping[str, slice]:
-    return point.prediction.coordinates.groups
+    return point.prediction.coordinates.driven_groups
 
 
 def _tunable(scenario: Scenario) -> list[str]:

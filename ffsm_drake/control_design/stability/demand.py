@@ -7,6 +7,7 @@ from scipy.interpolate import CubicSpline
 
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.actuation.drives import DriveSet
 from ffsm_drake.systems.disturbance import make_disturbance
@@ -27,7 +28,7 @@ class Demand:
 def make_demand(scenario: Scenario, *, points: int = 201) -> Demand:
     """The demand of a scenario. Raises ModelError or ScenarioError where its model or a value cannot be used."""
     scenario = from_grasp(scenario)
-    nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
+    nominal, true = (driven_model(make(scenario)) for make in (make_nominal_plant, make_true_plant))
     coordinates, period = nominal.coordinates, scenario.sample_time
     reference = make_motion(scenario, coordinates)
     disturbance = make_disturbance(scenario.disturbance, coordinates)

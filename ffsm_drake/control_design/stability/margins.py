@@ -24,6 +24,7 @@ from ffsm_drake.loop.blocks import block_choices
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.flexible import HiddenMode
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors
 from ffsm_drake.systems.controllers.estimators import KalmanEstimator, make_estimator
@@ -45,7 +46,7 @@ class AxisMargins:
 
     sampling: Sampling
     law: LawGains
-    k_s_limit: np.ndarray  # (nv,) 1/s, NaN for a law without K_s
+    k_s_limit: np.ndarray  # (nv,) 1/s, NaN for a law without K_s, and of undriven coordinates
     sample_time_limit: np.ndarray  # (nv,) s
     eta_tolerated: np.ndarray  # (nv, 2) at the starting gains
     forecast_times: np.ndarray  # (p,) s
@@ -74,7 +75,8 @@ class Margins:
     scenario: Scenario
     coordinates: Coordinates
     times: np.ndarray  # (m,) s, the postures looked at
-    eta: np.ndarray  # (m, nv) eigenvalues of H^-1 Hhat there, H apparent (``PlantModel.calc_apparent_mass_matrix``)
+    # (m, na) eigenvalues of H^-1 Hhat of the driven coordinates there, H apparent (calc_apparent_mass_matrix)
+    eta: np.ndarray
     loops: tuple[LinearLoop, ...]  # the loop as it is wired, at some of them, at the starting gains
     loops_expected: tuple[LinearLoop, ...]  # the same with every K_s at its largest expected value
     radius_at_bounds: float  # spectral radius at the worst of these with every K_s at its bound; NaN without bounds
@@ -174,14 +176,14 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
       BlockError: a user-supplied block cannot be loaded, built, wired or run.
     """
     scenario = from_grasp(scenario)
-    nominal, true = make_nominal_plant(scenario), make_flexible_plant(scenario)
+    nominal, true = _models(scenario)
     coordinates, motion = nominal.coordinates, make_motion(scenario, nominal.coordinates)
     times = np.linspace(motion.begin, motion.end, postures)
-    eta = np.array([inertia_ratios(*_mass_matrices(true, nominal, motion, time)) for time in times])
+    eta = np.array([_ratios(true, nominal, motion, time) for time in times])
     locked = eta
     if true.hidden.names:
-        rigid = make_true_plant(scenario)
-        locked = np.array([inertia_ratios(*_mass_matrices(rigid, nominal, motion, time)) for time in times])
+        rigid = driven_model(make_true_plant(scenario))
+        locked = np.array([_ratios(rigid, nominal, motion, time) for time in times])
     instants = [motion.part(share) for share in POSTURES]
     with Linearizer(scenario) as linearizer:
         held, loops = dict[str, np.ndarray](), tuple(linearizer.at(time) for time in instants)
@@ -254,7 +256,7 @@ def _axis_margins(
     return AxisMargins(
         sampling=sampling,
         law=law,
-        k_s_limit=table[:, 0],
+        k_s_limit=np.where(nominal.coordinates.is_driven, table[:, 0], np.nan),
         sample_time_limit=table[:, 1],
         eta_tolerated=table[:, 2:],
         forecast_times=forecast_times,
@@ -284,14 +286,14 @@ def _warning(scenario: Scenario, linearizer: Linearizer) -> str:
         return f"the sampled loop is unstable at the starting gains (spectral radius {radius:.4f}); {remedy}"
     if not has_closed_form(scenario):
         return ""
-    nominal, true = make_nominal_plant(scenario), make_flexible_plant(scenario)
+    nominal, true = _models(scenario)
     law, sampling = law_gains(scenario, nominal.coordinates), sampling_of(scenario, nominal.coordinates)
     if np.array_equal(law.k_s_max, law.k_s):
         return ""
     unbounded = ~np.isfinite(law.k_s_max)
     if not unbounded.any() and linearizer.at(0.0, held={"reaching_gain": law.k_s_max}).spectral_radius < 1.0:
         return ""
-    eta = inertia_ratios(*_mass_matrices(true, nominal, make_motion(scenario, nominal.coordinates), 0.0))[-1]
+    eta = _ratios(true, nominal, make_motion(scenario, nominal.coordinates), 0.0)[-1]
     axis = int(np.argmax(law.k_s_max))
     limit = largest_stable_k_s(law, axis, eta=eta, sampling=sampling)
     bound = "is not bounded" if unbounded.any() else f"may grow to {law.k_s_max.max():g} 1/s"
@@ -307,7 +309,7 @@ def expected_gains(linearizer: Linearizer, loop: LinearLoop | None = None) -> di
     scenario = linearizer.given
     if not has_closed_form(scenario):
         return {}
-    nominal, true = make_nominal_plant(scenario), make_flexible_plant(scenario)
+    nominal, true = _models(scenario)
     law, sampling = law_gains(scenario, nominal.coordinates), sampling_of(scenario, nominal.coordinates)
     if np.array_equal(law.k_s_max, law.k_s):
         return {}
@@ -346,7 +348,7 @@ def forecast_reaching_gain(
         coordinates.vector(getattr(scenario.sensing, f"{name}_noise"), key=f"sensing.{name}_noise", default=0.0)
         for name in ("position", "velocity")
     ]
-    locked = make_true_plant(scenario) if true.hidden.names else true
+    locked = driven_model(make_true_plant(scenario)) if true.hidden.names else true
     drift = _lumped_uncertainty_drift(scenario, locked, nominal, times)
     square = scenario.controller == "aismc"
 
@@ -448,6 +450,17 @@ def _lumped_uncertainty_drift(
         tau = true.calc_mass_matrix(q) @ a + true.calc_bias(q, v) - port.Eval(context)
         lumped.append(a - np.linalg.solve(nominal.calc_mass_matrix(q), tau))
     return np.gradient(np.array(lumped), times, axis=0)
+
+
+def _models(scenario: Scenario) -> tuple[PlantModel, PlantModel]:
+    """The nominal and the true plant, of the driven coordinates."""
+    return driven_model(make_nominal_plant(scenario)), driven_model(make_flexible_plant(scenario))
+
+
+def _ratios(true: PlantModel, nominal: PlantModel, motion: PlannedMotion, time: float) -> np.ndarray:
+    """eta (na) of the driven coordinates at a time of the motion."""
+    pick = np.ix_(motion.coordinates.driven, motion.coordinates.driven)
+    return inertia_ratios(*(matrix[pick] for matrix in _mass_matrices(true, nominal, motion, time)))
 
 
 def _mass_matrices(

@@ -40,8 +40,8 @@ class Prediction:
         return float(self.isv_by_coordinate.sum())
 
     def by_group(self) -> dict[str, float]:
-        """Root mean square error over each group's coordinates."""
-        groups = self.coordinates.groups
+        """Root mean square error over the coordinates of each driven group."""
+        groups = self.coordinates.driven_groups
         return {name: float(np.sqrt(np.mean(self.rms_error[part] ** 2))) for name, part in groups.items()}
 
     @property

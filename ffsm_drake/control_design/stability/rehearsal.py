@@ -20,6 +20,7 @@ from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMa
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.actuation import make_actuation, make_base_actuators
 from ffsm_drake.systems.actuation.base import attitude_ahead
@@ -130,7 +131,7 @@ class _Run:
         motion: PlannedMotion,
         mean: tuple[np.ndarray, np.ndarray],
     ) -> None:
-        nominal, period, settings = make_nominal_plant(scenario), scenario.sample_time, scenario.actuation
+        nominal, period, settings = driven_model(make_nominal_plant(scenario)), scenario.sample_time, scenario.actuation
         coordinates = motion.coordinates
         self._scenario, self._loops, self._motion, (self._error, self._force) = scenario, loops, motion, mean
         self._switch = _switching_gain(scenario, coordinates)

@@ -116,8 +116,10 @@ def _show_target_posture(
 
 
 def _last_configuration(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
-    """Where the motion ends (nq): a plan, or one that stops wherever it costs least, not in the target posture."""
-    if scenario.blocks.reference is None and (scenario.reference.kind, scenario.reference.goal) != _TO_TARGET:
+    """Where the motion ends (nq): other than a polynomial to the target posture of all coordinates it is elsewhere."""
+    reference = scenario.reference
+    elsewhere = (reference.kind, reference.goal) != _TO_TARGET or reference.frame is not None or scenario.undriven
+    if scenario.blocks.reference is None and elsewhere:
         with suppress(FfsmError):  # a plan's file that is not there any more
             motion = make_motion(scenario, coordinates_of(plant))
             return motion.evaluate(motion.end)[0]

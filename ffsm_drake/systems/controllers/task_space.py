@@ -3,18 +3,17 @@
 With J* the generalized Jacobian, H* and C* of the driven coordinates a (``docs/free_floating.md``), the frame's twist
 and acceleration are
 
-    V = J* v_a + (J v - J* v_a),        A = J* dv_a/dt + A_0,     H* dv_a/dt + C* = tau_a,
+    V = J* v_a + V_0,     A = J* dv_a/dt + A_0,     H* dv_a/dt + C* = tau_a,
 
-all of them of the nominal plant at the measured state. Where every coordinate is driven J* is J, H* is H.
+all of them of the nominal plant at the measured state; where every coordinate is driven J* is J, H* is H. The joints
+serve the frame. A driven base follows its plan, and the joints as far as the frame leaves them free: of a motion z of
+all driven coordinates that follows the plan, and what the frame should do,
 
-Of the accelerations that give the frame the same A, the damped inverse takes that of least kinetic energy, whatever the
-units of the driven coordinates are (the dynamically consistent inverse, Khatib 1987, doi:10.1109/JRA.1987.1087068),
+    v_a = z + [0; J+ (V - V_0 - J* z)],     dv_a/dt = z + [0; J+ (A - A_0 - J* z)],
 
-    J# = H*^-1 J*^T Lambda,     Lambda = (J* H*^-1 J*^T + sum_i max(0, d^2 - s_i^2) b_i u_i u_i^T)^-1,
-
-with J* = sum_i s_i u_i v_i^T and b_i = v_i^T H*^-1 v_i. Along u_i alone it takes 1/s_i of A where s_i > d, and s_i/d^2
-below: 1/d at most, and none at a singularity. Rates are those of least size, so that no twist takes more than 1/d of it:
-J+ is J# with 1 for H*.
+J+ being the damped pseudoinverse of the joints' columns of J*: along each singular direction 1/s, and s/d^2 where s < d.
+So no twist takes rates of more than 1/d of it, and at a singularity the lost direction takes none. That of least kinetic
+energy (Khatib 1987, doi:10.1109/JRA.1987.1087068) has no such bound, and turns light wrists where it need not.
 """
 
 import abc
@@ -25,7 +24,7 @@ from typing import ClassVar, Self
 import numpy as np
 from pydrake.multibody.tree import Frame
 
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, error_rate, position_error
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, error_rate, position_error
 from ffsm_drake.spacecraft.free_floating import TASK_ROWS, FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values, gain
@@ -42,7 +41,7 @@ class TaskSpace:
     model: PlantModel  # whole, with the nominal payload
     frame: Frame
     rows: slice  # of [w; v]: m of them
-    driven: np.ndarray  # (na) indices of v
+    driven: np.ndarray  # (na) indices of v, the joints last
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
@@ -59,17 +58,14 @@ class TaskSpace:
 
     def at(self, sample: Sample, *, damping: float) -> "TaskPoint":
         """The task at one sample (not several runs), singular values below ``damping`` damped."""
-        model, q = self.model, sample.q
-        mass_matrix = model.calc_mass_matrix(q)
+        model, q, rows = self.model, sample.q, self.rows
         spacecraft = FreeFloating(
-            mass_matrix=mass_matrix, base_position=q[4:NUM_BASE_POSITIONS], driven=self.driven
+            mass_matrix=model.calc_mass_matrix(q), base_position=q[4:NUM_BASE_POSITIONS], driven=self.driven
         )
         jacobian = model.calc_jacobian(q, self.frame)
         desired = self.planned(sample) if sample.desired_frame is None else sample.desired_frame
         twist = jacobian.dot(sample.v)
         e = position_error(desired[:7], model.calc_frame_pose(q, self.frame))
-        e_dot = error_rate(e, desired[7:13], twist)
-        rows, driven = self.rows, self.driven
         return TaskPoint(
             task_space=self,
             sample=sample,
@@ -78,11 +74,11 @@ class TaskSpace:
             jacobian=spacecraft.generalized_jacobian(jacobian)[rows],
             damping=damping,
             e=e[rows],
-            e_dot=e_dot[rows],
+            e_dot=error_rate(e, desired[7:13], twist)[rows],
             twist=twist[rows],
             desired_twist=desired[7:13][rows],
             desired_acceleration=desired[13:][rows],
-            v_a=sample.v[driven],
+            v_a=sample.v[self.driven],
         )
 
     def planned(self, sample: Sample) -> np.ndarray:
@@ -92,10 +88,14 @@ class TaskSpace:
         acceleration = jacobian.dot(sample.a_d) + model.calc_bias_acceleration(q, v, self.frame)
         return np.concatenate([model.calc_frame_pose(q, self.frame), jacobian.dot(v), acceleration])
 
+    def by_row(self, rotation: float, position: float) -> np.ndarray:
+        """One number for the frame's rotation and one for its position, by row of the task (m)."""
+        return np.repeat([rotation, position], 3)[self.rows]
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class TaskPoint:
-    """The task at one sample: m rows of the frame's twist, na driven coordinates; world axes."""
+    """The task at one sample: m rows of the frame's twist, na driven coordinates, nj joints; world axes."""
 
     task_space: TaskSpace
     sample: Sample
@@ -105,86 +105,69 @@ class TaskPoint:
     damping: float
     e: np.ndarray  # (m) of the pose: rotation vector from R_WF to its reference, rad; then of the position, m
     e_dot: np.ndarray  # (m) its rate
-    twist: np.ndarray  # (m) measured
+    twist: np.ndarray  # V (m), measured
     desired_twist: np.ndarray  # (m)
     desired_acceleration: np.ndarray  # (m)
     v_a: np.ndarray  # (na) measured
 
-    @functools.cached_property
+    @property
     def mass_matrix(self) -> np.ndarray:
         """H* (na, na)."""
         return self.spacecraft.reduced_mass_matrix
 
     @functools.cached_property
-    def mobility(self) -> np.ndarray:
-        """H*^-1 (na, na)."""
-        return np.linalg.inv(self.mass_matrix)
-
-    @functools.cached_property
-    def whole_bias(self) -> np.ndarray:
+    def _whole_bias(self) -> np.ndarray:
         """C (nv)."""
         return self.task_space.model.calc_bias(self.sample.q, self.sample.v)
 
     @functools.cached_property
     def bias(self) -> np.ndarray:
         """C* (na)."""
-        return self.spacecraft.reduced_bias(self.whole_bias)
+        return self.spacecraft.reduced_bias(self._whole_bias)
 
-    @functools.cached_property
+    @property
+    def drift(self) -> np.ndarray:
+        """V_0 (m): J v - J* v_a."""
+        return self.twist - self.jacobian.dot(self.v_a)
+
+    @property
     def bias_acceleration(self) -> np.ndarray:
         """A_0 (m), exact: J' v - J_u H_uu^-1 C_u."""
         space, sample = self.task_space, self.sample
         own = space.model.calc_bias_acceleration(sample.q, sample.v, space.frame)[space.rows]
-        return self.spacecraft.bias_acceleration(self.whole_jacobian, own, self.whole_bias)
+        return self.spacecraft.bias_acceleration(self.whole_jacobian, own, self._whole_bias)
 
     @functools.cached_property
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """J* = u s v^T: u (m, k), s (k), v^T (k, na)."""
-        return np.linalg.svd(self.jacobian, full_matrices=False)
-
-    @functools.cached_property
-    def _inertia(self) -> np.ndarray:
-        """Lambda in the directions u (k, k)."""
-        _, sizes, right = self._directions
-        mobility = right @ self.mobility @ right.T
-        damped = np.maximum(self.damping**2 - sizes * sizes, 0.0) * np.diagonal(mobility)
-        return np.linalg.inv(sizes[:, None] * mobility * sizes + np.diag(damped))
+        """Of the joints' columns of J*, u s v^T: u (m, k), s (k), v^T (k, nj)."""
+        base = int(np.count_nonzero(self.task_space.driven < NUM_BASE_VELOCITIES))
+        return np.linalg.svd(self.jacobian[:, base:], full_matrices=False)
 
     @property
     def smallest_singular_value(self) -> float:
-        """Of J*, rad counted as m, among directions in which the arm moves the frame at all."""
+        """Of the joints' columns of J*, rad counted as m, among directions in which they move the frame at all."""
         sizes = self._directions[1]
         return float(sizes[sizes > _ROUNDING * sizes[0]][-1]) if sizes[0] > 0.0 else 0.0
 
-    @functools.cached_property
-    def inertia(self) -> np.ndarray:
-        """Lambda (m, m), kg m^2 and kg; 1 in directions in which the arm cannot push."""
-        left = self._directions[0]
-        return left @ self._inertia @ left.T + np.eye(len(left)) - left @ left.T
-
-    @functools.cached_property
-    def inverse(self) -> np.ndarray:
-        """J# (na, m)."""
+    def served(self, z: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        """z + [0; J+ (wanted - J* z)] (na): the motion z (na) changed in the joints for what is wanted of the frame (m)."""
         left, sizes, right = self._directions
-        return self.mobility @ right.T @ (sizes[:, None] * self._inertia) @ left.T
-
-    @functools.cached_property
-    def rate_inverse(self) -> np.ndarray:
-        """J+ (na, m)."""
-        left, sizes, right = self._directions
-        return right.T @ (sizes / np.maximum(sizes, self.damping) ** 2 * left).T
+        lacking = left.T.dot(wanted - self.jacobian.dot(z))
+        result = z.copy()
+        result[z.size - right.shape[1] :] += (sizes / np.maximum(sizes, self.damping) ** 2 * lacking).dot(right)
+        return result
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TaskSpaceLaw(ControlLaw):
-    """Base of the laws on a frame's pose: where the task leaves freedom, the driven coordinates follow their plan."""
+    """Base of the laws that track a frame's pose; ``driven_force`` is the law."""
 
     tracks_frame: ClassVar[bool] = True
     task_space: TaskSpace
     damping: float = gain(
         0.05,
         "rad/rad, m/rad",
-        "singular value of J*, rad counted as m, below which it is damped",
+        "singular value of the joints' J*, rad counted as m, below which it is damped",
         scalar=True,
         positive=True,
         feedback=False,
@@ -195,7 +178,7 @@ class TaskSpaceLaw(ControlLaw):
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         if sample.v.ndim > 1:  # several runs, one after the other
-            return _one_by_one(self, sample, state)
+            return self._one_by_one(sample, state)
         point = self.task_space.at(sample, damping=self.damping)
         on_driven, memory = self.driven_force(point, state)
         force = np.zeros_like(sample.v)
@@ -211,46 +194,38 @@ class TaskSpaceLaw(ControlLaw):
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
         """tau_a (na) at one sample, N m and N, and the law's own memory; see ``ControlLaw.step``."""
 
+    def _one_by_one(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        forces, memories = list[np.ndarray](), list[State]()
+        for i in range(len(sample.v)):
+            one = Sample(*(value[i] if isinstance(value, np.ndarray) else value for value in sample))
+            force, memory = self.step(one, {name: value[i] for name, value in state.items()})
+            forces.append(force)
+            memories.append(memory)
+        return np.stack(forces), {name: np.stack([memory[name] for memory in memories]) for name in memories[0]}
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AccelerationLaw(TaskSpaceLaw):
-    """Base of the laws that command accelerations: their gains, for the frame and for the freedom that it leaves."""
+    """Base of the laws that command accelerations, with gains for the frame and for what follows the plan."""
 
     k_p_rotation: float
     k_p_position: float
     k_d_rotation: float
     k_d_position: float
-    k_p_free: float = gain(4.0, "1/s^2", "gain on the coordinates' errors where the task leaves freedom", scalar=True)
-    k_d_free: float = gain(4.0, "1/s", "gain on their rates there", scalar=True)
+    k_p_plan: float = gain(25.0, "1/s^2", "gain on the errors of a driven base and of free joints", scalar=True)
+    k_d_plan: float = gain(10.0, "1/s", "gain on their rates", scalar=True)
 
     @functools.cached_property
     def k_p(self) -> np.ndarray:
         """By row of the task (m)."""
-        return by_row(self.task_space, self.k_p_rotation, self.k_p_position)
+        return self.task_space.by_row(self.k_p_rotation, self.k_p_position)
 
     @functools.cached_property
     def k_d(self) -> np.ndarray:
         """By row of the task (m)."""
-        return by_row(self.task_space, self.k_d_rotation, self.k_d_position)
+        return self.task_space.by_row(self.k_d_rotation, self.k_d_position)
 
-    def free_acceleration(self, point: TaskPoint) -> np.ndarray:
-        """(1 - J# J*) z (na): what of an acceleration z that follows the plan leaves the frame alone."""
-        sample, driven = point.sample, self.task_space.driven
-        wanted = sample.a_d + self.k_d_free * sample.e_dot + self.k_p_free * sample.e
-        free: np.ndarray = wanted[driven] - point.inverse.dot(point.jacobian.dot(wanted[driven]))
-        return free
-
-
-def by_row(task_space: TaskSpace, rotation: float, position: float) -> np.ndarray:
-    """One number for the frame's rotation and one for its position, by row of the task (m)."""
-    return np.repeat([rotation, position], 3)[task_space.rows]
-
-
-def _one_by_one(law: TaskSpaceLaw, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-    forces, memories = [], []
-    for i in range(len(sample.v)):
-        one = Sample(*(value[i] if isinstance(value, np.ndarray) else value for value in sample))
-        force, memory = law.step(one, {name: value[i] for name, value in state.items()})
-        forces.append(force)
-        memories.append(memory)
-    return np.stack(forces), {name: np.stack([memory[name] for memory in memories]) for name in memories[0]}
+    def planned(self, sample: Sample) -> np.ndarray:
+        """The acceleration z (na) that follows the plan."""
+        z = sample.a_d + self.k_d_plan * sample.e_dot + self.k_p_plan * sample.e
+        return z[self.task_space.driven]

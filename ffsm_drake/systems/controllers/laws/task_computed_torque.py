@@ -13,7 +13,7 @@ from ffsm_drake.systems.controllers.task_space import AccelerationLaw, TaskPoint
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TaskComputedTorque(AccelerationLaw):
-    """tau_a = H* (J# (A_d + K_d e' + K_p e - A_0) + (1 - J# J*) z) + C*, z the plan's with gains of its own."""
+    """tau_a = H* (z + [0; J+ (A_d + K_d e' + K_p e - A_0 - J* z)]) + C*, z being the plan's."""
 
     k_p_rotation: float = gain(25.0, "1/s^2", "gain K_p on the frame's attitude error", scalar=True)
     k_p_position: float = gain(25.0, "1/s^2", "gain K_p on the frame's position error", scalar=True)
@@ -22,5 +22,4 @@ class TaskComputedTorque(AccelerationLaw):
 
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
         wanted = point.desired_acceleration + self.k_d * point.e_dot + self.k_p * point.e - point.bias_acceleration
-        acceleration = point.inverse.dot(wanted) + self.free_acceleration(point)
-        return point.mass_matrix.dot(acceleration) + point.bias, {}
+        return point.mass_matrix.dot(point.served(self.planned(point.sample), wanted)) + point.bias, {}

@@ -1,8 +1,9 @@
 """Time-delay control in task space: the estimators of time-delay control, on the frame's pose.
 
-The frame obeys V' = N + Lambda^-1 F with the task's inertia Lambda and the force F that acts on the frame in its
-directions, tau_a = J*^T F, of which F = J#^T tau_a is found again; everything unknown is in N, C* and A_0 too. The
-estimators see a sample of m coordinates: the frame's error for e, its twist for v, F for tau, Lambda for H.
+The frame obeys A = N + Lambda^-1 F with Lambda = (J* H*^-1 J*^T)^-1, the task's mass matrix, and F the force on the
+frame; everything unknown is in N, and C* and A_0 too. All that an estimate takes of both is what the force gives the
+frame, Lambda^-1 F = J* H*^-1 tau_a: so that is the force of the sample that the estimators see, of the m rows of the
+task, and its mass matrix 1. Nothing is inverted that a singularity makes singular.
 """
 
 import dataclasses
@@ -16,7 +17,7 @@ from ffsm_drake.systems.controllers.estimators import Estimator, make_task_estim
 from ffsm_drake.systems.controllers.law import State, field_values, gain
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.controllers.task_space import AccelerationLaw, TaskPoint, TaskSpace
-from ffsm_drake.systems.controllers.time_delay import InjectedDynamics, time_delay_force
+from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 from ffsm_drake.systems.setup import BlockSetup
 
 _PREFIX = "frame_"  # of the memory: what is of the frame, not of the coordinates
@@ -24,7 +25,10 @@ _PREFIX = "frame_"  # of the memory: what is of the frame, not of the coordinate
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TaskTimeDelay(AccelerationLaw):
-    """tau_a = J*^T (base force + Lambda (u - base acceleration)) + H* (1 - J# J*) z; u is TDC's, z as computed torque's."""
+    """tau_a = H* (z + [0; J+ (f - J* H*^-1 C* - J* z)]) + C* with f = base force + u - base acceleration.
+
+    f is what tau_a should give the frame, u that of TDC, z the acceleration of the plan.
+    """
 
     estimator: Estimator  # of m coordinates
     k_p_rotation: float = gain(100.0, "1/s^2", "gain K_P on the frame's attitude error", scalar=True)
@@ -34,36 +38,35 @@ class TaskTimeDelay(AccelerationLaw):
 
     @property
     def dynamics(self) -> InjectedDynamics:
-        """What is injected, of vectors (m): TDC; a subclass may inject others."""
+        """What is injected, of vectors (m): TDC's; a subclass may inject others."""
         return Tdc(k_d=self.k_d, k_p=self.k_p)
 
     def initial_state(self) -> State:
-        return {**super().initial_state(), **_named({**self.estimator.initial_state(), **self.dynamics.initial_state()})}
+        memory = _named({**self.estimator.initial_state(), **self.dynamics.initial_state()})
+        return {**super().initial_state(), **memory}
 
     def held(self) -> Mapping[str, float | None]:
         return {_PREFIX + name: value for name, value in self.dynamics.held().items()}
 
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
         own = {name.removeprefix(_PREFIX): value for name, value in state.items() if name.startswith(_PREFIX)}
+        applied = point.sample.applied_force[self.task_space.driven]
+        given = point.jacobian.dot(np.linalg.solve(point.mass_matrix, np.stack([applied, point.bias], axis=1)))
         sample = point.sample._replace(
             v=point.twist,
             v_d=point.desired_twist,
             a_d=point.desired_acceleration,
             e=point.e,
             e_dot=point.e_dot,
-            applied_force=point.inverse.T.dot(point.sample.applied_force[self.task_space.driven]),
+            applied_force=given[:, 0],
             is_new=None,
         )
-        estimate, after = self.estimator.step(sample, point.inertia, own)
-        u, dynamics = self.dynamics.step(estimate.e, estimate.e_dot, sample.a_d, own)
-        on_frame = time_delay_force(
-            delayed_force=estimate.base_force,
-            nominal_mass_matrix=point.inertia,
-            delayed_acceleration=estimate.base_acceleration,
-            u=u,
-        )
-        force = point.jacobian.T.dot(on_frame) + point.mass_matrix.dot(self.free_acceleration(point))
-        return force, _named({**after, **dynamics})
+        estimate, estimator_memory = self.estimator.step(sample, np.eye(len(given)), own)
+        u, dynamics_memory = self.dynamics.step(estimate.e, estimate.e_dot, sample.a_d, own)
+        wanted = estimate.base_force + u - estimate.base_acceleration
+        acceleration = point.served(self.planned(point.sample), wanted - given[:, 1])
+        force = point.mass_matrix.dot(acceleration) + point.bias
+        return force, _named({**estimator_memory, **dynamics_memory})
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
