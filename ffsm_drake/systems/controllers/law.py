@@ -154,7 +154,11 @@ def field_values(kind: type, setup: BlockSetup, **given: Any) -> dict[str, Any]:
             values[field.name] = setup.nominal
         elif field.name == "sample_time":
             values[field.name] = setup.sample_time
-        elif field.name not in given and field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+        elif (
+            field.name not in given
+            and field.default is dataclasses.MISSING
+            and field.default_factory is dataclasses.MISSING
+        ):
             raise BlockError(
                 f"controller '{setup.name}': field '{field.name}' must be a gain(...), model, sample_time or have a "
                 "default"

@@ -11,9 +11,10 @@ all driven coordinates that follows the plan, and what the frame should do,
 
     v_a = z + [0; J+ (V - V_0 - J* z)],     dv_a/dt = z + [0; J+ (A - A_0 - J* z)],
 
-J+ being the damped pseudoinverse of the joints' columns of J*: along each singular direction 1/s, and s/d^2 where s < d.
-So no twist takes rates of more than 1/d of it, and at a singularity the lost direction takes none. That of least kinetic
-energy (Khatib 1987, doi:10.1109/JRA.1987.1087068) has no such bound, and turns light wrists where it need not.
+J+ being the pseudoinverse of the joints' columns of J*, damped as in ``resolved_motion``: along each singular direction
+1/s, and s (2 d^2 - s^2) / d^4 where s < d. So no twist takes rates of more than 1.09/d of it, and at a singularity the
+lost direction takes none. The inverse of least kinetic energy (Khatib 1987, doi:10.1109/JRA.1987.1087068) has no such
+bound, and turns light wrists where it need not.
 """
 
 import abc
@@ -29,6 +30,7 @@ from ffsm_drake.spacecraft.free_floating import TASK_ROWS, FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values, gain
 from ffsm_drake.systems.frame_path import goal_frame
+from ffsm_drake.systems.resolved_motion import damped_inverse
 from ffsm_drake.systems.setup import BlockSetup
 
 _ROUNDING = 1e-9  # of the largest singular value: below, a direction that the arm does not have at all
@@ -150,11 +152,11 @@ class TaskPoint:
         return float(sizes[sizes > _ROUNDING * sizes[0]][-1]) if sizes[0] > 0.0 else 0.0
 
     def served(self, z: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """z + [0; J+ (wanted - J* z)] (na): the motion z (na) changed in the joints for what is wanted of the frame (m)."""
+        """z + [0; J+ (wanted - J* z)] (na): a motion z (na) with joints that do what is wanted of the frame (m)."""
         left, sizes, right = self._directions
         lacking = left.T.dot(wanted - self.jacobian.dot(z))
         result = z.copy()
-        result[z.size - right.shape[1] :] += (sizes / np.maximum(sizes, self.damping) ** 2 * lacking).dot(right)
+        result[z.size - right.shape[1] :] += (damped_inverse(sizes, self.damping) * lacking).dot(right)
         return result
 
 
@@ -197,7 +199,9 @@ class TaskSpaceLaw(ControlLaw):
     def _one_by_one(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         forces, memories = list[np.ndarray](), list[State]()
         for i in range(len(sample.v)):
-            one = Sample(*(value[i] if isinstance(value, np.ndarray) else value for value in sample))
+            one = sample._replace(
+                **{name: value[i] for name, value in sample._asdict().items() if isinstance(value, np.ndarray)}
+            )
             force, memory = self.step(one, {name: value[i] for name, value in state.items()})
             forces.append(force)
             memories.append(memory)
