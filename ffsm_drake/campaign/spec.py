@@ -7,7 +7,7 @@ import itertools
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -25,7 +25,6 @@ from ffsm_drake.campaign.dispersion import (
 )
 from ffsm_drake.common.errors import CampaignError, ScenarioError, one_line
 from ffsm_drake.common.files import check_regular
-from ffsm_drake.runs.tracking import Tracked
 from ffsm_drake.scenario import (
     Scenario,
     anchor_paths,
@@ -39,6 +38,9 @@ from ffsm_drake.scenario.loading import MAX_FILE_SIZE
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.registry import find_factory, module_folder
+
+if TYPE_CHECKING:
+    from ffsm_drake.runs.tracking import Tracked
 
 _KEYS = (
     "description", "scenario", "overrides", "controllers", "cases", "seed", "sampling", "parameters", "factors",
@@ -59,7 +61,7 @@ class Settled:
     tolerance: Mapping[str, float]  # rad or m, by group
     rest: float | None = None  # rad/s and m/s; no coordinate moves faster either; None: it may
 
-    def time(self, time: np.ndarray, tracked: Tracked, *, velocity: np.ndarray) -> float | None:
+    def time(self, time: np.ndarray, tracked: "Tracked", *, velocity: np.ndarray) -> float | None:
         """The time (s) from which error and velocity stay within these; None when the run is not settled.
 
         Takes the control samples (n,), s, the errors that count (n, k), and the velocity of the driven coordinates

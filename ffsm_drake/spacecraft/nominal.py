@@ -105,6 +105,16 @@ class PlantModel:
         X_WF = frame.CalcPoseInWorld(self.context)
         return np.concatenate([X_WF.rotation().ToQuaternion().wxyz(), X_WF.translation()])
 
+    def calc_frame_motion(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """A frame's pose, twist and acceleration (..., 19) in a motion q, v, dv/dt of all: the rows of ``FramePath``.
+
+        [``calc_frame_pose``; w_WF; v_WF; alpha_WF; a_WF], world axes. Args and errors as ``calc_jacobian``.
+        """
+        jacobian = self.calc_jacobian(q, frame)
+        twist, acceleration = ((jacobian @ of[..., None])[..., 0] for of in (v, a))
+        acceleration = acceleration + self.calc_bias_acceleration(q, v, frame)
+        return np.concatenate([self.calc_frame_pose(q, frame), twist, acceleration], axis=-1)
+
     def calc_inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """The force H a + C (..., nv) that gives accelerations a (..., nv), N m and N."""
         return (self.calc_mass_matrix(q) @ a[..., None])[..., 0] + self.calc_bias(q, v)

@@ -65,7 +65,9 @@ class TaskSpace:
             mass_matrix=model.calc_mass_matrix(q), base_position=q[4:NUM_BASE_POSITIONS], driven=self.driven
         )
         jacobian = model.calc_jacobian(q, self.frame)
-        desired = self.planned(sample) if sample.desired_frame is None else sample.desired_frame
+        desired = sample.desired_frame
+        if desired is None:  # the frame goes where the planned motion of the coordinates takes it
+            desired = model.calc_frame_motion(sample.q_d, sample.v_d, sample.a_d, self.frame)
         twist = jacobian.dot(sample.v)
         e = position_error(desired[:7], model.calc_frame_pose(q, self.frame))
         return TaskPoint(
@@ -82,13 +84,6 @@ class TaskSpace:
             desired_acceleration=desired[13:][rows],
             v_a=sample.v[self.driven],
         )
-
-    def planned(self, sample: Sample) -> np.ndarray:
-        """[pose; twist; acceleration] (19) of the frame in the planned motion of the coordinates."""
-        model, q, v = self.model, sample.q_d, sample.v_d
-        jacobian = model.calc_jacobian(q, self.frame)
-        acceleration = jacobian.dot(sample.a_d) + model.calc_bias_acceleration(q, v, self.frame)
-        return np.concatenate([model.calc_frame_pose(q, self.frame), jacobian.dot(v), acceleration])
 
     def by_row(self, rotation: float, position: float) -> np.ndarray:
         """One number for the frame's rotation and one for its position, by row of the task (m)."""
