@@ -37,6 +37,7 @@ from ffsm_drake.scenario import (
 )
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import make_controller
+from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import Factory, find_factory
 
@@ -207,7 +208,8 @@ class _Bench:
 
 def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
     """Samples along the planned motion with small random errors."""
-    coordinates = make_nominal_plant(scenario).coordinates
+    nominal = make_nominal_plant(scenario)
+    coordinates, frame = nominal.coordinates, goal_frame(scenario, nominal)
     reference = make_motion(scenario, coordinates)
     random = np.random.default_rng(seed)
     samples = []
@@ -225,6 +227,7 @@ def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
                 "desired_acceleration": a_d,
                 "applied_force": noise[2],
                 "measurement_is_new": np.ones(q.size + v.size),
+                "desired_frame": nominal.calc_frame_motion(q_d, v_d, a_d, frame),
             }
         )
     return samples
@@ -233,8 +236,9 @@ def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
 def _reordered(samples: list[dict[str, np.ndarray]], order: np.ndarray) -> list[dict[str, np.ndarray]]:
     """The same samples for a model that lists the old coordinates ``order`` (nv)."""
     states = np.concatenate([[0], 1 + order, order.size + 1 + order])  # the quaternion has one number more
+    orders = {order.size: order, states.size: states}
     return [
-        {name: value[order if value.size == order.size else states] for name, value in sample.items()}
+        {name: value if name == "desired_frame" else value[orders[value.size]] for name, value in sample.items()}
         for sample in samples
     ]
 

@@ -148,8 +148,8 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
         raise RuntimeError("the run was interrupted")
     settled_time, outcome, message = None, "diverged", log.outcome.message
     if log.outcome.completed:
-        velocity = log.series["state"][:, len(log.coordinates.position_names) :]
-        settled_time = spec.settled.time(log.time, log.error, log.coordinates, velocity=velocity)
+        velocity = log.series["state"][:, len(log.coordinates.position_names) :][:, log.coordinates.driven]
+        settled_time = spec.settled.time(log.time, log.tracked, velocity=velocity)
         outcome, message = "not_settled" if settled_time is None else "settled", ""
     metrics = log.metrics
     values = {"itae": metrics["itae"], "isv": metrics["isv"], "settled_time": settled_time}

@@ -7,7 +7,7 @@ import itertools
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -36,8 +36,11 @@ from ffsm_drake.scenario import (
 )
 from ffsm_drake.scenario.loading import MAX_FILE_SIZE
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
-from ffsm_drake.spacecraft.coordinates import GROUPS, Coordinates
+from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.registry import find_factory, module_folder
+
+if TYPE_CHECKING:
+    from ffsm_drake.runs.tracking import Tracked
 
 _KEYS = (
     "description", "scenario", "overrides", "controllers", "cases", "seed", "sampling", "parameters", "factors",
@@ -52,25 +55,22 @@ _RESERVED = {"random_seed": "follows from 'seed' and the case's number", "contro
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settled:
-    """Every coordinate's |e| is within its group's tolerance throughout the last ``hold`` seconds of the run."""
+    """Every |e| that counts is within its group's tolerance throughout the last ``hold`` seconds of the run."""
 
     hold: float  # s; 0: the last sample alone
     tolerance: Mapping[str, float]  # rad or m, by group
     rest: float | None = None  # rad/s and m/s; no coordinate moves faster either; None: it may
 
-    def time(
-        self, time: np.ndarray, error: np.ndarray, coordinates: Coordinates, *, velocity: np.ndarray
-    ) -> float | None:
+    def time(self, time: np.ndarray, tracked: "Tracked", *, velocity: np.ndarray) -> float | None:
         """The time (s) from which error and velocity stay within these; None when the run is not settled.
 
-        Takes the control samples (n,), s, the tracking error (n, nv), rad or m, and the velocity (n, nv), rad/s or m/s.
-        Undriven coordinates do not count.
+        Takes the control samples (n,), s, the errors that count (n, k), and the velocity of the driven coordinates
+        (n, na), rad/s or m/s.
         """
-        driven = coordinates.driven
-        bound = np.array([self.tolerance[group] for group in coordinates.group_of])
-        within = (np.abs(error) <= bound)[:, driven].all(axis=1)  # NaN is not
+        bound = np.array([self.tolerance[group] for group in tracked.groups])
+        within = (np.abs(tracked.error) <= bound).all(axis=1)  # NaN is not
         if self.rest is not None:
-            within &= (np.abs(velocity) <= self.rest)[:, driven].all(axis=1)
+            within &= (np.abs(velocity) <= self.rest).all(axis=1)
         outside = np.flatnonzero(~within)
         first = 0 if outside.size == 0 else int(outside[-1]) + 1
         if first == time.size:

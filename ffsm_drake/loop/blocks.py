@@ -22,15 +22,17 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.actuation import make_actuation
 from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK
-from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, make_controller
+from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST, make_controller
 from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.environment import EnvironmentForce
+from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.reference import make_reference
 from ffsm_drake.systems.registry import Factory, call_factory, find_factory, module_file
 from ffsm_drake.systems.sensing import make_sensing
 from ffsm_drake.systems.setup import BlockSetup
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
+FRAME, NUMBER = str(FRAME_SIZE), "1"
 HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # of the nh hidden coordinates of ``model.flexible``
 
 
@@ -46,7 +48,11 @@ class Ports:
 
 
 BLOCKS: dict[str, Ports] = {
-    "reference": Ports(outputs={"desired_state": STATE, "desired_acceleration": VELOCITY}),
+    "reference": Ports(
+        outputs={"desired_state": STATE, "desired_acceleration": VELOCITY},
+        # Of the frame F that the motion prescribes: [quaternion of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF].
+        optional_outputs={"desired_frame": FRAME},
+    ),
     "sensing": Ports(
         inputs={"state": STATE},
         outputs={"estimated_state": STATE},
@@ -55,9 +61,9 @@ BLOCKS: dict[str, Ports] = {
     ),
     "controller": Ports(
         inputs={"estimated_state": STATE, "desired_state": STATE, "desired_acceleration": VELOCITY},
-        optional_inputs={"applied_force": VELOCITY, "measurement_is_new": STATE},
+        optional_inputs={"applied_force": VELOCITY, "measurement_is_new": STATE, "desired_frame": FRAME},
         outputs={"generalized_force": VELOCITY},
-        optional_outputs=dict.fromkeys(OPTIONAL_OUTPUTS, VELOCITY),
+        optional_outputs={**dict.fromkeys(OPTIONAL_OUTPUTS, VELOCITY), SMALLEST: NUMBER},
         held=True,
     ),
     "actuation": Ports(
@@ -189,7 +195,7 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
     if not isinstance(system, System):
         wanted = "a control law or a Drake system" if block == "controller" else "a Drake system"
         raise BlockError(f"{place} must be {wanted}, not {type(system).__name__}")
-    size = {STATE: 2 * len(coordinates.names) + 1, VELOCITY: len(coordinates.names)}
+    size = {STATE: 2 * len(coordinates.names) + 1, VELOCITY: len(coordinates.names), FRAME: FRAME_SIZE, NUMBER: 1}
     for kind, required, optional in (
         ("input", ports.inputs, ports.optional_inputs),
         ("output", ports.outputs, ports.optional_outputs),

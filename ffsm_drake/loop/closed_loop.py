@@ -29,7 +29,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel, change_payload, make_nomin
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, hidden_of, make_plant
 from ffsm_drake.systems.actuation import HELD_OUTPUTS, STORED_MOMENTUM
 from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK, DriveSet
-from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS
+from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.registry import Factory
 
@@ -62,6 +62,11 @@ class ClosedLoop:
     blocks: Mapping[str, System]
     sources: Mapping[str, tuple[System, str]]  # signal -> the system and the name of its output port
     diagram: Any = None  # Diagram, of ``make_closed_loop``; its outputs are the signals
+
+    @property
+    def tracks_frame(self) -> bool:
+        """Whether the controller tracks the pose of a frame, and coordinates only as far as that leaves them free."""
+        return bool(self.blocks["controller"].HasInputPort("desired_frame"))
 
     def output_port(self, signal: str) -> OutputPort:
         """The port of a signal; see SIGNALS. ``disturbance_force`` is the sum of the external forces."""
@@ -215,6 +220,8 @@ def add_closed_loop(
         builder.Connect(sensing.GetOutputPort("measurement_is_new"), controller.GetInputPort("measurement_is_new"))
     for name in ("desired_state", "desired_acceleration"):
         builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
+    if reference.HasOutputPort("desired_frame") and controller.HasInputPort("desired_frame"):
+        builder.Connect(reference.GetOutputPort("desired_frame"), controller.GetInputPort("desired_frame"))
     applied = (controller, "generalized_force")
     if actuation is not None:
         builder.Connect(controller.GetOutputPort("generalized_force"), actuation.GetInputPort("commanded_force"))
@@ -275,7 +282,10 @@ def add_closed_loop(
         sources["hidden_force"] = _sum(builder, "external_hidden_force", now)
     if len(forces) > 1:
         sources |= {f"force_{name.partition('.')[2]}": source for name, source in recorded.items()}
-    sources |= {name: (controller, name) for name in OPTIONAL_OUTPUTS if controller.HasOutputPort(name)}
+    optional = (*OPTIONAL_OUTPUTS, SMALLEST)
+    sources |= {name: (controller, name) for name in optional if controller.HasOutputPort(name)}
+    if reference.HasOutputPort("desired_frame"):
+        sources["desired_frame"] = (reference, "desired_frame")
     if actuation is not None:
         further = (*HELD_OUTPUTS, STORED_MOMENTUM, FRICTION_FORCE, FRICTION_WORK)
         sources |= {name: (actuation, name) for name in further if actuation.HasOutputPort(name)}

@@ -9,12 +9,14 @@ from pydrake.math import RotationMatrix
 from ffsm_drake.runs.actuators import add_drives, add_thrusters, add_wheels
 from ffsm_drake.runs.capture import NOTHING, GraspLog
 from ffsm_drake.runs.rollout import RunLog
+from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.grasp import shift_moment
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.plant import find_body, find_frame
+from ffsm_drake.systems.controllers import SMALLEST
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -108,6 +110,8 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     )
     if coordinates.undriven:
         dataset = dataset.assign_coords(driven=("coordinate", coordinates.is_driven))
+    if log.frame_error is not None:
+        dataset = _with_frame(dataset, log, log.frame_error)
     if "thruster_force" in series:
         dataset = add_thrusters(dataset, scenario, series)
     if "wheel_momentum" in series:
@@ -116,6 +120,20 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     if model.hidden.names:
         dataset = _with_hidden(dataset, model, states, series.get("hidden_force"))
     return dataset if log.grasp is None else _with_phases(dataset, log.grasp, log.scenario, model, states)
+
+
+def _with_frame(dataset: "xr.Dataset", log: RunLog, error: np.ndarray) -> "xr.Dataset":
+    """The dataset with the pose error of the frame that has a reference."""
+    meaning = {"long_name": "true pose error of the frame (rotation vector, position; world)", "units": "rad, m"}
+    dataset = dataset.assign(frame_error=(("time", "frame_coordinate"), error, meaning))
+    if SMALLEST in log.series:
+        meaning = {"long_name": "smallest singular value of the joints' J*, rad counted as m", "units": "1"}
+        dataset = dataset.assign({SMALLEST: ("time", log.series[SMALLEST][:, 0], meaning)})
+    return dataset.assign_coords(
+        frame_coordinate=list(FRAME_COORDINATES),
+        frame_unit=("frame_coordinate", list(FRAME_UNITS)),
+        frame_tracked=("frame_coordinate", log.frame_tracked),
+    )
 
 
 def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ffsm_drake.runs.actuators import drive_metrics, thruster_metrics, wheel_metrics
 from ffsm_drake.runs.deflections import deflection_metrics
+from ffsm_drake.runs.tracking import frame_metrics, tracked_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, position_errors
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
         those of ``tracking_metrics``, each with its own time.
       drift: of a run with undriven coordinates,
         those of ``drift_metrics``.
+      frame: of a run with a reference for a frame's pose,
+        those of ``tracking.frame_metrics``, and where the controller tracks it ``smallest_singular_value``, the
+        smallest of the run.
       thrusters, wheels, drives: of a run with them,
         those of ``actuators.thruster_metrics``, ``wheel_metrics`` and ``drive_metrics``.
       hidden: of a run with hidden coordinates,
@@ -38,7 +42,7 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
         effort=dataset["generalized_force"].values,
         period=float(dataset.attrs["sample_time"]),
         group=dataset["group"].values.tolist(),
-        driven=driven_of(dataset),
+        counted=tracked_of(dataset).error,
     )
     phases = phases_of(dataset)
     residuals = [momentum_residual(part) for part in phases.values()] or [momentum_residual(dataset)]
@@ -54,12 +58,13 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
                 effort=part["generalized_force"].values,
                 period=float(part.attrs["sample_time"]),
                 group=part["group"].values.tolist(),
-                driven=driven_of(part),
+                counted=tracked_of(part).error,
             )
             for name, part in phases.items()
         }
     for name, figures in (
         ("drift", drift_metrics(dataset)),
+        ("frame", _frame_metrics(dataset)),
         ("thrusters", thruster_metrics(dataset)),
         ("wheels", wheel_metrics(dataset)),
         ("drives", drive_metrics(dataset)),
@@ -70,8 +75,17 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     return tracking | {"momentum_residual": sizes}
 
 
+def _frame_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
+    if "frame_error" not in dataset:
+        return {}
+    figures: dict[str, Any] = {**frame_metrics(dataset["frame_error"].values)}
+    if "smallest_singular_value" in dataset:
+        figures["smallest_singular_value"] = float(dataset["smallest_singular_value"].values.min())
+    return figures
+
+
 def driven_of(dataset: "xr.Dataset") -> np.ndarray:
-    """Whether actuators move each coordinate (nv), which is then tracked."""
+    """Whether actuators move each coordinate (nv)."""
     everything: np.ndarray = np.ones(dataset.sizes["coordinate"], dtype=bool)
     return dataset["driven"].values.astype(bool) if "driven" in dataset.coords else everything
 
@@ -113,7 +127,7 @@ def tracking_metrics(
     effort: np.ndarray,
     period: float,
     group: Sequence[str],
-    driven: np.ndarray | None = None,
+    counted: np.ndarray | None = None,
 ) -> dict[str, Any]:
     """Accuracy and effort of a run, as plain numbers.
 
@@ -123,14 +137,14 @@ def tracking_metrics(
       effort: tau held from each to the next (n, nv), N m or N.
       period: control period, s.
       group: group of each coordinate (nv).
-      driven: whether each is driven (nv); None: all are.
+      counted: the errors that count (n, k), see ``tracking.Tracked``; None: all of them.
 
     Keys:
-      itae: sum of t |e|_1 L (equation (22)), e of the driven coordinates.
+      itae: sum of t |e|_1 L (equation (22)), e of what is tracked.
       isv: sum of |tau|_2^2 L (equation (23)).
       peak_error, final_error, peak_effort: by group, the largest |e| of the run, the largest |e| of the last sample
-        (rad or m), the largest |tau| (N m or N), each over the group's coordinates; e of an undriven group is how far
-        it is from where the nominal payload would have taken it.
+        (rad or m), the largest |tau| (N m or N), each over the group's coordinates; e of an undriven group, and
+        of joints that serve a frame, is how far they are from where the nominal payload would have taken them.
     """
     members = {name: [i for i, other in enumerate(group) if other == name] for name in dict.fromkeys(group)}
 
@@ -138,7 +152,7 @@ def tracking_metrics(
         return {name: float(peak[indices].max()) for name, indices in members.items()}
 
     return {
-        "itae": itae(time[:-1], (error if driven is None else error[:, driven])[:-1], period),
+        "itae": itae(time[:-1], (error if counted is None else counted)[:-1], period),
         "isv": isv(effort[:-1], period),
         "peak_error": by_group(np.abs(error).max(axis=0)),
         "final_error": by_group(np.abs(error[-1])),

@@ -24,17 +24,20 @@ from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_close
 from ffsm_drake.runs.metrics import tracking_metrics
 from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.runs.record import Outcome
+from ffsm_drake.runs.tracking import Tracked, frame_error, frame_rows, tracked
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates, position_errors
+from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
 from ffsm_drake.systems.actuation import HELD_OUTPUTS
+from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.registry import Factory, is_shipped
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.capture import GraspLog
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
-_HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable", *HELD_OUTPUTS)
+_HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable", SMALLEST, *HELD_OUTPUTS)
 # Besides the payload's true mass properties, what can change without a new build.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
 
@@ -56,6 +59,7 @@ class RunLog:
     wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
     hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)
     grasp: "GraspLog | None" = None  # of a run with a capture, unless it ended before
+    tracks_frame: bool = False  # whether the controller does, and coordinates only as far as that leaves them free
 
     @property
     def generalized_force(self) -> np.ndarray:
@@ -69,6 +73,38 @@ class RunLog:
         return position_errors(self.series["desired_state"][:, :num_positions], self.series["state"][:, :num_positions])
 
     @functools.cached_property
+    def frame_error(self) -> np.ndarray | None:
+        """True pose error (n, 6; rotation vector, position; world) of the frame; None where none has a reference."""
+        desired = self.series.get("desired_frame")
+        if desired is None and not self.tracks_frame:
+            return None
+        model, num_positions = make_flexible_plant(self.scenario), len(self.coordinates.position_names)
+        q = self.hidden.whole(self.series["state"], self.series.get("hidden_state"))[:, : model.plant.num_positions()]
+        q_d = self.series["desired_state"][:, :num_positions]
+        if self.hidden.names:
+            q_d = np.array([self.hidden.whole_positions(each) for each in q_d])
+        return frame_error(self.scenario, model, q, q_d=q_d, desired=desired)
+
+    @property
+    def frame_tracked(self) -> np.ndarray:
+        """Which entries of ``frame_error`` the controller is after (6)."""
+        return frame_rows(self.scenario) & self.tracks_frame
+
+    @functools.cached_property
+    def tracked(self) -> Tracked:
+        """The errors that count."""
+        coordinates = self.coordinates
+        return tracked(
+            error=self.error,
+            names=coordinates.names,
+            groups=coordinates.group_of,
+            units=coordinates.units,
+            driven=coordinates.is_driven,
+            frame=self.frame_error,
+            rows=self.frame_tracked,
+        )
+
+    @functools.cached_property
     def metrics(self) -> dict[str, Any]:
         """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.tracking_metrics``."""
         return tracking_metrics(
@@ -77,7 +113,7 @@ class RunLog:
             effort=self.generalized_force,
             period=self.scenario.sample_time,
             group=self.coordinates.group_of,
-            driven=self.coordinates.is_driven,
+            counted=self.tracked.error,
         )
 
 
@@ -196,6 +232,7 @@ class Rollout:
             outcome=outcome,
             coordinates=loop.coordinates,
             hidden=loop.hidden,
+            tracks_frame=loop.tracks_frame,
             time=times,
             series=series,
             wall_time={

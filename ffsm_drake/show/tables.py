@@ -6,7 +6,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.show.style import label_of
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
@@ -61,11 +64,13 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
         ["", "", "", "rad", "m", "rad", "m", "base, N", "base, N m", "joints"],
     ]
     for record in records:
-        m, figures = record.metrics, list[float]()
-        tracked = record.scenario.driven
-        for errors in (m["peak_error"], m["final_error"]):
-            figures.append(max(errors[group] for group in ("base_rotation", "joints") if group in tracked))
-            figures.append(errors["base_position"] if "base_position" in tracked else math.nan)
+        m, tracked = record.metrics, tracked_of(record.dataset)
+        size, units = np.abs(tracked.error), np.array(tracked.units)
+        figures = [
+            float(errors[units == unit].max(initial=-math.inf)) if unit in tracked.units else math.nan
+            for errors in (size.max(axis=0), size[-1])
+            for unit in ("rad", "m")
+        ]
         figures += [m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")]
         cells = [NONE if math.isnan(x) else f"{x:.3g}" for x in figures]
         rows.append([record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *cells])
@@ -88,9 +93,37 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
     for record in records:
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
         lines += [
-            name + line for line in (*drift_lines(record), *actuator_lines(record.metrics), *deflection_lines(record))
+            name + line
+            for line in (
+                *frame_lines(record),
+                *drift_lines(record),
+                *actuator_lines(record.metrics),
+                *deflection_lines(record),
+            )
         ]
     return "\n".join(lines)
+
+
+def frame_lines(record: RunRecord) -> list[str]:
+    """How far the frame was from a reference for its pose, and whether it came near a singularity, a line each."""
+    figures, goal = record.metrics.get("frame"), record.scenario.reference.frame
+    if not figures:
+        return []
+    name = record.scenario.model.end_effector if goal is None or goal.frame is None else goal.frame
+    final, largest = (
+        f"{1e3 * figures[kind]['position']:.4g} mm and {180.0 / math.pi * figures[kind]['rotation']:.4g} deg"
+        for kind in ("final", "largest")
+    )
+    lines = [f"the frame {name} ends {final} from its reference (at most {largest})"]
+    gains = record.scenario.controllers.get(controller_key(record.scenario.controller), {})
+    smallest, damping = figures.get("smallest_singular_value"), (gains.get("damping") or {}).get("all", 0.0)
+    if smallest is not None and smallest < damping:
+        near = record.dataset["smallest_singular_value"].values < damping
+        lines.append(
+            f"near a dynamic singularity for {near.sum() * record.scenario.sample_time:.3g} s: the smallest singular "
+            f"value falls to {smallest:.2g}; below {damping:g} joint rates are damped, and the frame is left behind"
+        )
+    return lines
 
 
 def drift_lines(record: RunRecord) -> list[str]:

@@ -27,7 +27,7 @@ _BASE = Coordinates((), ())
 _POSITION = slice(4, NUM_BASE_POSITIONS)  # of q: p_WB
 
 Task = Literal["pose", "attitude", "position"]
-_ROWS: dict[str, slice] = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6)}  # of a twist
+TASK_ROWS: dict[str, slice] = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6)}  # of a twist
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,6 +108,16 @@ class FreeFloating:
         """C* = C_a - H_au H_uu^-1 C_u (..., na), N m and N, of the bias C (..., nv) of ``PlantModel.calc_bias``."""
         across = np.swapaxes(self.following, -1, -2)
         return bias[..., self.driven] + _times(across, bias[..., self.undriven])
+
+    def bias_acceleration(self, jacobian: np.ndarray, frame_bias: np.ndarray, bias: np.ndarray) -> np.ndarray:
+        """J' v - J_u H_uu^-1 C_u (..., m): a frame's [alpha; a] is J* dv_a/dt and this, whatever tau_a is.
+
+        Args: J (..., m, nv); J' v (..., m) of ``PlantModel.calc_bias_acceleration``; C (..., nv) of ``calc_bias``.
+        """
+        own = self.mass_matrix[..., self.undriven[:, None], self.undriven]
+        following = np.linalg.solve(own, bias[..., self.undriven, None])[..., 0]
+        result: np.ndarray = frame_bias - _times(jacobian[..., self.undriven], following)
+        return result
 
     def reaction_null_space(self, held: Sequence[str] = ("base_rotation",)) -> np.ndarray:
         """The projector N (..., na, na): velocities v_a = N z leave the held base coordinates alone at zero momentum.
@@ -224,7 +234,7 @@ def manipulability(jacobian: np.ndarray, *, task: Task = "pose", length: float =
       task: which rows count: of the twist [w; v], of w, or of v.
       length: what makes radians comparable to metres, m: w counts as length w.
     """
-    scaled = (np.repeat([length, 1.0], 3)[:, None] * jacobian)[..., _ROWS[task], :]
+    scaled = (np.repeat([length, 1.0], 3)[:, None] * jacobian)[..., TASK_ROWS[task], :]
     left, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
     return Manipulability(singular_values=sizes, lost=left[..., -1])
 

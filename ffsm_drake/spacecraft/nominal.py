@@ -56,9 +56,7 @@ class PlantModel:
         if q.ndim > 1:
             return np.stack([self.calc_bias(*one) for one in zip(q, v, strict=True)])
         self._set_positions(q)
-        if not math.isfinite(v.dot(v)):
-            raise ValueError("the velocity v is not finite")
-        self.plant.SetVelocities(self.context, v)
+        self._set_velocities(v)
         return self.plant.CalcBiasTerm(self.context)
 
     def calc_jacobian(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
@@ -80,6 +78,43 @@ class PlantModel:
             self.context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
         )
 
+    def calc_bias_acceleration(self, q: np.ndarray, v: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """J' v (..., 6) of a frame F: its [alpha_WF; a_WF] while v (..., nv) does not change, rad/s^2 and m/s^2.
+
+        a_WF is the acceleration of F's origin; world axes. Args and errors as ``calc_jacobian``.
+        """
+        if isinstance(frame, str):
+            frame = find_frame(self.plant, frame, key="frame")
+        if q.ndim > 1:
+            return np.stack([self.calc_bias_acceleration(*one, frame) for one in zip(q, v, strict=True)])
+        self._set_positions(q)
+        self._set_velocities(v)
+        world = self.plant.world_frame()
+        bias = self.plant.CalcBiasSpatialAcceleration(
+            self.context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
+        )
+        return np.array(bias.get_coeffs())
+
+    def calc_frame_pose(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """[quaternion (w, x, y, z) of R_WF; p_WF] (..., 7) of a frame F; p_WF in m. Args, errors: ``calc_jacobian``."""
+        if isinstance(frame, str):
+            frame = find_frame(self.plant, frame, key="frame")
+        if q.ndim > 1:
+            return np.stack([self.calc_frame_pose(one, frame) for one in q])
+        self._set_positions(q)
+        X_WF = frame.CalcPoseInWorld(self.context)
+        return np.concatenate([X_WF.rotation().ToQuaternion().wxyz(), X_WF.translation()])
+
+    def calc_frame_motion(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """A frame's pose, twist and acceleration (..., 19) in a motion q, v, dv/dt of all: the rows of ``FramePath``.
+
+        [``calc_frame_pose``; w_WF; v_WF; alpha_WF; a_WF], world axes. Args and errors as ``calc_jacobian``.
+        """
+        jacobian = self.calc_jacobian(q, frame)
+        twist, acceleration = ((jacobian @ of[..., None])[..., 0] for of in (v, a))
+        acceleration = acceleration + self.calc_bias_acceleration(q, v, frame)
+        return np.concatenate([self.calc_frame_pose(q, frame), twist, acceleration], axis=-1)
+
     def calc_inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """The force H a + C (..., nv) that gives accelerations a (..., nv), N m and N."""
         return (self.calc_mass_matrix(q) @ a[..., None])[..., 0] + self.calc_bias(q, v)
@@ -96,6 +131,11 @@ class PlantModel:
         if not math.isfinite(q.dot(q)):  # on which Drake ends the process
             raise ValueError("the configuration q is not finite")
         self.plant.SetPositions(self.context, q)
+
+    def _set_velocities(self, v: np.ndarray) -> None:
+        if not math.isfinite(v.dot(v)):
+            raise ValueError("the velocity v is not finite")
+        self.plant.SetVelocities(self.context, v)
 
 
 def make_nominal_plant(scenario: Scenario) -> PlantModel:

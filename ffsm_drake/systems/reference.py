@@ -27,7 +27,7 @@ from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import resolve_package, urdfs_of
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
-from ffsm_drake.systems.frame_path import goal_frame, make_frame_path
+from ffsm_drake.systems.frame_path import FramePath, goal_frame, make_frame_path
 from ffsm_drake.systems.free_motion import FreeMotion
 from ffsm_drake.systems.plan import Plan, load_plan
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -131,8 +131,19 @@ class CaptureMotion(PlannedMotion):
         return np.where(held[:, None], self._stop.rows(times - self._approach.end), backwards)
 
 
+class _FrameMotion(PlannedMotion):
+    """The path of a frame, whose rows are those of FramePath."""
+
+    def __init__(self, path: FramePath, *, coordinates: Coordinates, sample_time: float) -> None:
+        self._path = path
+        super().__init__(coordinates=coordinates, sample_time=sample_time, end=path.end)
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        return self._path.rows(times)
+
+
 class _MotionSource(LeafSystem):
-    """[q_d; v_d; dv_d/dt] in one output: two would be two calls from Drake in every sample."""
+    """The rows of a motion in one output: two would be two calls from Drake in every sample."""
 
     def __init__(self, motion: PlannedMotion) -> None:
         super().__init__()
@@ -235,14 +246,20 @@ def make_reference(scenario: Scenario, coordinates: Coordinates) -> Diagram:
     Outputs:
       desired_state: [q_d; v_d] (nq + nv).
       desired_acceleration: time derivative of v_d (nv).
+      desired_frame: where the pose of a frame is prescribed, the rows of FramePath (19).
     """
-    builder = DiagramBuilder()
-    motion = builder.AddNamedSystem("motion", _MotionSource(make_motion(scenario, coordinates)))
+    builder, planned = DiagramBuilder(), make_motion(scenario, coordinates)
+    motion = builder.AddNamedSystem("motion", _MotionSource(planned))
     num_positions, num_velocities = len(coordinates.position_names), len(coordinates.names)
     parts = builder.AddNamedSystem("parts", Demultiplexer([num_positions + num_velocities, num_velocities]))
     builder.Connect(motion.get_output_port(), parts.get_input_port())
     builder.ExportOutput(parts.get_output_port(0), "desired_state")
     builder.ExportOutput(parts.get_output_port(1), "desired_acceleration")
+    if scenario.reference.frame is not None and scenario.reference.frame.task != "none":
+        path = make_frame_path(scenario, make_nominal_plant(scenario), duration=planned.end - planned.begin)
+        rows = _FrameMotion(path, coordinates=coordinates, sample_time=scenario.sample_time)
+        frame = builder.AddNamedSystem("frame", _MotionSource(rows))
+        builder.ExportOutput(frame.get_output_port(), "desired_frame")
     reference = builder.Build()
     reference.set_name("reference")
     return reference

@@ -28,6 +28,9 @@ SHIPPED: dict[str, dict[str, str]] = {
         "torque_against_momentum": f"{_LAWS}.torque_against_momentum:TorqueAgainstMomentum",
         "computed_torque": "ffsm_drake.systems.controllers.computed_torque:ComputedTorque",
         "pd_plus": "ffsm_drake.systems.controllers.pd_plus:PdPlus",
+        "resolved_rate": f"{_LAWS}.resolved_rate:ResolvedRate",
+        "task_computed_torque": f"{_LAWS}.task_computed_torque:TaskComputedTorque",
+        "task_time_delay": f"{_LAWS}.task_time_delay:TaskTimeDelay",
     },
 }
 # Block -> group of the entry points by which installed packages offer further ones.

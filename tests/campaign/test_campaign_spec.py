@@ -315,26 +315,31 @@ def test_set_value_reaches_lists_and_absent_mappings():
 def test_settled_means_until_the_end():
     import numpy as np
 
+    from ffsm_drake.runs.tracking import Tracked
+
+    def tracked(error):
+        return Tracked(error=error, names=groups, groups=groups, units=units)
+
     criterion = parse_settled({"hold": 2.0, "tolerance": {"joints": 0.1, "base_position": 1.0}}, place="settled")
     time = np.arange(0.0, 10.5, 0.5)
-    group_of = ("base_position", "joints")
+    groups, units = ("base_position", "joints"), ("m", "rad")
     error, still = np.zeros((time.size, 2)), np.zeros((time.size, 2))
-    assert criterion.time(time, error, group_of, velocity=still) == 0.0
+    assert criterion.time(time, tracked(error), velocity=still) == 0.0
     error[:, 0] = 0.5
     error[time < 6.0, 1] = 0.2
-    assert criterion.time(time, error, group_of, velocity=still) == 6.0
+    assert criterion.time(time, tracked(error), velocity=still) == 6.0
     error[time == 8.0, 1] = -0.2
-    assert criterion.time(time, error, group_of, velocity=still) is None
-    assert parse_settled({"hold": 0.0}, place="s").time(time, error * 0.0, group_of, velocity=still) == 0.0
+    assert criterion.time(time, tracked(error), velocity=still) is None
+    assert parse_settled({"hold": 0.0}, place="s").time(time, tracked(error * 0.0), velocity=still) == 0.0
     moving = np.where(time < 7.0, 0.1, 0.01)[:, None] * [0.0, -1.0]
     at_rest = parse_settled({"hold": 2.0, "rest": 0.05}, place="settled")
-    assert at_rest.time(time, 0.0 * error, group_of, velocity=moving) == 7.0
-    assert at_rest.time(time, 0.0 * error, group_of, velocity=10.0 * moving) is None
+    assert at_rest.time(time, tracked(0.0 * error), velocity=moving) == 7.0
+    assert at_rest.time(time, tracked(0.0 * error), velocity=10.0 * moving) is None
     own = parse_settled({"tolerance": {"joints": 0.1}}, place="s", base=load_scenario("slow_navigation")).tolerance
     assert own == {"base_rotation": 1e-3, "base_position": 5e-3, "joints": 0.1}
     error[time == 8.0, 1] = 0.0
     error[-1, 0] = np.nan
-    assert criterion.time(time, error, group_of, velocity=still) is None
+    assert criterion.time(time, tracked(error), velocity=still) is None
 
 
 def test_help_needs_no_drake():

@@ -72,7 +72,6 @@ SPECIAL = {
     "base_rotation": st.sampled_from(BASE_ROTATIONS),
     "inertia": moments(),
     "delay": st.integers(0, 1000),
-    "driven": st.just(["all"]),
     "segments": st.integers(4, 100),
     **dict.fromkeys(
         ("velocity_period", "position_period", "velocity_delay", "position_delay"),
@@ -80,6 +79,7 @@ SPECIAL = {
     ),
     "reserve": st.floats(0.0, 0.99),
     "goal": st.sampled_from(GOALS),
+    "driven": st.just(["all"]),
     "capture": st.none()
     | st.fixed_dictionaries(
         {"rate": st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3)},

@@ -39,7 +39,9 @@ class LinearLoop:
 
     Its state x begins with the plant's e and its rate (2 nv), then its hidden coordinates and their rates; u is the
     controller's force until the next sample (nv, N m or N); w is the white noise of unit variance that a sample reads.
-    Undriven coordinates have no poles: they go where the others take them at the momentum that there is.
+    Undriven coordinates have no poles: they go where the others take them at the momentum that there is. Where a frame
+    is tracked their place acts on the driven ones, and a unit pole of each that is not counted tells that there are as
+    many ways to hold the frame.
     """
 
     coordinates: Coordinates
@@ -47,6 +49,7 @@ class LinearLoop:
     sample_time: float  # s
     samples: tuple[SampleMap, ...]  # of one common period of all blocks
     hidden: tuple[str, ...] = ()  # names of the hidden coordinates
+    tracks_frame: bool = False
     memory: Mapping[str, slice] = dataclasses.field(default_factory=dict)  # of the controller: name -> its part of x
     noise: Mapping[str, slice] = dataclasses.field(default_factory=dict)  # name of a source -> its part of w
 
@@ -162,6 +165,9 @@ class LinearLoop:
             return np.full(1, np.inf), np.ones((len(self.a), 1))
         keep = self._matters(np.zeros(len(self.a), dtype=bool))
         poles, kept = np.linalg.eig(self.a[np.ix_(keep, keep)])
+        free = int((~self.coordinates.is_driven).sum()) if self.tracks_frame else 0
+        counted = np.sort(np.argsort(np.abs(poles - 1.0), kind="stable")[free:])
+        poles, kept = poles[counted], kept[:, counted]
         order = np.argsort(-np.abs(poles), kind="stable")
         vectors = np.zeros((len(self.a), len(poles)), dtype=kept.dtype)
         vectors[keep] = kept[:, order]
@@ -171,7 +177,8 @@ class LinearLoop:
         """Mask of the entries of x that act on the plant and that the plant, or ``driven`` (mask), acts on."""
         arrows = sum(np.abs(sample.a) for sample in self.samples) > 0.0
         plant = np.arange(len(arrows)) < self._plant_size
-        plant[: 2 * len(self.coordinates.names)] = np.tile(self.coordinates.is_driven, 2)
+        is_driven = self.coordinates.is_driven
+        plant[: 2 * is_driven.size] = np.concatenate([is_driven | self.tracks_frame, is_driven])
         acting, driven = plant, driven | plant
         for _ in range(len(arrows)):
             acting, driven = acting | (arrows[acting].any(axis=0)), driven | (arrows[:, driven].any(axis=1))

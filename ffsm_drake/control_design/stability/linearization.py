@@ -152,6 +152,7 @@ class Linearizer:
             sample_time=period,
             samples=samples,
             hidden=self.loop.hidden.names,
+            tracks_frame=self.loop.tracks_frame,
             memory=self._parts_of_memory,
             noise={
                 source.get_name(): part for source, part in zip(self._noise.systems, self._noise.parts, strict=True)
@@ -305,8 +306,10 @@ class Linearizer:
         whole = motion[:, width:] @ update.jacobian
         whole[:, :width] += motion[:, :width]
         undriven = np.flatnonzero(~self.loop.coordinates.is_driven)
-        whole[:, np.concatenate([undriven, nv + undriven])] = 0.0  # but for rounding
-        whole[undriven, undriven] = 1.0  # their drift adds up
+        whole[:, nv + undriven] = 0.0  # but for rounding
+        if not self.loop.tracks_frame:
+            whole[:, undriven] = 0.0  # likewise
+            whole[undriven, undriven] = 1.0  # their drift adds up
         both = np.vstack([whole[:width], update.jacobian])
         force = whole[width:]
         return SampleMap(a=both[:, :size], b=both[:, size:], c=force[:, :size], d=force[:, size:])
@@ -337,14 +340,18 @@ class Linearizer:
         return moved if not self.loop.coordinates.undriven else self._at_same_momentum(moved, state)
 
     def _at_same_momentum(self, moved: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """A plant's state with the undriven coordinates of another: their place, and velocities of equal momentum."""
+        """A plant's state with the undriven coordinates of another: their place, and velocities of equal momentum.
+
+        Where a frame is tracked, their place is the state's own.
+        """
         coordinates, hidden = self.loop.coordinates, self.loop.hidden
         nq, model = len(coordinates.position_names), self.loop.model(self._plant_context)
         undriven = np.flatnonzero(~coordinates.is_driven)  # of the base, which comes first in every state
         places = np.arange(4) if "base_rotation" in coordinates.undriven else np.empty(0, dtype=int)
         places = np.concatenate([places, undriven[undriven >= len(BASE_ROTATION)] + 1])
         result = moved.copy()
-        result[places] = state[places]
+        if not self.loop.tracks_frame:  # to which their place is all the same
+            result[places] = state[places]
 
         def whole(known_and_hidden: np.ndarray) -> tuple[FreeFloating, np.ndarray]:
             known, rest = np.split(known_and_hidden, [nq + len(coordinates.names)])

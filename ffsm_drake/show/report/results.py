@@ -8,8 +8,9 @@ from typing import Any, Literal
 import numpy as np
 
 from ffsm_drake.runs.actuators import thruster_metrics, wheel_metrics
-from ffsm_drake.runs.metrics import driven_of, isv, itae
+from ffsm_drake.runs.metrics import isv, itae
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.style import Style, labels_of, styles_of
 from ffsm_drake.show.tables import number
 
@@ -121,19 +122,18 @@ def _evaluate(record: RunRecord) -> tuple[Status, str]:
     if not outcome.completed:
         counted = "no sample was" if samples == 0 else "1 sample was" if samples == 1 else f"{samples} samples were"
         return "interrupted", _sentence(f"{outcome.message}; {counted} recorded", scenario.controller)
-    error = values_of(record, "error")
-    if error is None:
+    if values_of(record, "error") is None:
         return "unsettled", f"Completed {outcome.time:g} s; the record holds no errors."
     end = scenario.planned_end
     if end is not None and outcome.time < end - 1e-9:
         return "unsettled", f"Completed {outcome.time:g} s, before the planned motion ends at {end:g} s."
     late = record.dataset["time"].values >= outcome.time - SETTLED_OVER - 1e-9
-    units, names, groups = (record.dataset[name].values.astype(str) for name in ("unit", "coordinate", "group"))
-    peaks = np.abs(error[late]).max(axis=0)
-    tracked = {unit: peaks[driven_of(record.dataset) & (units == unit)] for unit in ("rad", "m")}
-    largest = ", ".join(f"{number(float(each.max()), 3)} {unit}" for unit, each in tracked.items() if each.size)
-    tolerance = [scenario.tolerance_of(name, group) for name, group in zip(names, groups, strict=True)]
-    excess = np.where(driven_of(record.dataset), peaks / np.array(tolerance), 0.0)
+    tracked = tracked_of(record.dataset)
+    peaks, names, units = np.abs(tracked.error[late]).max(axis=0), tracked.names, np.array(tracked.units)
+    by_unit = {unit: peaks[units == unit] for unit in ("rad", "m")}
+    largest = ", ".join(f"{number(float(each.max()), 3)} {unit}" for unit, each in by_unit.items() if each.size)
+    tolerance = [scenario.tolerance_of(name, group) for name, group in zip(names, tracked.groups, strict=True)]
+    excess = peaks / np.array(tolerance)
     if excess.max() <= 1.0:
         return "settled", f"Settled: over the last second no error exceeds {largest}."
     worst = int(np.argmax(excess))

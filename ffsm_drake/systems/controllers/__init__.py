@@ -21,7 +21,7 @@ from ffsm_drake.systems.controllers.law import (
     gain_values,
     gains_of,
 )
-from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS, SampledController
+from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS, SMALLEST, SampledController
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 from ffsm_drake.systems.registry import Factory, block_names, call_factory, find_factory
 from ffsm_drake.systems.setup import BlockSetup
@@ -29,6 +29,7 @@ from ffsm_drake.systems.setup import BlockSetup
 __all__ = [
     "OPTIONAL_OUTPUTS",
     "PAPER_LAWS",
+    "SMALLEST",
     "ControlLaw",
     "InjectedDynamics",
     "Sample",

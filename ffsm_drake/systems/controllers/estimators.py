@@ -322,6 +322,28 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
     return LateKalmanEstimator(sample_time=sample_time, delay=delay, gain=np.concatenate(parts, axis=1))
 
 
+def make_task_estimator(scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray) -> Estimator:
+    """The scenario's estimator for m coordinates whose velocities are J v, with the Jacobian J (m, nv).
+
+    A Kalman filter takes what it assumes of noise and walk from the spacecraft's coordinates, independent of each
+    other, through J. Raises ScenarioError as ``make_estimator``, and where the measurements of coordinates come late or
+    slowly, have a bias or are taken together.
+    """
+    estimator, settings = make_estimator(scenario, coordinates), scenario.estimator
+    if settings.kind == "one_sample":
+        return OneSampleEstimator(sample_time=scenario.sample_time, num_velocities=len(jacobian))
+    if not isinstance(estimator, KalmanEstimator):
+        problem = "of a frame must be one_sample, or kalman of sensors that are neither slow nor late and have no bias"
+        raise ScenarioError("estimator", problem)
+    walk = coordinates.vector(settings.walk, key="estimator.walk")
+    of_frame = np.sqrt(jacobian**2 @ np.stack([*assumed_noise(scenario, coordinates), walk], axis=1) ** 2)
+    gains = [
+        kalman_gain(position_noise=position, velocity_noise=velocity, walk=walk, sample_time=scenario.sample_time)
+        for position, velocity, walk in of_frame.tolist()
+    ]
+    return KalmanEstimator(sample_time=scenario.sample_time, gain=np.array(gains))
+
+
 def _make_coupled(
     scenario: Scenario,
     coordinates: Coordinates,

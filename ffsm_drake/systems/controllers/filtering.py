@@ -26,6 +26,11 @@ class FilteredLaw(ControlLaw):
     numerator: np.ndarray  # (3, nv) of the notch in powers of 1/z; (1, 0, 0): none
     denominator: np.ndarray  # (2, nv) its coefficients of 1/z and 1/z^2
 
+    @property
+    def tracks_frame(self) -> bool:  # type: ignore[override]
+        """As the law says."""
+        return self.law.tracks_frame
+
     def initial_state(self) -> State:
         """The law's, and that of filters at rest."""
         zeros = np.zeros_like(self.share)

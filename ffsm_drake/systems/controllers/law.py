@@ -18,7 +18,7 @@ import abc
 import dataclasses
 import inspect
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -44,6 +44,9 @@ class Sample(NamedTuple):  # made in every control update: a frozen dataclass ta
     is_first: bool  # whether there was no sample before, or a grasp since
     # (..., 2 nv) whether this sample brings a new measurement of each position, then of each velocity; None: of all
     is_new: np.ndarray | None = None
+    # (..., 19) [quaternion (w, x, y, z) of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF] of the frame F of
+    # ``reference.frame``, wanted; None: there is none, or the law tracks no frame
+    desired_frame: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -81,6 +84,9 @@ class ControlLaw(abc.ABC):
 
     Arrays have the shape (..., nv): one run, or several at once.
     """
+
+    # Whether it tracks a frame: it gets ``desired_frame`` then, and is judged by the frame's pose.
+    tracks_frame: ClassVar[bool] = False
 
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the law's memory."""
@@ -134,13 +140,13 @@ def gains_of(kind: Any) -> dict[str, Gain]:
     return {field.name: field.metadata["gain"] for field in fields if "gain" in field.metadata}
 
 
-def field_values(kind: type, setup: BlockSetup) -> dict[str, Any]:
-    """The values of a law's fields for a setup; errors as for ``ControlLaw.from_setup``."""
+def field_values(kind: type, setup: BlockSetup, **given: Any) -> dict[str, Any]:
+    """The values of a law's fields for a setup, besides those given; errors as for ``ControlLaw.from_setup``."""
     for name in getattr(kind, "__abstractmethods__", ()):
         _, *arguments = inspect.signature(getattr(kind, name)).parameters
         raise BlockError(f"{kind.__name__} must define {name}({', '.join(arguments)})")
     gains = gain_values(kind, setup.settings, setup.coordinates, name=setup.name)
-    values: dict[str, Any] = {}
+    values = given
     for field in dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ():
         if field.name in gains:
             values[field.name] = gains[field.name]
@@ -148,7 +154,11 @@ def field_values(kind: type, setup: BlockSetup) -> dict[str, Any]:
             values[field.name] = setup.nominal
         elif field.name == "sample_time":
             values[field.name] = setup.sample_time
-        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+        elif (
+            field.name not in given
+            and field.default is dataclasses.MISSING
+            and field.default_factory is dataclasses.MISSING
+        ):
             raise BlockError(
                 f"controller '{setup.name}': field '{field.name}' must be a gain(...), model, sample_time or have a "
                 "default"

@@ -9,9 +9,11 @@ from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error, rotation_error_rate
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample
+from ffsm_drake.systems.frame_path import FRAME_SIZE
 
-# What of a law's memory is an output, and recorded, (nv) each.
+# What of a law's memory is an output, and recorded: (nv) each, and one number.
 OPTIONAL_OUTPUTS = ("sliding_variable", "reaching_gain", "switching_gain")
+SMALLEST = "smallest_singular_value"
 _ONE = np.ones(1)
 
 
@@ -27,9 +29,11 @@ class SampledController(LeafSystem):
       applied_force: optional (nv), the force that acted over the last period (saturated, quantised); without it
         the commanded force is taken to have acted.
       measurement_is_new: optional (nq + nv), 1 where the sample brings a new measurement; without it all are new.
+      desired_frame: of a law that tracks a frame, optional (19), see ``Sample.desired_frame``.
     Outputs, read from the state so that no integrator stage runs Python:
       generalized_force: tau (nv), held over the period: base torque and force in world axes, joint torques.
       sliding_variable, reaching_gain, switching_gain: where the law's memory has them, (nv).
+      smallest_singular_value: where the law's memory has it, (1).
     Discrete state, updated every ``sample_time``:
       generalized_force (nv), has_previous (1; 0 before the first update), then the law's memory by name.
     """
@@ -48,6 +52,9 @@ class SampledController(LeafSystem):
         self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", num_velocities)
         self._applied_force = self.DeclareVectorInputPort("applied_force", num_velocities)
         self._is_new = self.DeclareVectorInputPort("measurement_is_new", num_states)
+        self._desired_frame = (
+            self.DeclareVectorInputPort("desired_frame", FRAME_SIZE) if getattr(law, "tracks_frame", False) else None
+        )
         memory = law.initial_state()
         if not isinstance(memory, Mapping) or {"generalized_force", "has_previous"} & set(memory):
             raise BlockError(
@@ -59,7 +66,7 @@ class SampledController(LeafSystem):
         self._memory = {key: self.DeclareDiscreteState(np.asarray(value, dtype=float)) for key, value in memory.items()}
         self._shapes = {"generalized_force": (num_velocities,)} | {key: np.shape(memory[key]) for key in memory}
         self.DeclareStateOutputPort("generalized_force", self._force)
-        for key in OPTIONAL_OUTPUTS:
+        for key in (*OPTIONAL_OUTPUTS, SMALLEST):
             if key in self._memory:
                 self.DeclareStateOutputPort(key, self._memory[key])
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
@@ -127,6 +134,9 @@ class SampledController(LeafSystem):
             is_first,
             # The quaternion has one entry more than the rotation.
             self._is_new.Eval(context)[1:] != 0.0 if self._is_new.HasValue(context) else None,
+            None
+            if self._desired_frame is None or not self._desired_frame.HasValue(context)
+            else self._desired_frame.Eval(context),
         )
         state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
         if is_first:

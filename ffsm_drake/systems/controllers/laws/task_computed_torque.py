@@ -1,0 +1,25 @@
+"""Computed torque in task space: the frame's pose error becomes a double integrator, with J* and H*.
+
+Khatib 1987, doi:10.1109/JRA.1987.1087068; free floating Papadopoulos and Dubowsky 1991, doi:10.1109/70.105384.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from ffsm_drake.systems.controllers.law import State, gain
+from ffsm_drake.systems.controllers.task_space import AccelerationLaw, TaskPoint
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TaskComputedTorque(AccelerationLaw):
+    """tau_a = H* (z + [0; J+ (A_d + K_d e' + K_p e - A_0 - J* z)]) + C*, z being the plan's."""
+
+    k_p_rotation: float = gain(25.0, "1/s^2", "gain K_p on the frame's attitude error", scalar=True)
+    k_p_position: float = gain(25.0, "1/s^2", "gain K_p on the frame's position error", scalar=True)
+    k_d_rotation: float = gain(10.0, "1/s", "gain K_d on its rate", scalar=True)
+    k_d_position: float = gain(10.0, "1/s", "gain K_d on its rate", scalar=True)
+
+    def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
+        wanted = point.desired_acceleration + self.k_d * point.e_dot + self.k_p * point.e - point.bias_acceleration
+        return point.mass_matrix.dot(point.served(self.planned(point.sample), wanted)) + point.bias, {}

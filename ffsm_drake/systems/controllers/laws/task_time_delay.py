@@ -1,0 +1,82 @@
+"""Time-delay control in task space: the estimators of time-delay control, on the frame's pose.
+
+The frame obeys A = N + Lambda^-1 F with Lambda = (J* H*^-1 J*^T)^-1, the task's mass matrix, and F the force on the
+frame; everything unknown is in N, and C* and A_0 too. All that an estimate takes of both is what the force gives the
+frame, Lambda^-1 F = J* H*^-1 tau_a: so that is the force of the sample that the estimators see, of the m rows of the
+task, and its mass matrix 1. Nothing is inverted that a singularity makes singular.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Self
+
+import numpy as np
+
+from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.systems.controllers.estimators import Estimator, make_task_estimator
+from ffsm_drake.systems.controllers.law import State, field_values, gain
+from ffsm_drake.systems.controllers.laws.tdc import Tdc
+from ffsm_drake.systems.controllers.task_space import AccelerationLaw, TaskPoint, TaskSpace
+from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
+from ffsm_drake.systems.setup import BlockSetup
+
+_PREFIX = "frame_"  # of the memory: what is of the frame, not of the coordinates
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TaskTimeDelay(AccelerationLaw):
+    """tau_a = H* (z + [0; J+ (f - J* H*^-1 C* - J* z)]) + C* with f = base force + u - base acceleration.
+
+    f is what tau_a should give the frame, u that of TDC, z the acceleration of the plan.
+    """
+
+    estimator: Estimator  # of m coordinates
+    k_p_rotation: float = gain(100.0, "1/s^2", "gain K_P on the frame's attitude error", scalar=True)
+    k_p_position: float = gain(100.0, "1/s^2", "gain K_P on the frame's position error", scalar=True)
+    k_d_rotation: float = gain(100.0, "1/s", "gain K_D on its rate", scalar=True)
+    k_d_position: float = gain(100.0, "1/s", "gain K_D on its rate", scalar=True)
+
+    @property
+    def dynamics(self) -> InjectedDynamics:
+        """What is injected, of vectors (m): TDC's; a subclass may inject others."""
+        return Tdc(k_d=self.k_d, k_p=self.k_p)
+
+    def initial_state(self) -> State:
+        memory = _named({**self.estimator.initial_state(), **self.dynamics.initial_state()})
+        return {**super().initial_state(), **memory}
+
+    def held(self) -> Mapping[str, float | None]:
+        return {_PREFIX + name: value for name, value in self.dynamics.held().items()}
+
+    def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
+        own = {name.removeprefix(_PREFIX): value for name, value in state.items() if name.startswith(_PREFIX)}
+        applied = point.sample.applied_force[self.task_space.driven]
+        given = point.jacobian.dot(np.linalg.solve(point.mass_matrix, np.stack([applied, point.bias], axis=1)))
+        sample = point.sample._replace(
+            v=point.twist,
+            v_d=point.desired_twist,
+            a_d=point.desired_acceleration,
+            e=point.e,
+            e_dot=point.e_dot,
+            applied_force=given[:, 0],
+            is_new=None,
+        )
+        estimate, estimator_memory = self.estimator.step(sample, np.eye(len(given)), own)
+        u, dynamics_memory = self.dynamics.step(estimate.e, estimate.e_dot, sample.a_d, own)
+        wanted = estimate.base_force + u - estimate.base_acceleration
+        acceleration = point.served(self.planned(point.sample), wanted - given[:, 1])
+        force = point.mass_matrix.dot(acceleration) + point.bias
+        return force, _named({**estimator_memory, **dynamics_memory})
+
+    @classmethod
+    def from_setup(cls, setup: BlockSetup) -> Self:
+        """See ControlLaw. Raises ScenarioError also for an estimator that needs measurements by coordinate."""
+        task_space = TaskSpace.from_setup(setup)
+        q = configuration(task_space.model.plant, setup.scenario.initial_posture, key="initial_posture")
+        jacobian = task_space.model.calc_jacobian(q, task_space.frame)[task_space.rows]
+        estimator = make_task_estimator(setup.scenario, setup.coordinates, jacobian)
+        return cls(**field_values(cls, setup, task_space=task_space, estimator=estimator))
+
+
+def _named(memory: State) -> State:
+    return {_PREFIX + name: value for name, value in memory.items()}

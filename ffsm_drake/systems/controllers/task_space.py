@@ -1,0 +1,230 @@
+"""Task space: what a frame does when the driven coordinates move, for laws that track its pose.
+
+With J* the generalized Jacobian, H* and C* of the driven coordinates a (``docs/free_floating.md``), the frame's twist
+and acceleration are
+
+    V = J* v_a + V_0,     A = J* dv_a/dt + A_0,     H* dv_a/dt + C* = tau_a,
+
+all of them of the nominal plant at the measured state; where every coordinate is driven J* is J, H* is H. The joints
+serve the frame. A driven base follows its plan, and the joints as far as the frame leaves them free: of a motion z of
+all driven coordinates that follows the plan, and what the frame should do,
+
+    v_a = z + [0; J+ (V - V_0 - J* z)],     dv_a/dt = z + [0; J+ (A - A_0 - J* z)],
+
+J+ being the pseudoinverse of the joints' columns of J*, damped as in ``resolved_motion``: along each singular direction
+1/s, and s (2 d^2 - s^2) / d^4 where s < d. So no twist takes rates of more than 1.09/d of it, and at a singularity the
+lost direction takes none. The inverse of least kinetic energy (Khatib 1987, doi:10.1109/JRA.1987.1087068) has no such
+bound, and turns light wrists where it need not.
+"""
+
+import abc
+import dataclasses
+import functools
+from typing import ClassVar, Self
+
+import numpy as np
+from pydrake.multibody.tree import Frame
+
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, error_rate, position_error
+from ffsm_drake.spacecraft.free_floating import TASK_ROWS, FreeFloating
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values, gain
+from ffsm_drake.systems.frame_path import goal_frame
+from ffsm_drake.systems.resolved_motion import damped_inverse
+from ffsm_drake.systems.setup import BlockSetup
+
+_ROUNDING = 1e-9  # of the largest singular value: below, a direction that the arm does not have at all
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class TaskSpace:
+    """A frame, the rows of its twist that count, and what is driven."""
+
+    model: PlantModel  # whole, with the nominal payload
+    frame: Frame
+    rows: slice  # of [w; v]: m of them
+    driven: np.ndarray  # (na) indices of v, the joints last
+
+    @classmethod
+    def from_setup(cls, setup: BlockSetup) -> Self:
+        """Of ``reference.frame``; without one, or with none of its rows prescribed, the whole pose of the end effector.
+
+        Raises ModelError: there is no such frame.
+        """
+        goal, given = setup.scenario.reference.frame, setup.nominal
+        task = "pose" if goal is None or goal.task == "none" else goal.task
+        # Not that of the driven coordinates alone, which a law gets otherwise.
+        model = PlantModel(plant=given.plant, context=given.context, coordinates=given.coordinates)
+        frame = goal_frame(setup.scenario, model)
+        return cls(model=model, frame=frame, rows=TASK_ROWS[task], driven=given.coordinates.driven)
+
+    def at(self, sample: Sample, *, damping: float) -> "TaskPoint":
+        """The task at one sample (not several runs), singular values below ``damping`` damped."""
+        model, q, rows = self.model, sample.q, self.rows
+        spacecraft = FreeFloating(
+            mass_matrix=model.calc_mass_matrix(q), base_position=q[4:NUM_BASE_POSITIONS], driven=self.driven
+        )
+        jacobian = model.calc_jacobian(q, self.frame)
+        desired = sample.desired_frame
+        if desired is None:  # the frame goes where the planned motion of the coordinates takes it
+            desired = model.calc_frame_motion(sample.q_d, sample.v_d, sample.a_d, self.frame)
+        twist = jacobian.dot(sample.v)
+        e = position_error(desired[:7], model.calc_frame_pose(q, self.frame))
+        return TaskPoint(
+            task_space=self,
+            sample=sample,
+            spacecraft=spacecraft,
+            whole_jacobian=jacobian[rows],
+            jacobian=spacecraft.generalized_jacobian(jacobian)[rows],
+            damping=damping,
+            e=e[rows],
+            e_dot=error_rate(e, desired[7:13], twist)[rows],
+            twist=twist[rows],
+            desired_twist=desired[7:13][rows],
+            desired_acceleration=desired[13:][rows],
+            v_a=sample.v[self.driven],
+        )
+
+    def by_row(self, rotation: float, position: float) -> np.ndarray:
+        """One number for the frame's rotation and one for its position, by row of the task (m)."""
+        return np.repeat([rotation, position], 3)[self.rows]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class TaskPoint:
+    """The task at one sample: m rows of the frame's twist, na driven coordinates, nj joints; world axes."""
+
+    task_space: TaskSpace
+    sample: Sample
+    spacecraft: FreeFloating
+    whole_jacobian: np.ndarray  # J (m, nv)
+    jacobian: np.ndarray  # J* (m, na)
+    damping: float
+    e: np.ndarray  # (m) of the pose: rotation vector from R_WF to its reference, rad; then of the position, m
+    e_dot: np.ndarray  # (m) its rate
+    twist: np.ndarray  # V (m), measured
+    desired_twist: np.ndarray  # (m)
+    desired_acceleration: np.ndarray  # (m)
+    v_a: np.ndarray  # (na) measured
+
+    @property
+    def mass_matrix(self) -> np.ndarray:
+        """H* (na, na)."""
+        return self.spacecraft.reduced_mass_matrix
+
+    @functools.cached_property
+    def _whole_bias(self) -> np.ndarray:
+        """C (nv)."""
+        return self.task_space.model.calc_bias(self.sample.q, self.sample.v)
+
+    @functools.cached_property
+    def bias(self) -> np.ndarray:
+        """C* (na)."""
+        return self.spacecraft.reduced_bias(self._whole_bias)
+
+    @property
+    def drift(self) -> np.ndarray:
+        """V_0 (m): J v - J* v_a."""
+        return self.twist - self.jacobian.dot(self.v_a)
+
+    @property
+    def bias_acceleration(self) -> np.ndarray:
+        """A_0 (m), exact: J' v - J_u H_uu^-1 C_u."""
+        space, sample = self.task_space, self.sample
+        own = space.model.calc_bias_acceleration(sample.q, sample.v, space.frame)[space.rows]
+        return self.spacecraft.bias_acceleration(self.whole_jacobian, own, self._whole_bias)
+
+    @functools.cached_property
+    def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the joints' columns of J*, u s v^T: u (m, k), s (k), v^T (k, nj)."""
+        base = int(np.count_nonzero(self.task_space.driven < NUM_BASE_VELOCITIES))
+        return np.linalg.svd(self.jacobian[:, base:], full_matrices=False)
+
+    @property
+    def smallest_singular_value(self) -> float:
+        """Of the joints' columns of J*, rad counted as m, among directions in which they move the frame at all."""
+        sizes = self._directions[1]
+        return float(sizes[sizes > _ROUNDING * sizes[0]][-1]) if sizes[0] > 0.0 else 0.0
+
+    def served(self, z: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        """z + [0; J+ (wanted - J* z)] (na): a motion z (na) with joints that do what is wanted of the frame (m)."""
+        left, sizes, right = self._directions
+        lacking = left.T.dot(wanted - self.jacobian.dot(z))
+        result = z.copy()
+        result[z.size - right.shape[1] :] += (damped_inverse(sizes, self.damping) * lacking).dot(right)
+        return result
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TaskSpaceLaw(ControlLaw):
+    """Base of the laws that track a frame's pose; ``driven_force`` is the law."""
+
+    tracks_frame: ClassVar[bool] = True
+    task_space: TaskSpace
+    damping: float = gain(
+        0.05,
+        "rad/rad, m/rad",
+        "singular value of the joints' J*, rad counted as m, below which it is damped",
+        scalar=True,
+        positive=True,
+        feedback=False,
+    )
+
+    def initial_state(self) -> State:
+        return {"smallest_singular_value": np.zeros(1)}
+
+    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        if sample.v.ndim > 1:  # several runs, one after the other
+            return self._one_by_one(sample, state)
+        point = self.task_space.at(sample, damping=self.damping)
+        on_driven, memory = self.driven_force(point, state)
+        force = np.zeros_like(sample.v)
+        force[self.task_space.driven] = on_driven
+        return force, {**memory, "smallest_singular_value": np.array([point.smallest_singular_value])}
+
+    @classmethod
+    def from_setup(cls, setup: BlockSetup) -> Self:
+        """See ControlLaw. Raises ModelError also: there is no such frame."""
+        return cls(**field_values(cls, setup, task_space=TaskSpace.from_setup(setup)))
+
+    @abc.abstractmethod
+    def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
+        """tau_a (na) at one sample, N m and N, and the law's own memory; see ``ControlLaw.step``."""
+
+    def _one_by_one(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        forces, memories = list[np.ndarray](), list[State]()
+        for i in range(len(sample.v)):
+            one = sample._replace(
+                **{name: value[i] for name, value in sample._asdict().items() if isinstance(value, np.ndarray)}
+            )
+            force, memory = self.step(one, {name: value[i] for name, value in state.items()})
+            forces.append(force)
+            memories.append(memory)
+        return np.stack(forces), {name: np.stack([memory[name] for memory in memories]) for name in memories[0]}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AccelerationLaw(TaskSpaceLaw):
+    """Base of the laws that command accelerations, with gains for the frame and for what follows the plan."""
+
+    k_p_rotation: float
+    k_p_position: float
+    k_d_rotation: float
+    k_d_position: float
+    k_p_plan: float = gain(25.0, "1/s^2", "gain on the errors of a driven base and of free joints", scalar=True)
+    k_d_plan: float = gain(10.0, "1/s", "gain on their rates", scalar=True)
+
+    @functools.cached_property
+    def k_p(self) -> np.ndarray:
+        """By row of the task (m)."""
+        return self.task_space.by_row(self.k_p_rotation, self.k_p_position)
+
+    @functools.cached_property
+    def k_d(self) -> np.ndarray:
+        """By row of the task (m)."""
+        return self.task_space.by_row(self.k_d_rotation, self.k_d_position)
+
+    def planned(self, sample: Sample) -> np.ndarray:
+        """The acceleration z (na) that follows the plan."""
+        z = sample.a_d + self.k_d_plan * sample.e_dot + self.k_p_plan * sample.e
+        return z[self.task_space.driven]
