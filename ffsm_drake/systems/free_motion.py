@@ -6,6 +6,9 @@ motion gives no force where nothing drives.
 """
 
 import abc
+import dataclasses
+import functools
+from collections.abc import Hashable
 from typing import Any
 
 import numpy as np
@@ -31,11 +34,13 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         velocity: np.ndarray,
         sample_time: float,
         end: float,
+        key: Hashable = None,
     ) -> None:
         """Args: the plant with the nominal payload; q (nq) and v (nv) at the start; the control period, s; its end, s.
 
-        Of ``velocity`` only the momentum counts.
+        Of ``velocity`` only the momentum counts. Motions of one ``key`` are the same, and integrated once.
         """
+        self._key = key
         self._model, self._driven = model, model.coordinates.driven
         self._momentum = self._stack(position).momentum(velocity)
         self._first, self._duration = position, end
@@ -77,22 +82,26 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         v = self.velocity(time, unit)
         return np.concatenate([quaternion_rate(unit[:4], v[:3]), v[3:]])
 
+    def solve(self) -> Any:
+        """The dense solution q(t) of the next part that is not integrated yet."""
+        begin, end = (self._duration * (len(self._parts) + i) for i in (0, 1))
+        first = self._parts[-1](begin) if self._parts else self._first
+        return solve_ivp(
+            self._rate,
+            (begin, end),
+            first,
+            method="DOP853",
+            dense_output=True,
+            rtol=_ACCURACY,
+            atol=0.01 * _ACCURACY,
+        ).sol
+
     def _integrated(self, times: np.ndarray) -> np.ndarray:
         """q (n, nq) at times (n,)."""
-        part = np.floor(times / self._duration).astype(int)
+        part = np.maximum(np.ceil(times / self._duration).astype(int) - 1, 0)
         while len(self._parts) <= part.max():
-            begin, end = (self._duration * (len(self._parts) + i) for i in (0, 1))
-            first = self._parts[-1](begin) if self._parts else self._first
-            solved = solve_ivp(
-                self._rate,
-                (begin, end),
-                first,
-                method="DOP853",
-                dense_output=True,
-                rtol=_ACCURACY,
-                atol=0.01 * _ACCURACY,
-            )
-            self._parts.append(solved.sol)
+            found = self.solve() if self._key is None else _solved(_Part(self._key, len(self._parts), self))
+            self._parts.append(found)
         q = np.empty((times.size, self._first.size))
         for i in set(part.tolist()):
             q[part == i] = self._parts[i](times[part == i]).T
@@ -100,17 +109,32 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         return q
 
 
+@dataclasses.dataclass(frozen=True)
+class _Part:
+    """A part of a motion, the same for all motions of one key."""
+
+    key: Hashable
+    index: int
+    motion: MomentumMotion = dataclasses.field(compare=False)
+
+
+@functools.lru_cache(maxsize=16)
+def _solved(part: _Part) -> Any:
+    """A run, its report and the next run ask for the same motion."""
+    return part.motion.solve()
+
+
 class FreeMotion(MomentumMotion):
     """A planned motion of the driven coordinates, whatever it asks of the others."""
 
-    def __init__(self, wanted: PlannedMotion, *, model: PlantModel, sample_time: float) -> None:
-        """Args: the motion; the plant with the nominal payload; the control period, s."""
+    def __init__(self, wanted: PlannedMotion, *, model: PlantModel, sample_time: float, key: Hashable = None) -> None:
+        """Args: the motion; the plant with the nominal payload; the control period, s; as MomentumMotion."""
         self._wanted = wanted
         coordinates = model.coordinates
         self._columns = np.concatenate([[0] if coordinates.is_driven[0] else [], coordinates.driven + 1]).astype(int)
         self._sizes = [len(coordinates.position_names), len(coordinates.position_names) + len(coordinates.names)]
         q, v, _ = wanted.evaluate(0.0)
-        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=wanted.end)
+        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=wanted.end, key=key)
 
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         return self._wanted.rows(np.array([time]))[0, self._sizes[0] : self._sizes[1]][self._driven]

@@ -21,7 +21,7 @@ class PlannedMotion(abc.ABC):
         self._sample_time = sample_time
         # A cache: the motion at the control samples from self._first_sample on.
         self._first_sample = 0
-        self._rows = self.rows(sample_time * np.arange(_BLOCK))
+        self._rows = np.empty((0, 0))
 
     @abc.abstractmethod
     def rows(self, times: np.ndarray) -> np.ndarray:
@@ -46,7 +46,7 @@ class PlannedMotion(abc.ABC):
         sample = round(time / self._sample_time)
         if sample * self._sample_time != time:  # between the control samples
             return self.rows(np.array([time]))[0]
-        if not 0 <= sample - self._first_sample < _BLOCK:
+        if not 0 <= sample - self._first_sample < len(self._rows):
             self._first_sample = sample
             self._rows = self.rows(self._sample_time * np.arange(sample, sample + _BLOCK))
         return self._rows[sample - self._first_sample]

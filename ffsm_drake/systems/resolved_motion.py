@@ -12,12 +12,14 @@ squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2), once differentiable in s,
 """
 
 import dataclasses
+from collections.abc import Hashable
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.multibody.tree import Frame
 
 from ffsm_drake.scenario import FrameGoal
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_errors, rotation_error
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_errors
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.frame_path import FramePath
@@ -28,7 +30,7 @@ from ffsm_drake.systems.rotation_motion import quaternion_rate
 _ROWS = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6), "none": slice(0, 0)}  # of a twist
 _RANK = 1e-9  # ratio of singular values, between rounding and what an arm has
 _STEP = 1e-4  # s; of the difference quotient along the motion
-_INSTANTS = 401  # that a report looks at
+_INSTANTS = 201  # that a report looks at
 _SLOWEST = 1e-3  # m/s; bound of the feedback for a frame that is to stay where it is
 MISSED = 1e-6  # rad, m; from which on a path counts as missed
 
@@ -57,6 +59,14 @@ class Resolution:
         return bool(np.fmax(self.attitude_miss, self.position_miss).max() > MISSED)
 
 
+class _Resolved(NamedTuple):
+    """In configurations (n, nq)."""
+
+    v: np.ndarray  # (n, nv)
+    smallest: np.ndarray  # (n) singular value of the frame's task
+    error: np.ndarray  # (n, rows of the task) from the frame to its path
+
+
 class ResolvedMotion(MomentumMotion):
     """A frame goes along its path; driven base coordinates, and as far as they are free the joints, as is wanted."""
 
@@ -69,8 +79,9 @@ class ResolvedMotion(MomentumMotion):
         frame: Frame,
         model: PlantModel,
         sample_time: float,
+        key: Hashable = None,
     ) -> None:
-        """Args: the motion without the frame; its path; what is asked of it; the frame; the nominal plant; s."""
+        """Args: the motion without the frame; its path; what is asked of it; the frame; as MomentumMotion."""
         self._wanted, self._path, self._goal, self._frame = wanted, path, goal, frame
         coordinates = model.coordinates
         self._arm = np.flatnonzero(coordinates.driven >= NUM_BASE_VELOCITIES)  # of the driven coordinates
@@ -87,44 +98,35 @@ class ResolvedMotion(MomentumMotion):
         self._first_rate = v[NUM_BASE_VELOCITIES:]
         stack = free_floating(model, q, [coordinates.names[i] for i in coordinates.driven])
         self._first_reaction = stack.following[self._held][:, self._arm] @ self._first_rate
-        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=path.end)
+        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=path.end, key=key)
 
     def velocity(self, time: float, q: np.ndarray) -> np.ndarray:
-        return self._resolved(q, self._asked(np.array([time]))[0][0])[0]
+        return self._resolved(q[None], self._asked(np.array([time]))[0]).v[0]
 
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         return self.velocity(time, q)[self._driven]
 
     def driven_motion(self, times: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        driven = self._driven
-        velocity, acceleration = np.empty((2, times.size, driven.size))
-        for i, (one, asked, change) in enumerate(zip(q, *self._asked(times), strict=True)):
-            v, _ = self._resolved(one, asked)
-            # The motion goes on, in what it depends on, at its rate: first order is enough of central differences.
-            rate = np.concatenate([quaternion_rate(one[:4], v[:3]), v[3:]])
-            after, before = (
-                self._resolved(one + step * rate, asked + step * change)[0][driven] for step in (_STEP, -_STEP)
-            )
-            velocity[i], acceleration[i] = v[driven], (after - before) / (2.0 * _STEP)
-        return q, velocity, acceleration
+        asked, change = self._asked(times)
+        v = self._resolved(q, asked).v
+        # What the rates depend on goes on as fast as it does: first order is enough of central differences.
+        rate = np.hstack([quaternion_rate(q[:, :4].T, v[:, :3].T).T, v[:, 3:]])
+        after, before = (self._resolved(q + h * rate, asked + h * change).v for h in (_STEP, -_STEP))
+        return q, v[:, self._driven], (after - before)[:, self._driven] / (2.0 * _STEP)
 
     def resolution(self, times: np.ndarray | None = None) -> Resolution:
         """How well the path is followed, at times (n,), s; without them, over the motion."""
         times = np.linspace(0.0, self.end, _INSTANTS) if times is None else times
-        rows = self.rows(times)
-        q, v, _ = np.split(rows, np.cumsum([len(n) for n in (self.coordinates.position_names, self.coordinates.names)]),
-                           axis=1)  # fmt: skip
-        path, smallest, miss = self._path.rows(times), np.empty(times.size), np.zeros((times.size, 6))
-        for i, (one, asked) in enumerate(zip(q, self._asked(times)[0], strict=True)):
-            smallest[i] = self._resolved(one, asked)[1]
-            miss[i, self._task] = self._error(one, path[i])[self._task]
+        q = self._integrated(times)
+        found, miss = self._resolved(q, self._asked(times)[0]), np.zeros((times.size, 6))
+        miss[:, self._task] = found.error
         moved = position_errors(q, np.tile(self._first, (times.size, 1)))
         return Resolution(
             times=times,
-            smallest=smallest,
+            smallest=found.smallest,
             attitude_miss=np.linalg.norm(miss[:, :3], axis=1),
             position_miss=np.linalg.norm(miss[:, 3:], axis=1),
-            joint_rate=np.linalg.norm(v[:, NUM_BASE_VELOCITIES:], axis=1),
+            joint_rate=np.linalg.norm(found.v[:, NUM_BASE_VELOCITIES:], axis=1),
             base_turn=np.linalg.norm(moved[:, :3], axis=1),
             base_shift=np.linalg.norm(moved[:, 3:6], axis=1),
         )
@@ -174,48 +176,58 @@ class ResolvedMotion(MomentumMotion):
             np.hstack([turn, path[:, 10:], a[:, self._base], *changing, slower]),
         )
 
-    def _error(self, q: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """(6) from the frame in a configuration, which the plant is set to, to a pose."""
-        self._model.plant.SetPositions(self._model.context, q)
-        X_WF = self._frame.CalcPoseInWorld(self._model.context)
-        turn = rotation_error(pose[:4], X_WF.rotation().ToQuaternion().wxyz())
-        return np.concatenate([turn, pose[4:7] - X_WF.translation()])
-
-    def _resolved(self, q: np.ndarray, asked: np.ndarray) -> tuple[np.ndarray, float]:
-        """v (nv) in a configuration, and the smallest singular value of the frame's task."""
+    def _resolved(self, q: np.ndarray, asked: np.ndarray) -> _Resolved:
+        """In configurations (n, nq), of what is asked (n, .)."""
         arm, count = self._arm, self._arm.size
-        pose, twist, base, joints, rate, (pull, slow) = np.split(
-            asked, np.cumsum([7, 6, self._base.size, count, count])
+        pose, twist, base, joints, rate, pull, slow = np.split(
+            asked, np.cumsum([7, 6, self._base.size, count, count, 1]), axis=1
         )
-        q = np.concatenate([q[:4] / np.linalg.norm(q[:4]), q[4:]])
+        q = np.hstack([q[:, :4] / np.linalg.norm(q[:, :4], axis=1, keepdims=True), q[:, 4:]])
         stack = self._stack(q)
-        driven_velocity = np.concatenate([base, np.zeros(count)])
-        jacobian = self._model.calc_jacobian(q, self._frame)[self._task]
-        feedback = self._goal.feedback * self._error(q, pose)[self._task]
-        feedback /= np.sqrt(1.0 + feedback @ feedback / self._most**2)
-        v = stack.velocity(driven_velocity, self._momentum if self._momentum.any() else None)  # with the joints at rest
-        following = stack.following[:, arm]
+        jacobian, found = np.empty((len(q), 6, q.shape[1] - 1)), np.empty((len(q), 7))
+        for i, one in enumerate(q):
+            jacobian[i] = self._model.calc_jacobian(one, self._frame)
+            X_WF = self._frame.CalcPoseInWorld(self._model.context)
+            found[i] = *X_WF.rotation().ToQuaternion().wxyz(), *X_WF.translation()
+        error = position_errors(pose, found)[:, self._task]
+        feedback = self._goal.feedback * error
+        feedback /= np.sqrt(1.0 + (feedback * feedback).sum(axis=1, keepdims=True) / self._most**2)
+        jacobian = jacobian[:, self._task]
+        # With the joints at rest.
+        v = stack.velocity(np.hstack([base, np.zeros((len(q), count))]), self._momentum)
+        following = stack.following[..., arm]
         tasks = [
-            (following[self._held], slow * self._first_reaction, 0.0),
+            (following[:, self._held], slow * self._first_reaction, 0.0),
             (
-                jacobian[:, stack.driven[arm]] + jacobian[:, stack.undriven] @ following,
-                twist[self._task] + feedback - jacobian @ v,
+                jacobian[..., stack.driven[arm]] + jacobian[..., stack.undriven] @ following,
+                twist[:, self._task] + feedback - _times(jacobian, v),
                 self._goal.damping,
             ),
         ]
-        rates, free, smallest = np.zeros(count), np.eye(count), np.inf
+        rates, free, smallest = (
+            np.zeros((len(q), count)),
+            np.tile(np.eye(count), (len(q), 1, 1)),
+            np.full(len(q), np.inf),
+        )
         for matrix, target, damping in tasks if self._goal.priority == "hold" else tasks[::-1]:
-            if not target.size:
+            if not target.shape[1]:
                 continue
             left, sizes, right = np.linalg.svd(matrix @ free, full_matrices=False)
-            real = sizes > _RANK * np.linalg.norm(matrix)
-            left, sizes, right = left[:, real], sizes[real], right[real]
-            inverse = damped_inverse(sizes, damping) if damping else 1.0 / sizes
+            real = sizes > _RANK * np.linalg.norm(matrix, axis=(1, 2))[:, None]
             if damping:
-                smallest = float(sizes.min(initial=np.inf))
-            rates = rates + right.T @ (inverse * (left.T @ (target - matrix @ rates)))
-            free = free - (right.T * (inverse * sizes)) @ right
-        rates = rates + free @ (rate + pull * (joints - q[NUM_BASE_POSITIONS:]))
-        v[NUM_BASE_VELOCITIES:] = rates
-        v[stack.undriven] += following @ rates
-        return v, smallest
+                inverse = damped_inverse(sizes, damping)
+                smallest = np.where(real, sizes, np.inf).min(axis=1)
+            else:
+                inverse = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=real)
+            right = np.swapaxes(right, 1, 2)
+            rates = rates + _times(right, inverse * _times(np.swapaxes(left, 1, 2), target - _times(matrix, rates)))
+            free = free - (right * (inverse * sizes)[:, None]) @ np.swapaxes(right, 1, 2)
+        rates = rates + _times(free, rate + pull * (joints - q[:, NUM_BASE_POSITIONS:]))
+        v[:, NUM_BASE_VELOCITIES:] = rates
+        v[:, stack.undriven] += _times(following, rates)
+        return _Resolved(v, smallest, error)
+
+
+def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Matrices (n, m, k) times vectors (n, k)."""
+    return (matrix @ vector[..., None])[..., 0]

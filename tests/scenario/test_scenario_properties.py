@@ -72,7 +72,6 @@ SPECIAL = {
     "base_rotation": st.sampled_from(BASE_ROTATIONS),
     "inertia": moments(),
     "delay": st.integers(0, 1000),
-    "driven": st.just(["all"]),
     "segments": st.integers(4, 100),
     **dict.fromkeys(
         ("velocity_period", "position_period", "velocity_delay", "position_delay"),
