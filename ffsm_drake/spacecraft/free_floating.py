@@ -54,6 +54,18 @@ class FreeFloating:
         return rows
 
     @functools.cached_property
+    def spin_map(self) -> np.ndarray:
+        """(..., 3, nv) of the angular momentum about the centre of mass, N m s, world axes.
+
+        Its first three columns are the inertia about the centre of mass with the joints held, the next three zero.
+        """
+        turning, moving = self.mass_matrix[..., :3, :], self.mass_matrix[..., 3:NUM_BASE_VELOCITIES, :]
+        # The base's rotation moves the centre of mass by w x p_BC.
+        p_BC = moving[..., [1, 2, 0], [2, 0, 1]] / moving[..., [0], [3]]
+        spin: np.ndarray = turning - np.cross(p_BC[..., None], moving, axis=-2)
+        return spin
+
+    @functools.cached_property
     def following(self) -> np.ndarray:
         """-H_uu^-1 H_ua (..., nu, na): the undriven velocities for each driven one, at zero momentum."""
         rows = self.mass_matrix[..., self.undriven, :]
