@@ -12,6 +12,7 @@ import math
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
+from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 
 from ffsm_drake.common.errors import ModelError
@@ -25,16 +26,17 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import resolve_package, urdfs_of
 from ffsm_drake.systems.actuation.limits import force_limits
 from ffsm_drake.systems.actuation.wheels import WheelSet
-from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.rotation_motion import quaternion_rate
 
 # Of a scenario, what it depends on.
 _PARTS = (
     "model", "payload", "initial_posture", "target_posture", "capture", "reference", "actuation", "blocks", "clearance",
     "duration", "sample_time", "divergence_speed",
 )  # fmt: skip
-LONGEST = 1000.0  # s after the grasp that are looked at
-_INSTANTS = 201  # of the planned motion, and of as much time again after it
+LONGEST = 1000.0  # s that are looked at
+_INSTANTS = 201  # of the planned motion that are looked at
+_INSTANTS_AFTER = 2001
 _STEP = 0.05  # rad or m of a joint between two looks at the arm
 _SHARE = 0.2  # of the time that is left to the joint that reaches its limit first, likewise
 _OVER = 0.1  # s; when less of it is left
@@ -76,7 +78,8 @@ class MomentumBudget:
     drift: float | None  # m/s; of the centre of mass; None: the base's position is driven
     rate: float | None  # rad/s; of the stack with its joints at rest as planned; None: its attitude is held
     accepted: dict[str, float]  # ``capture.accepted_drift``, rad and m, by group
-    # s after the grasp; by group, when the planned motion has used that up; infinite: not within ``LONGEST``
+    # s after the grasp; by group, when the base has gone so far, as planned and then with its joints at rest; infinite:
+    # not within ``LONGEST``
     used_up: dict[str, float]
 
 
@@ -113,27 +116,28 @@ def _budget_of(text: str, changed: tuple[int, ...]) -> MomentumBudget:
     linear, angular = contact.momentum_after[3:], contact.spin_after
     if wheels is not None:
         angular = angular + _attitude(contact.q) @ wheels.axes @ wheels.initial_momentum
-    motion = None
-    if scenario.undriven and scenario.blocks.reference is None:
-        motion = make_motion(scenario, model.coordinates)
-    q, spin = _along(model, motion, contact.q)
+    times, q, spin = _along(scenario, model, contact.q)
     end = free_floating(model, q[-1])
     mass = float(end.mass_matrix[3, 3])
-    on_wheels = on_arm = rate = None
+    on_wheels = on_arm = None
+    turning = np.zeros(3)  # of ``angular``, what turns the stack
     if "base_rotation" in scenario.undriven:
         on_arm = _arm_budget(scenario, model, contact.q, angular)
-        rate = _rate(end, angular)
+        turning = angular
     elif wheels is not None and scenario.undriven:
         on_wheels = _wheel_budget(wheels, q, angular - spin, angular)
         if on_wheels.share > 1.0:
-            rate = _rate(end, (1.0 - on_wheels.capacity / float(np.linalg.norm(angular))) * angular)
+            turning = (1.0 - on_wheels.capacity / float(np.linalg.norm(angular))) * angular
     limits = force_limits(scenario, model.plant)
     least = {
         group: float((np.abs(momentum) / limits[model.coordinates.groups[group]]).max())
         for group, momentum in (("base_rotation", angular), ("base_position", linear))
         if group in scenario.driven
     }
-    speed = float(np.linalg.norm(linear)) / mass
+    used_up: dict[str, float] = {}
+    if accepted:
+        path = np.vstack([q[:-1, :NUM_BASE_POSITIONS], _coast(end, q[-1], linear, turning)])
+        used_up = _used_up(path, np.r_[times[:-1], times[-1] + np.linspace(0.0, LONGEST, _INSTANTS_AFTER)], accepted)
     return MomentumBudget(
         linear=tuple(linear.tolist()),
         angular=tuple(angular.tolist()),
@@ -141,32 +145,28 @@ def _budget_of(text: str, changed: tuple[int, ...]) -> MomentumBudget:
         least_time=least,
         wheels=on_wheels,
         arm=on_arm,
-        drift=speed if "base_position" in scenario.undriven else None,
-        rate=rate,
+        drift=float(np.linalg.norm(linear)) / mass if "base_position" in scenario.undriven else None,
+        rate=float(np.linalg.norm(np.linalg.solve(end.spin_map[:, :3], turning))) if turning.any() else None,
         accepted=dict(accepted),
-        used_up={
-            group: _used_up(motion, group, size, {"base_rotation": rate, "base_position": speed}[group] or 0.0)
-            for group, size in accepted.items()
-        },
+        used_up=used_up,
     )
 
 
-def _along(model: PlantModel, motion: PlannedMotion | None, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Configurations (n, nq) of a planned motion, and the angular momentum (n, 3) of all but wheels in them."""
-    if motion is None:
-        return q[None], np.zeros((1, 3))
-    rows = motion.rows(np.linspace(0.0, motion.end, _INSTANTS))
-    positions, v, _ = np.split(rows, np.cumsum([q.size, len(model.coordinates.names)]), axis=1)
-    return positions, (free_floating(model, positions).spin_map @ v[..., None])[..., 0]
+def _along(scenario: Scenario, model: PlantModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,), configurations (n, nq) and angular momentum of all but wheels (n, 3), to the end of motion and run.
+
+    Where no motion is known, of the posture (nq) at the grasp.
+    """
+    if not scenario.undriven or scenario.blocks.reference is not None:
+        return np.zeros(1), q[None], np.zeros((1, 3))
+    motion = make_motion(scenario, model.coordinates)
+    times = np.linspace(0.0, max(motion.end, scenario.duration), _INSTANTS)
+    positions, v, _ = np.split(motion.rows(times), np.cumsum([q.size, len(model.coordinates.names)]), axis=1)
+    return times, positions, (free_floating(model, positions).spin_map @ v[..., None])[..., 0]
 
 
 def _attitude(q: np.ndarray) -> np.ndarray:
     return RotationMatrix(Quaternion(q[:4])).matrix()
-
-
-def _rate(stack: FreeFloating, angular: np.ndarray) -> float:
-    """Of a stack with its joints at rest, rad/s."""
-    return float(np.linalg.norm(np.linalg.solve(stack.spin_map[:, :3], angular)))
 
 
 def _wheel_budget(wheels: WheelSet, q: np.ndarray, stored: np.ndarray, angular: np.ndarray) -> WheelBudget:
@@ -232,9 +232,7 @@ def _most(stack: FreeFloating, angular: np.ndarray, rate: np.ndarray) -> float:
     return math.inf if found.x is None else float(found.x[-1])
 
 
-def _evenest(
-    stack: FreeFloating, angular: np.ndarray, room: np.ndarray, most: np.ndarray
-) -> np.ndarray | None:
+def _evenest(stack: FreeFloating, angular: np.ndarray, room: np.ndarray, most: np.ndarray) -> np.ndarray | None:
     """Joint rates (n) that hold an angular momentum (3), the base at rest, and use up no range sooner than they must.
 
     Args: what each joint has left upwards and downwards (2, n), rad or m; the largest rates (n). None: there are none.
@@ -251,20 +249,35 @@ def _evenest(
     return None if found.x is None else found.x[:-1]
 
 
-def _used_up(motion: PlannedMotion | None, group: str, accepted: float, speed: float) -> float:
-    """When the base has gone farther than accepted, s after the grasp; ``speed`` is that at the end of the motion."""
-    if motion is None:
-        return accepted / speed if speed > 0.0 else math.inf
-    part = {"base_rotation": slice(0, 3), "base_position": slice(3, 6)}[group]
-    first = motion.rows(np.zeros(1))[:, :NUM_BASE_POSITIONS]
-    for begin in np.arange(0.0, LONGEST, motion.end):
-        times = np.linspace(begin, begin + motion.end, _INSTANTS)
-        base = motion.rows(times)[:, :NUM_BASE_POSITIONS]
-        gone = np.linalg.norm(position_errors(base, np.broadcast_to(first, base.shape))[:, part], axis=1)
-        if (gone > accepted).any():
-            after = int(np.argmax(gone > accepted))
-            between = np.interp(accepted, gone[after - 1 : after + 1], times[after - 1 : after + 1])
-            return float(between)
-        if speed == 0.0:
-            break
-    return math.inf
+def _used_up(path: np.ndarray, times: np.ndarray, accepted: dict[str, float]) -> dict[str, float]:
+    """When the base, with poses (n, 7) at times (n,), has gone farther than accepted, s, by group."""
+    moved = position_errors(path, np.broadcast_to(path[0], path.shape))
+    found = {}
+    for group, most in accepted.items():
+        gone = np.linalg.norm(moved[:, :3] if group == "base_rotation" else moved[:, 3:], axis=1)
+        after = int(np.argmax(gone > most))
+        pair = slice(after - 1, after + 1)
+        found[group] = float(np.interp(most, gone[pair], times[pair])) if gone[after] > most else math.inf
+    return found
+
+
+def _coast(stack: FreeFloating, q: np.ndarray, momentum: np.ndarray, turning: np.ndarray) -> np.ndarray:
+    """Poses (``_INSTANTS_AFTER``, 7) of the base over ``LONGEST`` with the joints at rest.
+
+    Args: the stack in its configuration (nq); linear momentum (3); the angular one that turns it (3).
+    """
+    R_WB, inertia, offset = _attitude(q), stack.spin_map[:, :3], stack.center_of_mass
+    times = np.linspace(0.0, LONGEST, _INSTANTS_AFTER)
+
+    def turned(quaternion: np.ndarray) -> np.ndarray:
+        """From then to now."""
+        return _attitude(quaternion / np.linalg.norm(quaternion)) @ R_WB.T
+
+    def rate(time: float, quaternion: np.ndarray) -> np.ndarray:
+        R = turned(quaternion)
+        return quaternion_rate(quaternion, R @ np.linalg.solve(inertia, R.T @ turning))
+
+    found = solve_ivp(rate, (0.0, LONGEST), q[:4], t_eval=times, rtol=1e-9, atol=1e-12).y.T
+    found /= np.linalg.norm(found, axis=1, keepdims=True)
+    center = q[4:NUM_BASE_POSITIONS] + offset + times[:, None] * momentum / stack.mass_matrix[3, 3]
+    return np.hstack([found, center - np.array([turned(each) @ offset for each in found])])

@@ -415,8 +415,8 @@ def _validate_capture(scenario: Scenario, capture: Capture) -> None:
         require(number > 0, f"capture.compliance.{field.name}", f"must be > 0, not {number:g}")
     for group, number in (capture.accepted_drift or {}).items():
         key, most = f"capture.accepted_drift.{group}", math.pi if group == "base_rotation" else math.inf
-        known = f"is no part of the base that is left undriven (actuation.driven): {', '.join(scenario.undriven) or 'all is driven'}"
-        require(group in scenario.undriven, key, known)
+        known = f"choose of {', '.join(scenario.undriven)}" if scenario.undriven else "leave it out"
+        require(group in scenario.undriven, key, f"'{group}' is not what actuation.driven leaves undriven; {known}")
         require(0.0 < number < most, key, f"must be > 0{' and below pi' if most < math.inf else ''}, not {number:g}")
     if capture.approach is not None:
         duration, key = capture.approach.duration, "capture.approach.duration"
