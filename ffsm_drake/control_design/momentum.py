@@ -59,8 +59,8 @@ class WheelBudget:
 class ArmBudget:
     """What the arm takes by turning its joints while the base's attitude stays as it is at the grasp."""
 
-    capacity: float  # N m s; along the momentum, within the joints' rate limits; infinite without any
-    time: float  # s for which a motion was found that holds it all; infinite: beyond ``LONGEST``
+    capacity: float | None  # N m s; along the momentum, within the joints' rate limits; None: there are none
+    time: float | None  # s for which a motion was found that holds it all; None: beyond ``LONGEST``
     ended_by: str  # what is in the way then; "" for nothing
 
 
@@ -68,8 +68,8 @@ class ArmBudget:
 class MomentumBudget:
     """The momentum after the planned grasp, with the nominal payload; world axes."""
 
-    linear: tuple[float, ...]  # N s
-    angular: tuple[float, ...]  # N m s; about the centre of mass, that of wheels included
+    linear: list[float]  # N s
+    angular: list[float]  # N m s; about the centre of mass, that of wheels included
     mass: float  # kg; of servicer and target
     # s; by driven group of the base, the least in which its force or torque takes the momentum out; 0: no limit
     least_time: dict[str, float]
@@ -78,9 +78,9 @@ class MomentumBudget:
     drift: float | None  # m/s; of the centre of mass; None: the base's position is driven
     rate: float | None  # rad/s; of the stack with its joints at rest as planned; None: its attitude is held
     accepted: dict[str, float]  # ``capture.accepted_drift``, rad and m, by group
-    # s after the grasp; by group, when the base has gone so far, as planned and then with its joints at rest; infinite:
-    # not within ``LONGEST``
-    used_up: dict[str, float]
+    # s after the grasp; by group, when the base has gone so far, as planned and then with its joints at rest; None: not
+    # within ``LONGEST``
+    used_up: dict[str, float | None]
 
 
 def momentum_budget(scenario: Scenario) -> MomentumBudget | None:
@@ -134,13 +134,13 @@ def _budget_of(text: str, changed: tuple[int, ...]) -> MomentumBudget:
         for group, momentum in (("base_rotation", angular), ("base_position", linear))
         if group in scenario.driven
     }
-    used_up: dict[str, float] = {}
+    used_up: dict[str, float | None] = {}
     if accepted:
         path = np.vstack([q[:-1, :NUM_BASE_POSITIONS], _coast(end, q[-1], linear, turning)])
         used_up = _used_up(path, np.r_[times[:-1], times[-1] + np.linspace(0.0, LONGEST, _INSTANTS_AFTER)], accepted)
     return MomentumBudget(
-        linear=tuple(linear.tolist()),
-        angular=tuple(angular.tolist()),
+        linear=linear.tolist(),
+        angular=angular.tolist(),
         mass=mass,
         least_time=least,
         wheels=on_wheels,
@@ -214,14 +214,14 @@ def _arm_budget(scenario: Scenario, model: PlantModel, q: np.ndarray, angular: n
         step = min(_STEP / max(float(np.abs(rates).max()), 1e-300), _SHARE * float(own[first]), LONGEST)
         q[arm] += step * rates
         time += step
-    return ArmBudget(capacity=capacity, time=time if ended_by else math.inf, ended_by=ended_by)
+    return ArmBudget(capacity=capacity, time=time if ended_by else None, ended_by=ended_by)
 
 
-def _most(stack: FreeFloating, angular: np.ndarray, rate: np.ndarray) -> float:
+def _most(stack: FreeFloating, angular: np.ndarray, rate: np.ndarray) -> float | None:
     """The largest momentum along ``angular`` (3) that joints within their rates (n) hold, the base at rest; N m s."""
     size = float(np.linalg.norm(angular))
     if size == 0.0:
-        return math.inf
+        return None
     on_joints = stack.spin_map[:, NUM_BASE_VELOCITIES:]
     found = linprog(
         np.r_[np.zeros(rate.size), -1.0],
@@ -229,7 +229,7 @@ def _most(stack: FreeFloating, angular: np.ndarray, rate: np.ndarray) -> float:
         b_eq=np.zeros(3),
         bounds=[*((-each, each) for each in rate), (0.0, None)],
     )
-    return math.inf if found.x is None else float(found.x[-1])
+    return None if found.x is None else float(found.x[-1])
 
 
 def _evenest(stack: FreeFloating, angular: np.ndarray, room: np.ndarray, most: np.ndarray) -> np.ndarray | None:
@@ -249,15 +249,15 @@ def _evenest(stack: FreeFloating, angular: np.ndarray, room: np.ndarray, most: n
     return None if found.x is None else found.x[:-1]
 
 
-def _used_up(path: np.ndarray, times: np.ndarray, accepted: dict[str, float]) -> dict[str, float]:
+def _used_up(path: np.ndarray, times: np.ndarray, accepted: dict[str, float]) -> dict[str, float | None]:
     """When the base, with poses (n, 7) at times (n,), has gone farther than accepted, s, by group."""
     moved = position_errors(path, np.broadcast_to(path[0], path.shape))
-    found = {}
+    found: dict[str, float | None] = {}
     for group, most in accepted.items():
         gone = np.linalg.norm(moved[:, :3] if group == "base_rotation" else moved[:, 3:], axis=1)
         after = int(np.argmax(gone > most))
         pair = slice(after - 1, after + 1)
-        found[group] = float(np.interp(most, gone[pair], times[pair])) if gone[after] > most else math.inf
+        found[group] = float(np.interp(most, gone[pair], times[pair])) if gone[after] > most else None
     return found
 
 
