@@ -181,8 +181,8 @@ def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
         rest = f"; what they do not hold {turning}" if turning else ""
         lines.append(
             f"wheels: the angular momentum takes {percent(wheels['share'])} of the speed of {wheels['fullest']}, up to "
-            f"{percent(wheels['peak_share'])} on the way, and {number(wheels['least_time'], 3)} s at the least; together "
-            f"they hold {number(wheels['capacity'], 3)} N m s along it, {number(wheels['least_capacity'], 3)} along the "
+            f"{percent(wheels['peak_share'])} on the way, and {number(wheels['least_time'], 3)} s at the least; they "
+            f"hold {number(wheels['capacity'], 3)} N m s along it, {number(wheels['least_capacity'], 3)} along the "
             f"worst direction{rest}"
         )
     if arm is not None:
