@@ -11,8 +11,6 @@ from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.frame_path import goal_frame
-from ffsm_drake.systems.free_motion import FreeMotion
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.resolved_motion import damped_inverse
 
@@ -32,13 +30,6 @@ def motion_of(name, *overrides):
 def parts(motion, times):
     nq = len(motion.coordinates.position_names)
     return np.split(motion.rows(np.asarray(times)), [nq, 2 * nq - 1], axis=1)
-
-
-def pose_of(model, scenario, q):
-    """Position and attitude of the end effector."""
-    model.plant.SetPositions(model.context, q)
-    X_WF = goal_frame(scenario, model).CalcPoseInWorld(model.context)
-    return X_WF.translation(), Rotation.from_matrix(X_WF.rotation().matrix())
 
 
 def assert_consistent(motion, times, *, h=1e-3, atol=1e-7):
@@ -145,19 +136,6 @@ def test_with_the_base_driven_the_joints_do_it_and_the_base_keeps_its_motion():
     assert motion.resolution(times).position_miss.max() < 1e-9
     for mine, its in zip(parts(motion, times), parts(alone, times), strict=True):
         assert_allclose(mine[:, :6], its[:, :6], atol=1e-8)
-
-
-def test_a_fixed_base_jacobian_misses_on_a_free_base():
-    """The joints of a motion that reaches its goal with the base held do not reach it when the base is free."""
-    fixed, _, _ = motion_of("planar_detumble", *PLANAR, BERTH, "actuation.driven=[all]")
-    free, model, scenario = motion_of("planar_detumble", *PLANAR, BERTH, *ARM_ALONE)
-    played = FreeMotion(fixed, model=model, sample_time=scenario.sample_time)
-    goal = free.resolution(np.array([20.0]))
-    assert max(goal.attitude_miss[0], goal.position_miss[0]) < 1e-9
-    assert fixed.resolution(np.array([20.0])).position_miss[0] < 1e-9
-    position, turn = pose_of(model, scenario, parts(played, [20.0])[0][0])
-    assert_allclose(np.linalg.norm(position - [0.4, 0.0, 2.3]), 0.0, atol=1e-3)
-    assert_allclose((turn * Rotation.from_euler("y", -1.0)).magnitude(), 0.0, atol=1e-3)
 
 
 def test_a_run_leaves_the_base_alone():
