@@ -162,13 +162,14 @@ class TaskSpaceLaw(ControlLaw):
     tracks_frame: ClassVar[bool] = True
     task_space: TaskSpace
     damping: float = gain(
-        0.05,
+        0.1,
         "rad/rad, m/rad",
         "singular value of the joints' J*, rad counted as m, below which it is damped",
         scalar=True,
         positive=True,
         feedback=False,
     )
+    feedback_limit: float
 
     def initial_state(self) -> State:
         return {"smallest_singular_value": np.zeros(1)}
@@ -181,6 +182,15 @@ class TaskSpaceLaw(ControlLaw):
         force = np.zeros_like(sample.v)
         force[self.task_space.driven] = on_driven
         return force, {**memory, "smallest_singular_value": np.array([point.smallest_singular_value])}
+
+    def bounded(self, feedback: np.ndarray) -> np.ndarray:
+        """What the frame's error asks for (m), its rotation and its position each of ``feedback_limit`` at most.
+
+        At a singularity an error stays that no rate takes away, and the larger it is the faster joints go to and fro.
+        """
+        parts = feedback.reshape(-1, 3)
+        size = np.sqrt((parts * parts).sum(axis=1, keepdims=True))
+        return (parts * (self.feedback_limit / np.maximum(size, self.feedback_limit))).ravel()
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
@@ -211,6 +221,14 @@ class AccelerationLaw(TaskSpaceLaw):
     k_p_position: float
     k_d_rotation: float
     k_d_position: float
+    feedback_limit: float = gain(
+        0.5,
+        "rad/s^2, m/s^2",
+        "largest acceleration that the frame's error asks for",
+        scalar=True,
+        positive=True,
+        feedback=False,
+    )
     k_p_plan: float = gain(25.0, "1/s^2", "gain on the errors of a driven base and of free joints", scalar=True)
     k_d_plan: float = gain(10.0, "1/s", "gain on their rates", scalar=True)
 
