@@ -169,7 +169,14 @@ class TaskSpaceLaw(ControlLaw):
         positive=True,
         feedback=False,
     )
-    feedback_limit: float
+    speed_limit: float = gain(
+        0.1,
+        "rad/s, m/s",
+        "speed at which at most a frame's error is taken back",
+        scalar=True,
+        positive=True,
+        feedback=False,
+    )
 
     def initial_state(self) -> State:
         return {"smallest_singular_value": np.zeros(1)}
@@ -182,15 +189,6 @@ class TaskSpaceLaw(ControlLaw):
         force = np.zeros_like(sample.v)
         force[self.task_space.driven] = on_driven
         return force, {**memory, "smallest_singular_value": np.array([point.smallest_singular_value])}
-
-    def bounded(self, feedback: np.ndarray) -> np.ndarray:
-        """What the frame's error asks for (m), its rotation and its position each of ``feedback_limit`` at most.
-
-        At a singularity an error stays that no rate takes away, and the larger it is the faster joints go to and fro.
-        """
-        parts = feedback.reshape(-1, 3)
-        size = np.sqrt((parts * parts).sum(axis=1, keepdims=True))
-        return (parts * (self.feedback_limit / np.maximum(size, self.feedback_limit))).ravel()
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
@@ -221,13 +219,8 @@ class AccelerationLaw(TaskSpaceLaw):
     k_p_position: float
     k_d_rotation: float
     k_d_position: float
-    feedback_limit: float = gain(
-        0.5,
-        "rad/s^2, m/s^2",
-        "largest acceleration that the frame's error asks for",
-        scalar=True,
-        positive=True,
-        feedback=False,
+    acceleration_limit: float = gain(
+        0.5, "rad/s^2, m/s^2", "what at most a frame's error asks for", scalar=True, positive=True, feedback=False
     )
     k_p_plan: float = gain(25.0, "1/s^2", "gain on the errors of a driven base and of free joints", scalar=True)
     k_d_plan: float = gain(10.0, "1/s", "gain on their rates", scalar=True)
@@ -242,7 +235,25 @@ class AccelerationLaw(TaskSpaceLaw):
         """By row of the task (m)."""
         return self.task_space.by_row(self.k_d_rotation, self.k_d_position)
 
+    def feedback(self, wanted: np.ndarray) -> np.ndarray:
+        """The acceleration (m) that a frame's error asks for, as large as is allowed."""
+        return limited(wanted, np.full(wanted.size, self.acceleration_limit))
+
+    def limited(self, e: np.ndarray) -> np.ndarray:
+        """The frame's error (m), such that the speed that takes it back is limited: K_p e is as large as K_d times it.
+
+        At a singularity an error stays that no rate takes away, and the larger it is the faster joints go to and fro.
+        """
+        return limited(e, self.speed_limit * self.k_d / np.maximum(self.k_p, 1e-12))
+
     def planned(self, sample: Sample) -> np.ndarray:
         """The acceleration z (na) that follows the plan."""
         z = sample.a_d + self.k_d_plan * sample.e_dot + self.k_p_plan * sample.e
         return z[self.task_space.driven]
+
+
+def limited(vector: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """A vector (m) of a frame whose rotation and position are no larger than a limit each, given by row (m)."""
+    parts, limits = vector.reshape(-1, 3), limit.reshape(-1, 3)[:, :1]
+    sizes = np.sqrt((parts * parts).sum(axis=1, keepdims=True))
+    return (parts * (limits / np.maximum(sizes, limits))).ravel()

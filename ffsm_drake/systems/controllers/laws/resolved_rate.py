@@ -9,7 +9,7 @@ import functools
 import numpy as np
 
 from ffsm_drake.systems.controllers.law import State, gain
-from ffsm_drake.systems.controllers.task_space import TaskPoint, TaskSpaceLaw
+from ffsm_drake.systems.controllers.task_space import TaskPoint, TaskSpaceLaw, limited
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -21,14 +21,6 @@ class ResolvedRate(TaskSpaceLaw):
 
     k_p_rotation: float = gain(2.0, "1/s", "gain K on the frame's attitude error", scalar=True)
     k_p_position: float = gain(2.0, "1/s", "gain K on the frame's position error", scalar=True)
-    feedback_limit: float = gain(
-        0.1,
-        "rad/s, m/s",
-        "largest velocity that the frame's error asks for",
-        scalar=True,
-        positive=True,
-        feedback=False,
-    )
     k_v: float = gain(20.0, "1/s", "gain on the rates of the driven coordinates", scalar=True)
     k_p_plan: float = gain(2.0, "1/s", "gain on the errors of a driven base and of free joints", scalar=True)
 
@@ -39,5 +31,6 @@ class ResolvedRate(TaskSpaceLaw):
 
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
         planned = (point.sample.v_d + self.k_p_plan * point.sample.e)[self.task_space.driven]
-        rates = point.served(planned, point.desired_twist + self.bounded(self.k_p * point.e) - point.drift)
+        feedback = limited(self.k_p * point.e, np.full(point.e.size, self.speed_limit))
+        rates = point.served(planned, point.desired_twist + feedback - point.drift)
         return point.mass_matrix.dot(self.k_v * (rates - point.v_a)) + point.bias, {}
