@@ -209,7 +209,7 @@ class _Bench:
 def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
     """Samples along the planned motion with small random errors."""
     nominal = make_nominal_plant(scenario)
-    coordinates, frame = nominal.coordinates, goal_frame(scenario, nominal)
+    coordinates, frame = nominal.coordinates, goal_frame(scenario, nominal.plant)
     reference = make_motion(scenario, coordinates)
     random = np.random.default_rng(seed)
     samples = []

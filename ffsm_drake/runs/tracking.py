@@ -49,7 +49,7 @@ def frame_error(
       q_d: planned ones (n, nq), by which the frame is judged where there is nothing else.
       desired: rows of FramePath (n, 19); None: no path is prescribed.
     """
-    frame = goal_frame(scenario, model)
+    frame = goal_frame(scenario, model.plant)
 
     def poses(positions: np.ndarray) -> np.ndarray:
         result = np.full((len(positions), 7), np.nan)

@@ -8,6 +8,7 @@ import dataclasses
 
 import numpy as np
 from pydrake.math import RollPitchYaw, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.errors import ScenarioError
@@ -53,12 +54,12 @@ class FramePath:
         return np.hstack([quaternion, self.first[4:] + value[:, 3:], omega, rate[:, 3:], alpha, acceleration[:, 3:]])
 
 
-def goal_frame(scenario: Scenario, model: PlantModel) -> Frame:
+def goal_frame(scenario: Scenario, plant: MultibodyPlant) -> Frame:
     """The frame of ``reference.frame``. Raises ModelError: there is none of that name."""
     goal = scenario.reference.frame or FrameGoal()
     if goal.frame is None:
-        return find_frame(model.plant, scenario.model.end_effector, key="model.end_effector")
-    return find_frame(model.plant, goal.frame, key="reference.frame.frame")
+        return find_frame(plant, scenario.model.end_effector, key="model.end_effector")
+    return find_frame(plant, goal.frame, key="reference.frame.frame")
 
 
 def make_frame_path(scenario: Scenario, model: PlantModel, *, duration: float | None = None) -> FramePath:
@@ -79,7 +80,7 @@ def make_frame_path(scenario: Scenario, model: PlantModel, *, duration: float | 
     if duration is None:
         raise ScenarioError("reference.duration", "auto is still to be found; give a number of seconds")
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
-    frame = goal_frame(scenario, model)
+    frame = goal_frame(scenario, model.plant)
     model.plant.SetPositions(model.context, q)
     X_WF = frame.CalcPoseInWorld(model.context)
     twist = np.zeros(6)

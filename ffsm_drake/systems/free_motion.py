@@ -20,11 +20,11 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.rotation_motion import quaternion_rate
 
-_ACCURACY = 1e-11  # of the integration, relative; a hundredth of it absolute
-
 
 class MomentumMotion(PlannedMotion, abc.ABC):
     """A planned motion that is integrated; a subclass says how the driven coordinates move."""
+
+    accuracy = 1e-11  # of the integration, relative; a hundredth of it absolute
 
     def __init__(
         self,
@@ -92,8 +92,8 @@ class MomentumMotion(PlannedMotion, abc.ABC):
             first,
             method="DOP853",
             dense_output=True,
-            rtol=_ACCURACY,
-            atol=0.01 * _ACCURACY,
+            rtol=self.accuracy,
+            atol=0.01 * self.accuracy,
         ).sol
 
     def _integrated(self, times: np.ndarray) -> np.ndarray:

@@ -187,7 +187,7 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
                 motion,
                 path=make_frame_path(scenario, nominal, duration=motion.end),
                 goal=reference.frame,
-                frame=goal_frame(scenario, nominal),
+                frame=goal_frame(scenario, nominal.plant),
                 model=nominal,
                 sample_time=scenario.sample_time,
                 key=(*_content(scenario), motion.end),

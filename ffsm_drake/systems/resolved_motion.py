@@ -70,6 +70,8 @@ class _Resolved(NamedTuple):
 class ResolvedMotion(MomentumMotion):
     """A frame goes along its path; driven base coordinates, and as far as they are free the joints, as is wanted."""
 
+    accuracy = 1e-9  # the feedback takes back what it misses, and velocities are those of the configuration
+
     def __init__(
         self,
         wanted: PlannedMotion,

@@ -85,6 +85,7 @@ def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: floa
         lines.append(f"grasp at t = {record.grasp['time']:g} s")
     if view.deflections.legend:
         lines.append(view.deflections.legend)
+    lines += view.legend
     if speed != 1.0:
         lines.append(f"{speed:g} times real time")
     if view.arrows is not None:

@@ -11,6 +11,7 @@ from ffsm_drake.scenario import own_thrusters
 from ffsm_drake.show.meshcat.actuators import Plumes
 from ffsm_drake.show.meshcat.arrows import ForceArrows
 from ffsm_drake.show.meshcat.deflections import Deflections
+from ffsm_drake.show.meshcat.drift import START_LEGEND, draw_drift, draw_frame_path
 from ffsm_drake.show.meshcat.stage import SpacecraftView, set_stage
 
 FRAMES_PER_SECOND = 25.0
@@ -50,6 +51,13 @@ class ReplayView:
             every = max(1, count // _PATH_VERTICES)
             vertices = dataset["end_effector_position"].values[::every]
             meshcat.SetLine("end_effector_path", vertices.T, 4.0, _PATH_COLOR)
+        self.legend: list[str] = []  # what lines mean, beside the end effector's path
+        few = self._positions[:: max(1, count // _PATH_VERTICES)]
+        if path and record.scenario.undriven and count > 1:
+            draw_drift(meshcat, self.spacecraft, few)
+            self.legend.append(START_LEGEND)
+        if path and record.scenario.reference.frame is not None and count > 1:
+            self.legend.append(draw_frame_path(meshcat, self.spacecraft, record.scenario, few))
         self.arrows: ForceArrows | None = None
         if forces:
             inspector = self.spacecraft.scene_graph.model_inspector()

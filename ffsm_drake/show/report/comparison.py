@@ -10,6 +10,7 @@ from typing import Any
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.runs.deflections import deflection_metrics
 from ffsm_drake.runs.limits import plan_remarks, run_clearance, run_remarks, saturation
+from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.report.results import Result, actuators_act, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
 from ffsm_drake.show.tables import number, percent
@@ -51,15 +52,20 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
     kinds = list(dict.fromkeys((part.group, part.unit) for result in results for part in result.magnitudes))
     groups = [group for group, _ in kinds]
     shares = [saturation(result.record) for result in results]
+    untracked = _untracked(results)
     for field, head in (_MAGNITUDES | (_APPLIED if actuators_act(results) else {})).items():
         for k, (group, unit) in enumerate(kinds):
             kind = f", {'revolute' if unit == 'rad' else 'prismatic'}" if groups.count(group) > 1 else ""
             cells = [Cell(number(_magnitude(result, group, unit, field))) for result in results]
-            shown = EFFORT_UNITS.get(unit, unit) if field in ("peak_effort", "peak_applied") else unit
+            is_force = field in ("peak_effort", "peak_applied")
+            shown = EFFORT_UNITS.get(unit, unit) if is_force else unit
+            kind += ", not tracked" if group in untracked and not is_force else ""
             rows.append(Row(GROUP_TITLES.get(group, group) + kind, cells, unit=shown, head="" if k else head))
     for k, name in enumerate(dict.fromkeys(name for share in shares for name in share)):
         cells = [Cell(percent(share.get(name, 0.0))) for share in shares]
         rows.append(Row(name.replace("_", " "), cells, head="" if k else "Samples at the limit of the actuators"))
+    rows += _of_frame(results)
+    rows += _of_drift(results)
     rows += _of_actuators(results)
     rows += _hidden_rows(results)
     simulated = [Cell(f"{result.record.outcome.time:g}") for result in results]
@@ -67,6 +73,40 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
     for label, key in (("Wall time, simulation", "advance_to"), ("Wall time, all told", "total")):
         cells = [Cell(number(result.record.wall_time.get(key), 3)) for result in results]
         rows.append(Row(label, cells, unit="s"))
+    return rows
+
+
+def _untracked(results: Sequence[Result]) -> set[str]:
+    """Groups whose errors no run is judged by: nothing drives them, or a frame is tracked in their place."""
+    groups = {part.group for result in results for part in result.magnitudes}
+    for data in (result.record.dataset for result in results):
+        by_coordinate = dict(zip(data["coordinate"].values.astype(str), data["group"].values.astype(str), strict=True))
+        groups -= {by_coordinate[name] for name in tracked_of(data).names if name in by_coordinate}
+    return groups
+
+
+def _of_frame(results: Sequence[Result]) -> list[Row]:
+    """How far the frame of the runs is from its reference; nothing where none has one."""
+    return _by_moment(results, "frame", "error of the frame", (("rotation", "attitude", "rad"), ("position", "", "m")))
+
+
+def _of_drift(results: Sequence[Result]) -> list[Row]:
+    """Where the base of the runs went that nothing drives there."""
+    parts = (("base_rotation", "attitude", "rad"), ("base_position", "", "m"))
+    return _by_moment(results, "drift", "drift of the base from its start", parts)
+
+
+def _by_moment(results: Sequence[Result], metric: str, what: str, parts: Sequence[tuple[str, str, str]]) -> list[Row]:
+    """Rows of ``largest`` and ``final`` sizes by part (key, name, unit) of a metric that not every run has."""
+    found = [result.record.metrics.get(metric, {}) for result in results]
+    rows = []
+    for moment in ("largest", "final"):
+        of_moment = [figures.get(moment, {}) for figures in found]
+        kept = [part for part in parts if any(part[0] in each for each in of_moment)]
+        for k, (key, name, unit) in enumerate(kept):
+            cells = [Cell(number(each.get(key))) for each in of_moment]
+            head = "" if k else f"{moment.capitalize()} {what}"
+            rows.append(Row((name or key.rpartition("_")[2]).capitalize(), cells, unit=unit, head=head))
     return rows
 
 

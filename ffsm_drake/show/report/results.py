@@ -89,7 +89,9 @@ def _result(record: RunRecord, label: str, style: Style) -> Result:
     status, verdict = _evaluate(record)
     period = record.scenario.sample_time
     error, effort = values_of(record, "error"), values_of(record, "generalized_force")
-    accuracy = math.nan if error is None else itae(record.dataset["time"].values[:-1], error[:-1], period)
+    accuracy = math.nan
+    if error is not None:
+        accuracy = itae(record.dataset["time"].values[:-1], tracked_of(record.dataset).error[:-1], period)
     cost = math.nan if effort is None else isv(effort[:-1], period)
     magnitudes = tuple(_magnitudes(record, error, effort))
     sampled = record.dataset.sizes.get("time", 0) > 0

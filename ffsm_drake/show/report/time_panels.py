@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.runs.metrics import driven_of
+from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.show.curves import completed_range, moving_rms
 from ffsm_drake.show.panels import Panel, Thinning, Trace, View, curve, escape, figure, time_panel
 from ffsm_drake.show.report.results import HELD, Result, actuators_act, values_of
@@ -40,14 +42,16 @@ def run_views(results: Sequence[Result], thin: Thinning) -> dict[str, list[View]
         each("error", "Error", "{unit}"),
         View(label="rms of the error over 1 s, logarithmic", panels=_error_size_panels(results, thin)),
     ]
+    if len(results) > 1:  # whose errors differ by orders of magnitude
+        errors.reverse()
+    errors.insert(0, View(label="Frame", panels=_frame_panels(results, thin)))
     sections = {
         "motion": [
             View(label="Base attitude", panels=_attitude_panels(results, thin)),
             View(label="Base position and joints", panels=_position_panels(results, thin)),
         ],
         "end_effector": [View(label="End effector", panels=_end_effector_panels(results, thin))],
-        # Where runs are compared, their errors differ by orders of magnitude.
-        "error": errors if len(results) == 1 else errors[::-1],
+        "error": errors,
         "force": [
             each("generalized_force", "Control", "{effort}"),
             *([each("applied_force", "As the actuators apply it", "{effort}")] if actuators_act(results) else []),
@@ -79,8 +83,10 @@ def _by_coordinate(results: Sequence[Result], variable: str) -> dict[tuple[str, 
     for i in _roughest_first(results, variable):
         data = results[i].record.dataset
         names = zip(*(data[name].values.astype(str).tolist() for name in ("coordinate", "group", "unit")), strict=True)
+        driven = driven_of(data) if variable in HELD else np.ones(data.sizes["coordinate"], dtype=bool)
         for k, key in enumerate(names):
-            found.setdefault(key, []).append((i, data[variable].values[:, k]))
+            if driven[k]:  # elsewhere no force acts
+                found.setdefault(key, []).append((i, data[variable].values[:, k]))
     return found
 
 
@@ -111,6 +117,17 @@ def _coordinate_panels(
         ]  # fmt: skip
         text = unit.format(unit=kind, effort=EFFORT_UNITS.get(kind, kind))
         panels.append(_panel(results, name, text, traces, columns, group=GROUP_TITLES.get(group, group)))
+    return panels
+
+
+def _frame_panels(results: Sequence[Result], thin: Thinning) -> list[Panel]:
+    """The pose error of the frame that has a reference."""
+    having = [i for i, result in enumerate(results) if "frame_error" in result.record.dataset]
+    panels = []
+    for k, (name, unit) in enumerate(zip(FRAME_COORDINATES, FRAME_UNITS, strict=True)):
+        columns = [(i, results[i].record.dataset["frame_error"].values[:, k]) for i in having]
+        traces = [run_curve(results, i, thin(_time(results[i]), values)) for i, values in columns]
+        panels += [_panel(results, name, unit, traces, columns)] if traces else []
     return panels
 
 

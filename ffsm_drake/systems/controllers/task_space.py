@@ -55,7 +55,7 @@ class TaskSpace:
         task = "pose" if goal is None or goal.task == "none" else goal.task
         # Not that of the driven coordinates alone, which a law gets otherwise.
         model = PlantModel(plant=given.plant, context=given.context, coordinates=given.coordinates)
-        frame = goal_frame(setup.scenario, model)
+        frame = goal_frame(setup.scenario, model.plant)
         return cls(model=model, frame=frame, rows=TASK_ROWS[task], driven=given.coordinates.driven)
 
     def at(self, sample: Sample, *, damping: float) -> "TaskPoint":
