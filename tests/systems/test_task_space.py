@@ -217,10 +217,13 @@ def test_the_port_is_there_only_where_it_is_used():
 
 
 def test_a_joint_law_is_judged_by_joints_beside_a_frame():
-    log = followed("computed_torque", "duration=0.1", "reference.frame={position: [2.2, 0.9, 3.1]}")
+    log = followed("computed_torque", "duration=0.1", "reference.frame={position: [2.2, 0.9, 3.1], task: position}")
     assert not log.frame_tracked.any()
     assert log.frame_error.shape == (11, 6)
     assert log.tracked.groups == ("joints",) * 7
+    record = make_record(log, start=0.0)
+    assert list(record.metrics["frame"]["final"]) == ["position"]
+    assert " mm from its reference (at most " in results_table([record])
 
 
 def test_the_kalman_filter_of_a_frame():
