@@ -256,7 +256,9 @@ def at_zero_momentum(scenario):
     return dataclasses.replace(scenario, target_posture=scenario.initial_posture, initial_velocity=velocity)
 
 
-@pytest.mark.parametrize(("law", "boundary"), [("task_time_delay", 2.78), ("resolved_rate", 9.99)])
+@pytest.mark.parametrize(
+    ("law", "boundary"), [("task_time_delay", 2.78), ("resolved_rate", 9.99), ("task_computed_torque", 19.99)]
+)
 def test_boundary_of_stability_foreseen_and_run(law, boundary):
     """Free floating and held: 1.5 % inside the boundary of the gains a kick dies out, 1.5 % outside it grows."""
     scenario = complete_gains(at_zero_momentum(scenario_of(f"controller={law}", "duration=4")))
