@@ -78,7 +78,7 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
 def _frame_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     if "frame_error" not in dataset:
         return {}
-    figures: dict[str, Any] = {**frame_metrics(dataset["frame_error"].values)}
+    figures: dict[str, Any] = {**frame_metrics(dataset["frame_error"].values, dataset["frame_prescribed"].values)}
     if "smallest_singular_value" in dataset:
         figures["smallest_singular_value"] = float(dataset["smallest_singular_value"].values.min())
     return figures
