@@ -113,8 +113,11 @@ def frame_lines(record: RunRecord) -> list[str]:
     if not figures:
         return []
     name = record.scenario.model.end_effector if goal is None or goal.frame is None else goal.frame
+    units = {"position": (1e3, "mm"), "rotation": (180.0 / math.pi, "deg")}
     final, largest = (
-        f"{1e3 * figures[kind]['position']:.4g} mm and {180.0 / math.pi * figures[kind]['rotation']:.4g} deg"
+        " and ".join(
+            f"{units[part][0] * figures[kind][part]:.4g} {units[part][1]}" for part in units if part in figures[kind]
+        )
         for kind in ("final", "largest")
     )
     lines = [f"the frame {name} ends {final} from its reference (at most {largest})"]
