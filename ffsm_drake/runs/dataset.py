@@ -9,7 +9,7 @@ from pydrake.math import RotationMatrix
 from ffsm_drake.runs.actuators import add_drives, add_thrusters, add_wheels
 from ffsm_drake.runs.capture import NOTHING, GraspLog
 from ffsm_drake.runs.rollout import RunLog
-from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
+from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS, frame_rows
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.grasp import shift_moment
@@ -132,6 +132,7 @@ def _with_frame(dataset: "xr.Dataset", log: RunLog, error: np.ndarray) -> "xr.Da
     return dataset.assign_coords(
         frame_coordinate=list(FRAME_COORDINATES),
         frame_unit=("frame_coordinate", list(FRAME_UNITS)),
+        frame_prescribed=("frame_coordinate", frame_rows(log.scenario)),
         frame_tracked=("frame_coordinate", log.frame_tracked),
     )
 

@@ -31,7 +31,7 @@ class Tracked:
 
 
 def frame_rows(scenario: Scenario) -> np.ndarray:
-    """Which of FRAME_COORDINATES (6) a controller that tracks a frame is after."""
+    """Which of FRAME_COORDINATES (6) are prescribed; of a frame that follows the plan of the coordinates, all."""
     goal, rows = scenario.reference.frame, np.zeros(6, dtype=bool)
     rows[TASK_ROWS["pose" if goal is None or goal.task == "none" else goal.task]] = True
     return rows
@@ -113,10 +113,13 @@ def tracked_of(dataset: "xr.Dataset") -> Tracked:
     )
 
 
-def frame_metrics(error: np.ndarray) -> dict[str, dict[str, float]]:
-    """``largest`` and ``final`` size of a frame's pose error (n, 6): ``rotation`` (angle, rad), ``position`` (m)."""
-    rotation, position = (np.linalg.norm(part, axis=1) for part in np.hsplit(error, 2))
-    sizes = {"rotation": rotation, "position": position}
+def frame_metrics(error: np.ndarray, rows: np.ndarray) -> dict[str, dict[str, float]]:
+    """``largest`` and ``final`` size of a frame's pose error (n, 6): ``rotation`` (angle, rad), ``position`` (m).
+
+    Of what is prescribed, which ``rows`` (6) says.
+    """
+    parts = {"rotation": slice(0, 3), "position": slice(3, 6)}
+    sizes = {name: np.linalg.norm(error[:, part], axis=1) for name, part in parts.items() if rows[part].any()}
     return {
         "largest": {name: float(size.max()) for name, size in sizes.items()},
         "final": {name: float(size[-1]) for name, size in sizes.items()},

@@ -199,7 +199,7 @@ def _plot_spectrum(part: SubFigure, analysis: Analysis) -> Axes:
     numbers = analysis.finding("chattering").numbers
     # The zero frequency was taken out with the trend.
     frequency, density = series["frequency"].values[1:], series["effort_spectrum"].values[1:]
-    for name in _groups(analysis):
+    for name in (each for each in _groups(analysis) if f"share.{each}" in numbers):  # not of what nothing drives
         axes.plot(
             frequency, density[:, group == name].sum(axis=1), linewidth=1.4, **GROUP_STYLES[name].matplotlib,
             label=f"{GROUP_TITLES[name]}: {100.0 * float(numbers[f'share.{name}']):.3g} % of its variance is shaded, "
@@ -239,8 +239,9 @@ def _stretches(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _groups(analysis: Analysis) -> list[str]:
-    """The groups that have coordinates."""
-    return [name for name in GROUP_TITLES if name in analysis.series["group"].values]
+    """The groups that have coordinates and are driven."""
+    driven = analysis.series["group"].values[analysis.series["driven"].values]
+    return [name for name in GROUP_TITLES if name in driven]
 
 
 def _plot_groups(axes: Axes, analysis: Analysis, name: str, time: str) -> None:

@@ -162,9 +162,17 @@ class TaskSpaceLaw(ControlLaw):
     tracks_frame: ClassVar[bool] = True
     task_space: TaskSpace
     damping: float = gain(
-        0.05,
+        0.1,
         "rad/rad, m/rad",
         "singular value of the joints' J*, rad counted as m, below which it is damped",
+        scalar=True,
+        positive=True,
+        feedback=False,
+    )
+    speed_limit: float = gain(
+        0.1,
+        "rad/s, m/s",
+        "speed at which at most a frame's error is taken back",
         scalar=True,
         positive=True,
         feedback=False,
@@ -211,6 +219,9 @@ class AccelerationLaw(TaskSpaceLaw):
     k_p_position: float
     k_d_rotation: float
     k_d_position: float
+    acceleration_limit: float = gain(
+        0.5, "rad/s^2, m/s^2", "what at most a frame's error asks for", scalar=True, positive=True, feedback=False
+    )
     k_p_plan: float = gain(25.0, "1/s^2", "gain on the errors of a driven base and of free joints", scalar=True)
     k_d_plan: float = gain(10.0, "1/s", "gain on their rates", scalar=True)
 
@@ -224,7 +235,25 @@ class AccelerationLaw(TaskSpaceLaw):
         """By row of the task (m)."""
         return self.task_space.by_row(self.k_d_rotation, self.k_d_position)
 
+    def feedback(self, wanted: np.ndarray) -> np.ndarray:
+        """The acceleration (m) that a frame's error asks for, as large as is allowed."""
+        return limited(wanted, np.full(wanted.size, self.acceleration_limit))
+
+    def limited(self, e: np.ndarray) -> np.ndarray:
+        """The frame's error (m), such that the speed that takes it back is limited: K_p e is as large as K_d times it.
+
+        At a singularity an error stays that no rate takes away, and the larger it is the faster joints go to and fro.
+        """
+        return limited(e, self.speed_limit * self.k_d / np.maximum(self.k_p, 1e-12))
+
     def planned(self, sample: Sample) -> np.ndarray:
         """The acceleration z (na) that follows the plan."""
         z = sample.a_d + self.k_d_plan * sample.e_dot + self.k_p_plan * sample.e
         return z[self.task_space.driven]
+
+
+def limited(vector: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """A vector (m) of a frame whose rotation and position are no larger than a limit each, given by row (m)."""
+    parts, limits = vector.reshape(-1, 3), limit.reshape(-1, 3)[:, :1]
+    sizes = np.sqrt((parts * parts).sum(axis=1, keepdims=True))
+    return (parts * (limits / np.maximum(sizes, limits))).ravel()

@@ -9,7 +9,7 @@ import functools
 import numpy as np
 
 from ffsm_drake.systems.controllers.law import State, gain
-from ffsm_drake.systems.controllers.task_space import TaskPoint, TaskSpaceLaw
+from ffsm_drake.systems.controllers.task_space import TaskPoint, TaskSpaceLaw, limited
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -31,5 +31,6 @@ class ResolvedRate(TaskSpaceLaw):
 
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
         planned = (point.sample.v_d + self.k_p_plan * point.sample.e)[self.task_space.driven]
-        rates = point.served(planned, point.desired_twist + self.k_p * point.e - point.drift)
+        feedback = limited(self.k_p * point.e, np.full(point.e.size, self.speed_limit))
+        rates = point.served(planned, point.desired_twist + feedback - point.drift)
         return point.mass_matrix.dot(self.k_v * (rates - point.v_a)) + point.bias, {}

@@ -21,5 +21,6 @@ class TaskComputedTorque(AccelerationLaw):
     k_d_position: float = gain(10.0, "1/s", "gain K_d on its rate", scalar=True)
 
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
-        wanted = point.desired_acceleration + self.k_d * point.e_dot + self.k_p * point.e - point.bias_acceleration
+        feedback = self.feedback(self.k_d * point.e_dot + self.k_p * self.limited(point.e))
+        wanted = point.desired_acceleration + feedback - point.bias_acceleration
         return point.mass_matrix.dot(point.served(self.planned(point.sample), wanted)) + point.bias, {}

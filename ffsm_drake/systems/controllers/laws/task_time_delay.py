@@ -62,7 +62,8 @@ class TaskTimeDelay(AccelerationLaw):
             is_new=None,
         )
         estimate, estimator_memory = self.estimator.step(sample, np.eye(len(given)), own)
-        u, dynamics_memory = self.dynamics.step(estimate.e, estimate.e_dot, sample.a_d, own)
+        u, dynamics_memory = self.dynamics.step(self.limited(estimate.e), estimate.e_dot, sample.a_d, own)
+        u = sample.a_d + self.feedback(u - sample.a_d)
         wanted = estimate.base_force + u - estimate.base_acceleration
         acceleration = point.served(self.planned(point.sample), wanted - given[:, 1])
         force = point.mass_matrix.dot(acceleration) + point.bias
