@@ -14,7 +14,8 @@ from ffsm_drake import FfsmError, RunRecord
 from ffsm_drake.show.meshcat import start_meshcat, write_recording
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-OTHERS = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name not in ("postcapture.py", "small_campaign.py"))
+OWN_TESTS = ("postcapture.py", "small_campaign.py", "free_floating.py")
+OTHERS = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name not in OWN_TESTS)
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
@@ -38,6 +39,17 @@ def test_the_main_job(tmp_path, monkeypatch, capfd):
     assert "   5 of 20 s" in out
     assert re.search(r"completed 20 s; \d+ times real time", out)
     assert "Traceback" not in err
+
+
+def test_the_jacobian_of_a_fixed_base_misses_where_the_generalized_one_does_not(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["free_floating.py"])
+    runpy.run_path(str(EXAMPLES / "free_floating.py"), run_name="__main__")
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:5]]
+    assert [row[:3] for row in rows[::2]] == [[name, "fixed-base", "J"] for name in ("planar_detumble", "postcapture")]
+    assert [row[-3:] for row in rows[::2]] == [["0.253", "0.0968", "0.0968"], ["0.208", "-", "0.0905"]]  # m, rad, rad
+    assert max(float(row[2]) for row in rows[1::2]) < 1e-9
+    assert Path("out/free_floating.png").stat().st_size > 10_000
 
 
 def absent(_):

@@ -157,6 +157,7 @@ class Evidence:
                 "coordinate": list(coordinates.names),
                 "group": ("coordinate", list(coordinates.group_of)),
                 "unit": ("coordinate", list(coordinates.units)),
+                "driven": ("coordinate", coordinates.is_driven),
             },
             attrs=self.attributes,
         )

@@ -25,9 +25,11 @@ from ffsm_drake.runs.actuators import thrusters_used, wheels_used
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.deflections import deflection_units, largest_deflections
 from ffsm_drake.runs.limits import CLEARANCE, limits_left
+from ffsm_drake.runs.metrics import base_drift
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.runs.tracking import frame_metrics
+from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.reference import timed
 
@@ -46,6 +48,11 @@ OF_HIDDEN = {
     "rad": ("peak_deflection_angle", "residual_angle"),
     "m": ("peak_deflection_distance", "residual_distance"),
 }
+# Further columns where a frame has a reference: its pose error, rad and m; where the base is not driven: how far it is
+# from its start at the end, rad and m.
+OF_FRAME = ("largest_frame_rotation", "largest_frame_position", "final_frame_rotation", "final_frame_position")
+OF_DRIFT = {"base_rotation": "final_drift_rotation", "base_position": "final_drift_position"}
+_FURTHER = (*OF_CAPTURE, *OF_THRUSTERS, *OF_WHEELS, *chain(*OF_HIDDEN.values()), *OF_FRAME, *OF_DRIFT.values())
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
 DIVERGENCE = "predicted_divergence"  # with thrusters or wheels
 
@@ -56,7 +63,19 @@ def metrics_of(spec: Spec) -> tuple[str, ...]:
     of_thrusters = OF_THRUSTERS if has_actuators(spec, "thrusters") else ()
     of_wheels = OF_WHEELS if has_actuators(spec, "wheels") else ()
     of_hidden = (name for unit in hidden_units(spec) for name in OF_HIDDEN[unit])
-    return (*METRICS, *of_capture, *of_thrusters, *of_wheels, *of_hidden)
+    of_frame = OF_FRAME if has_frame(spec) else ()
+    of_drift = (OF_DRIFT[group] for group in undriven_of(spec))
+    return (*METRICS, *of_capture, *of_thrusters, *of_wheels, *of_hidden, *of_frame, *of_drift)
+
+
+def has_frame(spec: Spec) -> bool:
+    """Whether a campaign's scenario prescribes the pose of a frame."""
+    return spec.base["reference"]["frame"] is not None
+
+
+def undriven_of(spec: Spec) -> tuple[str, ...]:
+    """The groups of coordinates that nothing drives in a campaign's scenario."""
+    return Scenario(actuation=Actuation(driven=spec.base["actuation"]["driven"])).undriven
 
 
 def has_actuators(spec: Spec, kind: str) -> bool:
@@ -171,6 +190,12 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
         values |= wheels_used(log)
     for unit in hidden_units(spec):
         values |= dict(zip(OF_HIDDEN[unit], largest_deflections(log, unit), strict=True))
+    if has_frame(spec) and log.frame_error is not None:
+        sizes = frame_metrics(log.frame_error)
+        values |= {name: sizes[name.split("_")[0]][name.split("_")[2]] for name in OF_FRAME}
+    if undriven := undriven_of(spec):
+        drift = base_drift(log.series["state"], undriven)["final"]
+        values |= {OF_DRIFT[group]: size for group, size in drift.items()}
     # The database knows no NaN.
     row = {name: None if value is None or math.isnan(value) else float(value) for name, value in values.items()}
     return {**text, "outcome_time": log.outcome.time, **row}
@@ -184,8 +209,7 @@ def described(error: BaseException) -> str:
 
 def error_row(message: str) -> Row:
     """The results in the row of a run that failed."""
-    further = (*OF_CAPTURE, *OF_THRUSTERS, *OF_WHEELS, *chain(*OF_HIDDEN.values()))
-    names = (*METRICS, *PREDICTIONS, *further, LOAD, FIRST_LIMIT)
+    names = (*METRICS, *PREDICTIONS, *_FURTHER, LOAD, FIRST_LIMIT)
     return {**dict.fromkeys(names), "outcome": "error", "outcome_time": None, "message": message}
 
 
@@ -206,6 +230,5 @@ def resident_memory() -> float:
 
 def differing_columns(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
     """Of the columns that a repeated run must reproduce bit for bit, those that differ."""
-    further = (*OF_CAPTURE, *OF_THRUSTERS, *OF_WHEELS, *chain(*OF_HIDDEN.values()))
-    names = ("outcome", "outcome_time", "message", *METRICS, *further, FIRST_LIMIT)
+    names = ("outcome", "outcome_time", "message", *METRICS, *_FURTHER, FIRST_LIMIT)
     return [name for name in names if first.get(name) != second.get(name)]

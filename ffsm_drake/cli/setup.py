@@ -145,14 +145,16 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
       ffsm validate postcapture --set payload.truth.mass=-5
     """
     from ffsm_drake.common.errors import FfsmError, ModelError
+    from ffsm_drake.control_design.momentum import momentum_budget
     from ffsm_drake.runs.limits import plan_clearance
     from ffsm_drake.runs.simulate import prepare
     from ffsm_drake.scenario import load_scenario
+    from ffsm_drake.show.tables import momentum_lines
     from ffsm_drake.spacecraft.plant import check_pictures
 
     results: dict[str, dict[str, Any]] = {}
     for name in scenarios:
-        closest = []
+        closest, budget = [], None
         try:
             with located_errors(name, overrides), warnings.catch_warnings(record=True) as caught:
                 scenario = load_scenario(name, overrides)
@@ -163,11 +165,14 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
                 with suppress(ModelError):  # of which a warning tells
                     closest = plan_clearance(scenario)
                 rollout.release()
+                if (found := momentum_budget(loop.scenario)) is not None:
+                    budget = dataclasses.asdict(found)
             results[name] = {
                 "valid": True,
                 "controller": loop.scenario.controller,
                 "coordinates": list(loop.coordinates.names),
                 "nearest": [dataclasses.asdict(each) for each in closest],
+                **({} if budget is None else {"momentum_budget": budget}),
                 "warnings": [str(item.message) for item in caught],
             }
             if not as_json:
@@ -176,6 +181,8 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
                 joints = len(loop.coordinates.joints)
                 nearest = "".join(f"; plan: {each}" for each in closest)
                 click.echo(f"{name}: valid; {loop.scenario.controller}, free base and {joints} joints{nearest}")
+                for line in momentum_lines(budget):
+                    click.echo(f"{name}: {line}")
         except FfsmError as error:
             results[name] = {"valid": False, "error": str(error)}
             if not as_json:

@@ -13,6 +13,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.control_design.momentum import momentum_budget
 from ffsm_drake.runs.capture import NOTHING, target_path
 from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.capture import planned_contact, velocity_at_start
@@ -66,6 +67,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
     motion = make_motion(scenario, model.coordinates)
     remarks += [*motion.remarks(), *_starts_elsewhere(scenario, motion, model.plant)]
     remarks += _clearance(lambda: plan_clearance(scenario), scenario.clearance, "the planned motion")
+    remarks += _momentum(scenario)
     limit, limited_by = np.full(len(model.coordinates.names), np.inf), "actuation.limit"
     if scenario.blocks.actuation is None:
         limit = model.coordinates.vector(scenario.actuation.limit or {}, key="actuation.limit", default=np.inf)
@@ -267,6 +269,23 @@ def _clearance(find: Callable[[], list[Closest]], threshold: float, what: str) -
         size = f"{abs(closest.distance):.3g} m"
         state = f"overlap by {size}" if closest.distance < 0.0 else f"come within {size} of each other"
         yield f"{what}: {pair} {state} at t = {closest.time:.3g} s (clearance {threshold:g} m)"
+
+
+def _momentum(scenario: Scenario) -> Iterator[str]:
+    """Says so when the wheels cannot hold what a grasp leaves, or an accepted drift does not last for the run."""
+    budget = momentum_budget(scenario) if scenario.undriven else None
+    if budget is None:
+        return
+    if budget.wheels is not None and budget.wheels.peak_share > 1.0:
+        wheels = budget.wheels
+        yield (
+            f"actuation.wheels: {wheels.fullest} has to take {100.0 * wheels.peak_share:.3g} % of its most to hold the "
+            f"attitude after the grasp; {np.linalg.norm(budget.angular):.3g} N m s are left in the stack, along which "
+            f"the wheels hold {wheels.capacity:.3g}"
+        )
+    for group, time in budget.used_up.items():
+        if time is not None and time < scenario.duration:
+            yield f"capture.accepted_drift.{group}: is used up {time:.3g} s after the grasp, as planned"
 
 
 def _starts_elsewhere(scenario: Scenario, motion: PlannedMotion, plant: MultibodyPlant) -> Iterator[str]:

@@ -91,25 +91,24 @@ def driven_of(dataset: "xr.Dataset") -> np.ndarray:
 
 
 def drift_metrics(dataset: "xr.Dataset") -> dict[str, dict[str, float]]:
-    """Where the undriven base goes: ``largest`` and ``final`` distance from its start, by group, rad and m."""
-    undriven = set(dataset["group"].values[~driven_of(dataset)].tolist())
-    if not undriven:
-        return {}
-    moved = base_drift(dataset)
-    drift = {
-        "base_rotation": np.linalg.norm(moved[:, :3], axis=1),
-        "base_position": np.linalg.norm(moved[:, 3:], axis=1),
-    }
+    """``base_drift`` of a run's dataset; empty where everything is driven."""
+    undriven = dict.fromkeys(dataset["group"].values[~driven_of(dataset)].astype(str).tolist())
+    return base_drift(dataset["position"].values, tuple(undriven)) if undriven else {}
+
+
+def base_drift(positions: np.ndarray, undriven: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Where the base goes through configurations (n, nq): ``largest`` and ``final`` distance from its start.
+
+    By group of ``undriven``: an angle, rad, and a distance, m.
+    """
+    base = positions[:, :NUM_BASE_POSITIONS]
+    moved = position_errors(base, np.broadcast_to(base[0], base.shape))
+    parts = {"base_rotation": moved[:, :3], "base_position": moved[:, 3:]}
+    sizes = {group: np.linalg.norm(part, axis=1) for group, part in parts.items() if group in undriven}
     return {
-        "largest": {group: float(size.max()) for group, size in drift.items() if group in undriven},
-        "final": {group: float(size[-1]) for group, size in drift.items() if group in undriven},
+        "largest": {group: float(size.max()) for group, size in sizes.items()},
+        "final": {group: float(size[-1]) for group, size in sizes.items()},
     }
-
-
-def base_drift(dataset: "xr.Dataset") -> np.ndarray:
-    """The base's motion since the start (n, 6): rotation vector (rad) and displacement (m), world axes."""
-    base = dataset["position"].values[:, :NUM_BASE_POSITIONS]
-    return position_errors(base, np.broadcast_to(base[0], base.shape))
 
 
 def phases_of(dataset: "xr.Dataset") -> "dict[str, xr.Dataset]":

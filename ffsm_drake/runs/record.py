@@ -96,7 +96,7 @@ class RunRecord:
     software: dict[str, str]
     # block -> where it comes from: ``system``; for a user-supplied one ``file`` and its ``sha256``
     blocks: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
-    grasp: dict[str, Any] | None = None  # of a run with a capture; see ``GraspLog.ledger``
+    grasp: dict[str, Any] | None = None  # of a run with a capture; ``GraspLog.ledger``, ``momentum_budget``
     # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and reports carry
     identifier: str = dataclasses.field(default="", init=False)
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pydrake.geometry import Meshcat
 
 from ffsm_drake.common.files import same_folder
+from ffsm_drake.control_design.momentum import momentum_budget
 from ffsm_drake.loop.blocks import block_choices, block_sources
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.dataset import make_dataset
@@ -84,7 +85,10 @@ def prepare(
 
 def make_record(log: RunLog, *, start: float, blocks: Mapping[str, Factory] | None = None) -> RunRecord:
     """The record of a run that began at the wall time ``start`` (``time.perf_counter``), with the factories it had."""
-    scenario, grasp = repeatable_scenario(log.scenario, blocks or {}), log.grasp
+    scenario = repeatable_scenario(log.scenario, blocks or {})
+    grasp = None if log.grasp is None else log.grasp.ledger(scenario.grasp_time, log.coordinates)
+    if grasp is not None and (budget := momentum_budget(scenario)) is not None:
+        grasp["momentum_budget"] = dataclasses.asdict(budget)
     return RunRecord(
         scenario=scenario,
         outcome=log.outcome,
@@ -92,7 +96,7 @@ def make_record(log: RunLog, *, start: float, blocks: Mapping[str, Factory] | No
         wall_time=log.wall_time | {"total": time.perf_counter() - start},
         software=software_versions(),
         blocks=block_sources(scenario),
-        grasp=None if grasp is None else grasp.ledger(scenario.grasp_time, log.coordinates),
+        grasp=grasp,
     )
 
 

@@ -151,6 +151,9 @@ class Capture:
     joints: str = "free"
     compliance: Compliance | None = None  # of the gripper, for the force of the grasp; null: it is not computed
     approach: Approach | None = None  # the motion up to the grasp; null: the run begins with the grasp
+    # rad or m; how far base_rotation and base_position, where nothing drives them, may go from where they are at the
+    # grasp: what is told is when that is used up; null: nothing is said
+    accepted_drift: PerCoordinate | None = None
 
 
 @dataclasses.dataclass

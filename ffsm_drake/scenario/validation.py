@@ -413,6 +413,11 @@ def _validate_capture(scenario: Scenario, capture: Capture) -> None:
     for field in dataclasses.fields(capture.compliance) if capture.compliance is not None else ():
         number = getattr(capture.compliance, field.name)
         require(number > 0, f"capture.compliance.{field.name}", f"must be > 0, not {number:g}")
+    for group, number in (capture.accepted_drift or {}).items():
+        key, most = f"capture.accepted_drift.{group}", math.pi if group == "base_rotation" else math.inf
+        known = f"choose of {', '.join(scenario.undriven)}" if scenario.undriven else "leave it out"
+        require(group in scenario.undriven, key, f"'{group}' is not what actuation.driven leaves undriven; {known}")
+        require(0.0 < number < most, key, f"must be > 0{' and below pi' if most < math.inf else ''}, not {number:g}")
     if capture.approach is not None:
         duration, key = capture.approach.duration, "capture.approach.duration"
         samples = duration / scenario.sample_time

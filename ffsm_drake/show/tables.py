@@ -21,6 +21,8 @@ if TYPE_CHECKING:  # slow to import
     from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
 
 NONE = "–"
+_MOMENTA = {"base_rotation": "angular", "base_position": "linear"}
+_BEYOND = "longer than was looked at"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -90,6 +92,7 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
         if not record.outcome.completed:
             lines[k] += f"  ({record.outcome.status} at {record.outcome.time:.2f} s)"
     lines += [grasp_line(record.grasp) for record in records if record.grasp is not None]
+    lines += momentum_lines((records[0].grasp or {}).get("momentum_budget"))  # of the plan, which all have
     for record in records:
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
         lines += [
@@ -161,6 +164,44 @@ def grasp_line(grasp: Mapping[str, Any]) -> str:
         f"{1e3 * miss['angle']:.2g} mrad, met at {1e3 * miss['velocity']:.2g} mm/s and "
         f"{1e3 * miss['angular_velocity']:.2g} mrad/s{gripper}"
     )
+
+
+def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
+    """Where the momentum can go after a grasp (``MomentumBudget`` as plain data), a line each; none without."""
+    if budget is None:
+        return []
+    linear, angular = (number(math.hypot(*budget[key])) for key in ("linear", "angular"))
+    lines = [f"after the grasp as planned: {linear} N s, and {angular} N m s about the centre of mass"]
+    wheels, arm, turning = budget["wheels"], budget["arm"], ""
+    if budget["rate"] is not None:
+        turning = f"turns the stack at {number(180.0 / math.pi * budget['rate'], 3)} deg/s"
+    for group, what in (("base_rotation", "torque"), ("base_position", "force")):
+        if group in budget["least_time"] and (wheels is None or group == "base_position"):
+            least = budget["least_time"][group]
+            within = f" in {number(least, 3)} s at the least" if least > 0.0 else ""
+            lines.append(f"{what} on the base takes out the {_MOMENTA[group]} momentum{within}")
+    if wheels is not None:
+        rest = f"; what they do not hold {turning}" if turning else ""
+        lines.append(
+            f"wheels: the angular momentum takes {percent(wheels['share'])} of the speed of {wheels['fullest']}, up to "
+            f"{percent(wheels['peak_share'])} on the way, and {number(wheels['least_time'], 3)} s at the least; they "
+            f"hold {number(wheels['capacity'], 3)} N m s along it, {number(wheels['least_capacity'], 3)} along the "
+            f"worst direction{rest}"
+        )
+    if arm is not None:
+        rates = "" if arm["capacity"] is None else f"; its rate limits allow {number(arm['capacity'], 3)} N m s"
+        until = f"{number(arm['time'], 3)} s, until {arm['ended_by']}" if arm["ended_by"] else _BEYOND
+        lines.append(f"arm: it can hold the angular momentum, the base's attitude kept, for {until}{rates}")
+        lines += [f"with its joints at rest the angular momentum {turning}"] if turning else []
+    if budget["drift"] is not None:
+        speed = f"{number(1e3 * budget['drift'], 3)} mm/s"
+        lines.append(f"nothing takes out the linear momentum: the stack of {budget['mass']:g} kg drifts at {speed}")
+    for group, time in budget["used_up"].items():
+        size = budget["accepted"][group]
+        most = f"{math.degrees(size):.4g} deg" if group == "base_rotation" else f"{size:.4g} m"
+        when = f"lasts for {_BEYOND}" if time is None else f"is used up {number(time)} s after the grasp"
+        lines.append(f"accepted drift of {group}, {most}: {when}")
+    return lines
 
 
 def actuator_lines(metrics: Mapping[str, Any]) -> list[str]:

@@ -54,6 +54,23 @@ class FreeFloating:
         return rows
 
     @functools.cached_property
+    def center_of_mass(self) -> np.ndarray:
+        """p_BC (..., 3), from the base's origin, world axes, m."""
+        mass = self.mass_matrix[..., 3, 3, None]
+        center: np.ndarray = self.mass_matrix[..., [4, 5, 3], [2, 0, 1]] / mass  # w moves it by w x p_BC
+        return center
+
+    @functools.cached_property
+    def spin_map(self) -> np.ndarray:
+        """(..., 3, nv) of the angular momentum about the centre of mass, N m s, world axes.
+
+        Its first three columns are the inertia about the centre of mass with the joints held, the next three zero.
+        """
+        turning, moving = self.mass_matrix[..., :3, :], self.mass_matrix[..., 3:NUM_BASE_VELOCITIES, :]
+        spin: np.ndarray = turning - np.cross(self.center_of_mass[..., None], moving, axis=-2)
+        return spin
+
+    @functools.cached_property
     def following(self) -> np.ndarray:
         """-H_uu^-1 H_ua (..., nu, na): the undriven velocities for each driven one, at zero momentum."""
         rows = self.mass_matrix[..., self.undriven, :]

@@ -12,6 +12,7 @@ squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2), once differentiable in s,
 """
 
 import dataclasses
+import itertools
 from collections.abc import Hashable
 from typing import NamedTuple
 
@@ -100,6 +101,8 @@ class ResolvedMotion(MomentumMotion):
         self._first_rate = v[NUM_BASE_VELOCITIES:]
         stack = free_floating(model, q, [coordinates.names[i] for i in coordinates.driven])
         self._first_reaction = stack.following[self._held][:, self._arm] @ self._first_rate
+        # Whether the base does while the joints rest.
+        self._moves = bool(self._base.size or stack.momentum(v).any())
         super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=path.end, key=key)
 
     def velocity(self, time: float, q: np.ndarray) -> np.ndarray:
@@ -181,10 +184,10 @@ class ResolvedMotion(MomentumMotion):
     def _resolved(self, q: np.ndarray, asked: np.ndarray) -> _Resolved:
         """In configurations (n, nq), of what is asked (n, .)."""
         arm, count = self._arm, self._arm.size
-        pose, twist, base, joints, rate, pull, slow = np.split(
-            asked, np.cumsum([7, 6, self._base.size, count, count, 1]), axis=1
-        )
-        q = np.hstack([q[:, :4] / np.linalg.norm(q[:, :4], axis=1, keepdims=True), q[:, 4:]])
+        ends = list(itertools.accumulate([7, 6, self._base.size, count, count, 1, 1], initial=0))
+        pose, twist, base, joints, rate, pull, slow = (asked[:, a:b] for a, b in itertools.pairwise(ends))
+        q = q.copy()
+        q[:, :4] /= np.sqrt((q[:, :4] * q[:, :4]).sum(axis=1, keepdims=True))
         stack = self._stack(q)
         jacobian, found = np.empty((len(q), 6, q.shape[1] - 1)), np.empty((len(q), 7))
         for i, one in enumerate(q):
@@ -195,8 +198,9 @@ class ResolvedMotion(MomentumMotion):
         feedback = self._goal.feedback * error
         feedback /= np.sqrt(1.0 + (feedback * feedback).sum(axis=1, keepdims=True) / self._most**2)
         jacobian = jacobian[:, self._task]
-        # With the joints at rest.
-        v = stack.velocity(np.hstack([base, np.zeros((len(q), count))]), self._momentum)
+        v = np.zeros((len(q), q.shape[1] - 1))  # with the joints at rest
+        if self._moves:
+            v = stack.velocity(np.hstack([base, v[:, -count:]]), self._momentum)
         following = stack.following[..., arm]
         tasks = [
             (following[:, self._held], slow * self._first_reaction, 0.0),
@@ -215,7 +219,7 @@ class ResolvedMotion(MomentumMotion):
             if not target.shape[1]:
                 continue
             left, sizes, right = np.linalg.svd(matrix @ free, full_matrices=False)
-            real = sizes > _RANK * np.linalg.norm(matrix, axis=(1, 2))[:, None]
+            real = sizes > _RANK * np.sqrt((matrix * matrix).sum(axis=(1, 2)))[:, None]
             if damping:
                 inverse = damped_inverse(sizes, damping)
                 smallest = np.where(real, sizes, np.inf).min(axis=1)

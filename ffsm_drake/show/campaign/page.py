@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from ffsm_drake.campaign.evaluate import OUTCOMES, has_actuators, hidden_units
+from ffsm_drake.campaign.evaluate import OUTCOMES, has_actuators, has_frame, hidden_units, undriven_of
 from ffsm_drake.campaign.statistics import CONFIDENCE, Findings, Interval, find, quantiles, worst_runs
 from ffsm_drake.campaign.store import Store
 from ffsm_drake.common.errors import CampaignError, RecordError, one_line
@@ -52,6 +52,14 @@ _OF_HIDDEN = {
         "peak_deflection_distance": "peak deflection [m]",
         "residual_distance": "residual amplitude [m]",
     },
+}
+_OF_FRAME = {
+    "final_frame_rotation": "frame's final attitude error [rad]",
+    "final_frame_position": "frame's final position error [m]",
+}
+_OF_DRIFT = {
+    "base_rotation": {"final_drift_rotation": "base turned by [rad]"},
+    "base_position": {"final_drift_position": "base moved by [m]"},
 }
 _PREDICTED = ("stable_settled", "stable_failed", "unstable_settled", "unstable_failed")
 
@@ -121,6 +129,8 @@ def _page(store: Store, findings: Findings) -> str:
     kinds = {"thrusters": _OF_THRUSTERS, "wheels": _OF_WHEELS}
     tables += [columns for kind, columns in kinds.items() if has_actuators(spec, kind)]
     tables += [_OF_HIDDEN[unit] for unit in hidden_units(spec)]
+    tables += [_OF_FRAME] if has_frame(spec) else []
+    tables += [_OF_DRIFT[group] for group in undriven_of(spec)]
     views = chart_views(findings)
     content: dict[str, Any] = {
         "title": spec.description or store.path.stem,

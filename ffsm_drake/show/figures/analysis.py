@@ -239,8 +239,9 @@ def _stretches(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _groups(analysis: Analysis) -> list[str]:
-    """The groups that have coordinates."""
-    return [name for name in GROUP_TITLES if name in analysis.series["group"].values]
+    """The groups that have coordinates and are driven."""
+    driven = analysis.series["group"].values[analysis.series["driven"].values]
+    return [name for name in GROUP_TITLES if name in driven]
 
 
 def _plot_groups(axes: Axes, analysis: Analysis, name: str, time: str) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.show.report.results import Result
-from ffsm_drake.show.tables import grasp_line, number
+from ffsm_drake.show.tables import grasp_line, momentum_lines, number
 
 _LEDGER = (
     ("linear_momentum", "Linear momentum", "N s"),
@@ -40,6 +40,7 @@ def grasp_of(result: Result) -> dict[str, Any] | None:
     return {
         "result": result,
         "sentence": sentence[:1].upper() + sentence[1:],
+        "budget": [line[:1].upper() + line[1:] for line in momentum_lines(grasp.get("momentum_budget"))],
         "ledger": rows,
         "rates": rates,
         "phases": _phases(record.metrics.get("phases", {})),

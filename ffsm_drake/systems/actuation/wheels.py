@@ -56,6 +56,7 @@ class WheelSet:
             )
         # Speeds that together give the base nothing.
         self._idle = np.eye(len(self.names)) - self._share @ self.axes
+        self._most_momentum = self.inertia * self._speed
 
     def speed(self, momentum: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
         """Speeds (n, rad/s) relative to the base, from momenta (n, N m s) and w_WB in the base's axes (3, rad/s)."""
@@ -81,6 +82,28 @@ class WheelSet:
     def most(self, direction: np.ndarray) -> float:
         """The largest multiple of a torque (3; base's axes, N m) that the motors give."""
         return 1.0 / float((np.abs(self._share.dot(direction)) / self._torque).max())
+
+    def filled(self, momentum: np.ndarray) -> np.ndarray:
+        """The share of its speed limit (..., n) at which each wheel turns when they hold a momentum in a base at rest.
+
+        Args: in the base's axes (..., 3), N m s. From their initial momentum the motors, which share as ``give`` does,
+        have brought the wheels there.
+        """
+        share: np.ndarray = np.abs(momentum @ self._share.T + self._idle @ self.initial_momentum) / self._most_momentum
+        return share
+
+    def capacity(self, direction: np.ndarray) -> float:
+        """The largest momentum along a direction (3, base's axes), N m s, that ``filled`` allows; at least zero."""
+        along = self._share @ direction / np.linalg.norm(direction)
+        room = self._most_momentum - np.sign(along) * (self._idle @ self.initial_momentum)
+        with np.errstate(divide="ignore"):
+            return max(0.0, float((room / np.abs(along)).min()))
+
+    @property
+    def least_capacity(self) -> float:
+        """``capacity`` along the worst direction, N m s."""
+        room = self._most_momentum - np.abs(self._idle @ self.initial_momentum)
+        return max(0.0, float((room / np.linalg.norm(self._share, axis=1)).min()))
 
     def beyond(self, torque: np.ndarray) -> np.ndarray:
         """What of a wanted torque on the base (3, base's axes, N m) thrusters are to give, by ``assist_above``."""
