@@ -28,7 +28,7 @@ from ffsm_drake.runs.limits import CLEARANCE, limits_left
 from ffsm_drake.runs.metrics import base_drift
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog
-from ffsm_drake.runs.tracking import frame_metrics
+from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.reference import timed
@@ -48,11 +48,13 @@ OF_HIDDEN = {
     "rad": ("peak_deflection_angle", "residual_angle"),
     "m": ("peak_deflection_distance", "residual_distance"),
 }
-# Further columns where a frame has a reference: its pose error, rad and m; where the base is not driven: how far it is
-# from its start at the end, rad and m.
-OF_FRAME = ("largest_frame_rotation", "largest_frame_position", "final_frame_rotation", "final_frame_position")
+# Further columns where a frame has a reference: its errors, rad and m; where the base is not driven: how far it is from
+# its start at the end, rad and m.
+OF_FRAME = {part: (f"largest_frame_{part}", f"final_frame_{part}") for part in ("rotation", "position")}
 OF_DRIFT = {"base_rotation": "final_drift_rotation", "base_position": "final_drift_position"}
-_FURTHER = (*OF_CAPTURE, *OF_THRUSTERS, *OF_WHEELS, *chain(*OF_HIDDEN.values()), *OF_FRAME, *OF_DRIFT.values())
+_FURTHER = (
+    *OF_CAPTURE, *OF_THRUSTERS, *OF_WHEELS, *chain(*OF_HIDDEN.values()), *chain(*OF_FRAME.values()), *OF_DRIFT.values(),
+)  # fmt: skip
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
 DIVERGENCE = "predicted_divergence"  # with thrusters or wheels
 
@@ -63,14 +65,15 @@ def metrics_of(spec: Spec) -> tuple[str, ...]:
     of_thrusters = OF_THRUSTERS if has_actuators(spec, "thrusters") else ()
     of_wheels = OF_WHEELS if has_actuators(spec, "wheels") else ()
     of_hidden = (name for unit in hidden_units(spec) for name in OF_HIDDEN[unit])
-    of_frame = OF_FRAME if has_frame(spec) else ()
+    of_frame = (name for part in frame_parts(spec) for name in OF_FRAME[part])
     of_drift = (OF_DRIFT[group] for group in undriven_of(spec))
     return (*METRICS, *of_capture, *of_thrusters, *of_wheels, *of_hidden, *of_frame, *of_drift)
 
 
-def has_frame(spec: Spec) -> bool:
-    """Whether a campaign's scenario prescribes the pose of a frame."""
-    return spec.base["reference"]["frame"] is not None
+def frame_parts(spec: Spec) -> tuple[str, ...]:
+    """What a campaign's scenario prescribes of a frame: ``rotation``, ``position``, both or nothing."""
+    task = (spec.base["reference"]["frame"] or {"task": "none"})["task"]
+    return {"pose": ("rotation", "position"), "attitude": ("rotation",), "position": ("position",)}.get(task, ())
 
 
 def undriven_of(spec: Spec) -> tuple[str, ...]:
@@ -190,9 +193,10 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
         values |= wheels_used(log)
     for unit in hidden_units(spec):
         values |= dict(zip(OF_HIDDEN[unit], largest_deflections(log, unit), strict=True))
-    if has_frame(spec) and log.frame_error is not None:
-        sizes = frame_metrics(log.frame_error)
-        values |= {name: sizes[name.split("_")[0]][name.split("_")[2]] for name in OF_FRAME}
+    if log.frame_error is not None:
+        sizes = frame_metrics(log.frame_error, frame_rows(log.scenario))
+        for part in frame_parts(spec):
+            values |= dict(zip(OF_FRAME[part], (sizes[moment][part] for moment in ("largest", "final")), strict=True))
     if undriven := undriven_of(spec):
         drift = base_drift(log.series["state"], undriven)["final"]
         values |= {OF_DRIFT[group]: size for group, size in drift.items()}

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from ffsm_drake.campaign.evaluate import OUTCOMES, has_actuators, has_frame, hidden_units, undriven_of
+from ffsm_drake.campaign.evaluate import OUTCOMES, frame_parts, has_actuators, hidden_units, undriven_of
 from ffsm_drake.campaign.statistics import CONFIDENCE, Findings, Interval, find, quantiles, worst_runs
 from ffsm_drake.campaign.store import Store
 from ffsm_drake.common.errors import CampaignError, RecordError, one_line
@@ -54,8 +54,8 @@ _OF_HIDDEN = {
     },
 }
 _OF_FRAME = {
-    "final_frame_rotation": "frame's final attitude error [rad]",
-    "final_frame_position": "frame's final position error [m]",
+    "rotation": {"final_frame_rotation": "frame's final attitude error [rad]"},
+    "position": {"final_frame_position": "frame's final position error [m]"},
 }
 _OF_DRIFT = {
     "base_rotation": {"final_drift_rotation": "base turned by [rad]"},
@@ -129,7 +129,7 @@ def _page(store: Store, findings: Findings) -> str:
     kinds = {"thrusters": _OF_THRUSTERS, "wheels": _OF_WHEELS}
     tables += [columns for kind, columns in kinds.items() if has_actuators(spec, kind)]
     tables += [_OF_HIDDEN[unit] for unit in hidden_units(spec)]
-    tables += [_OF_FRAME] if has_frame(spec) else []
+    tables += [_OF_FRAME[part] for part in frame_parts(spec)]
     tables += [_OF_DRIFT[group] for group in undriven_of(spec)]
     views = chart_views(findings)
     content: dict[str, Any] = {
