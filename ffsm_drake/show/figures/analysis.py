@@ -199,7 +199,7 @@ def _plot_spectrum(part: SubFigure, analysis: Analysis) -> Axes:
     numbers = analysis.finding("chattering").numbers
     # The zero frequency was taken out with the trend.
     frequency, density = series["frequency"].values[1:], series["effort_spectrum"].values[1:]
-    for name in _groups(analysis):
+    for name in (each for each in _groups(analysis) if f"share.{each}" in numbers):  # not of what nothing drives
         axes.plot(
             frequency, density[:, group == name].sum(axis=1), linewidth=1.4, **GROUP_STYLES[name].matplotlib,
             label=f"{GROUP_TITLES[name]}: {100.0 * float(numbers[f'share.{name}']):.3g} % of its variance is shaded, "
