@@ -14,6 +14,7 @@ import dataclasses
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from ffsm_drake.common.errors import BlockError
 from ffsm_drake.control_design.stability.demand import Demand, make_demand
 from ffsm_drake.control_design.stability.linearization import Linearizer, smooth_sensing
 from ffsm_drake.control_design.stability.margins import expected_gains
@@ -55,7 +56,7 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
       scenario: what is looked at.
       demand: that of the scenario, if it is known already.
 
-    Raises: as ``Linearizer`` and ``Linearizer.at``.
+    Raises: as ``Linearizer`` and ``Linearizer.at``; BlockError for a controller that tracks a frame.
     """
     scenario = from_grasp(scenario)
     demand = make_demand(scenario) if demand is None else demand
@@ -65,6 +66,8 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     mass = driven_model(make_true_plant(scenario)).calc_mass_matrix(q)
     walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
     with Linearizer(scenario) as linearizer:
+        if linearizer.loop.tracks_frame:
+            raise BlockError(f"{scenario.controller} tracks a frame; the limit is one of coordinates")
         loop = linearizer.at(time, held=expected_gains(linearizer))
     response = loop.with_random_walk(walk, mass).noise_response(count)
     sensing = smooth_sensing(scenario)

@@ -232,6 +232,7 @@ class Planning:
     end_rate: float = 0.0  # rad/s or m/s; every rate at the end is at most this, and then dies away
     velocity_limit: PerCoordinate | None = None  # rad/s or m/s; largest rate, beside the URDFs'; null: none
     impulse_limit: PerCoordinate | None = None  # N m s or N s; largest integral of a force's size, each; null: none
+    base_attitude_limit: float | None = None  # rad; largest turn of the base from its first attitude; null: none
     segments: int = 24  # of the spline: more follow the limits closer and take longer
 
 

@@ -363,6 +363,8 @@ def _validate_planning(scenario: Scenario) -> None:
     weighed = planning.time_weight + planning.effort_weight > 0
     require(weighed, "planning.time_weight", "must be > 0 where effort_weight is 0")
     require(0 <= planning.reserve < 1, "planning.reserve", f"must be from 0 to below 1, not {planning.reserve:g}")
+    turn = planning.base_attitude_limit
+    require(turn is None or turn > 0, "planning.base_attitude_limit", f"must be > 0 rad, not {turn}")
     fit = MIN_SEGMENTS <= planning.segments <= MAX_SEGMENTS
     problem = f"must be from {MIN_SEGMENTS} to {MAX_SEGMENTS}, not {planning.segments}"
     require(fit, "planning.segments", problem)

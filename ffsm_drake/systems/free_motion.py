@@ -137,7 +137,7 @@ class FreeMotion(MomentumMotion):
         super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=wanted.end, key=key)
 
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
-        return self._wanted.rows(np.array([time]))[0, self._sizes[0] : self._sizes[1]][self._driven]
+        return self._wanted.velocities(np.array([time]))[0, self._driven]
 
     def driven_motion(self, times: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         wanted, v, a = np.split(self._wanted.rows(times), self._sizes, axis=1)

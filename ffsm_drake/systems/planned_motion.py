@@ -27,6 +27,11 @@ class PlannedMotion(abc.ABC):
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
 
+    def velocities(self, times: np.ndarray) -> np.ndarray:
+        """v_d (n, nv) at times (n,)."""
+        num_positions = len(self.coordinates.position_names)
+        return self.rows(times)[:, num_positions : num_positions + len(self.coordinates.names)]
+
     def remarks(self) -> list[str]:
         """What of the motion is not as it was asked, a line each."""
         return []

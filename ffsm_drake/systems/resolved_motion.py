@@ -119,6 +119,9 @@ class ResolvedMotion(MomentumMotion):
         after, before = (self._resolved(q + h * rate, asked + h * change).v for h in (_STEP, -_STEP))
         return q, v[:, self._driven], (after - before)[:, self._driven] / (2.0 * _STEP)
 
+    def velocities(self, times: np.ndarray) -> np.ndarray:
+        return self._resolved(self._integrated(times), self._asked(times)[0]).v
+
     def resolution(self, times: np.ndarray | None = None) -> Resolution:
         """How well the path is followed, at times (n,), s; without them, over the motion."""
         times = np.linspace(0.0, self.end, _INSTANTS) if times is None else times

@@ -86,6 +86,20 @@ def test_controllers_bring_the_published_case_to_rest(controller):
     assert (np.abs(record.dataset.applied_force.values) <= limit).all()
 
 
+def test_the_base_turns_no_further_than_it_may(quick):
+    def turn(found):
+        return 2.0 * np.arccos(np.clip(np.abs(found.rows[:, 0]), 0.0, 1.0)).max()
+
+    limit = 0.5 * turn(quick)
+    found = plan_motion(load_scenario("planar_detumble", [*QUICK, f"planning.base_attitude_limit={limit}"]))
+    (margin,) = [margin for margin in found.margins if margin.quantity == "turn"]
+    assert 0.9 * limit < turn(found) == pytest.approx(margin.value, rel=1e-6)
+    assert all(margin.kept for margin in found.margins)
+    assert found.plan.duration > quick.plan.duration
+    with pytest.raises(ScenarioError, match=r"actuation.driven: every coordinate must be for a plan, not joints alone"):
+        plan_motion(load_scenario("planar_detumble", ["actuation.driven=[joints]"]))
+
+
 def test_goal_posture_and_effort():
     """From rest to a posture with all the time there is: less effort than the fifth-order polynomial."""
     overrides = [

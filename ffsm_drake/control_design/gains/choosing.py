@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.control_design.gains.axis_search import LARGEST_RADIUS, PRICES, AxisSearch, FrontPoint, with_true_mass
 from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.control_design.gains.variation import PRICES_VARIED, varied
@@ -115,7 +115,7 @@ def design(
 
     Raises:
       ScenarioError: no gains meet the budget, or a value of the scenario cannot be used.
-      BlockError: a user-supplied block cannot be loaded, built, wired or linearised.
+      BlockError: a user-supplied block cannot be loaded, built, wired or linearised; the controller tracks a frame.
     """
     scenario, demand = complete_gains(scenario), make_demand(scenario)
     nominal = scenario.payload.nominal.mass
@@ -130,6 +130,8 @@ def design(
 
     def evaluate(candidate: Scenario) -> DesignPoint:
         with Linearizer(candidate) as linearizer:
+            if linearizer.loop.tracks_frame:
+                raise BlockError(f"{candidate.controller} tracks a frame; gains are designed for errors of coordinates")
             point = DesignPoint(
                 scenario=candidate,
                 prediction=predict_from(linearizer),

@@ -29,7 +29,7 @@ class MotionLimits:
 class Margin:
     """How near a motion comes to a limit."""
 
-    quantity: str  # "force", "rate", "position", "impulse" or "clearance"
+    quantity: str  # "force", "rate", "position", "turn", "impulse" or "clearance"
     name: str  # of the coordinate, or of the two bodies
     value: float  # the nearest to the limit
     limit: float

@@ -64,6 +64,12 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
       ModelError, ScenarioError: the model or a value cannot be used.
     """
     begun = time.perf_counter()
+    if scenario.undriven:
+        raise ScenarioError(
+            "actuation.driven",
+            f"every coordinate must be for a plan, not {', '.join(scenario.driven)} alone; take reference.kind "
+            "quintic, and reference.frame.hold for the base's attitude",
+        )
     model, planning = make_nominal_plant(scenario), scenario.planning
     coordinates = model.coordinates
     limits = motion_limits(scenario, model)
@@ -94,7 +100,8 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
     problem = PlanningProgram(
         dynamics=dynamics, planning=planning, limits=limits, start=start, rate=rate, goal=None if free else goal,
         shortest=planning.segments * scenario.sample_time, longest=longest,
-        clearance=clearance if scenario.clearance > 0.0 else None, distance=scenario.clearance, report=report,
+        clearance=clearance if scenario.clearance > 0.0 else None, distance=scenario.clearance,
+        largest_turn=planning.base_attitude_limit, report=report,
     )  # fmt: skip
     allowed = limits.force * (1.0 - planning.reserve)
     guess = _first_guess(problem, allowed, start, rate, goal, free=free)
@@ -238,6 +245,12 @@ def _looked_at(
     # The impulse is limited up to the duration, as it was planned.
     found = [m for m in found if m.quantity != "impulse"] + [m for m in within if m.quantity == "impulse"]
     num_positions = len(model.coordinates.position_names)
+    largest_turn = scenario.planning.base_attitude_limit
+    if largest_turn is not None:
+        turns = np.linalg.norm(z[:3], axis=0)
+        k = int(np.argmax(turns))
+        turn, time_of = float(turns[k]), float(times[k])
+        found.append(Margin(quantity="turn", name="base", value=turn, limit=largest_turn, time=time_of, unit="rad"))
     if clearance.pairs:
         approach = clearance.along(rows[::4, :num_positions])
         nearest = approach.nearest

@@ -56,11 +56,12 @@ class PlanningProgram:
         longest: float,
         clearance: Clearance | None,
         distance: float,
+        largest_turn: float | None,
         report: Callable[[int, float, float], None],
     ) -> None:
         """Args: of the problem; z and its rate at the start, z at the end (None: anywhere); durations, s;
-        distances to keep, and how much, m; ``report`` is called with evaluations, duration and the worst force relative
-        to its limit.
+        distances to keep, and how much, m; the base's largest turn, rad; ``report`` is called with evaluations,
+        duration and the worst force relative to its limit.
         """
         self._dynamics, self._planning, self._limits = dynamics, planning, limits
         self._report, self._reported = report, time.monotonic()
@@ -96,6 +97,9 @@ class PlanningProgram:
                 self._limit_rate(points[:, i], duration, float(limits.rate[i]))
         if goal is not None:
             program.AddBoundingBoxConstraint(goal, goal, points[-1])
+        if largest_turn is not None:  # of the control points, in whose hull the curve is
+            for point in points[1:, :3]:
+                program.AddQuadraticConstraint(2.0 * np.eye(3), np.zeros(3), -np.inf, largest_turn**2, point)
 
         self._add_forces(touched)
         if clearance is not None and clearance.pairs:
