@@ -1101,6 +1101,12 @@ def good_run(tmp_path_factory, run):
     return run("postcapture", "duration=0.05").save(tmp_path_factory.mktemp("good") / "run")
 
 
+@pytest.fixture
+def unchecked(monkeypatch):
+    """Without the check of stability before a run, which costs more than a short one."""
+    monkeypatch.setattr("ffsm_drake.control_design.stability.stability_warning", lambda _: "")
+
+
 def _files(folder: Path) -> set[Path]:
     return {path for path in folder.rglob("*") if "__pycache__" not in path.parts}
 
@@ -1164,7 +1170,7 @@ def ffsm(*argv: str, cwd: Path, command: tuple[str, ...] = FFSM, **settings) -> 
     return subprocess.run([*command, *argv], cwd=cwd, check=False, timeout=120, **settings)
 
 
-@pytest.mark.parametrize("id", ["no-super-init", "nan-configuration"])  # before Drake runs, and in mid-run
+@pytest.mark.parametrize("id", [pytest.param("no-super-init", marks=pytest.mark.slow), "nan-configuration"])  # before Drake runs, and in mid-run
 def test_one_line_from_a_process_of_its_own(id, tmp_path):
     (row,) = (row for row in TABLE if row.id == id)
     for name, content in row.files.items():
@@ -1387,12 +1393,12 @@ def _started(process: subprocess.Popen) -> None:
     [
         pytest.param(signal.SIGINT, 1, id="int"),
         pytest.param(signal.SIGTERM, 1, id="term", marks=pytest.mark.slow),
-        pytest.param(signal.SIGINT, 2, id="twice"),
+        pytest.param(signal.SIGINT, 2, id="twice", marks=pytest.mark.slow),
     ],
 )
 def test_interrupted_runs_keep_their_record(tmp_path, number, signals):
     """A signal in mid-run ends with a record; a second one, whenever it comes, leaves a whole record or none."""
-    command = [*FFSM, "run", "--no-report", "--out", "new", "--set", "duration=5000"]
+    command = [*FFSM, "run", "--no-report", "--out", "new", "--set", "duration=2000"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, **OWN_PROCESS)
     try:
         _started(process)
@@ -1409,7 +1415,7 @@ def test_interrupted_runs_keep_their_record(tmp_path, number, signals):
     if signals == 1:
         assert "interrupted" in stderr
         kept = check_kept(tmp_path / "new", "interrupted")
-        assert 0.0 < kept.outcome.time < 5000.0
+        assert 0.0 < kept.outcome.time < 2000.0
     else:
         assert not list(tmp_path.rglob("*partial*"))
         if (tmp_path / "new" / "manifest.json").exists():
@@ -1546,6 +1552,7 @@ def test_a_duration_between_samples_is_told():
 # What surrounds a run.
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_run_with_other_settings_is_not_replaced_in_silence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
@@ -1582,7 +1589,8 @@ def test_a_controller_that_leaves_the_folder(tmp_path, monkeypatch):
     check_kept(tmp_path / "out" / "postcapture_Elsewhere", "completed")  # not where another controller's run would be
 
 
-@pytest.mark.parametrize("stderr", ["closed", pytest.param("full", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("stderr", ["closed", "full"])
 def test_standard_error_that_takes_nothing(tmp_path, stderr):
     """A controller that leaves a thread, too: the process ends nevertheless."""
     (tmp_path / "mine_bad.py").write_text(CONTROLLERS)
@@ -1603,6 +1611,7 @@ def test_a_folder_that_is_gone(tmp_path):
     assert finished.returncode == 2
 
 
+@pytest.mark.slow
 def test_a_home_that_cannot_be_written(tmp_path):
     script = "from ffsm_drake.cli import main; main(['schema'], standalone_mode=False); "
     script += "import matplotlib; matplotlib.get_configdir()"
@@ -1645,6 +1654,7 @@ def test_plot_passes_over_what_is_no_run(tmp_path, good_run, monkeypatch):
     assert result.stdout == f"Written to {names[1]}: 1\n"
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_compare_prints_the_best_first(tmp_path):
     words = f"compare postcapture -c computed_torque -c tde_aismc --no-report --set duration=1 --out {tmp_path}"
     result = CliRunner().invoke(main, shlex.split(words))
@@ -1665,7 +1675,7 @@ def wait_for_handler(process):
         time.sleep(0.002)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.3])
+@pytest.mark.parametrize("delay", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_at_the_start(tmp_path, number, delay):
     """In the imports, mostly: nothing is said, nothing is left."""

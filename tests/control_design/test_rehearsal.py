@@ -18,7 +18,7 @@ def diverges(scenario):
     return simulate(scenario, check_stability=False).outcome.status == "diverged"
 
 
-@pytest.mark.parametrize(("frame", "stable"), [(4, True), (10, False)])
+@pytest.mark.parametrize(("frame", "stable"), [pytest.param(4, True, marks=pytest.mark.slow), (10, False)])
 def test_a_long_control_frame(frame, stable):
     """The frame's mean is held: 40 ms are well, 100 ms are not."""
     duration = 5.0 if stable else 9.0
@@ -44,6 +44,12 @@ def with_wheels():
     return make
 
 
+def test_wheels_that_give_too_little_are_told(with_wheels):
+    """Foreseen; that it is so: below."""
+    assert "the wheels give 1.3 to 2.3 N m" in stability_warning(with_wheels(1.0))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("torque", "stable"), [(1.0, False), (1.6, True)])
 def test_saturated_wheels(with_wheels, torque, stable):
     """Without limits the loop is the same."""

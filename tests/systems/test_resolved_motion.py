@@ -81,7 +81,9 @@ def test_out_of_reach_it_is_damped_and_says_so():
     assert "\n" not in line
 
 
-@pytest.mark.parametrize(("hold", "least", "most"), [("[base_rotation]", 0.0, 1e-12), ("[]", 0.45, 0.47)])
+@pytest.mark.parametrize(
+    ("hold", "least", "most"), [("[base_rotation]", 0.0, 1e-12), pytest.param("[]", 0.45, 0.47, marks=pytest.mark.slow)]
+)
 def test_the_base_is_left_alone(hold, least, most):
     motion, _, _ = motion_of("reaction_null", f"reference.frame.hold={hold}")
     found = motion.resolution(np.linspace(0.0, motion.end, 51))
@@ -140,7 +142,7 @@ def test_with_the_base_driven_the_joints_do_it_and_the_base_keeps_its_motion():
 
 def test_a_run_leaves_the_base_alone():
     """In the closed loop, with noise, the base turns by less than 1e-6 rad; with a wrong payload it says how much."""
-    record = simulate(load_scenario("reaction_null"))
+    record = simulate(load_scenario("reaction_null"), check_stability=False)
     q = record.dataset["position"].values
     turned = np.linalg.norm(position_errors(q, np.tile(q[0], (len(q), 1)))[:, :3], axis=1)
     assert turned.max() < 1e-7
