@@ -36,6 +36,20 @@ def _run(name: str, *overrides: str) -> RunRecord:
     return simulate(load_scenario(name, overrides), check_stability=False)
 
 
+@pytest.fixture
+def rough_pictures(monkeypatch):
+    """Pictures of few pixels, whose layout is not computed: where only that they are drawn counts."""
+    from matplotlib.figure import Figure
+
+    save = Figure.savefig
+
+    def roughly(figure, path, **options):
+        figure.set_layout_engine("none")  # half the cost
+        save(figure, path, **{**options, "dpi": 20, "bbox_inches": None})
+
+    monkeypatch.setattr(Figure, "savefig", roughly)
+
+
 @pytest.fixture(scope="session")
 def run():
     """run(scenario, *overrides) -> RunRecord; the same arguments give the same record."""

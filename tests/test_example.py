@@ -19,6 +19,7 @@ OTHERS = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name not in 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
+@pytest.mark.usefixtures("rough_pictures")
 def test_the_main_job(tmp_path, monkeypatch, capfd):
     """As a script, in this process: the longest of the examples loads nearly all there is."""
     monkeypatch.chdir(tmp_path)
@@ -41,6 +42,7 @@ def test_the_main_job(tmp_path, monkeypatch, capfd):
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_the_jacobian_of_a_fixed_base_misses_where_the_generalized_one_does_not(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["free_floating.py"])

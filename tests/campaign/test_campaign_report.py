@@ -125,6 +125,7 @@ def test_agreement_and_worst_runs():
 @pytest.fixture(autouse=True)
 def _coarse_map(monkeypatch):
     monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 3)
+    monkeypatch.setattr("ffsm_drake.campaign.prediction.REFINEMENT", 2)
 
 
 @pytest.fixture(scope="module")

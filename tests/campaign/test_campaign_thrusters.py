@@ -10,9 +10,7 @@ from campaign_tools import forked, run_here, write_spec
 from ffsm_drake import load_scenario, simulate
 
 THRUSTERS = [
-    {"layout": "12x5N"},
     {"layout": "12x5N", "failures": {"a_y": "stuck_off"}},
-    {"layout": "16x22N", "failures": {"top_1_x": "stuck_off"}},
     {"layout": "16x22N", "failures": {"bottom_2_y": "stuck_on"}},
     {"layout": "12x5N", "failures": {"a_x": "stuck_off", "b_x": "stuck_off"}},
 ]
@@ -48,16 +46,14 @@ def rows_of(database):
 
 def test_layouts_and_failures(tmp_path):
     spec = write_spec(tmp_path / "spec.yaml", **CHANGES)
-    one, *others = (
-        rows_of(run_here(spec, tmp_path / f"{n}.sqlite", workers=forked(n, in_flight=n))) for n in (1, 2, 4)
-    )
-    assert others == [one, one]
+    one, two = (rows_of(run_here(spec, tmp_path / f"{n}.sqlite", workers=forked(n, in_flight=n))) for n in (1, 2))
+    assert two == one
     assert [json.loads(row[-1]) for row in one] == THRUSTERS
     *run, refused = one
     assert refused[2] == "error"
     assert "with a_x stuck_off, b_x stuck_off no thrusters give a force along [-1, 0, 0]" in refused[3]
     assert len({row[4] for row in run}) == len(run)
-    _, seed, _, _, itae, *used, scale, thrusters = run[3]
+    _, seed, _, _, itae, *used, scale, thrusters = run[1]
     overrides = ["duration=0.4", f"random_seed={seed}", f"disturbance.amplitude_scale={scale}"]
     record = simulate(
         load_scenario("thrusters_and_wheels", [*overrides, f"actuation.thrusters={thrusters}"]), check_stability=False

@@ -1170,7 +1170,9 @@ def ffsm(*argv: str, cwd: Path, command: tuple[str, ...] = FFSM, **settings) -> 
     return subprocess.run([*command, *argv], cwd=cwd, check=False, timeout=120, **settings)
 
 
-@pytest.mark.parametrize("id", [pytest.param("no-super-init", marks=pytest.mark.slow), "nan-configuration"])  # before Drake runs, and in mid-run
+@pytest.mark.parametrize(
+    "id", [pytest.param("no-super-init", marks=pytest.mark.slow), "nan-configuration"]
+)  # before Drake runs, and in mid-run
 def test_one_line_from_a_process_of_its_own(id, tmp_path):
     (row,) = (row for row in TABLE if row.id == id)
     for name, content in row.files.items():

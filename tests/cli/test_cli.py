@@ -137,15 +137,9 @@ def test_analyze_needs_a_record(tmp_path):
     assert result.output.count("\n") == 1
 
 
-def test_plot_overlays_runs(run, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("rough_pictures")
+def test_plot_overlays_runs(run, tmp_path):
     """Of two runs with the fewest samples that there are; a whole run's are drawn by ``test_the_main_job``."""
-    save = Figure.savefig
-
-    def cheaply(figure, path, **_):
-        figure.set_layout_engine("none")  # half the cost
-        save(figure, path, dpi=20)
-
-    monkeypatch.setattr(Figure, "savefig", cheaply)
     record = run("postcapture", "duration=0.5")
     for name in ("one", "two"):
         dataclasses.replace(record, dataset=record.dataset.isel(time=slice(0, 1))).save(tmp_path / name)

@@ -191,7 +191,12 @@ def test_it_is_freed():
     ("name", "overrides", "stable"),
     [
         ("postcapture", ["sensing.delay=1"], False),
-        ("postcapture", ["controller=computed_torque", "sensing.delay=1", "duration=8"], True),
+        pytest.param(
+            "postcapture",
+            ["controller=computed_torque", "sensing.delay=1", "duration=8"],
+            True,
+            marks=pytest.mark.slow,
+        ),
         pytest.param("flight_sensors", ["sensing.delay=4", "estimator.delay=0"], False, marks=pytest.mark.slow),
         pytest.param("flight_sensors", ["sensing.delay=6", "duration=6"], True, marks=pytest.mark.slow),
         ("flight_sensors", ["actuation.delay=4", "controller=pd_plus", "duration=8"], True),

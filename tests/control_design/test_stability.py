@@ -116,7 +116,9 @@ HOLD = (
 )
 
 
-@pytest.mark.parametrize("belief", [40.0, 80.0, 110.0])
+@pytest.mark.parametrize(
+    "belief", [pytest.param(40.0, marks=pytest.mark.slow), 80.0, pytest.param(110.0, marks=pytest.mark.slow)]
+)
 def test_predicted_boundary_against_the_simulated_plant(belief):
     """3 % inside the predicted K_s the eleven-coordinate plant settles, 3 % outside it the oscillation grows."""
     payload = [f"payload.nominal.mass={belief}", f"payload.nominal.inertia={[0.167 * belief] * 3}"]
@@ -147,7 +149,11 @@ def test_predicted_boundary_against_the_simulated_plant(belief):
 
 @pytest.mark.parametrize(
     ("controller", "noise", "duration"),
-    [("tdc", "velocity", 40), ("aismc", "velocity", 20), ("aismc", "position", 20)],  # TDC has the slowest pole
+    [
+        pytest.param("tdc", "velocity", 40, marks=pytest.mark.slow),  # the slowest pole
+        ("aismc", "velocity", 20),
+        pytest.param("aismc", "position", 20, marks=pytest.mark.slow),
+    ],
 )
 def test_noise_amplification_against_the_simulated_plant(controller, noise, duration):
     quiet = {"velocity": "position", "position": "velocity"}[noise]

@@ -104,7 +104,7 @@ from ffsm_drake.spacecraft.plant import configuration
 
 """
 SCENARIO = """
-duration: 1
+duration: 0.3
 controller: lab_blocks:Springs
 controllers: {Springs: {k_p: {joints: 30}}}
 blocks:
@@ -187,7 +187,7 @@ def test_it_repeats_from_its_record_in_another_folder_bit_for_bit(lab):
 
 def test_it_goes_through_a_campaign(lab):
     (lab / "spec.yaml").write_text(
-        """{scenario: mine.yaml, controllers: ["lab_blocks:Springs", tdc], cases: 2,
+        """{scenario: mine.yaml, controllers: ["lab_blocks:Springs", tdc], cases: 2, settled: {hold: 0.1},
         parameters: {payload.truth.mass: {distribution: uniform, low: 80, high: 120}}}"""
     )
     database = lab / "campaign/spec.db"
@@ -222,7 +222,8 @@ def test_a_factory_in_python_takes_the_place_of_the_disturbance_or_adds_to_it():
     assert record.scenario.blocks.forces["disturbance"].system == f"{__name__}:pulse"
     both = simulate(scenario, blocks={"forces.push": pulse}).dataset
     assert (both["force_push"].sel(coordinate="joint_2") == 0.3).all()
-    assert np.array_equal(both["force_disturbance"], simulate(scenario).dataset["disturbance_force"])
+    plain = simulate(scenario, check_stability=False).dataset
+    assert np.array_equal(both["force_disturbance"], plain["disturbance_force"])
 
 
 def test_the_loop_is_added_to_a_diagram_of_the_callers():

@@ -33,10 +33,10 @@ SETTINGS = settings(
     derandomize=True,
     database=None,
     deadline=None,
-    max_examples=120,
+    max_examples=70,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
-FEW = settings(SETTINGS, max_examples=25)
+FEW = settings(SETTINGS, max_examples=15)
 
 COORDINATES = st.sampled_from(("all", *GROUPS, *BASE_ROTATION, *BASE_POSITION, "joint_1", "joint_2"))
 POSITIVE = st.floats(1e-6, 1e6)

@@ -206,7 +206,9 @@ def test_diverged_runs_rank_last_and_never_best(short, diverged):
 
 
 @pytest.mark.parametrize("samples", [0, 1, 2])
-def test_interrupted_after_few_samples(short, samples):
+def test_interrupted_after_few_samples(short, samples, monkeypatch):
+    if samples:  # on which stability does not depend
+        monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
     page = page_of(shortened(short, samples))
     assert "interrupted" in page.text
     assert {0: "no sample was recorded", 1: "1 sample was", 2: "2 samples were"}[samples] in page.text
@@ -334,7 +336,7 @@ def write_arm(directory, joints):
 
 @pytest.mark.parametrize("joints", [1, 12])
 def test_any_arm(joints, tmp_path):
-    record = simulate(load_scenario(write_arm(tmp_path, joints)))
+    record = simulate(load_scenario(write_arm(tmp_path, joints)), check_stability=False)
     page = page_of(record)
     assert page.titles("force-0")[6:] == [f"Gelenk <{k}> é" for k in range(joints)]
     units = [page.figures[f"force-0-{k}"]["layout"]["yaxis"]["title"]["text"] for k in range(6, 6 + joints)]

@@ -96,6 +96,7 @@ def test_the_table_shows_what_simulate_gives(
     assert row.isv.ratio == pytest.approx(record.metrics["isv"] / paper_isv)
 
 
+@pytest.mark.slow
 def test_mean_and_spread_over_the_seeds():
     of_seeds = runs.run_cases(runs.table_cases(2), num_seeds=2, overrides=["duration=0.05"])
     values = [of_seeds.run("euler", "tdc", seed=seed).itae for seed in range(2)]

@@ -39,6 +39,7 @@ def test_wheels_and_torque_mapping(basilisk):
     assert np.abs(found["wheel_speed"][-1] - found["wheel_speed"][0]).min() > 5.0
 
 
+@pytest.mark.slow
 def test_two_panels_a_sloshing_mass_and_wheels(basilisk):
     found, expected = bus.parts(), basilisk["parts"]
     names = ("rate", "attitude", "velocity", "wheel_speed", "deflection", "deflection_rate")
@@ -54,6 +55,7 @@ def test_coulomb_friction(basilisk):
     assert np.abs(found["wheel_speed"][-1] - found["wheel_speed"][0]).min() > 0.25
 
 
+@pytest.mark.slow
 def test_viscous_friction(basilisk):
     """Held over a sample it is right to first order: half the period halves the difference, and both together none."""
     expected = basilisk["viscous"]

@@ -68,22 +68,23 @@ def ffsm(known, tmp_path, monkeypatch):
 
 
 def test_run_and_compare(ffsm, tmp_path):
-    ffsm("run", "-c", "stiff", "--set", "duration=1", "--set", "controllers.stiff.k_p.joints=90", "--no-report")
+    ffsm("run", "-c", "stiff", "--set", "duration=0.1", "--set", "controllers.stiff.k_p.joints=90", "--no-report")
     manifest = json.loads((tmp_path / "out/postcapture_stiff/manifest.json").read_text())
     assert manifest["blocks"]["controller"]["system"] == "stiff"
     assert manifest["scenario"]["controllers"]["stiff"]["k_p"] == {"all": 100.0, "joints": 90.0}
-    assert "stiff " in ffsm("compare", "-c", "stiff", "-c", "tdc", "--set", "duration=1", "--no-report")
+    assert "stiff " in ffsm("compare", "-c", "stiff", "-c", "tdc", "--set", "duration=0.1", "--no-report")
     assert "stiff" in json.loads(ffsm("schema"))["properties"]["controllers"]["properties"]
 
 
 def test_campaign(ffsm, tmp_path):
     (tmp_path / "spec.yaml").write_text(
-        """{scenario: postcapture, overrides: {duration: 1}, controllers: [stiff, tdc], cases: 2,
+        """{scenario: postcapture, overrides: {duration: 0.1}, settled: {hold: 0.1}, controllers: [stiff, tdc],
+        cases: 1,
         parameters: {payload.truth.mass: {distribution: uniform, low: 80, high: 120}}}"""
     )
     out = ffsm("campaign", "run", "spec.yaml", "--database", "spec.db", "--workers", "1")
-    assert "4 of 4 runs" in out
-    rows = ffsm("campaign", "rerun", "spec.db", "--case", "1", "--controller", "stiff", "--no-recording")
+    assert "2 of 2 runs" in out
+    rows = ffsm("campaign", "rerun", "spec.db", "--case", "0", "--controller", "stiff", "--no-recording")
     assert "all values equal the stored ones, bit for bit" in rows
 
 

@@ -192,7 +192,10 @@ def test_with_the_true_payload_the_frame_follows_but_for_the_hold():
     errors = []
     for period in (0.01, 0.005):
         log = followed(
-            "task_computed_torque", truth, f"sample_time={period}", f"simulator_config.max_step_size={period}",
+            "task_computed_torque",
+            truth,
+            f"sample_time={period}",
+            f"simulator_config.max_step_size={period}",
             "duration=4",  # beyond the largest accelerations of the first half
         )
         errors.append(np.abs(log.frame_error).max())
