@@ -179,7 +179,7 @@ def test_design_beats_the_hand_made_gains(monkeypatch):
     assert record.metrics["isv"] == pytest.approx(found.chosen.prediction.isv, rel=0.02)
 
 
-@pytest.mark.usefixtures("rough_pictures")
+@pytest.mark.slow
 def test_design_from_the_shell(tmp_path, monkeypatch):
     """With one price: the whole front, and the search along it, are looked at above."""
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.2,))
@@ -187,7 +187,7 @@ def test_design_from_the_shell(tmp_path, monkeypatch):
         "design",
         "flight_sensors",
         "--set",
-        "duration=4",
+        "duration=6",
         "--controller",
         "asmc",
         "--payload-range",
@@ -207,10 +207,9 @@ def test_design_from_the_shell(tmp_path, monkeypatch):
     assert scenario.controller == "asmc"
     assert scenario.estimator.kind == data["estimator"] != "one_sample"
     assert simulate(scenario, check_stability=False).metrics["isv"] < 420
-    assert (tmp_path / "design.png").stat().st_size > 2_000
+    assert (tmp_path / "design.png").stat().st_size > 20_000
 
 
-@pytest.mark.slow
 def test_design_says_when_a_budget_cannot_be_met(tmp_path, monkeypatch):
     """With one price, the highest: what costs least is what is asked for."""
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.2,))
