@@ -21,8 +21,8 @@ def pytest_configure(config):
 
 # The modules that take longest; the longest starts first, so that no worker ends alone with one.
 LONGEST = (
-    "bad_inputs", "flight", "cli", "stability", "report", "reproduction", "noise_study", "linearization",
-    "campaign_run", "example",
+    "bad_inputs", "flight", "user_controllers", "cli", "task_space", "report", "reproduction", "noise_study",
+    "resolved_motion", "stability", "rehearsal", "campaign_run", "campaign_report", "linearization", "example",
 )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ OTHERS = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name not in 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("rough_pictures")
 def test_the_main_job(tmp_path, monkeypatch, capfd):
     """As a script, in this process: the longest of the examples loads nearly all there is."""

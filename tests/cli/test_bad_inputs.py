@@ -1631,6 +1631,7 @@ def test_a_name_that_is_no_text(tmp_path, monkeypatch):
     check_line(result.stderr, ("is not UTF-8 text; rename the file or folder",))
 
 
+@pytest.mark.usefixtures("rough_pictures")
 def test_a_joint_whose_name_looks_like_mathematics(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     odd = "$\\alpha_{x$"
@@ -1640,8 +1641,7 @@ def test_a_joint_whose_name_looks_like_mathematics(tmp_path, monkeypatch):
     assert CliRunner().invoke(main, ["run", "--no-report", "mine.yaml", "--out", "new"]).exit_code == 0
     record = RunRecord.load("new")
     for figure in (run_figures.plot_errors([record]), plot_analysis(analyze(record))):
-        figure.set_layout_engine("none")  # half the cost
-        figure.savefig(io.BytesIO(), dpi=20)
+        figure.savefig(io.BytesIO())
 
 
 def test_plot_passes_over_what_is_no_run(tmp_path, good_run, monkeypatch):

@@ -57,7 +57,7 @@ CONTROLLERS = {
     "two_arms": ["asmc", "tde_aismc"],
     "seven_joints": ["computed_torque"],
 }
-SLOW = ("two_arms", "seven_joints")
+SLOW = ("two_arms", "seven_joints", "prismatic")
 
 
 @pytest.mark.parametrize(

@@ -287,7 +287,7 @@ def itae(errors: np.ndarray) -> float:
     return float(PERIOD * times @ np.abs(errors).sum(axis=1))
 
 
-SLOW = ("asmc", "aismc")
+SLOW = ("asmc", "aismc", "tdc")
 
 
 @pytest.fixture(scope="module", params=[pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in LAWS])

@@ -63,7 +63,9 @@ def points_on(shape):
     return axes * np.vstack(rings)
 
 
-@pytest.mark.parametrize("scenario", ["postcapture", "seven_joint", "planar_detumble"])
+@pytest.mark.parametrize(
+    "scenario", ["postcapture", pytest.param("seven_joint", marks=pytest.mark.slow), "planar_detumble"]
+)
 def test_shapes_hold_the_pictures(scenario):
     """Every point of a picture lies in one of its body's shapes, or within a finger's breadth of it."""
     clearance = Clearance(load_scenario(scenario).model)

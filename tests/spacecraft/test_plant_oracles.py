@@ -282,7 +282,7 @@ def simulate_tightly(system: Any, context: Context, duration: float) -> None:
     simulator.AdvanceTo(duration)
 
 
-@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("number", [0, *(pytest.param(number, marks=pytest.mark.slow) for number in (1, 2))])
 def test_free_motion_conserves_momentum_and_energy(plant: MultibodyPlant, context: Context, number: int) -> None:
     set_target(plant, context, OFF_CENTRE)
 
