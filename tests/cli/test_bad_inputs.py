@@ -1631,6 +1631,7 @@ def test_a_name_that_is_no_text(tmp_path, monkeypatch):
     check_line(result.stderr, ("is not UTF-8 text; rename the file or folder",))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("rough_pictures")
 def test_a_joint_whose_name_looks_like_mathematics(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
