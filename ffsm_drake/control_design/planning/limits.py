@@ -24,6 +24,10 @@ class MotionLimits:
     upper: np.ndarray
     impulse: np.ndarray  # N m s or N s; integral of the force's size
 
+    def of(self, indices: np.ndarray) -> "MotionLimits":
+        """Of some coordinates alone."""
+        return MotionLimits(**{field.name: getattr(self, field.name)[indices] for field in dataclasses.fields(self)})
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Margin:

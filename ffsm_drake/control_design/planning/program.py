@@ -21,10 +21,11 @@ from pydrake.solvers import (
 )
 from pydrake.trajectories import BsplineTrajectory
 
+from ffsm_drake.control_design.planning.free_dynamics import FreeDynamics, rotation_vector, turned
 from ffsm_drake.control_design.planning.limits import MotionLimits
 from ffsm_drake.scenario import Planning
 from ffsm_drake.spacecraft.clearance import Clearance
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
 from ffsm_drake.systems.plan import DEGREE
 
@@ -46,7 +47,7 @@ class PlanningProgram:
     def __init__(
         self,
         *,
-        dynamics: InverseDynamics,
+        dynamics: InverseDynamics | FreeDynamics,
         planning: Planning,
         limits: MotionLimits,
         start: np.ndarray,
@@ -59,9 +60,9 @@ class PlanningProgram:
         largest_turn: float | None,
         report: Callable[[int, float, float], None],
     ) -> None:
-        """Args: of the problem; z and its rate at the start, z at the end (None: anywhere); durations, s;
-        distances to keep, and how much, m; the base's largest turn, rad; ``report`` is called with evaluations,
-        duration and the worst force relative to its limit.
+        """Args: of the problem, with ``limits`` of z alone; z and its rate at the start, z at the end (None: anywhere);
+        durations, s; distances to keep, and how much, m; the base's largest turn, rad; ``report`` is called with
+        evaluations, duration and the worst force relative to its limit.
         """
         self._dynamics, self._planning, self._limits = dynamics, planning, limits
         self._report, self._reported = report, time.monotonic()
@@ -97,7 +98,9 @@ class PlanningProgram:
                 self._limit_rate(points[:, i], duration, float(limits.rate[i]))
         if goal is not None:
             program.AddBoundingBoxConstraint(goal, goal, points[-1])
-        if largest_turn is not None:  # of the control points, in whose hull the curve is
+        if largest_turn is not None and dynamics.turns:
+            self._add_turn(largest_turn, touched)
+        elif largest_turn is not None:  # of the control points, in whose hull the curve is
             for point in points[1:, :3]:
                 program.AddQuadraticConstraint(2.0 * np.eye(3), np.zeros(3), -np.inf, largest_turn**2, point)
 
@@ -170,6 +173,28 @@ class PlanningProgram:
                 np.r_[self._duration, sizes[k :: limited.size]],
             )  # fmt: skip
 
+    def _add_turn(self, largest: float, touched: np.ndarray) -> None:
+        """The base turns no further, as momentum takes it: that depends on the path of the joints, not on how fast."""
+        unknowns = np.r_[self._points, self._duration]
+
+        def square(x: np.ndarray) -> np.ndarray:
+            differentiated = x.dtype == object
+            values = ExtractValue(x).ravel() if differentiated else x
+            self._evaluate_all(values)
+            found, slope = (part[:, self._size :] for part in self._cache[1:])
+            step = float(values[-1]) / (self.share.size - 1)
+            rotation, turning = turned(found[:, :3], found[:, 3:], slope, step)
+            vector = rotation_vector(rotation)
+            value = (vector**2).sum(axis=1)[1:] / largest**2
+            if not differentiated:
+                return value
+            gradient = 2.0 / largest**2 * np.einsum("ki,kix->kx", vector, turning)[1:]
+            gradient[:, -1] = 0.0
+            return InitializeAutoDiff(value[:, None], gradient @ ExtractGradient(x))
+
+        ones = np.ones(self.share.size - 1)
+        self._program.AddConstraint(square, -np.inf * ones, ones, unknowns)
+
     def tighten(self, share: float) -> None:
         """Keep forces below this share of what they were allowed at first."""
         if self._forces is not None:
@@ -184,8 +209,8 @@ class PlanningProgram:
         )  # fmt: skip
         self._distance = evaluator  # which the program only borrows
         size, count = self._size, self._count
-        joints = np.arange(NUM_BASE_VELOCITIES, size)
         first = np.zeros(clearance.plant.num_positions())
+        joints = np.arange(size - (first.size - NUM_BASE_POSITIONS), size)
         first[0] = 1.0
         rows = self.basis[0]
         columns = (np.arange(count)[:, None] * size + joints).ravel()
@@ -244,26 +269,31 @@ class PlanningProgram:
         return InitializeAutoDiff(result[:, None], gradient @ ExtractGradient(x))
 
     def evaluate(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (instants, nv) of [P, T], and their gradient (instants, nv, unknowns)."""
+        """Forces (instants, size) of [P, T], and their gradient (instants, size, unknowns)."""
+        self._evaluate_all(unknowns)
+        return self._cache[1][:, : self._size], self._cache[2][:, : self._size]
+
+    def _evaluate_all(self, unknowns: np.ndarray) -> None:
+        """All that the dynamics give, into the cache."""
         key = unknowns.tobytes()
         if self._cache[0] == key:
-            return self._cache[1:]
+            return
         points, duration = unknowns[:-1].reshape(self._count, self._size), float(unknowns[-1])
         z, rate, acceleration = ((rows @ points).T / duration**order for order, rows in enumerate(self.basis))
-        force, by = self._dynamics.linearized(z, rate, acceleration)
-        gradient = np.zeros((self.share.size, self._size, unknowns.size))
+        found, by = self._dynamics.linearized(z, rate, acceleration)
+        gradient = np.zeros((self.share.size, len(found), unknowns.size))
         for order in range(3):
             part = np.einsum("ijk,ka->kiaj", by[order], self.basis[order]) / duration**order
-            gradient[:, :, :-1] += part.reshape(self.share.size, self._size, -1)
+            gradient[:, :, :-1] += part.reshape(self.share.size, len(found), -1)
         gradient[:, :, -1] = (
             -(np.einsum("ijk,jk->ki", by[1], rate) + 2.0 * np.einsum("ijk,jk->ki", by[2], acceleration)) / duration
         )
-        self._cache = (key, force.T, gradient)
+        self._cache = (key, found.T, gradient)
         self.evaluations += 1
         if time.monotonic() - self._reported > 1.0:
             self._reported = time.monotonic()
-            self._report(self.evaluations, duration, float(np.max(np.abs(force.T) / self._limits.force)))
-        return self._cache[1:]
+            worst = float(np.max(np.abs(found.T[:, : self._size]) / self._limits.force))
+            self._report(self.evaluations, duration, worst)
 
     def _cost(self, x: np.ndarray) -> np.ndarray:
         """Weighed duration and integral of the squared force."""
