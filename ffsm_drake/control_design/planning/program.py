@@ -33,6 +33,7 @@ _INFLUENCE = 0.1  # m beyond the clearance; nearer parts are seen by the solver
 _INSTANTS = 3  # in which force and clearance are looked at, per segment
 _ROOM = 0.002  # m beyond the clearance, for what happens between these instants
 _SUM = 0.005  # share of an impulse that the sum over these instants may miss
+_LESS_TURN, _TURN_ROOM = 0.8, 1e-6  # of the base, from one solution to the next; relative
 _OPTIONS = {
     "Major iterations limit": 1000,
     "Iterations limit": 100_000,
@@ -98,8 +99,10 @@ class PlanningProgram:
                 self._limit_rate(points[:, i], duration, float(limits.rate[i]))
         if goal is not None:
             program.AddBoundingBoxConstraint(goal, goal, points[-1])
+        self._turn: PyFunctionConstraint | None = None
+        self._largest_turn = self._allowed_turn = np.inf if largest_turn is None else largest_turn
         if largest_turn is not None and dynamics.turns:
-            self._add_turn(largest_turn, touched)
+            self._add_turn()
         elif largest_turn is not None:  # of the control points, in whose hull the curve is
             for point in points[1:, :3]:
                 program.AddQuadraticConstraint(2.0 * np.eye(3), np.zeros(3), -np.inf, largest_turn**2, point)
@@ -173,27 +176,40 @@ class PlanningProgram:
                 np.r_[self._duration, sizes[k :: limited.size]],
             )  # fmt: skip
 
-    def _add_turn(self, largest: float, touched: np.ndarray) -> None:
+    def _add_turn(self) -> None:
         """The base turns no further, as momentum takes it: that depends on the path of the joints, not on how fast."""
         unknowns = np.r_[self._points, self._duration]
 
         def square(x: np.ndarray) -> np.ndarray:
             differentiated = x.dtype == object
-            values = ExtractValue(x).ravel() if differentiated else x
-            self._evaluate_all(values)
-            found, slope = (part[:, self._size :] for part in self._cache[1:])
-            step = float(values[-1]) / (self.share.size - 1)
-            rotation, turning = turned(found[:, :3], found[:, 3:], slope, step)
-            vector = rotation_vector(rotation)
-            value = (vector**2).sum(axis=1)[1:] / largest**2
+            vector, turning = self._turned(ExtractValue(x).ravel() if differentiated else x)
+            value = (vector**2).sum(axis=1) / self._allowed_turn**2
             if not differentiated:
                 return value
-            gradient = 2.0 / largest**2 * np.einsum("ki,kix->kx", vector, turning)[1:]
-            gradient[:, -1] = 0.0
+            gradient = 2.0 / self._allowed_turn**2 * np.einsum("ki,kix->kx", vector, turning)
             return InitializeAutoDiff(value[:, None], gradient @ ExtractGradient(x))
 
         ones = np.ones(self.share.size - 1)
-        self._program.AddConstraint(square, -np.inf * ones, ones, unknowns)
+        self._turn = self._program.AddConstraint(square, -np.inf * ones, ones, unknowns).evaluator()
+
+    def _turned(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The base's rotation vector in every instant but the first, and its small rotations by the unknowns."""
+        self._evaluate_all(unknowns)
+        found, slope = (part[:, self._size :] for part in self._cache[1:])
+        step = float(unknowns[-1]) / (self.share.size - 1)
+        rotation, turning = turned(found[:, :3], found[:, 3:], slope, step)
+        turning[..., -1] = 0.0  # but for rounding
+        return rotation_vector(rotation[1:]), turning[1:]
+
+    def _turn_of(self, unknowns: np.ndarray) -> float:
+        """How far the joints turn the base, rad; zero where nothing limits it."""
+        return 0.0 if self._turn is None else float(np.linalg.norm(self._turned(unknowns)[0], axis=1).max())
+
+    def _allow_turn(self, allowed: float) -> None:
+        if self._turn is not None:
+            self._allowed_turn = min(allowed, np.pi)
+            bound = np.full(self._turn.num_constraints(), 1.0 if np.isfinite(allowed) else np.inf)
+            self._turn.set_bounds(-np.inf * bound, bound)
 
     def tighten(self, share: float) -> None:
         """Keep forces below this share of what they were allowed at first."""
@@ -318,18 +334,29 @@ class PlanningProgram:
         return np.r_[points.ravel(), duration]
 
     def solve(self, guess: np.ndarray) -> tuple[MathematicalProgramResult, np.ndarray, float]:
-        """The solver's result, control points (count, nv) and duration, s."""
+        """The solver's result, control points (count, size) and duration, s.
+
+        Where joints turn the base further than they may, a limit on it at once is not found to be possible. So the
+        first solution is without, and the limit comes nearer step by step.
+        """
+        unknowns = np.r_[self._points, self._duration]
         first = np.zeros(self._program.num_vars())
         first[: guess.size] = guess
         if first.size > guess.size:
             limited = np.flatnonzero(np.isfinite(self._limits.impulse))
             first[guess.size :] = np.abs(self.evaluate(guess)[0][:, limited]).ravel()
-        self._scale = 1.0
-        self._scale = max(float(self._cost(guess)), 1e-12)
         chosen, options = SnoptSolver(), SolverOptions()
         for key, value in _OPTIONS.items():
             options.SetOption(chosen.solver_id(), key, value)
+        self._scale = 1.0
+        self._scale = max(float(self._cost(guess)), 1e-12)
+        self._allow_turn(self._largest_turn if self._turn_of(guess) <= self._largest_turn else np.inf)
         result = chosen.Solve(self._program, first, options)
+        turn = self._turn_of(result.GetSolution(unknowns)) if result.is_success() else 0.0
+        while self._turn is not None and turn > self._largest_turn * (1.0 + _TURN_ROOM) and result.is_success():
+            turn = max(_LESS_TURN * turn, self._largest_turn)
+            self._allow_turn(turn)
+            result = chosen.Solve(self._program, result.get_x_val(), options)
         points = result.GetSolution(self._points).reshape(self._count, self._size)
         return result, points, float(result.GetSolution(self._duration)[0])
 
