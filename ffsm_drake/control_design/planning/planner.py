@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
+from pydrake.solvers import SolutionResult
 
 from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.control_design.planning.free_dynamics import FreeDynamics
@@ -27,6 +28,7 @@ from ffsm_drake.systems.reference import SplineMotion
 _INSTANTS = 401  # at which a plan is looked at
 _DURATIONS = np.geomspace(0.0025, 1.0, 31)  # of the first guess, as parts of the longest
 _ATTEMPTS, _LESS = 3, 0.005  # at keeping forces between the solver's instants; share by which they are cut beyond need
+_STALLED = SolutionResult.kSolverSpecificError  # short of the optimum, where what limits a motion has kinks
 _AT_REST = 1e-9  # N m s
 _DETOUR = 0.05  # rad; about each axis, of the base in the first guess
 _SETTLES = (0.5, 1.0, 2.0, 4.0, 8.0)  # s, in which rates at the end die away
@@ -118,21 +120,24 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
     angles = (0.0, _DETOUR) if planning.impulse_limit or everything is not dynamics else (_DETOUR, 0.0)
     for number, angle in enumerate(angles, start=1):
         detour = functools.partial(_detour, size=driven.size, angle=angle)
-        unknowns, share = guess + problem.guess(detour, 0.0), 1.0
+        unknowns, share, turn = guess + problem.guess(detour, 0.0), 1.0, planning.base_attitude_limit
         for _ in range(_ATTEMPTS):
-            problem.tighten(share)
+            problem.tighten(share, turn)
             result, points, duration = problem.solve(unknowns)
             plan = Plan(
                 duration=duration, settle=0.0, first_attitude=tuple(q[:4].tolist()), coordinates=coordinates.names,
                 control_points=_of_all(points, rate * duration, driven),
             )  # fmt: skip
             found = _looked_at(plan, model, everything, limits, clearance, scenario)
-            kept = result.is_success() and all(margin.kept for margin in found.margins)
-            forces = [abs(margin.value / margin.limit) for margin in found.margins if margin.quantity == "force"]
-            if kept or not result.is_success() or max(forces, default=0.0) <= 1.0:
+            solved = result.is_success() or (dynamics.turns and result.get_solution_result() == _STALLED)
+            kept = solved and all(margin.kept for margin in found.margins)
+            used = {name: _used(found.margins, name) for name in ("force", "turn")}
+            if kept or not solved or max(used.values()) <= 1.0:
                 break
             # Between the instants that the solver looks at, a force is larger: on from here with less of it.
-            share /= max(forces) + _LESS
+            share /= max(used["force"] + _LESS, 1.0)
+            if turn is not None and used["turn"] > 1.0:
+                turn /= used["turn"] + _LESS
             unknowns = np.r_[points.ravel(), duration]
         if kept:
             break
@@ -232,6 +237,11 @@ def _first_guess(
 def _detour(share: np.ndarray, size: int, angle: float) -> np.ndarray:
     """A detour of the base's attitude (n, size): a solver never leaves a plane that its first guess lies in."""
     return angle * np.sin(np.pi * share[:, None]) ** 2 * (np.arange(size) < 3)
+
+
+def _used(found: tuple[Margin, ...], quantity: str) -> float:
+    """The largest share of a limit that is used."""
+    return max((abs(margin.value / margin.limit) for margin in found if margin.quantity == quantity), default=0.0)
 
 
 def _of_all(points: np.ndarray, change: np.ndarray, driven: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ _INFLUENCE = 0.1  # m beyond the clearance; nearer parts are seen by the solver
 _INSTANTS = 3  # in which force and clearance are looked at, per segment
 _ROOM = 0.002  # m beyond the clearance, for what happens between these instants
 _SUM = 0.005  # share of an impulse that the sum over these instants may miss
-_LESS_TURN, _TURN_ROOM = 0.8, 1e-6  # of the base, from one solution to the next; relative
+_LESS_TURN, _TURN_ROOM = 0.85, 1e-3  # of the base's turn, from one solution to the next; relative
 _OPTIONS = {
     "Major iterations limit": 1000,
     "Iterations limit": 100_000,
@@ -211,8 +211,10 @@ class PlanningProgram:
             bound = np.full(self._turn.num_constraints(), 1.0 if np.isfinite(allowed) else np.inf)
             self._turn.set_bounds(-np.inf * bound, bound)
 
-    def tighten(self, share: float) -> None:
-        """Keep forces below this share of what they were allowed at first."""
+    def tighten(self, share: float, turn: float | None) -> None:
+        """Keep forces below this share of what they were allowed at first, the base's turn below this, rad."""
+        if self._turn is not None and turn is not None:
+            self._largest_turn = turn
         if self._forces is not None:
             bound = np.full(self._forces.num_constraints(), share)
             self._forces.set_bounds(-bound, bound)
@@ -350,13 +352,15 @@ class PlanningProgram:
             options.SetOption(chosen.solver_id(), key, value)
         self._scale = 1.0
         self._scale = max(float(self._cost(guess)), 1e-12)
-        self._allow_turn(self._largest_turn if self._turn_of(guess) <= self._largest_turn else np.inf)
-        result = chosen.Solve(self._program, first, options)
-        turn = self._turn_of(result.GetSolution(unknowns)) if result.is_success() else 0.0
-        while self._turn is not None and turn > self._largest_turn * (1.0 + _TURN_ROOM) and result.is_success():
-            turn = max(_LESS_TURN * turn, self._largest_turn)
-            self._allow_turn(turn)
-            result = chosen.Solve(self._program, result.get_x_val(), options)
+        turn = self._turn_of(guess)
+        allowed = self._largest_turn if _LESS_TURN * turn <= self._largest_turn else np.inf
+        while True:
+            self._allow_turn(allowed)
+            result = chosen.Solve(self._program, first, options)
+            turn = self._turn_of(result.GetSolution(unknowns))
+            if self._turn is None or allowed == self._largest_turn or turn > allowed * (1.0 + _TURN_ROOM):
+                break
+            first, allowed = result.get_x_val(), max(min(allowed, _LESS_TURN * turn), self._largest_turn)
         points = result.GetSolution(self._points).reshape(self._count, self._size)
         return result, points, float(result.GetSolution(self._duration)[0])
 
