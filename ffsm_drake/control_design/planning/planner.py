@@ -29,6 +29,7 @@ _INSTANTS = 401  # at which a plan is looked at
 _DURATIONS = np.geomspace(0.0025, 1.0, 31)  # of the first guess, as parts of the longest
 _ATTEMPTS, _LESS = 3, 0.005  # at keeping forces between the solver's instants; share by which they are cut beyond need
 _STALLED = SolutionResult.kSolverSpecificError  # short of the optimum, where what limits a motion has kinks
+_ACCURACY = 1e-8  # of where the undriven base goes, relative
 _AT_REST = 1e-9  # N m s
 _DETOUR = 0.05  # rad; about each axis, of the base in the first guess
 _SETTLES = (0.5, 1.0, 2.0, 4.0, 8.0)  # s, in which rates at the end die away
@@ -268,7 +269,9 @@ def _looked_at(
     z, rate, acceleration = plan.curve(times)
     if model.coordinates.undriven:
         planned = SplineMotion(plan, coordinates=model.coordinates, sample_time=scenario.sample_time)
-        rows = FreeMotion(planned, model=model, sample_time=scenario.sample_time).rows(times)
+        followed = FreeMotion(planned, model=model, sample_time=scenario.sample_time)
+        followed.accuracy = _ACCURACY
+        rows = followed.rows(times)
         force = model.calc_tracking_force(*np.split(rows, [len(z) + 1, 2 * len(z) + 1], axis=1))
     else:
         rows, force = plan.rows(times), dynamics.force(z, rate, acceleration).T
