@@ -52,6 +52,7 @@ class PlannedMotionReport:
     angular_momentum: float
     least_by_torque: float
     momentum_left: float  # N m s; |H| about the centre of mass at ``plan.duration``
+    base_turn: float | None  # rad; the largest, where momentum turns the base, from its first attitude
     margins: tuple[Margin, ...]
     times: np.ndarray  # (n,), s, to the end of the plan
     rows: np.ndarray  # [q_d; v_d; dv_d/dt] (n, nq + 2 nv)
@@ -135,7 +136,7 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
             used = {name: _used(found.margins, name) for name in ("force", "turn")}
             if kept or not solved or max(used.values()) <= 1.0:
                 break
-            # Between the instants that the solver looks at, a force is larger: on from here with less of it.
+            # Between the instants that the solver looks at, force and turn are larger: on from here with less of them.
             share /= max(used["force"] + _LESS, 1.0)
             if turn is not None and used["turn"] > 1.0:
                 turn /= used["turn"] + _LESS
@@ -281,11 +282,11 @@ def _looked_at(
     # The impulse is limited up to the duration, as it was planned.
     found = [m for m in found if m.quantity != "impulse"] + [m for m in within if m.quantity == "impulse"]
     num_positions = len(model.coordinates.position_names)
-    largest_turn = scenario.planning.base_attitude_limit
+    turns, base_turn, largest_turn = np.linalg.norm(z[:3], axis=0), None, scenario.planning.base_attitude_limit
+    if not model.coordinates.is_driven[0]:
+        turns = np.linalg.norm(position_errors(rows, np.broadcast_to(rows[0], rows.shape))[:, :3], axis=1)
+        base_turn = float(turns.max())
     if largest_turn is not None:
-        turns = np.linalg.norm(z[:3], axis=0)
-        if not model.coordinates.is_driven[0]:
-            turns = np.linalg.norm(position_errors(rows, np.broadcast_to(rows[0], rows.shape))[:, :3], axis=1)
         k = int(np.argmax(turns))
         turn, time_of = float(turns[k]), float(times[k])
         found.append(Margin(quantity="turn", name="base", value=turn, limit=largest_turn, time=time_of, unit="rad"))
@@ -312,6 +313,7 @@ def _looked_at(
         angular_momentum=0.0,
         least_by_torque=0.0,
         momentum_left=float(np.linalg.norm(left)),
+        base_turn=base_turn,
         margins=tuple(found),
         times=times,
         rows=rows,
