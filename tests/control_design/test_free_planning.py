@@ -84,7 +84,7 @@ def test_a_run_turns_the_base_as_planned(arm, tmp_path):
     assert np.abs(arm.force[:, :6]).max() < 1e-9
     path = tmp_path / "plan.yaml"
     arm.plan.save(path, title="of joints")
-    over = [*ARM, "reference.kind=optimal", f"reference.plan={path}", "controller=computed_torque", "duration=8"]
+    over = [*ARM, "reference.kind=optimal", f"reference.plan={path}", "controller=computed_torque", "duration=6"]
     record = simulate(load_scenario("planar_detumble", over), check_stability=False)
     assert record.outcome.completed
     assert base_turn(record) == pytest.approx(turn(arm.rows), abs=1e-5)

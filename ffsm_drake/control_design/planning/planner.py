@@ -30,6 +30,7 @@ _DURATIONS = np.geomspace(0.0025, 1.0, 31)  # of the first guess, as parts of th
 _ATTEMPTS, _LESS = 3, 0.005  # at keeping forces between the solver's instants; share by which they are cut beyond need
 _STALLED = SolutionResult.kSolverSpecificError  # short of the optimum, where what limits a motion has kinks
 _ACCURACY = 1e-8  # of where the undriven base goes, relative
+_FURTHER = 2e-3  # m; by which parts keep off each other beyond need
 _AT_REST = 1e-9  # N m s
 _DETOUR = 0.05  # rad; about each axis, of the base in the first guess
 _SETTLES = (0.5, 1.0, 2.0, 4.0, 8.0)  # s, in which rates at the end die away
@@ -123,8 +124,10 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
     for number, angle in enumerate(angles, start=1):
         detour = functools.partial(_detour, size=driven.size, angle=angle)
         unknowns, share, turn = guess + problem.guess(detour, 0.0), 1.0, planning.base_attitude_limit
+        further = 0.0
         for _ in range(_ATTEMPTS):
             problem.tighten(share, turn)
+            problem.keep_off(further)
             result, points, duration = problem.solve(unknowns)
             plan = Plan(
                 duration=duration, settle=0.0, first_attitude=tuple(q[:4].tolist()), coordinates=coordinates.names,
@@ -134,9 +137,11 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
             solved = result.is_success() or (dynamics.turns and result.get_solution_result() == _STALLED)
             kept = solved and all(margin.kept for margin in found.margins)
             used = {name: _used(found.margins, name) for name in ("force", "turn")}
-            if kept or not solved or max(used.values()) <= 1.0:
+            near = [m for m in found.margins if m.quantity == "clearance" and not m.kept] if dynamics.turns else []
+            if kept or not solved or (max(used.values()) <= 1.0 and not near):
                 break
             # Between the instants that the solver looks at, force and turn are larger: on from here with less of them.
+            further += sum(margin.limit - margin.value + _FURTHER for margin in near)
             share /= max(used["force"] + _LESS, 1.0)
             if turn is not None and used["turn"] > 1.0:
                 turn /= used["turn"] + _LESS

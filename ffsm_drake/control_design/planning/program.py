@@ -108,6 +108,7 @@ class PlanningProgram:
                 program.AddQuadraticConstraint(2.0 * np.eye(3), np.zeros(3), -np.inf, largest_turn**2, point)
 
         self._add_forces(touched)
+        self._clearance: Clearance | None = None
         if clearance is not None and clearance.pairs:
             self._add_clearance(clearance, distance, touched)
         self._scale = 1.0  # of the cost, which solvers like to be about 1
@@ -219,13 +220,18 @@ class PlanningProgram:
             bound = np.full(self._forces.num_constraints(), share)
             self._forces.set_bounds(-bound, bound)
 
+    def keep_off(self, further: float) -> None:
+        """Keep parts further apart than was asked at first, m."""
+        if self._clearance is not None:
+            self._distance = MinimumDistanceLowerBoundConstraint(
+                plant=self._clearance.plant, bound=self._kept + further,
+                plant_context=self._clearance.plant_context, influence_distance_offset=_INFLUENCE,
+            )  # fmt: skip
+
     def _add_clearance(self, clearance: Clearance, distance: float, touched: np.ndarray) -> None:
         """Parts keep their distance; this depends on the joints alone."""
-        evaluator = MinimumDistanceLowerBoundConstraint(
-            plant=clearance.plant, bound=distance + _ROOM, plant_context=clearance.plant_context,
-            influence_distance_offset=_INFLUENCE,
-        )  # fmt: skip
-        self._distance = evaluator  # which the program only borrows
+        self._clearance, self._kept = clearance, distance + _ROOM
+        self.keep_off(0.0)
         size, count = self._size, self._count
         first = np.zeros(clearance.plant.num_positions())
         joints = np.arange(size - (first.size - NUM_BASE_POSITIONS), size)
@@ -240,10 +246,10 @@ class PlanningProgram:
             for k, row in enumerate(rows):
                 q[NUM_BASE_POSITIONS:] = row @ points
                 if x.dtype != object:
-                    value[k] = evaluator.Eval(q)[0]
+                    value[k] = self._distance.Eval(q)[0]
                     continue
                 seeded = InitializeAutoDiff(q).ravel()
-                found = evaluator.Eval(seeded)
+                found = self._distance.Eval(seeded)
                 value[k] = ExtractValue(found)[0, 0]
                 slope = ExtractGradient(found)
                 if slope.size:
