@@ -20,7 +20,7 @@ class FreeDynamics:
     """Force on driven coordinates z_a: joints, perhaps after the base's rotation vector."""
 
     def __init__(self, dynamics: InverseDynamics, coordinates: Coordinates) -> None:
-        """Args: of all coordinates, with R_0 = 1 where the base's rotation is undriven; which there are."""
+        """Args: of all coordinates; which there are."""
         self._dynamics, self._driven = dynamics, coordinates.driven
         self._size = len(coordinates.names)
         self.turns = not coordinates.is_driven[0]  # whether the base's rotation follows
@@ -28,8 +28,8 @@ class FreeDynamics:
     def calc(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """tau_a (na, n) for z_a and its time derivatives (na, n).
 
-        Where the base's rotation follows, below it w_WB and alpha_WB in the base's axes: (na + 6, n). Complex arrays
-        pass.
+        Where the base's rotation follows, below it w_WB and alpha_WB: (na + 6, n), in axes that go with the base and
+        are the world's when its attitude is R_0. Complex arrays pass.
         """
         count = z.shape[1]
         whole, moving, speeding = (np.zeros((self._size, count), dtype=z.dtype) for _ in range(3))

@@ -136,14 +136,14 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
             found = _looked_at(plan, model, everything, limits, clearance, scenario)
             solved = result.is_success() or (dynamics.turns and result.get_solution_result() == _STALLED)
             kept = solved and all(margin.kept for margin in found.margins)
-            used = {name: _used(found.margins, name) for name in ("force", "turn")}
+            used = {name: _used(found.margins, name) for name in (("force", "turn") if dynamics.turns else ("force",))}
             near = [m for m in found.margins if m.quantity == "clearance" and not m.kept] if dynamics.turns else []
             if kept or not solved or (max(used.values()) <= 1.0 and not near):
                 break
             # Between the instants that the solver looks at, force and turn are larger: on from here with less of them.
             further += sum(margin.limit - margin.value + _FURTHER for margin in near)
             share /= max(used["force"] + _LESS, 1.0)
-            if turn is not None and used["turn"] > 1.0:
+            if turn is not None and used.get("turn", 0.0) > 1.0:
                 turn /= used["turn"] + _LESS
             unknowns = np.r_[points.ravel(), duration]
         if kept:
