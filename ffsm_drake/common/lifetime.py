@@ -11,7 +11,7 @@ import functools
 import weakref
 from collections.abc import Callable
 from importlib.metadata import version
-from typing import Any, cast
+from typing import Any
 
 from pydrake.systems.framework import Diagram, System
 
@@ -46,10 +46,10 @@ def untie(system: System) -> None:
             _peers(system).discard(peer)
 
 
-def _peers(thing: Any) -> set[Any]:
-    # No variable may hold this set, here or above: a profiler in another thread (a Dask worker has one) may keep the
-    # frame for a moment, and Drake ends the run when it meets a set with a second holder.
-    return cast("set[Any]", getattr(thing, "__dict__", {}).get(_PEERS, set()))
+def _peers(thing: Any) -> Any:
+    # A set. No variable may hold it, here or in what calls this or is called: a profiler in another thread (a Dask
+    # worker has one) may keep the frame for a moment, and Drake ends the run when it meets a set with a second holder.
+    return getattr(thing, "__dict__", {}).get(_PEERS, set())
 
 
 @functools.cache  # reads a file

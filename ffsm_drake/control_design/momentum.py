@@ -35,9 +35,9 @@ _PARTS = (
     "duration", "sample_time", "divergence_speed",
 )  # fmt: skip
 LONGEST = 1000.0  # s that are looked at
-_INSTANTS = 201  # of the planned motion that are looked at
+_INSTANTS = 201  # of a planned motion that are looked at, and after it as densely to the run's end
 _INSTANTS_AFTER = 2001
-_STEP = 0.05  # rad or m of a joint between two looks at the arm
+_STEP = 0.1  # rad or m of a joint between two looks at the arm
 _SHARE = 0.2  # of the time that is left to the joint that reaches its limit first, likewise
 _OVER = 0.1  # s; when less of it is left
 _TURN = 2.0 * math.pi  # what a joint without limits counts as having left
@@ -160,7 +160,8 @@ def _along(scenario: Scenario, model: PlantModel, q: np.ndarray) -> tuple[np.nda
     if not scenario.undriven or scenario.blocks.reference is not None:
         return np.zeros(1), q[None], np.zeros((1, 3))
     motion = make_motion(scenario, model.coordinates)
-    times = np.linspace(0.0, max(motion.end, scenario.duration), _INSTANTS)
+    parts = max(1.0, scenario.duration / motion.end)
+    times = np.linspace(0.0, parts * motion.end, math.ceil(parts * _INSTANTS))
     positions, v, _ = np.split(motion.rows(times), np.cumsum([q.size, len(model.coordinates.names)]), axis=1)
     return times, positions, (free_floating(model, positions).spin_map @ v[..., None])[..., 0]
 
@@ -177,7 +178,7 @@ def _wheel_budget(wheels: WheelSet, q: np.ndarray, stored: np.ndarray, angular: 
     fullest = int(np.argmax(shares.max(axis=0)))
     change = first - wheels.axes @ wheels.initial_momentum
     return WheelBudget(
-        capacity=wheels.capacity(last),
+        capacity=wheels.capacity(last) if last.any() else wheels.least_capacity,
         least_capacity=wheels.least_capacity,
         share=float(wheels.filled(last).max()),
         peak_share=float(shares.max()),
@@ -196,23 +197,31 @@ def _arm_budget(scenario: Scenario, model: PlantModel, q: np.ndarray, angular: n
         clearance = None
     q, time, ended_by, most = q.copy(), 0.0, "", np.minimum(rate, scenario.divergence_speed)
     arm = slice(NUM_BASE_POSITIONS, None)
-    while time < LONGEST:
+
+    def found(q: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
+        """Rates in a configuration, and the room of the joints there."""
         room = np.stack([limits.upper - q[arm], q[arm] - limits.lower])
-        rates = _evenest(free_floating(model, q), angular, np.where(np.isfinite(room), room, _TURN), most)
+        return _evenest(free_floating(model, q), angular, np.where(np.isfinite(room), room, _TURN), most), room
+
+    while time < LONGEST:
+        rates, room = found(q)
         if rates is None:
-            ended_by = "the joints' rates do not hold it there"
+            ended_by = "no joint rates hold it there"
             break
         own = np.where(rates > 0.0, room[0], room[1]) / np.maximum(np.abs(rates), 1e-300)
         first = int(np.argmin(own))
         if own[first] < _OVER:
-            time += float(own[first])
+            time += max(float(own[first]), 0.0)
             ended_by = f"{limits.names[first]} reaches its limit"
             break
         if clearance is not None and (nearest := clearance.nearest(q)).distance < scenario.clearance:
             ended_by = f"{nearest.first} and {nearest.second} come within {scenario.clearance:g} m of each other"
             break
         step = min(_STEP / max(float(np.abs(rates).max()), 1e-300), _SHARE * float(own[first]), LONGEST)
-        q[arm] += step * rates
+        middle = q.copy()
+        middle[arm] += 0.5 * step * rates
+        between = found(middle)[0]
+        q[arm] += step * (rates if between is None else between)
         time += step
     return ArmBudget(capacity=capacity, time=time if ended_by else None, ended_by=ended_by)
 

@@ -64,7 +64,7 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
         }
     for name, figures in (
         ("drift", drift_metrics(dataset)),
-        ("frame", _frame_metrics(dataset)),
+        ("frame", frame_figures(dataset)),
         ("thrusters", thruster_metrics(dataset)),
         ("wheels", wheel_metrics(dataset)),
         ("drives", drive_metrics(dataset)),
@@ -75,8 +75,9 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     return tracking | {"momentum_residual": sizes}
 
 
-def _frame_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
-    if "frame_error" not in dataset:
+def frame_figures(dataset: "xr.Dataset") -> dict[str, Any]:
+    """``frame_metrics`` of a run's dataset and its smallest singular value; empty where no frame has a reference."""
+    if "frame_error" not in dataset or not dataset.sizes["time"]:
         return {}
     figures: dict[str, Any] = {**frame_metrics(dataset["frame_error"].values, dataset["frame_prescribed"].values)}
     if "smallest_singular_value" in dataset:
@@ -93,7 +94,8 @@ def driven_of(dataset: "xr.Dataset") -> np.ndarray:
 def drift_metrics(dataset: "xr.Dataset") -> dict[str, dict[str, float]]:
     """``base_drift`` of a run's dataset; empty where everything is driven."""
     undriven = dict.fromkeys(dataset["group"].values[~driven_of(dataset)].astype(str).tolist())
-    return base_drift(dataset["position"].values, tuple(undriven)) if undriven else {}
+    known = undriven and "position" in dataset and dataset.sizes["time"]
+    return base_drift(dataset["position"].values, tuple(undriven)) if known else {}
 
 
 def base_drift(positions: np.ndarray, undriven: Sequence[str]) -> dict[str, dict[str, float]]:

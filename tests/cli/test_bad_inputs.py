@@ -1651,12 +1651,27 @@ def test_compare_prints_the_best_first(tmp_path):
     assert [line.split()[0] for line in result.stdout.splitlines()[2:4]] == ["tde_aismc", "computed_torque"]
 
 
-@pytest.mark.parametrize("delay", [0.15, 0.4])
+def wait_for_handler(process):
+    """Until the command catches SIGTERM (SIGINT Python itself does); without /proc for as long as that takes."""
+    status = Path(f"/proc/{process.pid}/status")
+    if not status.exists():
+        time.sleep(0.5)
+        return
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        caught = next(line for line in status.read_text().splitlines() if line.startswith("SigCgt"))
+        if int(caught.split()[1], 16) >> (signal.SIGTERM - 1) & 1:
+            return
+        time.sleep(0.002)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_at_the_start(tmp_path, number, delay):
     """In the imports, mostly: nothing is said, nothing is left."""
     command = [*FFSM, "run", "--out", "new"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, **OWN_PROCESS)
+    wait_for_handler(process)
     time.sleep(delay)
     process.send_signal(number)
     _, stderr = process.communicate(timeout=60)

@@ -167,6 +167,7 @@ def test_scenarios_and_validate(tmp_path):
     good = ffsm("validate", *shipped_scenarios(), mine)
     assert good.exit_code == 0, good.output
     assert f"{mine}: valid; tde_aismc, free base and 5 joints" in good.stdout
+    assert "tumbling_capture: after the grasp as planned: 0.3517 N s" in good.stdout
     mine.write_text("payload: {truth: {mass: -1}}")
     bad = ffsm("validate", "postcapture", mine, "--json")
     assert bad.exit_code == 2

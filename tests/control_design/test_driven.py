@@ -75,3 +75,19 @@ def test_noise_and_drift_are_predicted():
     assert predicted.rms_error[6:] == pytest.approx(rms, rel=0.25)
     assert set(predicted.by_group()) == {"joints"}
     assert not predicted.peak_effort[:6].any()
+
+
+@pytest.mark.slow
+def test_what_a_frame_in_motion_adds_up_to():
+    """Five joints for a pose: stable where the frame rests, and slowly unstable on the way."""
+    margins = stability(load_scenario("free_floating"), postures=3)
+    radii = np.array([loop.spectral_radius for loop in margins.loops])
+    assert radii[[0, -1]].max() < 0.995
+    assert radii.max() > 1.001
+    rates = np.maximum(np.log(radii), 0.0) / 0.01
+    grown = np.exp(np.trapezoid(rates, [loop.time for loop in margins.loops]))
+    assert margins.growth == pytest.approx(grown, rel=1e-12)
+    assert 3.0 < margins.growth < 10.0
+    assert margins.is_stable
+    assert f"grow by up to {margins.growth:.2g} times" in margins.verdict
+    assert stability(free("tdc"), postures=3).growth == 1.0

@@ -106,7 +106,9 @@ def test_the_ledger_counts_the_wheels(run):
     # Between two samples torques and forces of a few N m and N act.
     change = data["angular_momentum"].values[GRASP - 1] - ledger["before"]["angular_momentum"]
     assert np.linalg.norm(change) < 0.2
-    rows = {row[0]: row[1:3] for row in grasp_of(results_of([record])[0])["ledger"]}
+    section = grasp_of(results_of([record])[0])
+    assert section["budget"][0].startswith("After the grasp as planned: ")
+    rows = {row[0]: row[1:3] for row in section["ledger"]}
     assert rows["of which in the wheels [N m s]"] == [", ".join(number(each) for each in stored)] * 2
 
 

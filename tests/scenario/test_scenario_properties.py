@@ -79,6 +79,7 @@ SPECIAL = {
     ),
     "reserve": st.floats(0.0, 0.99),
     "goal": st.sampled_from(GOALS),
+    "driven": st.just(["all"]),
     "capture": st.none()
     | st.fixed_dictionaries(
         {"rate": st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3)},

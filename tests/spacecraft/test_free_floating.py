@@ -288,6 +288,18 @@ def test_with_driven_attitude_the_position_follows(case: Case, library: Library)
     assert_near(ours.velocity(v[:, driven], theirs.momentum), v)
 
 
+def test_angular_momentum_about_the_centre_of_mass(case: Case) -> None:
+    q, v = random_states(case.model, 50)
+    stack = free_floating(case.model, q)
+    plant, context = case.model.plant, case.model.context
+    for each, state in enumerate(np.hstack([q, v])):
+        plant.SetPositionsAndVelocities(context, state)
+        center = plant.CalcCenterOfMassPositionInWorld(context)
+        assert_allclose(q[each, 4:7] + stack.center_of_mass[each], center, atol=1e-12)
+        spin = plant.CalcSpatialMomentumInWorldAboutPoint(context, center).rotational()
+        assert_allclose(stack.spin_map[each] @ v[each], spin, rtol=1e-11, atol=1e-9)
+
+
 def test_a_free_plant_moves_as_momentum_says(case: Case) -> None:
     """Torques on the joints alone: the frame's velocity, by differences of its pose, is J* q' + drift."""
     model, plant, context = case.model, case.model.plant, case.model.context.Clone()

@@ -33,6 +33,7 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
 
 _RUN_AWAY = 5.0  # times 2/L: beyond, no loop is stable whose inertia is at least a sixth of the nominal one
+_GROWN = 1.5  # times that errors grow, from which on it is said
 POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of the planned motion that the loop is linearised at
 
 
@@ -88,8 +89,25 @@ class Margins:
 
     @property
     def worst(self) -> LinearLoop:
-        """The loop of the posture with the largest spectral radius, at the starting gains."""
-        return max(self.loops, key=lambda loop: loop.spectral_radius)
+        """The loop of the posture with the largest spectral radius, at the starting gains.
+
+        Where a frame is tracked that of the start or the end of the motion: see ``growth``.
+        """
+        loops = (self.loops[0], self.loops[-1]) if self.loops[0].tracks_frame else self.loops
+        return max(loops, key=lambda loop: loop.spectral_radius)
+
+    @property
+    def growth(self) -> float:
+        """How many times small errors may grow while a tracked frame moves; 1 where none is tracked.
+
+        What the joints cannot give of a twist, or hold back from their plan for the frame, makes the loop of a posture
+        that is passed slowly unstable without being so anywhere it rests: the integral over the motion is what counts.
+        """
+        if not self.loops[0].tracks_frame:
+            return 1.0
+        times, step = [loop.time for loop in self.loops], self.loops[0].sample_time
+        rates = [max(0.0, math.log(loop.spectral_radius)) / step for loop in self.loops]
+        return math.exp(float(np.trapezoid(rates, times)))
 
     @property
     def edge_time(self) -> float:
@@ -135,6 +153,8 @@ class Margins:
     def _with_actuators(self) -> str:
         """The verdict on a loop that is stable while nothing saturates."""
         found = self.rehearsal
+        if found is None and self.growth > _GROWN:
+            return f"stable at rest; while the frame moves, small errors grow by up to {self.growth:.2g} times"
         if found is None:
             return "stable"
         if found.share_diverged > 0.0:

@@ -10,6 +10,7 @@ from typing import Any
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.runs.deflections import deflection_metrics
 from ffsm_drake.runs.limits import plan_remarks, run_clearance, run_remarks, saturation
+from ffsm_drake.runs.metrics import drift_metrics, frame_figures
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.report.results import Result, actuators_act, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
@@ -80,6 +81,8 @@ def _untracked(results: Sequence[Result]) -> set[str]:
     """Groups whose errors no run is judged by: nothing drives them, or a frame is tracked in their place."""
     groups = {part.group for result in results for part in result.magnitudes}
     for data in (result.record.dataset for result in results):
+        if "error" not in data:
+            continue
         by_coordinate = dict(zip(data["coordinate"].values.astype(str), data["group"].values.astype(str), strict=True))
         groups -= {by_coordinate[name] for name in tracked_of(data).names if name in by_coordinate}
     return groups
@@ -87,18 +90,19 @@ def _untracked(results: Sequence[Result]) -> set[str]:
 
 def _of_frame(results: Sequence[Result]) -> list[Row]:
     """How far the frame of the runs is from its reference; nothing where none has one."""
-    return _by_moment(results, "frame", "error of the frame", (("rotation", "attitude", "rad"), ("position", "", "m")))
+    found = [frame_figures(result.record.dataset) for result in results]
+    return _by_moment(found, "error of the frame", (("rotation", "attitude", "rad"), ("position", "", "m")))
 
 
 def _of_drift(results: Sequence[Result]) -> list[Row]:
     """Where the base of the runs went that nothing drives there."""
     parts = (("base_rotation", "attitude", "rad"), ("base_position", "", "m"))
-    return _by_moment(results, "drift", "drift of the base from its start", parts)
+    found = [drift_metrics(result.record.dataset) for result in results]
+    return _by_moment(found, "drift of the base from its start", parts)
 
 
-def _by_moment(results: Sequence[Result], metric: str, what: str, parts: Sequence[tuple[str, str, str]]) -> list[Row]:
-    """Rows of ``largest`` and ``final`` sizes by part (key, name, unit) of a metric that not every run has."""
-    found = [result.record.metrics.get(metric, {}) for result in results]
+def _by_moment(found: Sequence[Mapping[str, Any]], what: str, parts: Sequence[tuple[str, str, str]]) -> list[Row]:
+    """Rows of ``largest`` and ``final`` sizes by part (key, name, unit), which not every run has."""
     rows = []
     for moment in ("largest", "final"):
         of_moment = [figures.get(moment, {}) for figures in found]
