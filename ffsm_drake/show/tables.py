@@ -506,6 +506,7 @@ def plan_table(found: "PlannedMotionReport") -> str:
         f"Integral of the squared force (ISV): {number(found.effort)}; impulses: base torque "
         f"{number(found.impulse['base_rotation'])} N m s, base force {number(found.impulse['base_position'])} N s, "
         f"joints {number(found.impulse['joints'])}",
+        *([] if found.base_turn is None else [f"Momentum turns the base by up to {number(found.base_turn)} rad"]),
         "",
     ]
     rows = [["", "nearest to the limit", "limit", "used", "at"]]
@@ -532,5 +533,6 @@ def plan_data(found: "PlannedMotionReport") -> dict[str, Any]:
         "angular_momentum": found.angular_momentum,
         "angular_momentum_left": found.momentum_left,
         "least_by_torque": found.least_by_torque,
+        "base_turn": found.base_turn,
         "margins": [dataclasses.asdict(margin) | {"kept": margin.kept} for margin in found.margins],
     }

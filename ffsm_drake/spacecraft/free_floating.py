@@ -189,33 +189,42 @@ class ReducedModel(PlantModel):
     plant's.
     """
 
+    # As FreeFloating has it, on one configuration, for every control sample.
+
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """H* and ones (..., nv, nv) in configurations q (..., nq)."""
         whole = super().calc_mass_matrix(q)  # of several, each came by here
-        return whole if q.ndim > 1 else self._reduced(whole, q)
+        return whole if q.ndim > 1 else self._reduced(whole)
 
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """As PlantModel: H* of what the known coordinates weigh."""
         whole = PlantModel.calc_mass_matrix(self, self.hidden.whole_positions(q))
         if self.hidden.names:
             whole = apparent_mass_matrix(whole, self.hidden.known, self.hidden.hidden)
-        return self._reduced(whole, q)
+        return self._reduced(whole)
 
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """C* and zeros (..., nv), N m and N, of the velocities v of all."""
         whole = super().calc_bias(q, v)
         if q.ndim > 1:
             return whole
+        across, own, _ = self._blocks
+        H = PlantModel.calc_mass_matrix(self, q)
+        driven, undriven = self.coordinates.driven, own[1][0]
         result = np.zeros_like(whole)
-        result[self.coordinates.driven] = self._stack(PlantModel.calc_mass_matrix(self, q), q).reduced_bias(whole)
+        result[driven] = whole[driven] - H[across].T.dot(np.linalg.solve(H[own], whole[undriven]))
         return result
 
-    def _stack(self, mass_matrix: np.ndarray, q: np.ndarray) -> FreeFloating:
-        return FreeFloating(mass_matrix=mass_matrix, base_position=q[_POSITION], driven=self.coordinates.driven)
+    @functools.cached_property
+    def _blocks(self) -> tuple[tuple[np.ndarray, ...], ...]:
+        """Where H_ua, H_uu and H_aa stand."""
+        driven, undriven = self.coordinates.driven, np.flatnonzero(~self.coordinates.is_driven)
+        return np.ix_(undriven, driven), np.ix_(undriven, undriven), np.ix_(driven, driven)
 
-    def _reduced(self, whole: np.ndarray, q: np.ndarray) -> np.ndarray:
-        result, driven = np.eye(len(whole)), self.coordinates.driven
-        result[np.ix_(driven, driven)] = self._stack(whole, q).reduced_mass_matrix
+    def _reduced(self, whole: np.ndarray) -> np.ndarray:
+        across, own, kept = self._blocks
+        result, coupling = np.eye(len(whole)), whole[across]
+        result[kept] = whole[kept] - coupling.T.dot(np.linalg.solve(whole[own], coupling))
         return result
 
 

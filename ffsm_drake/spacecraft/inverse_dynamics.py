@@ -9,6 +9,7 @@ tests compare it with Drake's. No gravity.
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from pydrake.math import RotationMatrix
@@ -61,6 +62,30 @@ def attitude_motion(
     return rotation, w, alpha
 
 
+def complex_step(
+    calc: Callable[..., np.ndarray], motion: tuple[np.ndarray, np.ndarray, np.ndarray], wanted: list[tuple[int, int]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """calc(z, rate, acceleration) (m, n) of a motion (size, n each), and derivatives (3, m, size, n; row, column).
+
+    Args: of complex arrays, column by column; by what to differentiate: (order, index), others are zero.
+    """
+    size, count = motion[0].shape
+    share = max(1, _COLUMNS // count)
+    value, derivative = np.empty(0), np.empty(0)
+    for start in range(0, len(wanted), share):
+        some = wanted[start : start + share]
+        given = [np.repeat(part[:, None].astype(complex), len(some), axis=1) for part in motion]
+        for column, (which, i) in enumerate(some):
+            given[which][i, column] += 1j * _STEP
+        found = calc(*(part.reshape(size, -1) for part in given)).reshape(-1, len(some), count)
+        if not derivative.size:
+            derivative = np.zeros((3, len(found), size, count))
+        for column, (which, i) in enumerate(some):
+            derivative[which, :, i] = found[:, column].imag / _STEP
+        value = found[:, 0].real
+    return value, derivative
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Link:
     """What moves as one body, in a frame of its own, that of its joint."""
@@ -79,6 +104,8 @@ class _Link:
 
 class InverseDynamics:
     """The generalized force tau = H dv/dt + C + d v that a motion takes, d being the joints' damping."""
+
+    turns = False  # the base's rotation is a coordinate of the motion
 
     def __init__(self, model: PlantModel, first: RotationMatrix) -> None:
         """Args: the plant with its payload; the attitude R_0 that rotation vectors are counted from."""
@@ -111,6 +138,11 @@ class InverseDynamics:
                 own = self._joint(joint, link_of, frames, context)
                 link = dataclasses.replace(link, **own, rotor=rotors.get(joint.index(), 0.0))
             self._links.append(link)
+
+    @property
+    def mass(self) -> float:
+        """Of the whole spacecraft, kg."""
+        return sum(link.mass for link in self._links)
 
     @staticmethod
     def _joint(joint: Joint, link_of: dict, frames: list, context: object) -> dict:  # type: ignore[type-arg]
@@ -177,19 +209,7 @@ class InverseDynamics:
 
     def linearized(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """tau (nv, n), and its derivatives by z, rate and acceleration (3, nv, nv, n; row, column)."""
-        size, count = z.shape
+        size = len(z)
         inner = [i for i in range(size) if not 3 <= i < NUM_BASE_VELOCITIES]  # nothing depends on place and its rate
         wanted = [(0, i) for i in inner] + [(1, i) for i in inner] + [(2, i) for i in range(size)]
-        derivative = np.zeros((3, size, size, count))
-        tau = np.empty((size, count))
-        share = max(1, _COLUMNS // count)
-        for start in range(0, len(wanted), share):
-            some = wanted[start : start + share]
-            given = [np.repeat(part[:, None].astype(complex), len(some), axis=1) for part in (z, rate, acceleration)]
-            for column, (which, i) in enumerate(some):
-                given[which][i, column] += 1j * _STEP
-            found = self.force(*(part.reshape(size, -1) for part in given)).reshape(size, len(some), count)
-            for column, (which, i) in enumerate(some):
-                derivative[which, :, i] = found[:, column].imag / _STEP
-            tau = found[:, 0].real
-        return tau, derivative
+        return complex_step(self.force, (z, rate, acceleration), wanted)

@@ -221,6 +221,7 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
 def _content(scenario: Scenario) -> tuple[str, ...]:
     """What a planned motion depends on, files by when they were written."""
     data, files = scenario_to_dict(scenario), urdfs_of(scenario.model)
+    del data["payload"]["truth"]  # of which a plan knows nothing: the cases of a campaign share it
     parts = ("model", "payload", "reference", "initial_posture", "target_posture", "capture", "actuation", "blocks")
     if scenario.reference.kind == "optimal":
         files = (*files, resolve_package(scenario.reference.plan or ""))

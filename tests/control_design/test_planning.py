@@ -96,8 +96,6 @@ def test_the_base_turns_no_further_than_it_may(quick):
     assert 0.9 * limit < turn(found) == pytest.approx(margin.value, rel=1e-6)
     assert all(margin.kept for margin in found.margins)
     assert found.plan.duration > quick.plan.duration
-    with pytest.raises(ScenarioError, match=r"actuation.driven: every coordinate must be for a plan, not joints alone"):
-        plan_motion(load_scenario("planar_detumble", ["actuation.driven=[joints]"]))
 
 
 def test_goal_posture_and_effort():

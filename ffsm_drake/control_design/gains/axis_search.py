@@ -93,7 +93,8 @@ class AxisSearch:
         return [
             group
             for group, axis in self._axes.items()
-            if any(not np.isfinite(axis.cost(x + step[: x.size])[0]) for x in [self._chosen[group]] for step in steps)
+            if group in self._demand.coordinates.driven_groups
+            and any(not np.isfinite(axis.cost(x + step[: x.size])[0]) for x in [self._chosen[group]] for step in steps)
         ]
 
     def _within(self, budget: float) -> dict[str, np.ndarray]:

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.joint_limits import joint_limits, rate_limits
@@ -23,6 +24,10 @@ class MotionLimits:
     lower: np.ndarray  # rad or m
     upper: np.ndarray
     impulse: np.ndarray  # N m s or N s; integral of the force's size
+
+    def of(self, indices: np.ndarray) -> "MotionLimits":
+        """Of some coordinates alone."""
+        return MotionLimits(**{field.name: getattr(self, field.name)[indices] for field in dataclasses.fields(self)})
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -51,20 +56,24 @@ class Margin:
 
 
 def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:
-    """The limits of a scenario: of its actuators, its URDFs and drives, and of ``planning``.
+    """The limits of a scenario: of its actuators, its URDFs and drives, and of ``planning``; none where nothing drives.
 
-    Raises ScenarioError for a coordinate that does not exist, ModelError for a URDF that cannot be read.
+    Raises ScenarioError for a coordinate that does not exist or is undriven, ModelError for a URDF that cannot be read.
     """
     coordinates, planning = model.coordinates, scenario.planning
 
     def vector(values: dict[str, float] | None, key: str) -> np.ndarray:
-        return coordinates.vector(values or {}, key=key, default=np.inf)
+        found = coordinates.vector(values or {}, key=key, default=np.inf)
+        for name in (*coordinates.undriven, *np.array(coordinates.names)[~coordinates.is_driven].tolist()):
+            if name in (values or {}):
+                raise ScenarioError(f"{key}.{name}", "is undriven (actuation.driven), which a plan does not limit")
+        return np.where(coordinates.is_driven, found, np.inf)
 
     urdf = joint_limits(scenario.model, model.plant)
     base = np.full(NUM_BASE_VELOCITIES, np.inf)
     rate = np.r_[base, rate_limits(scenario, model.plant)]
     return MotionLimits(
-        force=force_limits(scenario, model.plant),
+        force=np.where(coordinates.is_driven, force_limits(scenario, model.plant), np.inf),
         rate=np.minimum(vector(planning.velocity_limit, "planning.velocity_limit"), rate),
         lower=np.r_[-base, urdf.lower],
         upper=np.r_[base, urdf.upper],

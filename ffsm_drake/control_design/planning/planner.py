@@ -8,22 +8,30 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
+from pydrake.solvers import SolutionResult
 
 from ffsm_drake.common.errors import FfsmError, ScenarioError
+from ffsm_drake.control_design.planning.free_dynamics import FreeDynamics
 from ffsm_drake.control_design.planning.limits import Margin, MotionLimits, margins, motion_limits
 from ffsm_drake.control_design.planning.program import PlanningProgram
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.capture import velocity_at_start
 from ffsm_drake.spacecraft.clearance import Clearance
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, rotation_error
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_errors, rotation_error
 from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.plan import Plan
+from ffsm_drake.systems.free_motion import FreeMotion
+from ffsm_drake.systems.plan import DEGREE, Plan
+from ffsm_drake.systems.reference import SplineMotion
 
 _INSTANTS = 401  # at which a plan is looked at
 _DURATIONS = np.geomspace(0.0025, 1.0, 31)  # of the first guess, as parts of the longest
 _ATTEMPTS, _LESS = 3, 0.005  # at keeping forces between the solver's instants; share by which they are cut beyond need
+_STALLED = SolutionResult.kSolverSpecificError  # short of the optimum, where what limits a motion has kinks
+_ACCURACY = 1e-8  # of where the undriven base goes, relative
+_FURTHER = 2e-3  # m; by which parts keep off each other beyond need
+_AT_REST = 1e-9  # N m s
 _DETOUR = 0.05  # rad; about each axis, of the base in the first guess
 _SETTLES = (0.5, 1.0, 2.0, 4.0, 8.0)  # s, in which rates at the end die away
 
@@ -45,6 +53,7 @@ class PlannedMotionReport:
     angular_momentum: float
     least_by_torque: float
     momentum_left: float  # N m s; |H| about the centre of mass at ``plan.duration``
+    base_turn: float | None  # rad; the largest, where momentum turns the base, from its first attitude
     margins: tuple[Margin, ...]
     times: np.ndarray  # (n,), s, to the end of the plan
     rows: np.ndarray  # [q_d; v_d; dv_d/dt] (n, nq + 2 nv)
@@ -64,12 +73,6 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
       ModelError, ScenarioError: the model or a value cannot be used.
     """
     begun = time.perf_counter()
-    if scenario.undriven:
-        raise ScenarioError(
-            "actuation.driven",
-            f"every coordinate must be for a plan, not {', '.join(scenario.driven)} alone; take reference.kind "
-            "quintic, and reference.frame.hold for the base's attitude",
-        )
     model, planning = make_nominal_plant(scenario), scenario.planning
     coordinates = model.coordinates
     limits = motion_limits(scenario, model)
@@ -87,9 +90,17 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
     size = float(np.linalg.norm(momentum))
     largest = float(np.max(limits.force[:3]))
     least = size / largest if np.isfinite(largest) else 0.0
+    driven = coordinates.driven
+    if "base_rotation" in scenario.undriven and size > _AT_REST:
+        raise ScenarioError(
+            "actuation.driven",
+            f"joints alone cannot take out the angular momentum of {size:.3g} N m s, and a plan with it is not found "
+            "here; have base_rotation driven, or take reference.kind quintic",
+        )
     _check_ends(scenario, model, limits, clearance, q=q, rate=rate, target=None if free else target)
 
-    dynamics = InverseDynamics(model, RotationMatrix(Quaternion(q[:4])))
+    everything = InverseDynamics(model, RotationMatrix(Quaternion(q[:4])))
+    dynamics = FreeDynamics(everything, coordinates) if scenario.undriven else everything
 
     def report(evaluations: int, duration: float, worst: float) -> None:
         progress(
@@ -98,34 +109,42 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
         )
 
     problem = PlanningProgram(
-        dynamics=dynamics, planning=planning, limits=limits, start=start, rate=rate, goal=None if free else goal,
+        dynamics=dynamics, planning=planning, limits=limits.of(driven), start=start[driven],
+        rate=rate[driven], goal=None if free else goal[driven],
         shortest=planning.segments * scenario.sample_time, longest=longest,
         clearance=clearance if scenario.clearance > 0.0 else None, distance=scenario.clearance,
         largest_turn=planning.base_attitude_limit, report=report,
     )  # fmt: skip
-    allowed = limits.force * (1.0 - planning.reserve)
-    guess = _first_guess(problem, allowed, start, rate, goal, free=free)
+    allowed = limits.force[driven] * (1.0 - planning.reserve)
+    guess = _first_guess(problem, allowed, start[driven], rate[driven], goal[driven], free=free)
     progress(f"first guess: fifth-order polynomial of {guess[-1]:.2f} s")
     failures = []
     # An impulse limit leaves no room for a detour; without, that comes first.
-    angles = (0.0, _DETOUR) if planning.impulse_limit else (_DETOUR, 0.0)
+    angles = (0.0, _DETOUR) if planning.impulse_limit or everything is not dynamics else (_DETOUR, 0.0)
     for number, angle in enumerate(angles, start=1):
-        detour = functools.partial(_detour, size=start.size, angle=angle)
-        unknowns, share = guess + problem.guess(detour, 0.0), 1.0
+        detour = functools.partial(_detour, size=driven.size, angle=angle)
+        unknowns, share, turn = guess + problem.guess(detour, 0.0), 1.0, planning.base_attitude_limit
+        further = 0.0
         for _ in range(_ATTEMPTS):
-            problem.tighten(share)
+            problem.tighten(share, turn)
+            problem.keep_off(further)
             result, points, duration = problem.solve(unknowns)
             plan = Plan(
                 duration=duration, settle=0.0, first_attitude=tuple(q[:4].tolist()), coordinates=coordinates.names,
-                control_points=points,
+                control_points=_of_all(points, rate * duration, driven),
             )  # fmt: skip
-            found = _looked_at(plan, model, dynamics, limits, clearance, scenario)
-            kept = result.is_success() and all(margin.kept for margin in found.margins)
-            forces = [abs(margin.value / margin.limit) for margin in found.margins if margin.quantity == "force"]
-            if kept or not result.is_success() or max(forces, default=0.0) <= 1.0:
+            found = _looked_at(plan, model, everything, limits, clearance, scenario)
+            solved = result.is_success() or (dynamics.turns and result.get_solution_result() == _STALLED)
+            kept = solved and all(margin.kept for margin in found.margins)
+            used = {name: _used(found.margins, name) for name in (("force", "turn") if dynamics.turns else ("force",))}
+            near = [m for m in found.margins if m.quantity == "clearance" and not m.kept] if dynamics.turns else []
+            if kept or not solved or (max(used.values()) <= 1.0 and not near):
                 break
-            # Between the instants that the solver looks at, a force is larger: on from here with less of it.
-            share /= max(forces) + _LESS
+            # Between the instants that the solver looks at, force and turn are larger: on from here with less of them.
+            further += sum(margin.limit - margin.value + _FURTHER for margin in near)
+            share /= max(used["force"] + _LESS, 1.0)
+            if turn is not None and used.get("turn", 0.0) > 1.0:
+                turn /= used["turn"] + _LESS
             unknowns = np.r_[points.ravel(), duration]
         if kept:
             break
@@ -135,7 +154,7 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
         raise PlanningError(_why_not(failures, scenario, size, least))
     if planning.end_rate > 0.0:
         for settle in _SETTLES:
-            found = _looked_at(dataclasses.replace(plan, settle=settle), model, dynamics, limits, clearance, scenario)
+            found = _looked_at(dataclasses.replace(plan, settle=settle), model, everything, limits, clearance, scenario)
             if all(margin.kept for margin in found.margins if margin.quantity != "impulse"):
                 break
     return dataclasses.replace(
@@ -227,6 +246,22 @@ def _detour(share: np.ndarray, size: int, angle: float) -> np.ndarray:
     return angle * np.sin(np.pi * share[:, None]) ** 2 * (np.arange(size) < 3)
 
 
+def _used(found: tuple[Margin, ...], quantity: str) -> float:
+    """The largest share of a limit that is used."""
+    return max((abs(margin.value / margin.limit) for margin in found if margin.quantity == quantity), default=0.0)
+
+
+def _of_all(points: np.ndarray, change: np.ndarray, driven: np.ndarray) -> np.ndarray:
+    """Control points (count, nv) of driven ones (count, na): the others' have but the rate at the start, ``change``/T.
+
+    That is what their momentum is known by; a run then has them where it takes them.
+    """
+    result = np.zeros((len(points), change.size))
+    result[1:] = change / (DEGREE * (len(points) - DEGREE))
+    result[:, driven] = points
+    return result
+
+
 def _looked_at(
     plan: Plan,
     model: PlantModel,
@@ -238,16 +273,25 @@ def _looked_at(
     """What a plan takes and leaves, on a finer grid than it was made on."""
     times = np.linspace(0.0, plan.end, _INSTANTS)
     z, rate, acceleration = plan.curve(times)
-    rows, force = plan.rows(times), dynamics.force(z, rate, acceleration).T
+    if model.coordinates.undriven:
+        planned = SplineMotion(plan, coordinates=model.coordinates, sample_time=scenario.sample_time)
+        followed = FreeMotion(planned, model=model, sample_time=scenario.sample_time)
+        followed.accuracy = _ACCURACY
+        rows = followed.rows(times)
+        force = model.calc_tracking_force(*np.split(rows, [len(z) + 1, 2 * len(z) + 1], axis=1))
+    else:
+        rows, force = plan.rows(times), dynamics.force(z, rate, acceleration).T
     main = times <= plan.duration
     found = margins(limits, model, times, rows, force)
     within = margins(limits, model, times[main], rows[main], force[main])
     # The impulse is limited up to the duration, as it was planned.
     found = [m for m in found if m.quantity != "impulse"] + [m for m in within if m.quantity == "impulse"]
     num_positions = len(model.coordinates.position_names)
-    largest_turn = scenario.planning.base_attitude_limit
+    turns, base_turn, largest_turn = np.linalg.norm(z[:3], axis=0), None, scenario.planning.base_attitude_limit
+    if not model.coordinates.is_driven[0]:
+        turns = np.linalg.norm(position_errors(rows, np.broadcast_to(rows[0], rows.shape))[:, :3], axis=1)
+        base_turn = float(turns.max())
     if largest_turn is not None:
-        turns = np.linalg.norm(z[:3], axis=0)
         k = int(np.argmax(turns))
         turn, time_of = float(turns[k]), float(times[k])
         found.append(Margin(quantity="turn", name="base", value=turn, limit=largest_turn, time=time_of, unit="rad"))
@@ -274,6 +318,7 @@ def _looked_at(
         angular_momentum=0.0,
         least_by_torque=0.0,
         momentum_left=float(np.linalg.norm(left)),
+        base_turn=base_turn,
         margins=tuple(found),
         times=times,
         rows=rows,

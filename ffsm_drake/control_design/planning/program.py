@@ -21,10 +21,11 @@ from pydrake.solvers import (
 )
 from pydrake.trajectories import BsplineTrajectory
 
+from ffsm_drake.control_design.planning.free_dynamics import FreeDynamics, rotation_vector, turned
 from ffsm_drake.control_design.planning.limits import MotionLimits
 from ffsm_drake.scenario import Planning
 from ffsm_drake.spacecraft.clearance import Clearance
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
 from ffsm_drake.systems.plan import DEGREE
 
@@ -32,6 +33,7 @@ _INFLUENCE = 0.1  # m beyond the clearance; nearer parts are seen by the solver
 _INSTANTS = 3  # in which force and clearance are looked at, per segment
 _ROOM = 0.002  # m beyond the clearance, for what happens between these instants
 _SUM = 0.005  # share of an impulse that the sum over these instants may miss
+_LESS_TURN, _TURN_ROOM = 0.85, 1e-3  # of the base's turn, from one solution to the next; relative
 _OPTIONS = {
     "Major iterations limit": 1000,
     "Iterations limit": 100_000,
@@ -46,7 +48,7 @@ class PlanningProgram:
     def __init__(
         self,
         *,
-        dynamics: InverseDynamics,
+        dynamics: InverseDynamics | FreeDynamics,
         planning: Planning,
         limits: MotionLimits,
         start: np.ndarray,
@@ -59,9 +61,9 @@ class PlanningProgram:
         largest_turn: float | None,
         report: Callable[[int, float, float], None],
     ) -> None:
-        """Args: of the problem; z and its rate at the start, z at the end (None: anywhere); durations, s;
-        distances to keep, and how much, m; the base's largest turn, rad; ``report`` is called with evaluations,
-        duration and the worst force relative to its limit.
+        """Args: of the problem, with ``limits`` of z alone; z and its rate at the start, z at the end (None: anywhere);
+        durations, s; distances to keep, and how much, m; the base's largest turn, rad; ``report`` is called with
+        evaluations, duration and the worst force relative to its limit.
         """
         self._dynamics, self._planning, self._limits = dynamics, planning, limits
         self._report, self._reported = report, time.monotonic()
@@ -97,11 +99,16 @@ class PlanningProgram:
                 self._limit_rate(points[:, i], duration, float(limits.rate[i]))
         if goal is not None:
             program.AddBoundingBoxConstraint(goal, goal, points[-1])
-        if largest_turn is not None:  # of the control points, in whose hull the curve is
+        self._turn: PyFunctionConstraint | None = None
+        self._largest_turn = self._allowed_turn = np.inf if largest_turn is None else largest_turn
+        if largest_turn is not None and dynamics.turns:
+            self._add_turn()
+        elif largest_turn is not None:  # of the control points, in whose hull the curve is
             for point in points[1:, :3]:
                 program.AddQuadraticConstraint(2.0 * np.eye(3), np.zeros(3), -np.inf, largest_turn**2, point)
 
         self._add_forces(touched)
+        self._clearance: Clearance | None = None
         if clearance is not None and clearance.pairs:
             self._add_clearance(clearance, distance, touched)
         self._scale = 1.0  # of the cost, which solvers like to be about 1
@@ -170,22 +177,64 @@ class PlanningProgram:
                 np.r_[self._duration, sizes[k :: limited.size]],
             )  # fmt: skip
 
-    def tighten(self, share: float) -> None:
-        """Keep forces below this share of what they were allowed at first."""
+    def _add_turn(self) -> None:
+        """The base turns no further, as momentum takes it: that depends on the path of the joints, not on how fast."""
+        unknowns = np.r_[self._points, self._duration]
+
+        def square(x: np.ndarray) -> np.ndarray:
+            differentiated = x.dtype == object
+            vector, turning = self._turned(ExtractValue(x).ravel() if differentiated else x)
+            value = (vector**2).sum(axis=1) / self._allowed_turn**2
+            if not differentiated:
+                return value
+            gradient = 2.0 / self._allowed_turn**2 * np.einsum("ki,kix->kx", vector, turning)
+            return InitializeAutoDiff(value[:, None], gradient @ ExtractGradient(x))
+
+        ones = np.ones(self.share.size - 1)
+        self._turn = self._program.AddConstraint(square, -np.inf * ones, ones, unknowns).evaluator()
+
+    def _turned(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The base's rotation vector in every instant but the first, and its small rotations by the unknowns."""
+        self._evaluate_all(unknowns)
+        found, slope = (part[:, self._size :] for part in self._cache[1:])
+        step = float(unknowns[-1]) / (self.share.size - 1)
+        rotation, turning = turned(found[:, :3], found[:, 3:], slope, step)
+        turning[..., -1] = 0.0  # but for rounding
+        return rotation_vector(rotation[1:]), turning[1:]
+
+    def _turn_of(self, unknowns: np.ndarray) -> float:
+        """How far the joints turn the base, rad; zero where nothing limits it."""
+        return 0.0 if self._turn is None else float(np.linalg.norm(self._turned(unknowns)[0], axis=1).max())
+
+    def _allow_turn(self, allowed: float) -> None:
+        if self._turn is not None:
+            self._allowed_turn = min(allowed, np.pi)
+            bound = np.full(self._turn.num_constraints(), 1.0 if np.isfinite(allowed) else np.inf)
+            self._turn.set_bounds(-np.inf * bound, bound)
+
+    def tighten(self, share: float, turn: float | None) -> None:
+        """Keep forces below this share of what they were allowed at first, the base's turn below this, rad."""
+        if self._turn is not None and turn is not None:
+            self._largest_turn = turn
         if self._forces is not None:
             bound = np.full(self._forces.num_constraints(), share)
             self._forces.set_bounds(-bound, bound)
 
+    def keep_off(self, further: float) -> None:
+        """Keep parts further apart than was asked at first, m."""
+        if self._clearance is not None:
+            self._distance = MinimumDistanceLowerBoundConstraint(
+                plant=self._clearance.plant, bound=self._kept + further,
+                plant_context=self._clearance.plant_context, influence_distance_offset=_INFLUENCE,
+            )  # fmt: skip
+
     def _add_clearance(self, clearance: Clearance, distance: float, touched: np.ndarray) -> None:
         """Parts keep their distance; this depends on the joints alone."""
-        evaluator = MinimumDistanceLowerBoundConstraint(
-            plant=clearance.plant, bound=distance + _ROOM, plant_context=clearance.plant_context,
-            influence_distance_offset=_INFLUENCE,
-        )  # fmt: skip
-        self._distance = evaluator  # which the program only borrows
+        self._clearance, self._kept = clearance, distance + _ROOM
+        self.keep_off(0.0)
         size, count = self._size, self._count
-        joints = np.arange(NUM_BASE_VELOCITIES, size)
         first = np.zeros(clearance.plant.num_positions())
+        joints = np.arange(size - (first.size - NUM_BASE_POSITIONS), size)
         first[0] = 1.0
         rows = self.basis[0]
         columns = (np.arange(count)[:, None] * size + joints).ravel()
@@ -197,10 +246,10 @@ class PlanningProgram:
             for k, row in enumerate(rows):
                 q[NUM_BASE_POSITIONS:] = row @ points
                 if x.dtype != object:
-                    value[k] = evaluator.Eval(q)[0]
+                    value[k] = self._distance.Eval(q)[0]
                     continue
                 seeded = InitializeAutoDiff(q).ravel()
-                found = evaluator.Eval(seeded)
+                found = self._distance.Eval(seeded)
                 value[k] = ExtractValue(found)[0, 0]
                 slope = ExtractGradient(found)
                 if slope.size:
@@ -244,26 +293,31 @@ class PlanningProgram:
         return InitializeAutoDiff(result[:, None], gradient @ ExtractGradient(x))
 
     def evaluate(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (instants, nv) of [P, T], and their gradient (instants, nv, unknowns)."""
+        """Forces (instants, size) of [P, T], and their gradient (instants, size, unknowns)."""
+        self._evaluate_all(unknowns)
+        return self._cache[1][:, : self._size], self._cache[2][:, : self._size]
+
+    def _evaluate_all(self, unknowns: np.ndarray) -> None:
+        """All that the dynamics give, into the cache."""
         key = unknowns.tobytes()
         if self._cache[0] == key:
-            return self._cache[1:]
+            return
         points, duration = unknowns[:-1].reshape(self._count, self._size), float(unknowns[-1])
         z, rate, acceleration = ((rows @ points).T / duration**order for order, rows in enumerate(self.basis))
-        force, by = self._dynamics.linearized(z, rate, acceleration)
-        gradient = np.zeros((self.share.size, self._size, unknowns.size))
+        found, by = self._dynamics.linearized(z, rate, acceleration)
+        gradient = np.zeros((self.share.size, len(found), unknowns.size))
         for order in range(3):
             part = np.einsum("ijk,ka->kiaj", by[order], self.basis[order]) / duration**order
-            gradient[:, :, :-1] += part.reshape(self.share.size, self._size, -1)
+            gradient[:, :, :-1] += part.reshape(self.share.size, len(found), -1)
         gradient[:, :, -1] = (
             -(np.einsum("ijk,jk->ki", by[1], rate) + 2.0 * np.einsum("ijk,jk->ki", by[2], acceleration)) / duration
         )
-        self._cache = (key, force.T, gradient)
+        self._cache = (key, found.T, gradient)
         self.evaluations += 1
         if time.monotonic() - self._reported > 1.0:
             self._reported = time.monotonic()
-            self._report(self.evaluations, duration, float(np.max(np.abs(force.T) / self._limits.force)))
-        return self._cache[1:]
+            worst = float(np.max(np.abs(found.T[:, : self._size]) / self._limits.force))
+            self._report(self.evaluations, duration, worst)
 
     def _cost(self, x: np.ndarray) -> np.ndarray:
         """Weighed duration and integral of the squared force."""
@@ -288,18 +342,31 @@ class PlanningProgram:
         return np.r_[points.ravel(), duration]
 
     def solve(self, guess: np.ndarray) -> tuple[MathematicalProgramResult, np.ndarray, float]:
-        """The solver's result, control points (count, nv) and duration, s."""
+        """The solver's result, control points (count, size) and duration, s.
+
+        Where joints turn the base further than they may, a limit on it at once is not found to be possible. So the
+        first solution is without, and the limit comes nearer step by step.
+        """
+        unknowns = np.r_[self._points, self._duration]
         first = np.zeros(self._program.num_vars())
         first[: guess.size] = guess
         if first.size > guess.size:
             limited = np.flatnonzero(np.isfinite(self._limits.impulse))
             first[guess.size :] = np.abs(self.evaluate(guess)[0][:, limited]).ravel()
-        self._scale = 1.0
-        self._scale = max(float(self._cost(guess)), 1e-12)
         chosen, options = SnoptSolver(), SolverOptions()
         for key, value in _OPTIONS.items():
             options.SetOption(chosen.solver_id(), key, value)
-        result = chosen.Solve(self._program, first, options)
+        self._scale = 1.0
+        self._scale = max(float(self._cost(guess)), 1e-12)
+        turn = self._turn_of(guess)
+        allowed = self._largest_turn if _LESS_TURN * turn <= self._largest_turn else np.inf
+        while True:
+            self._allow_turn(allowed)
+            result = chosen.Solve(self._program, first, options)
+            turn = self._turn_of(result.GetSolution(unknowns))
+            if self._turn is None or allowed == self._largest_turn or turn > allowed * (1.0 + _TURN_ROOM):
+                break
+            first, allowed = result.get_x_val(), max(min(allowed, _LESS_TURN * turn), self._largest_turn)
         points = result.GetSolution(self._points).reshape(self._count, self._size)
         return result, points, float(result.GetSolution(self._duration)[0])
 
