@@ -306,7 +306,7 @@ def test_poles_of_a_free_floating_frame(law):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", ["task_time_delay"])
 def test_momentum_over_a_minute(law):
     momentum = "initial_velocity={base_rotation_z: 0.005, base_position_x: 0.002}"
     exact = ["simulator_config.integration_scheme=runge_kutta5", "simulator_config.max_step_size=0.005"]
