@@ -44,6 +44,7 @@ def rows_of(database):
         ).fetchall()
 
 
+@pytest.mark.slow
 def test_layouts_and_failures(tmp_path):
     spec = write_spec(tmp_path / "spec.yaml", **CHANGES)
     one, two = (rows_of(run_here(spec, tmp_path / f"{n}.sqlite", workers=forked(n, in_flight=n))) for n in (1, 2))

@@ -1390,6 +1390,7 @@ def _started(process: subprocess.Popen) -> None:
     raise AssertionError("the run never began")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "signals"),
     [

@@ -137,6 +137,7 @@ def test_analyze_needs_a_record(tmp_path):
     assert result.output.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("rough_pictures")
 def test_plot_overlays_runs(run, tmp_path):
     """Of two runs with the fewest samples that there are; a whole run's are drawn by ``test_the_main_job``."""

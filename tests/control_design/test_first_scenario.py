@@ -139,6 +139,7 @@ def pd_plus(new):
     return gains["k_p"], gains["k_d"]
 
 
+@pytest.mark.slow
 def test_weak_or_slow_joints_get_more_time(made, tmp_path):
     urdf = tmp_path / "arm.urdf"
     true = make_true_plant(load_scenario(made("two_arms").scenario_file))

@@ -93,6 +93,7 @@ def test_with_the_arm_alone_the_stack_turns_and_drifts_as_told() -> None:
     assert f"turns the stack at {math.degrees(budget.rate or 0.0):.3f} deg/s" in lines
 
 
+@pytest.mark.slow
 def test_what_lasts_longer_than_the_plan_is_that_of_the_stack_at_rest() -> None:
     accepted = "capture.accepted_drift={base_rotation: 0.05, base_position: 0.03}"
     short, long = (told(known(JOINTS, accepted, f"duration={end}")).used_up for end in (4, 40))

@@ -98,6 +98,7 @@ def test_the_base_turns_no_further_than_it_may(quick):
     assert found.plan.duration > quick.plan.duration
 
 
+@pytest.mark.slow
 def test_goal_posture_and_effort():
     """From rest to a posture with all the time there is: less effort than the fifth-order polynomial."""
     overrides = [

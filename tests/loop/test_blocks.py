@@ -185,6 +185,7 @@ def test_it_repeats_from_its_record_in_another_folder_bit_for_bit(lab):
     assert "the same record, bit for bit" in CliRunner().invoke(main, command("out/mine/manifest.json")).stdout
 
 
+@pytest.mark.slow
 def test_it_goes_through_a_campaign(lab):
     (lab / "spec.yaml").write_text(
         """{scenario: mine.yaml, controllers: ["lab_blocks:Springs", tdc], cases: 2, settled: {hold: 0.1},

@@ -137,6 +137,7 @@ def test_every_file_is_written_whole(tmp_path):
         assert coloured > 0.002
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("rough_pictures")
 def test_one_sigma_and_several_seeds_can_be_written(tmp_path):
     few = study_noise(sigmas=(1e-5,), seeds=2, duration=0.05, controllers=("tdc",))

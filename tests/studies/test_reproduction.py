@@ -19,6 +19,7 @@ from ffsm_drake.studies.paper import PARTS, accuracy, effort, figures, page, rep
 from ffsm_drake.studies.paper.claims import CLAIMS, by_topic, counts, evaluate
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS
 
+pytestmark = pytest.mark.slow  # every run of the paper, if shortened
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 SHORT = ("duration=0.2",)
 # Far beyond what the exactly integrated loop tolerates, and within what explicit Euler does.
@@ -96,7 +97,6 @@ def test_the_table_shows_what_simulate_gives(
     assert row.isv.ratio == pytest.approx(record.metrics["isv"] / paper_isv)
 
 
-@pytest.mark.slow
 def test_mean_and_spread_over_the_seeds():
     of_seeds = runs.run_cases(runs.table_cases(2), num_seeds=2, overrides=["duration=0.05"])
     values = [of_seeds.run("euler", "tdc", seed=seed).itae for seed in range(2)]
@@ -169,7 +169,6 @@ def test_a_diverged_run_is_shown_as_such(unstable):
     assert re.search(r"3 of 3 do, at 0\.\d+( to 0\.\d+)? s: law \(9\) carries K_s from 150 to", verdict.measured)
 
 
-@pytest.mark.slow
 def test_the_papers_slips_are_marked(written):
     lines = [line for line in (written / "table2.md").read_text().splitlines() if "†" in line]
     marked = [line for line in lines if line.startswith("|")]
@@ -179,7 +178,6 @@ def test_the_papers_slips_are_marked(written):
     assert any("printed as 1.914×10⁻⁴" in line for line in lines)
 
 
-@pytest.mark.slow
 def test_the_same_seeds_give_the_same_table(written, tmp_path):
     told = []
     path = reproduce("table2", tmp_path, seeds=1, overrides=SHORT, progress=lambda *args: told.append(args))
@@ -190,7 +188,6 @@ def test_the_same_seeds_give_the_same_table(written, tmp_path):
     assert {total for _, total, _ in told} == {27}
 
 
-@pytest.mark.slow
 def test_workers_give_the_same_results():
     cases = [case for case in runs.table_cases(2) if (case.setting, case.controller) == ("euler", "tdc")]
     alone, together = (
@@ -269,7 +266,6 @@ class Addresses(HTMLParser):
         self.addresses += [value for name, value in attributes if name in ("src", "href", "srcset", "data", "action")]
 
 
-@pytest.mark.slow
 def test_the_page_is_self_contained(written):
     text = (written / "reproduction.html").read_text()
     parser = Addresses()
@@ -284,7 +280,6 @@ def test_the_page_is_self_contained(written):
     assert all(f'id="{target}"' in text for target in targets)
 
 
-@pytest.mark.slow
 def test_page_and_markdown_gather_everything(written, verdicts):
     html, markdown = ((written / f"reproduction.{suffix}").read_text() for suffix in ("html", "md"))
     for verdict in verdicts:
@@ -311,14 +306,12 @@ def check_figures(folder):
         assert path.read_text().count("<path") > 10, path.name
 
 
-@pytest.mark.slow
 def test_the_figures_are_not_blank(written):
     names = {path.name for path in (written / "figures").iterdir()}
     assert names >= {"table2.png", "divergence.png", "fig4_bounded.png", "fig4_bounded.svg"}
     check_figures(written / "figures")
 
 
-@pytest.mark.slow
 def test_one_figure_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "DRAWN", {"euler": "explicit Euler"})
     path = reproduce("fig3", tmp_path, seeds=1, overrides=["duration=0.2"])
@@ -358,7 +351,6 @@ def test_an_interrupted_reproduction_writes_nothing(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 def test_the_page_in_a_browser(written, tmp_path):
     from matplotlib import image

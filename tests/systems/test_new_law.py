@@ -76,6 +76,7 @@ def test_run_and_compare(ffsm, tmp_path):
     assert "stiff" in json.loads(ffsm("schema"))["properties"]["controllers"]["properties"]
 
 
+@pytest.mark.slow
 def test_campaign(ffsm, tmp_path):
     (tmp_path / "spec.yaml").write_text(
         """{scenario: postcapture, overrides: {duration: 0.1}, settled: {hold: 0.1}, controllers: [stiff, tdc],

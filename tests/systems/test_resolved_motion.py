@@ -115,6 +115,7 @@ def test_a_motion_of_the_joints_in_the_reaction_null_space():
     assert not v[[0, 2, 3]].any()
 
 
+@pytest.mark.slow
 def test_after_a_capture_it_goes_on_with_the_momentum_of_both():
     motion, model, scenario = motion_of(
         "postcapture", *AT_ORIGIN, *ARM_ALONE, "capture.rate=[0.01, 0.008, 0.012]", "reference.base_rotation=eigenaxis",

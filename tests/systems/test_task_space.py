@@ -143,6 +143,7 @@ class Far(LeafSystem):
             )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ONE_OF_LAWS)
 def test_a_goal_out_of_reach(law):
     """The arm stretches out to it and rests, singular: forces and rates stay bounded, and it is said."""

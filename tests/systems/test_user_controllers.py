@@ -420,7 +420,14 @@ def test_every_controller_runs_on_every_shipped_scenario(shipped_scenario, any_c
 def pytest_generate_tests(metafunc):
     from ffsm_drake.scenario import shipped_scenarios
 
-    if "shipped_scenario" in metafunc.fixturenames:
-        metafunc.parametrize("shipped_scenario", sorted(shipped_scenarios()))
-    if "any_controller" in metafunc.fixturenames:
-        metafunc.parametrize("any_controller", controller_names())
+    if "shipped_scenario" not in metafunc.fixturenames:
+        if "any_controller" in metafunc.fixturenames:
+            metafunc.parametrize("any_controller", controller_names())
+        return
+    # Every scenario and every controller in each run of the tests, every pair among the long ones.
+    pairs = [
+        pytest.param(name, law, marks=() if law == "tdc" or name == "postcapture" else pytest.mark.slow)
+        for name in sorted(shipped_scenarios())
+        for law in controller_names()
+    ]
+    metafunc.parametrize(("shipped_scenario", "any_controller"), pairs)
