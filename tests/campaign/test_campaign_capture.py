@@ -75,6 +75,7 @@ def test_parts_too_near_are_no_success(rows):
     assert (rows[3]["outcome"], rows[3]["first_limit"]) == ("not_settled", "clearance")
 
 
+@pytest.mark.slow
 def test_the_report_counts_them(database, tmp_path, monkeypatch):
     monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 1)
     with open_store(database) as store:

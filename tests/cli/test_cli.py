@@ -82,6 +82,7 @@ def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
     assert RunRecord.load(tmp_path).outcome.status == "diverged"
 
 
+@pytest.mark.slow
 def test_compare_overlays_and_ranks(tmp_path, monkeypatch):
     monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)  # as above
     result = ffsm("compare", *SHORT, "--seed", 2, "--out", tmp_path)

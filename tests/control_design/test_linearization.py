@@ -249,6 +249,7 @@ def test_boundaries_against_simulation(controller, monkeypatch):
     assert grows(with_delay(scenario, int(found.delay))), found.delay
 
 
+@pytest.mark.slow
 def test_boundaries_of_the_closed_form():
     """AISMC: (K_D + K_s) L < 2 at eta = 1, in the gains as in the sample time."""
     gains = ["controllers.aismc.k_s_initial=80", "controllers.aismc.k_s_max=80"]

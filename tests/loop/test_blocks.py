@@ -158,6 +158,7 @@ def test_every_block_is_replaced_from_yaml(lab):
     assert np.array_equal(data["disturbance_force"].values, both)
 
 
+@pytest.mark.slow
 def test_it_repeats_from_its_record_in_another_folder_bit_for_bit(lab):
     done = CliRunner().invoke(main, ["run", str(lab / "mine.yaml"), "--out", str(lab / "out/mine"), "--no-report"])
     assert done.exit_code == 0, done.output

@@ -238,6 +238,7 @@ def test_an_override_changes_its_key_alone(scenario, seed):
     assert scenario_to_dict(scenario) == data
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(
     st.lists(

@@ -233,6 +233,7 @@ def test_missing_variables_cost_only_their_section(short):
     assert re.search(r"The analysis is not available for this run: there is no '\w+'\.", page.text)
 
 
+@pytest.mark.slow
 def test_a_user_supplied_controller_gets_its_report(short):
     page = page_of(with_scenario(short, controller="lab:MyLqr"), short)
     assert "MyLqr" in page.text

@@ -67,6 +67,7 @@ def ffsm(known, tmp_path, monkeypatch):
     return call
 
 
+@pytest.mark.slow
 def test_run_and_compare(ffsm, tmp_path):
     ffsm("run", "-c", "stiff", "--set", "duration=0.1", "--set", "controllers.stiff.k_p.joints=90", "--no-report")
     manifest = json.loads((tmp_path / "out/postcapture_stiff/manifest.json").read_text())

@@ -91,6 +91,7 @@ def test_the_base_is_left_alone(hold, least, most):
     assert least <= found.base_turn.max() <= most
 
 
+@pytest.mark.slow
 def test_what_comes_first_is_done():
     """Pose and attitude of the base take four degrees of freedom in the plane, of three."""
     goal = "reference.frame={position: [0.15, 0, 2.4], rpy: [0, 1.1, 0], hold: [base_rotation_y], priority: %s}"
@@ -131,6 +132,7 @@ def test_after_a_capture_it_goes_on_with_the_momentum_of_both():
     assert_consistent(motion, times[1:])
 
 
+@pytest.mark.slow
 def test_with_the_base_driven_the_joints_do_it_and_the_base_keeps_its_motion():
     goal = "reference.frame={task: position, position: [0.74, 0.02, 1.6]}"
     motion, _, _ = motion_of("postcapture", goal)
