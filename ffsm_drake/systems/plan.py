@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import BsplineBasis, KnotVectorType, RotationMatrix
+from pydrake.math import BsplineBasis, KnotVectorType
 from pydrake.trajectories import BsplineTrajectory
 
 from ffsm_drake.common.errors import ScenarioError, one_line
@@ -82,11 +81,6 @@ class Plan:
             ]
         )
         return np.vstack([quaternion, z[3:], w, rate[3:], alpha, acceleration[3:]]).T
-
-    @property
-    def first_rotation(self) -> RotationMatrix:
-        """R_0."""
-        return RotationMatrix(Quaternion(np.array(self.first_attitude)))
 
     def save(self, path: Path, *, title: str) -> None:
         """Write it as text, to the last bit. Raises RecordError when the place cannot be written."""

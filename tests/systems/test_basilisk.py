@@ -21,7 +21,7 @@ def basilisk(request):
     if request.param == "table":
         return json.loads((Path(__file__).parent / "basilisk.json").read_text())
     if importlib.util.find_spec("Basilisk") is None:
-        pytest.skip("needs Basilisk (pip install bsk)")
+        pytest.skip("needs Basilisk (pip install bsk), which holds Matplotlib back; its results are in the table")
     import basilisk_oracle
 
     return basilisk_oracle.results()
