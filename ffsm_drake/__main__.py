@@ -13,6 +13,11 @@ from ffsm_drake.common.interrupts import handle_signals, ignore_signals  # noqa:
 def main() -> None:
     """Run the command line."""
     handle_signals()
+    try:
+        os.getcwd()
+    except FileNotFoundError:  # Python itself may fail to import what follows
+        os.write(2, b"error: the current folder has been deleted; change to another one\n")
+        os._exit(2)
     from ffsm_drake.cli import main as ffsm
     from ffsm_drake.cli.common import end_threads, forgiving_stderr
 

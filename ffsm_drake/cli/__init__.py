@@ -15,7 +15,6 @@ from ffsm_drake.cli.plan import plan
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, doctor, new, scenarios, schema, validate
 from ffsm_drake.cli.show import diagram, plot, replay
-from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.workers import ONE_THREAD
 
 
@@ -36,10 +35,7 @@ def main() -> None:
         os.environ.setdefault(name, threads)  # read when NumPy loads
     os.environ["MPLBACKEND"] = "agg"  # figures go to files, whatever the user's windows are made with
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it remarks on a home that cannot be written
-    try:
-        folder = str(Path.cwd())
-    except FileNotFoundError:
-        raise FfsmError("the current folder has been deleted; change to another one") from None
+    folder = str(Path.cwd())
     if folder not in sys.path:  # for module:Class; last, so that it shadows no installed module
         sys.path.append(folder)
 

@@ -149,6 +149,15 @@ def make_blocks(
     return blocks
 
 
+def _check_initialized(system: System, *, place: str) -> None:
+    """Raise BlockError for a system whose __init__ did not call Drake's, if building it did not raise already."""
+    try:
+        system.get_name()
+    except TypeError:
+        cause = "TypeError: its __init__ must call super().__init__() first"
+        raise BlockError(f"{place} cannot be built: {cause}") from None
+
+
 def _own_forces(scenario: Scenario) -> tuple[str, ...]:
     """The forces that the scenario's own sections describe."""
     return (DISTURBANCE,) if scenario.environment is None else (DISTURBANCE, ENVIRONMENT)
@@ -195,6 +204,7 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
     if not isinstance(system, System):
         wanted = "a control law or a Drake system" if block == "controller" else "a Drake system"
         raise BlockError(f"{place} must be {wanted}, not {type(system).__name__}")
+    _check_initialized(system, place=place)
     size = {STATE: 2 * len(coordinates.names) + 1, VELOCITY: len(coordinates.names), FRAME: FRAME_SIZE, NUMBER: 1}
     for kind, required, optional in (
         ("input", ports.inputs, ports.optional_inputs),

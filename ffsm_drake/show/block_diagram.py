@@ -23,7 +23,8 @@ NO_GRAPHVIZ = "Graphviz's 'dot' is not installed: no SVG (install the package 'g
 def closed_loop_dot(scenario: Scenario) -> str:
     """The closed loop, visualizer included, as Graphviz text; the same wiring always gives the same text.
 
-    Of the plant's many ports only the connected ones are drawn.
+    Of the plant's many ports, and of the visualizer's, only the connected ones are drawn: which others there are
+    depends on Drake's release.
     """
     with quiet_drake():  # the server is there for the wiring only
         builder = DiagramBuilder()
@@ -32,7 +33,10 @@ def closed_loop_dot(scenario: Scenario) -> str:
         visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), start_meshcat())
         visualizer.set_name("meshcat_visualizer")
         diagram = build_closed_loop(builder, loop).diagram
-    return _without_idle_ports(system_dot(diagram, max_depth=1), "plant")
+    dot = system_dot(diagram, max_depth=1)
+    for name in ("plant", "meshcat_visualizer"):
+        dot = _without_idle_ports(dot, name)
+    return dot
 
 
 def controller_dot(scenario: Scenario) -> str:
@@ -68,7 +72,7 @@ def _without_idle_ports(dot: str, name: str) -> str:
     cells = dict(re.findall(r'(<TD PORT="([uy]\d+)".*?</TD>)\n', block[2]))
     sides = [[cell for cell, port in cells.items() if port in used and port[0] == side] for side in "uy"]
     rows = "".join(f"<TR>\n{a or '<TD></TD>'}\n{b or '<TD></TD>'}\n</TR>\n" for a, b in zip_longest(*sides))
-    rows += f'<TR><TD BORDER="0" COLSPAN="2">({len(cells) - len(used)} unconnected ports)</TD></TR>\n'
+    rows += '<TR><TD BORDER="0" COLSPAN="2">(connected ports)</TD></TR>\n'
     return dot[: block.start(2)] + rows + dot[block.end(2) :]
 
 
