@@ -75,8 +75,15 @@ class Store:
         """Raise CampaignError unless what the tables hold can be this campaign's, of whatever origin the file is."""
         columns = {
             "cases": ("case_index", "random_seed", *self.spec.names),
-            "results": ("case_index", "controller", *_results_of(self.spec), "software"),
-            "runs": ("case_index", "controller", "random_seed", *self.spec.names, *_results_of(self.spec), "software"),
+            "results": ("case_index", "controller", *result_columns(self.spec), "software"),
+            "runs": (
+                "case_index",
+                "controller",
+                "random_seed",
+                *self.spec.names,
+                *result_columns(self.spec),
+                "software",
+            ),
         }
         for table, names in columns.items():
             with _one_line_errors(self.path):
@@ -92,7 +99,7 @@ class Store:
             ),
             "results": (
                 f"outcome IS NULL OR outcome NOT IN ({', '.join('?' * len(OUTCOMES))})",
-                *((text if name in _TEXT else number).format(name) for name in _results_of(self.spec)),
+                *((text if name in _TEXT else number).format(name) for name in result_columns(self.spec)),
                 "case_index NOT IN (SELECT case_index FROM cases)",
                 "software IS NULL OR software NOT IN (SELECT id FROM software)",
                 f"controller IS NULL OR controller NOT IN ({', '.join('?' * len(self.spec.controllers))})",
@@ -117,7 +124,7 @@ class Store:
 
     def add(self, case: Case, controller: str, row: Row) -> None:
         """Store one result."""
-        cells = (case.index, controller, *(row[name] for name in _results_of(self.spec)), row["software"])
+        cells = (case.index, controller, *(row[name] for name in result_columns(self.spec)), row["software"])
         values = f"{', '.join('?' * (len(cells) - 1))}, (SELECT id FROM software WHERE versions = ?)"
         with _one_line_errors(self.path), self._connection:
             self._connection.execute("INSERT OR IGNORE INTO software (versions) VALUES (?)", (row["software"],))
@@ -188,7 +195,9 @@ class Store:
 
 def check_columns(spec: Spec) -> None:
     """Raise CampaignError unless every value of a case can have a column; SQL does not tell A from a."""
-    taken = dict.fromkeys(("case_index", "controller", "random_seed", "software", *_results_of(spec)), "of the results")
+    taken = dict.fromkeys(
+        ("case_index", "controller", "random_seed", "software", *result_columns(spec)), "of the results"
+    )
     for name in spec.names:
         if owner := taken.get(name.lower()):
             place = "factors." if name in spec.factors else ""
@@ -269,8 +278,8 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
 
 def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, folder: Path) -> None:
     values = [_quoted(name) for name in spec.names]
-    results = [f"{name} {'TEXT' if name in _TEXT else 'REAL'}" for name in _results_of(spec)]
-    shown = [*(f"cases.{name}" for name in values), *(f"results.{name}" for name in _results_of(spec))]
+    results = [f"{name} {'TEXT' if name in _TEXT else 'REAL'}" for name in result_columns(spec)]
+    shown = [*(f"cases.{name}" for name in values), *(f"results.{name}" for name in result_columns(spec))]
     with connection:
         connection.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
         connection.execute("CREATE TABLE campaign (key TEXT PRIMARY KEY, value TEXT)")
@@ -337,7 +346,7 @@ def _one_line_errors(path: Path) -> Iterator[None]:
         raise CampaignError(f"{path}: is damaged or not a campaign's database: {one_line(error)}") from error
 
 
-def _results_of(spec: Spec) -> tuple[str, ...]:
+def result_columns(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign's results, in their order."""
     text = () if spec.base["capture"] is None else (FIRST_LIMIT,)
     numbers = (*metrics_of(spec), *predictions_of(spec))

@@ -1,0 +1,248 @@
+"""The golden record: what must not move unless somebody means it. ``python tests/golden/golden.py`` rewrites it.
+
+``runs/NAME.json`` holds, of 2 s of each shipped scenario with its own controller (and of some with every law), the
+record's variables at every 20th sample, its metrics, names, dimensions and units, the panels of its report and the rows
+of its table. ``interface.json`` holds the columns of campaigns, ``schema.json`` what ``ffsm schema`` prints.
+"""
+
+import json
+import math
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from click.testing import CliRunner
+
+from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
+from ffsm_drake.campaign.spec import load_spec, shipped_campaigns
+from ffsm_drake.campaign.store import result_columns
+from ffsm_drake.cli import main as ffsm
+from ffsm_drake.scenario import shipped_scenarios
+from ffsm_drake.show.panels import Thinning
+from ffsm_drake.show.report.actuator_panels import actuator_views
+from ffsm_drake.show.report.comparison import table
+from ffsm_drake.show.report.deflection_panels import deflection_views
+from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.report.time_panels import run_views
+from ffsm_drake.systems.registry import SHIPPED
+
+FOLDER = Path(__file__).parent
+RUNS = FOLDER / "runs"
+EVERY = 20  # control samples
+# Of these scenarios every law runs.
+WITH_EVERY_LAW = ("postcapture", "flight_sensors", "tumbling_capture", "free_floating")
+DURATION = "duration=2"
+# A short approach, mild enough to be followed.
+_SHORTENED = {
+    "tumbling_capture": (
+        "capture.approach.duration=1",
+        "capture.approach.posture.joints={joint_1: 0.16, joint_2: 0.37, joint_3: 1.04, joint_4: 0.58, joint_5: -0.69}",
+    )
+}
+RELATIVE = 1e-10  # of the largest number of a variable, or of a single figure
+ROUNDING = 1e-16  # what is smaller is what computers leave of numbers of order one
+# Differences of what should be equal, N s and N m s: their scale is that of what is compared.
+BALANCES = ("momentum_residual",)
+# Here SciPy integrates the planned motion of an undriven base, with other steps in each of its releases.
+INTEGRATED = ("free_floating", "reaction_null")
+ALLOWED_THERE = {"relative": 1e-7, "scale": 1e-5}
+
+
+def names() -> list[str]:
+    """The parts of the golden record: the shipped scenarios."""
+    return list(shipped_scenarios())
+
+
+def outline(record: RunRecord) -> dict[str, Any]:
+    """What a record is made of, and what its report shows."""
+    dataset = record.dataset
+    return {
+        "variables": {
+            str(name): [list(map(str, variable.dims)), str(variable.dtype), dict(variable.attrs)]
+            for name, variable in dataset.data_vars.items()
+        },
+        "coordinates": {
+            str(name): [list(map(str, variable.dims)), None if name == "phase" else variable.values.tolist()]
+            for name, variable in dataset.coords.items()
+            if name != "time"
+        },
+        "report": report_outline(record),
+    }
+
+
+def report_outline(record: RunRecord) -> dict[str, Any]:
+    """The panels of a report (section, view, title, unit, number of curves) and the rows of its table."""
+    shown, thin = results_of([record]), Thinning(1000)
+    sections = {
+        **run_views(shown, thin),
+        "actuators": actuator_views(shown, thin),
+        "hidden": deflection_views(shown, thin),
+    }
+    panels = [
+        f"{section} / {view.label} / {panel.title} [{panel.figure.layout.yaxis.title.text}]: {len(panel.figure.data)}"
+        for section, views in sections.items()
+        for view in views
+        for panel in view.panels
+    ]
+    rows = [f"{row.head} / {row.label} [{row.unit}]" for row in table(shown)]
+    return {"panels": panels, "table": rows}
+
+
+def schema() -> Any:
+    """What ``ffsm schema`` prints, without the keys of Drake's own struct, which its releases change."""
+    found = json.loads(CliRunner().invoke(ffsm, ["schema"], catch_exceptions=False).output)
+    del found["properties"]["simulator_config"]["properties"]
+    return found
+
+
+def run(scenario: str, controller: str | None = None) -> RunRecord:
+    """A run of the golden record."""
+    overrides = [*_SHORTENED.get(scenario, ()), DURATION]
+    if controller is not None:
+        overrides.append(f"controller={controller}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of unstable laws, which are part of it
+        return simulate(load_scenario(scenario, overrides), check_stability=False)
+
+
+def results(record: RunRecord) -> dict[str, Any]:
+    """The numbers of a run."""
+    dataset = record.dataset.isel(time=slice(None, None, EVERY))
+    numeric = {str(name): variable for name, variable in dataset.data_vars.items() if variable.dtype.kind in "fiub"}
+    return {
+        "outcome": record.outcome.message,
+        "metrics": record.metrics,
+        "grasp": record.grasp,
+        "samples": {name: _rounded(variable.values) for name, variable in numeric.items()},
+    }
+
+
+def _rounded(values: np.ndarray) -> Any:
+    """Nested lists of numbers with twelve digits."""
+    if values.ndim:
+        return [_rounded(value) for value in values]
+    return float(f"{float(values):.12g}")
+
+
+def runs(scenario: str) -> dict[str, Any]:
+    """The runs of a scenario, by controller; of further laws only the variables that are not as with its own."""
+    own = run(scenario)
+    found = {own.scenario.controller: results(own)}
+    reference = found[own.scenario.controller]["samples"]
+    for controller in SHIPPED["controller"] if scenario in WITH_EVERY_LAW else ():
+        if controller in found:
+            continue
+        try:
+            of_law = results(run(scenario, controller))
+        except FfsmError as error:
+            found[controller] = {"refused": str(error)}
+            continue
+        of_law["samples"] = {
+            name: "as above" if values == reference.get(name) else values for name, values in of_law["samples"].items()
+        }
+        found[controller] = of_law
+    return {"outline": outline(own), "runs": found}
+
+
+def interface() -> dict[str, Any]:
+    """The columns of the shipped campaigns."""
+    return {name: list(result_columns(load_spec(name))) for name in shipped_campaigns()}
+
+
+def differences(
+    found: Any,
+    expected: Any,
+    place: str = "",
+    *,
+    relative: float = RELATIVE,
+    scale: float = ROUNDING / RELATIVE,
+) -> Iterator[str]:
+    """Where two trees differ, one line each.
+
+    Args:
+      found, expected: what JSON can hold.
+      place: where in the tree they stand.
+      relative: how much numbers may differ, of the largest in the outermost list that holds them.
+      scale: the least that counts as this largest.
+    """
+    further = {"relative": relative, "scale": scale}
+    if isinstance(found, dict) and isinstance(expected, dict):
+        for key in [*expected, *(key for key in found if key not in expected)]:
+            if key not in found or key not in expected:
+                yield f"{place}.{key}: {'is new' if key in found else 'is gone'}"
+            else:
+                if key in BALANCES:
+                    further["scale"] = max(scale, 1.0)
+                yield from differences(found[key], expected[key], f"{place}.{key}", **further)
+    elif _is_number(found) and _is_number(expected):
+        if not abs(found - expected) <= relative * max(scale, abs(expected)):  # NaN too
+            yield f"{place}: {found!r}, not {expected!r}"
+    elif isinstance(found, list) and isinstance(expected, list) and len(found) == len(expected):
+        further["scale"] = max([scale, *map(abs, _numbers(expected))])
+        for index, (one, other) in enumerate(zip(found, expected, strict=True)):
+            yield from differences(one, other, f"{place}[{index}]", **further)
+    elif found != expected:
+        yield f"{place}: {found!r:.200}, not {expected!r:.200}"
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _numbers(tree: Any) -> Iterator[float]:
+    if isinstance(tree, list):
+        for item in tree:
+            yield from _numbers(item)
+    elif _is_number(tree):
+        yield tree
+
+
+def read(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def plain(tree: Any) -> Any:
+    """As JSON gives it back; numbers that are not finite as text."""
+    if isinstance(tree, dict):
+        return {str(key): plain(value) for key, value in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return [plain(value) for value in tree]
+    if isinstance(tree, float) and not math.isfinite(tree):
+        return str(tree)
+    return tree
+
+
+def text(tree: Any, indent: str = "") -> str:
+    """JSON with one line for each row of numbers."""
+    further = indent + " "
+    if isinstance(tree, dict) and tree:
+        rows = (f"{further}{json.dumps(key)}: {text(value, further)}" for key, value in tree.items())
+    elif isinstance(tree, list) and any(isinstance(item, (dict, list)) for item in tree):
+        rows = (f"{further}{text(item, further)}" for item in tree)
+    else:
+        return json.dumps(tree, ensure_ascii=False, separators=(",", ":"))
+    opening, closing = "{}" if isinstance(tree, dict) else "[]"
+    return f"{opening}\n" + ",\n".join(rows) + f"\n{indent}{closing}"
+
+
+def files() -> dict[Path, Any]:
+    """Every file of the golden record and what computes it."""
+    parts = {RUNS / f"{name}.json": (lambda name=name: runs(name)) for name in names()}
+    return parts | {FOLDER / "interface.json": interface, FOLDER / "schema.json": schema}
+
+
+def main() -> None:
+    RUNS.mkdir(exist_ok=True)
+    wanted = files()
+    for path in {*RUNS.glob("*.json")} - set(wanted):
+        path.unlink()
+    for path, compute in wanted.items():
+        path.write_text(text(plain(compute())) + "\n", encoding="utf-8")
+        print(f"{path.relative_to(FOLDER)}: {path.stat().st_size / 1000:.0f} kB", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""Nothing that a user reads of a run moves unnoticed. Meant changes: ``python tests/golden/golden.py``, and review."""
+
+import copy
+
+import golden
+import pytest
+
+PARTS = golden.files()
+
+
+@pytest.mark.parametrize("path", PARTS, ids=lambda path: path.stem)
+def test_what_must_not_move(path):
+    found = golden.plain(PARTS[path]())
+    allowed = golden.ALLOWED_THERE if path.stem in golden.INTEGRATED else {}
+    changes = list(golden.differences(found, golden.read(path), **allowed))
+    assert not changes, "\n".join([f"{len(changes)} changes in {path.name}", *changes[:20]])
+
+
+def test_it_is_all_there_and_nothing_else():
+    assert set(golden.FOLDER.glob("**/*.json")) == set(PARTS)
+    assert sum(path.stat().st_size for path in PARTS) < 2_000_000
+
+
+def test_every_kind_of_change_is_seen():
+    expected = golden.read(golden.RUNS / "postcapture.json")
+
+    def seen(*keys, to):
+        found = copy.deepcopy(expected)
+        *way, last = keys
+        place = found
+        for key in way:
+            place = place[key]
+        place[last] = to(place[last]) if callable(to) else to
+        return list(golden.differences(found, expected))
+
+    samples = ("runs", "tde_aismc", "samples")
+    assert seen("outline", "variables", "error", 2, "units", to="deg") != []
+    assert seen("outline", "report", "panels", to=lambda panels: panels[1:]) != []
+    assert seen("runs", "tdc", "metrics", "itae", to=lambda itae: itae * (1 + 1e-9)) != []
+    assert seen(*samples, "generalized_force", 3, 0, to=lambda force: force + 1e-6) != []
+    assert seen(*samples, "error", to=lambda rows: [row[:-1] for row in rows]) != []
+    assert seen(*samples, to=lambda variables: variables | {"further": []}) != []
+    assert seen(*samples, "position", 3, 0, to=float("nan")) != []
+    assert seen(*samples, "position", 3, 0, to=lambda value: value * (1 + 1e-13)) == []
