@@ -176,7 +176,7 @@ def target_is_reached_with_high_precision(results: Results) -> Evaluated:
     when = f", at {span(diverged, 2)} s" if diverged else ""
     kind, condition = errors.ruling(lambda found: max(found[1]) < paper.PRECISELY)
     if kind == "holds" and diverged:
-        kind, condition = "holds only", "under explicit Euler integration, or with K_s bounded"
+        kind, condition = "holds only", "with explicit Euler at the control period, or with K_s bounded"
     return (
         f"Largest error of all runs: {errors.told(written)}. With exact integration and the published gains "
         f"{len(diverged)} of {total} runs diverge{when}. Position and attitude are measured without error.",

@@ -14,6 +14,7 @@ from ffsm_drake.show.page import render
 from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.claims import by_topic, counts
 from ffsm_drake.studies.paper.figures import FigureFile
+from ffsm_drake.studies.paper.minor_steps import minor_step_table
 from ffsm_drake.studies.paper.robustness import nominal_payload_table
 from ffsm_drake.studies.paper.runs import PROPOSED, SETTINGS, Case, Results
 from ffsm_drake.studies.paper.table import HEADER, Row, markdown_rows, table_csv, table_notes
@@ -26,6 +27,11 @@ _TALLY: dict[Kind, str] = {
     "holds": "hold", "holds only": "hold only under a condition", "does not hold": "do not hold",
     "not reproduced": "not reproduced", "not tested": "not tested",
 }  # fmt: skip
+MINOR_STEPS = (
+    "The proposed controller with the published gains, τ_d1, in steps of the control period. The paper does not say how "
+    "its simulation coupled law and plant: a block diagram in continuous time evaluates the law in every minor step of "
+    "the integrator, a digital controller holds its force. Table 2's ISV is 393.9."
+)
 _PIXELS = ("fig4", "fig5")  # embedded as such; the other figures are small as vectors
 
 
@@ -122,7 +128,9 @@ def _render(
         "provenance": provenance(results, "all" if verdicts else "table2"),
         "verdicts": by_topic(list(verdicts)),
         "tally": [(kind, number, _TALLY[kind]) for kind, number in counts(list(verdicts)).items()],
+        "about_minor_steps": MINOR_STEPS,
         "figures": {figure.key: {"file": figure, "source": _data_address(figure)} for figure in figures},
+        "minor_steps": minor_step_table(results.overrides) if verdicts else None,
         "nominal_payloads": nominal_payload_table(results) if verdicts else None,
     }
     return render("reproduction.html.j2", content, package="ffsm_drake.studies.paper")
@@ -148,6 +156,13 @@ def _markdown(results: Results, rows: list[Row], figures: Sequence[FigureFile], 
     lines += ["## Table 2", "", *_markdown_table_2(rows, level=3)]
     condition = "ITAE under τ_d1, exact integration, the proposed controller's K_s bounded."
     lines += ["## Nominal payloads", "", condition, "", *_markdown_lines(*nominal_payload_table(results))]
+    lines += [
+        "## Where the law is evaluated",
+        "",
+        MINOR_STEPS,
+        "",
+        *_markdown_lines(*minor_step_table(results.overrides)),
+    ]
     lines += ["## Figures", ""]
     for figure in figures:
         path = figure.png or figure.svg

@@ -225,9 +225,9 @@ class Results:
         return {case: record(case, *parts) for case, parts in kept.items()}
 
 
-def gain_of(scenario: Scenario, gain: str) -> float:
-    """A gain of the proposed controller in a record's scenario, where it is the same for all coordinates."""
-    return (scenario.controllers[PROPOSED][gain] or {})["all"]
+def gain_of(scenario: Scenario, gain: str, controller: str = PROPOSED) -> float:
+    """A gain in a record's scenario, where it is the same for all coordinates."""
+    return (scenario.controllers[controller][gain] or {})["all"]
 
 
 def keeps_record(case: Case) -> bool:

@@ -26,7 +26,7 @@ class Verdict:
     place: str  # section, equation or table of the paper
     measured: str  # sentences with the figures
     kind: Kind
-    condition: str = ""  # completes "holds only", such as "under explicit Euler integration"
+    condition: str = ""  # completes "holds only", such as "without measurement noise"
 
     @property
     def verdict(self) -> str:
@@ -65,7 +65,10 @@ def holds_if(good: bool) -> Ruling:
 def in_both(euler: bool, exact: bool) -> Ruling:
     """The verdict on a claim that is evaluated in both settings."""
     if euler != exact:
-        settings = "under explicit Euler integration at the control period", "on the exactly integrated plant"
+        settings = (
+            "with explicit Euler at the control period, not with exact integration of a held force",
+            "with exact integration of a held force, not with explicit Euler at the control period",
+        )
         return "holds only", settings[0] if euler else settings[1]
     return holds_if(euler)
 
