@@ -27,10 +27,11 @@ _TALLY: dict[Kind, str] = {
     "holds": "hold", "holds only": "hold only under a condition", "does not hold": "do not hold",
     "not reproduced": "not reproduced", "not tested": "not tested",
 }  # fmt: skip
-MINOR_STEPS = (
-    "The proposed controller with the published gains, τ_d1, in steps of the control period. The paper does not say how "
-    "its simulation coupled law and plant: a block diagram in continuous time evaluates the law in every minor step of "
-    "the integrator, a digital controller holds its force. Table 2's ISV is 393.9."
+_MINOR_STEPS = (
+    "The proposed controller with the published gains, τ_d1, seed 0, in steps of the control period. The paper does "
+    "not say how its simulation coupled law and plant: a block diagram in continuous time evaluates the law in every "
+    "minor step of the integrator, a digital controller holds its force over the period. Table 2's ISV is "
+    f"{paper.ISV['tau_d1'][PROPOSED]}."
 )
 _PIXELS = ("fig4", "fig5")  # embedded as such; the other figures are small as vectors
 
@@ -128,7 +129,7 @@ def _render(
         "provenance": provenance(results, "all" if verdicts else "table2"),
         "verdicts": by_topic(list(verdicts)),
         "tally": [(kind, number, _TALLY[kind]) for kind, number in counts(list(verdicts)).items()],
-        "about_minor_steps": MINOR_STEPS,
+        "about_minor_steps": _MINOR_STEPS,
         "figures": {figure.key: {"file": figure, "source": _data_address(figure)} for figure in figures},
         "minor_steps": minor_step_table(results.overrides) if verdicts else None,
         "nominal_payloads": nominal_payload_table(results) if verdicts else None,
@@ -159,7 +160,7 @@ def _markdown(results: Results, rows: list[Row], figures: Sequence[FigureFile], 
     lines += [
         "## Where the law is evaluated",
         "",
-        MINOR_STEPS,
+        _MINOR_STEPS,
         "",
         *_markdown_lines(*minor_step_table(results.overrides)),
     ]
