@@ -18,8 +18,6 @@ extensions = [
     "sphinx_copybutton",
     "offline_math",
     "plain_docstrings",
-    "block_ports",
-    "scenario_reference",
 ]
 exclude_patterns = ["_ext"]
 html_theme = "furo"

@@ -499,8 +499,7 @@ class Scenario:
     reference: Reference = dataclasses.field(default_factory=Reference)
     planning: Planning = dataclasses.field(default_factory=Planning)
     clearance: float = 0.01  # m; a plan or run in which parts come nearer to each other is warned of, or not planned
-    # name of a shipped controller (tdc, asmc, aismc, tde_aismc, tvlqr, torque_against_momentum, computed_torque,
-    # pd_plus) or of an installed one, or module:attribute
+    # name of a shipped controller (`ffsm doctor` lists them) or of an installed one, or module:attribute
     controller: str = "tde_aismc"
     # gains: controller (its name, or what follows the colon) -> gain -> by coordinate; what is not given keeps its
     # default; null takes an upper bound away

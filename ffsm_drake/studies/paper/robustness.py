@@ -95,12 +95,12 @@ def more_robust_than_its_rivals(results: Results) -> Evaluated:
 
 def _starting_k_s(results: Results) -> str:
     gains = (("aismc", "k_s_initial"), ("asmc", "k_s"))
-    return span(gain_of(results.record("bounded", name).scenario, gain, name) for name, gain in gains)
+    return span((gain_of(results.record("bounded", name).scenario, gain, name) for name, gain in gains), 2)
 
 
 def _bounded_k_s(results: Results) -> str:
     scenario = results.record("bounded", PROPOSED).scenario
-    return span(gain_of(scenario, gain) for gain in ("k_s_initial", "k_s_max"))
+    return span((gain_of(scenario, gain) for gain in ("k_s_initial", "k_s_max")), 2)
 
 
 def _completed(results: Results, setting: str, name: str) -> list[str]:

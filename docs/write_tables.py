@@ -1,6 +1,7 @@
-"""The table of every scenario key: types, defaults and meanings from ffsm_drake.scenario, gains from the control laws.
+"""Writes the tables of docs/scenario.md and docs/blocks.md from the package: ``python docs/write_tables.py``.
 
-It replaces the line ``<!-- scenario reference -->`` of a page, as Markdown, when the site is built.
+Types, defaults and meanings of the keys come from ffsm_drake.scenario, gains from the control laws, ports from
+ffsm_drake.loop.blocks. A table stands between the lines ``<!-- written by ... -->`` and ``<!-- end -->`` of its page.
 """
 
 import dataclasses
@@ -8,20 +9,21 @@ import inspect
 import re
 import types
 import typing
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
+from ffsm_drake.common.files import write_text
+from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.scenario import PerCoordinate, Scenario, schema_fields
 from ffsm_drake.scenario.json_schema import field_comments
-from ffsm_drake.systems.controllers import controller_names
 from ffsm_drake.systems.controllers.law import gains_of
-from ffsm_drake.systems.registry import find_factory
+from ffsm_drake.systems.registry import SHIPPED, find_factory
 
-if TYPE_CHECKING:
-    from sphinx.application import Sphinx
-
-MARKER = "<!-- scenario reference -->"
-
+DOCS = Path(__file__).parent
+BEGIN, END = "<!-- written by python docs/write_tables.py -->", "<!-- end -->"
+_OLDER_DRAKE = ("publish_every_time_step",)  # keys of Drake's own settings that not every version has
+_BLOCK_KEYS = {"controller": "`controller`", "forces": "`blocks.forces.<name>`"}
 _UNIT = re.compile(r"(?:(?:kg|rad|m|s|N|1)(?:\^\d)?|sqrt\(s\)|control samples|or|per|[ /()])+")
 
 
@@ -34,6 +36,15 @@ class Row:
     default: str
     unit: str
     meaning: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Section:
+    """The keys of one group of settings."""
+
+    path: str  # dotted; empty: the top level
+    summary: str  # what the group is; empty where it was said before
+    rows: list[Row]
 
 
 def _split_unit(comment: str) -> tuple[str, str]:
@@ -78,7 +89,7 @@ def rows(cls: type, default: Any) -> list[Row]:
     return [
         Row(name, _kind(kind), _default(getattr(default, name)), *_split_unit(comments.get(name, "")))
         for name, kind in (schema_fields(cls) or {}).items()
-        if schema_fields(_without_null(kind)) is None
+        if schema_fields(_without_null(kind)) is None and name not in _OLDER_DRAKE
     ]
 
 
@@ -115,23 +126,54 @@ def _table(rows: list[Row]) -> list[str]:
     ]
 
 
-def markdown() -> str:
-    """Every key of a scenario, one table per group of settings; the gains of the installed controllers last."""
-    lines: list[str] = []
+def scenario_keys() -> Iterator[Section]:
+    """Every key of a scenario with default, unit and meaning, by group; the gains of the shipped controllers last."""
     described = set()
     for path, cls, default in _groups(Scenario, Scenario()):
-        table = rows(cls, default)
-        if not table:
-            continue
-        lines += [f"## `{path}`" if path else "## Top level", ""]
-        summary = inspect.getdoc(cls) if dataclasses.is_dataclass(cls) else "Drake's own settings of the simulator."
-        if summary and cls not in described:
-            lines += [summary, ""]
-        described.add(cls)
-        lines += _table(table)
-    for controller in controller_names():
-        lines += [f"## `controllers.{controller}`", "", *_table(_gains(controller))]
+        if found := rows(cls, default):
+            summary = inspect.getdoc(cls) if dataclasses.is_dataclass(cls) else "Drake's own settings of the simulator."
+            yield Section(path, "" if cls in described else summary or "", found)
+            described.add(cls)
+    for controller in SHIPPED["controller"]:
+        yield Section(f"controllers.{controller}", "", _gains(controller))
+
+
+def scenario_table() -> str:
+    """The table of every key, as Markdown."""
+    lines = []
+    for section in scenario_keys():
+        lines += [f"## `{section.path}`" if section.path else "## Top level", ""]
+        lines += [section.summary, ""] if section.summary else []
+        lines += _table(section.rows)
+    return "\n".join(lines).rstrip()
+
+
+def block_table() -> str:
+    """One row for each port of each block, as Markdown."""
+    lines = ["| scenario key | port | size |", "|---|---|---|"]
+    for block, ports in BLOCKS.items():
+        key = _BLOCK_KEYS.get(block, f"`blocks.{block}`")
+        for kind, names, optional in (
+            ("in", ports.inputs, ""),
+            ("in", ports.optional_inputs, ", optional"),
+            ("out", ports.outputs, ""),
+            ("out", ports.optional_outputs, ", optional"),
+        ):
+            for name, size in names.items():
+                shown = size.replace(" ", "&nbsp;")
+                lines.append(f"| {key} | {kind} `{name}`{optional} | {shown} |")
+                key = ""
     return "\n".join(lines)
+
+
+PAGES: dict[str, Callable[[], str]] = {"scenario.md": scenario_table, "blocks.md": block_table}
+
+
+def written(page: str) -> str:
+    """A page's text with its table as the package has it now."""
+    before, rest = (DOCS / page).read_text(encoding="utf-8").split(BEGIN)
+    _, after = rest.split(END)
+    return f"{before}{BEGIN}\n\n{PAGES[page]()}\n\n{END}{after}"
 
 
 def _escaped(text: str) -> str:
@@ -144,11 +186,6 @@ def _escaped(text: str) -> str:
     )
 
 
-def _insert(app: "Sphinx", docname: str, source: list[str]) -> None:
-    if MARKER in source[0]:
-        source[0] = source[0].replace(MARKER, markdown())
-
-
-def setup(app: "Sphinx") -> dict[str, Any]:
-    app.connect("source-read", _insert)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}
+if __name__ == "__main__":
+    for name in PAGES:
+        write_text(DOCS / name, written(name))
