@@ -32,6 +32,7 @@ from ffsm_drake.scenario import (
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import controller_names
 from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.registry import SHIPPED
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -171,6 +172,22 @@ def test_python_examples_run(page, tmp_path, monkeypatch):
 )
 def test_scenario_fragments_are_valid(page, text):
     assert scenario_to_dict(scenario_from_yaml(text)) != scenario_to_dict(Scenario()), page
+
+
+@pytest.mark.parametrize(
+    ("page", "phrase"),
+    [
+        ("README.md", "{} controllers are included"),
+        ("docs/index.md", "{} controllers are included"),
+        ("docs/quickstart.md", "{} included controllers"),
+        ("docs/validation.md", "all {} pass the conformance kit"),
+        ("docs/comparison.md", "| post-capture controllers | {}: "),
+    ],
+)
+def test_the_controllers_are_counted(page, phrase):
+    words = "eight nine ten eleven twelve thirteen fourteen fifteen sixteen seventeen eighteen nineteen twenty".split()
+    number = len(SHIPPED["controller"])
+    assert phrase.format(words[number - 8]) in (ROOT / page).read_text().lower(), f"there are {number} controllers"
 
 
 @pytest.mark.parametrize("page", ["scenario.md", "blocks.md"])

@@ -179,10 +179,8 @@ def test_a_diverged_run_is_shown_as_such(unstable):
     verdict = robustness.published_gains_are_stable(unstable)
     assert re.search(r"^holds only with the law in every minor step of explicit Euler.*, not where", verdict.verdict)
     assert "0 of 3 runs diverge" in verdict.measured
-    assert re.search(
-        r"3 of 3 do, at 0\.\d+( to 0\.\d+)? s: the force is held over the period, and law \(9\) carries K_s from 150 to",
-        verdict.measured,
-    )
+    assert re.search(r"3 of 3 do, at 0\.\d+( to 0\.\d+)? s: the force is held over the period", verdict.measured)
+    assert "law (9) carries K_s from 150 to" in verdict.measured
 
 
 def test_the_papers_slips_are_marked(written):
