@@ -185,7 +185,21 @@ def test_scenario_fragments_are_valid(page, text):
     ],
 )
 def test_the_controllers_are_counted(page, phrase):
-    words = "eight nine ten eleven twelve thirteen fourteen fifteen sixteen seventeen eighteen nineteen twenty".split()
+    words = [
+        "eight",
+        "nine",
+        "ten",
+        "eleven",
+        "twelve",
+        "thirteen",
+        "fourteen",
+        "fifteen",
+        "sixteen",
+        "seventeen",
+        "eighteen",
+        "nineteen",
+        "twenty",
+    ]
     number = len(SHIPPED["controller"])
     assert phrase.format(words[number - 8]) in (ROOT / page).read_text().lower(), f"there are {number} controllers"
 

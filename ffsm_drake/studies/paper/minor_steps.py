@@ -72,6 +72,7 @@ def minor_step_table(overrides: tuple[str, ...] = ()) -> tuple[list[str], list[l
     rows = []
     for made in minor_step_runs(overrides):
         where = "once, its force held over the period" if made.held else "in every minor step"
+        where = "in its only step" if made.scheme is EULER else where
         figures = [scientific(made.itae), f"{made.isv:.1f}", f"{made.largest_k_s:.1f}"]
         rows.append([made.scheme.title, where, made.fate, *(figures if made.diverged is None else [""] * 3)])
     return header, rows

@@ -66,7 +66,7 @@ def tde_errors_are_bounded(results: Results) -> Evaluated:
         measured.append(f"{SETTINGS[setting].title}: largest |Ñ| {scientific(bound)} rad/s² or m/s²{until}")
     kind, condition = in_both(bounded["euler"], bounded["exact"])
     if kind == "holds only" and bounded["bounded"]:
-        condition += ", or with K_s bounded"
+        condition = "with explicit Euler at the control period, or with K_s bounded"
     return f"{'; '.join(measured)}.", (kind, condition)
 
 
