@@ -74,6 +74,11 @@ def field_comments(schema: type) -> dict[str, str]:
     return comments
 
 
+def summary_of(kind: type) -> str:
+    """The first paragraph of a docstring, on one line."""
+    return " ".join((inspect.getdoc(kind) or "").partition("\n\n")[0].split())
+
+
 def _schema(kind: Any, default: Any) -> dict[str, Any]:
     if kind is Any:
         return {}
@@ -88,11 +93,7 @@ def _schema(kind: Any, default: Any) -> dict[str, Any]:
                 properties[name]["description"] = described[name]
             if value is not None and not isinstance(value, dict) and value != []:
                 properties[name]["default"] = value
-        meaning = (
-            (inspect.getdoc(kind) or "").partition("\n")[0]
-            if dataclasses.is_dataclass(kind)
-            else ""
-        )
+        meaning = summary_of(kind) if dataclasses.is_dataclass(kind) else ""
         result = {"type": "object", "properties": properties, "additionalProperties": False}
         if hasattr(kind, "SHORTHAND"):
             result = {"anyOf": [{"type": "string"}, result]}
