@@ -36,7 +36,7 @@ def test_the_first_tested_drake_is_the_first_allowed():
 
 
 def test_the_lock_holds_versions_alone():
-    pinned = r"[\w.-]+==[\w.+!-]+( ; [\w ().<>='!]+)?"
+    pinned = r"[\w.-]+==[\w.+!-]+( ; [\w ().<>='!*]+)?"
     lines = [line for line in LOCK.splitlines() if not line.startswith("#")]
     assert [line for line in lines if not re.fullmatch(pinned, line)] == []
     assert "/" not in LOCK
