@@ -14,7 +14,7 @@ from ffsm_drake.scenario import load_scenario, override_scenario
 def examine() -> list[dict[str, str]]:
     """Try every part; takes a few seconds. Each gets a name, a detail and a status.
 
-    The status is "ok", "missing" (required), "without" (optional and absent) or "remark" (works, as far as is known).
+    The status is "ok", "missing" (required), "without" (optional and absent) or "remark" (to know).
     """
     parts: tuple[tuple[str, str, Callable[[], str]], ...] = (
         ("Python", "missing", lambda: f"{platform.python_version()} on {platform.platform()}"),
@@ -50,8 +50,8 @@ def _drake() -> str:
     first, last = versions.TESTED_DRAKE
     installed = version("drake")
     if not versions.release(first) <= versions.release(installed) <= versions.release(last):
-        raise RuntimeError(f"{installed} was not tested, {first} to {last} were: run the tests of what you rely on")
-    return f"{installed}; tested are {first} to {last}"
+        raise RuntimeError(f"{installed} is outside the tested range, {first} to {last}")
+    return f"{installed}, in the tested range {first} to {last}"
 
 
 def _models() -> str:
