@@ -44,7 +44,7 @@ def test_the_lock_holds_versions_alone():
 
 @pytest.mark.parametrize(
     "requirement",
-    [*PROJECT["dependencies"], *(r for group in PROJECT["optional-dependencies"].values() for r in group)],
+    sum(PROJECT["optional-dependencies"].values(), PROJECT["dependencies"]),
 )
 def test_the_lock_is_within_the_bounds(requirement):
     name, _, lowest = requirement.partition(">=")
