@@ -25,10 +25,18 @@ def test_rollout(monkeypatch, capsys):
     ratio = r"\d+\.\d\d \(\d+\.\d\d\)"
     others = ["a", "c", *(["d"] if ON_BASILISK else [])]
     for other in others:
-        assert len(re.findall(rf"b/{other} {ratio}", printed)) == 4, other  # the shipped arm and three others
+        # the shipped arm and three others
+        assert len(re.findall(rf"b/{other} {ratio}", printed)) == 4, other
     assert ("skipped, needs 'pip install bsk'" in printed) != ON_BASILISK
     # Drake, MuJoCo and Basilisk fly the same.
     for other in others[1:]:
-        differences = [float(x) for x in re.findall(rf"\(b\) - \({other}\): +(\d\.\de[-+]\d\d)", printed)]
+        differences = [
+            float(x)
+            for x in re.findall(
+                rf"\(b\) - \({other}\): "
+                r"+(\d\.\de[-+]\d\d)",
+                printed,
+            )
+        ]
         assert len(differences) == 4
         assert 0.0 < max(differences) < 1e-7

@@ -1,10 +1,12 @@
-"""What no linear controller can do better: the LQG front of error against effort, and how far a controller is from it.
+"""What no linear controller can do better: the LQG front of error against effort, and how far a
+controller is from it.
 
-The model is that of the closed loop at the middle of the planned motion: the true plant, sampled; the scenario's sensor
-noise; and in place of all that the controller does not know an acceleration d that walks at random, as fast as the
-planned motion and the disturbance ask for. Under it the linear quadratic Gaussian controller has the least mean square
-error for its effort, which counts beyond the force -H d that keeps d from acting (H: mass matrix). Delays and slow
-sensors are left out of the limit, which they only raise. Stationary Kalman filter and regulator: Franklin, Powell and
+The model is that of the closed loop at the middle of the planned motion: the true plant, sampled;
+the scenario's sensor noise; and in place of all that the controller does not know an acceleration d
+that walks at random, as fast as the planned motion and the disturbance ask for. Under it the linear
+quadratic Gaussian controller has the least mean square error for its effort, which counts beyond
+the force -H d that keeps d from acting (H: mass matrix). Delays and slow sensors are left out of
+the limit, which they only raise. Stationary Kalman filter and regulator: Franklin, Powell and
 Workman, Digital Control of Dynamic Systems, chapter 9.
 """
 
@@ -41,11 +43,15 @@ class Limit:
 
     @property
     def distance(self) -> float:
-        """Its error over the least possible at its effort (at least 1); errors weighed by the controller's own."""
+        """Its error over the least possible at its effort (at least 1); errors weighed by the
+        controller's own.
+        """
         if not np.isfinite(self.error).all() or self.excess <= 0.0:
             return float("inf")
         relative = np.sqrt(np.mean((self.front_error / self.error) ** 2, axis=1))
-        possible = np.exp(np.interp(np.log(self.excess), np.log(self.front_excess), np.log(relative)))
+        possible = np.exp(
+            np.interp(np.log(self.excess), np.log(self.front_excess), np.log(relative))
+        )
         return float(1.0 / possible)
 
 
@@ -56,18 +62,25 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
       scenario: what is looked at.
       demand: that of the scenario, if it is known already.
 
-    Raises: as ``Linearizer`` and ``Linearizer.at``; BlockError for a controller that tracks a frame.
+    Raises: as ``Linearizer`` and ``Linearizer.at``; BlockError for a controller that tracks a
+    frame.
     """
     scenario = from_grasp(scenario)
     demand = make_demand(scenario) if demand is None else demand
-    motion, step, count = make_motion(scenario, demand.coordinates), scenario.sample_time, scenario.num_control_periods
+    motion, step, count = (
+        make_motion(scenario, demand.coordinates),
+        scenario.sample_time,
+        scenario.num_control_periods,
+    )
     time = motion.part(0.5)
     q, _, _ = motion.evaluate(time)
     mass = driven_model(make_true_plant(scenario)).calc_mass_matrix(q)
     walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
     with Linearizer(scenario) as linearizer:
         if linearizer.loop.tracks_frame:
-            raise BlockError(f"{scenario.controller} tracks a frame; the limit is one of coordinates")
+            raise BlockError(
+                f"{scenario.controller} tracks a frame; the limit is one of coordinates"
+            )
         loop = linearizer.at(time, held=expected_gains(linearizer))
     response = loop.with_random_walk(walk, mass).noise_response(count)
     sensing = smooth_sensing(scenario)
@@ -76,11 +89,16 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
         for noise in (sensing.position_noise, sensing.velocity_noise)
     )
     axes = zip(position, velocity, walk, strict=True)
-    before, after = np.array([_filter(*map(float, axis), sample_time=step) for axis in axes]).swapaxes(0, 1)
-    scale = np.where(np.isfinite(response["error"]), response["error"], np.sqrt(before[:, 0, 0]) * step**2)
+    before, after = np.array(
+        [_filter(*map(float, axis), sample_time=step) for axis in axes]
+    ).swapaxes(0, 1)
+    scale = np.where(
+        np.isfinite(response["error"]), response["error"], np.sqrt(before[:, 0, 0]) * step**2
+    )
     front = list[tuple[np.ndarray, float]]()
     for price in _PRICES:
-        with contextlib.suppress(ValueError, np.linalg.LinAlgError):  # too badly scaled to be solved
+        # too badly scaled to be solved
+        with contextlib.suppress(ValueError, np.linalg.LinAlgError):
             front.append(_regulator(mass, before, after, scale / step**2, price))
     return Limit(
         error=response["error"],
@@ -93,20 +111,30 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
 def _filter(
     position_noise: float, velocity_noise: float, walk: float, *, sample_time: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances (3, 3) of one axis' [q, v, d] in units of [L^2, L, 1], before and after the correction of a sample.
+    """Covariances (3, 3) of one axis' [q, v, d] in units of [L^2, L, 1], before and after the
+    correction of a sample.
 
     The filter knows the force, so that axes do not meet in it.
     """
-    gain = kalman_gain(position_noise=position_noise, velocity_noise=velocity_noise, walk=walk, sample_time=sample_time)
+    gain = kalman_gain(
+        position_noise=position_noise,
+        velocity_noise=velocity_noise,
+        walk=walk,
+        sample_time=sample_time,
+    )
     size = np.array([sample_time**2, sample_time, 1.0])
     correct = np.eye(3)
     correct[:, :2] -= gain / size[:, None] * size[:2]
     motion = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
     measured = (
-        (gain / size[:, None]) @ np.diag(np.array([position_noise, velocity_noise]) ** 2) @ (gain / size[:, None]).T
+        (gain / size[:, None])
+        @ np.diag(np.array([position_noise, velocity_noise]) ** 2)
+        @ (gain / size[:, None]).T
     )
     process = np.diag([0.0, 0.0, walk**2 * sample_time])
-    after = covariance_after(correct @ motion, measured + correct @ process @ correct.T, samples=_STATIONARY)
+    after = covariance_after(
+        correct @ motion, measured + correct @ process @ correct.T, samples=_STATIONARY
+    )
     return motion @ after @ motion.T + process, after
 
 

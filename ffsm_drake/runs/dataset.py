@@ -1,4 +1,6 @@
-"""The labelled time series of a run: its log and, for what follows from the state, the true plant."""
+"""The labelled time series of a run: its log and, for what follows from the state, the true
+plant.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -23,7 +25,9 @@ if TYPE_CHECKING:
 
 
 def make_dataset(log: RunLog) -> "xr.Dataset":
-    """The labelled time series of a run: its log and, for what follows from the state, the true plant."""
+    """The labelled time series of a run: its log and, for what follows from the state, the true
+    plant.
+    """
     import xarray as xr
 
     scenario, coordinates, series = log.scenario, log.coordinates, log.series
@@ -43,30 +47,68 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     )
     unit = "rad (rotations) or m (translations)"
     force = "N m (rotations) or N (translations)"
-    by_coordinate, by_position, by_axis = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
+    by_coordinate, by_position, by_axis = (
+        ("time", "coordinate"),
+        ("time", "position_name"),
+        ("time", "axis"),
+    )
     variables = {
         "position": (by_position, position, "generalized positions q", f"1 (quaternion), {unit}"),
         "velocity": (by_coordinate, velocity, "generalized velocities v", f"{unit} per s"),
-        "measured_position": (by_position, measured_position, "q as the controller reads it", f"1, {unit}"),
-        "measured_velocity": (by_coordinate, measured_velocity, "v as the controller reads it", f"{unit} per s"),
-        "desired_position": (by_position, desired_position, "reference q_d", f"1 (quaternion), {unit}"),
+        "measured_position": (
+            by_position,
+            measured_position,
+            "q as the controller reads it",
+            f"1, {unit}",
+        ),
+        "measured_velocity": (
+            by_coordinate,
+            measured_velocity,
+            "v as the controller reads it",
+            f"{unit} per s",
+        ),
+        "desired_position": (
+            by_position,
+            desired_position,
+            "reference q_d",
+            f"1 (quaternion), {unit}",
+        ),
         "desired_velocity": (by_coordinate, desired_velocity, "reference v_d", f"{unit} per s"),
         "desired_acceleration": (
-            by_coordinate, series["desired_acceleration"], "reference acceleration", f"{unit} per s^2",
+            by_coordinate,
+            series["desired_acceleration"],
+            "reference acceleration",
+            f"{unit} per s^2",
         ),
-        "error": (by_coordinate, log.error, "true tracking error e = q_d - q (rotation vector in world)", unit),
+        "error": (
+            by_coordinate,
+            log.error,
+            "true tracking error e = q_d - q (rotation vector in world)",
+            unit,
+        ),
         "error_rate": (
-            by_coordinate, np.array(list(map(error_rate, log.error, desired_velocity, velocity))), "true error rate",
+            by_coordinate,
+            np.array(list(map(error_rate, log.error, desired_velocity, velocity))),
+            "true error rate",
             f"{unit} per s",
         ),
         "generalized_force": (
-            by_coordinate, series["generalized_force"], "control tau, held from this sample to the next", force,
+            by_coordinate,
+            series["generalized_force"],
+            "control tau, held from this sample to the next",
+            force,
         ),
         "applied_force": (
-            by_coordinate, series["applied_force"], "what the actuators make of tau, held likewise", force,
+            by_coordinate,
+            series["applied_force"],
+            "what the actuators make of tau, held likewise",
+            force,
         ),
         "disturbance_force": (
-            by_coordinate, series["disturbance_force"], "external forces tau_d at this instant, summed", force,
+            by_coordinate,
+            series["disturbance_force"],
+            "external forces tau_d at this instant, summed",
+            force,
         ),
         "end_effector_position": (by_axis, end_effector, "end effector in the world frame", "m"),
         "desired_end_effector_position": (by_axis, desired_end_effector, "its reference", "m"),
@@ -74,20 +116,34 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
         "desired_base_rpy": (by_axis, _base_rpy(desired_position), "their reference", "rad"),
         "linear_momentum": (by_axis, momentum[:, 3:], "total linear momentum", "N s"),
         "angular_momentum": (
-            by_axis, momentum[:, :3], "total angular momentum about the world's origin", "N m s",
+            by_axis,
+            momentum[:, :3],
+            "total angular momentum about the world's origin",
+            "N m s",
         ),
         "kinetic_energy": (("time",), energy, "total kinetic energy", "J"),
-    }  # fmt: skip
+    }
     for name, meaning in (
         ("sliding_variable", "sliding variable s of this sample"),
         ("reaching_gain", "K_s used by this sample, 1/s"),
         ("switching_gain", "G used by this sample"),
     ):
         if name in series:
-            variables[name] = (by_coordinate, series[name], meaning, "1/s" if name == "reaching_gain" else unit)
+            variables[name] = (
+                by_coordinate,
+                series[name],
+                meaning,
+                "1/s" if name == "reaching_gain" else unit,
+            )
     for name in series:
-        if name.startswith("force_"):  # several external forces act, and disturbance_force is their sum
-            variables[name] = (by_coordinate, series[name], f"external force '{name[6:]}' at this instant", force)
+        # several external forces act, and disturbance_force is their sum
+        if name.startswith("force_"):
+            variables[name] = (
+                by_coordinate,
+                series[name],
+                f"external force '{name[6:]}' at this instant",
+                force,
+            )
     dataset = xr.Dataset(
         {
             name: (dims, values, {"long_name": meaning, "units": units})
@@ -119,15 +175,25 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     dataset = add_drives(dataset, scenario, coordinates, series)
     if model.hidden.names:
         dataset = _with_hidden(dataset, model, states, series.get("hidden_force"))
-    return dataset if log.grasp is None else _with_phases(dataset, log.grasp, log.scenario, model, states)
+    return (
+        dataset
+        if log.grasp is None
+        else _with_phases(dataset, log.grasp, log.scenario, model, states)
+    )
 
 
 def _with_frame(dataset: "xr.Dataset", log: RunLog, error: np.ndarray) -> "xr.Dataset":
     """The dataset with the pose error of the frame that has a reference."""
-    meaning = {"long_name": "true pose error of the frame (rotation vector, position; world)", "units": "rad, m"}
+    meaning = {
+        "long_name": "true pose error of the frame (rotation vector, position; world)",
+        "units": "rad, m",
+    }
     dataset = dataset.assign(frame_error=(("time", "frame_coordinate"), error, meaning))
     if SMALLEST in log.series:
-        meaning = {"long_name": "smallest singular value of the joints' J*, rad counted as m", "units": "1"}
+        meaning = {
+            "long_name": "smallest singular value of the joints' J*, rad counted as m",
+            "units": "1",
+        }
         dataset = dataset.assign({SMALLEST: ("time", log.series[SMALLEST][:, 0], meaning)})
     return dataset.assign_coords(
         frame_coordinate=list(FRAME_COORDINATES),
@@ -138,7 +204,9 @@ def _with_frame(dataset: "xr.Dataset", log: RunLog, error: np.ndarray) -> "xr.Da
 
 
 def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Momentum about the world's origin (n, 6; angular, then linear) and kinetic energy (n) of states (n, nq + nv)."""
+    """Momentum about the world's origin (n, 6; angular, then linear) and kinetic energy (n) of
+    states (n, nq + nv).
+    """
     plant, context = model.plant, model.context
     origin = np.zeros(3)
     momentum, energy = np.empty((len(states), 6)), np.empty(len(states))
@@ -164,7 +232,9 @@ def _through_the_grasp(
     of_both, energy_of_both = _momentum_and_energy(model, states[grasp.sample :])
     M_PPo_P = spatial_inertia(log.scenario.payload.truth)
     for i, state in enumerate(grasp.target):
-        M_PPo_W = M_PPo_P.ReExpress(RotationMatrix(Quaternion(state[:4] / np.linalg.norm(state[:4]))))
+        M_PPo_W = M_PPo_P.ReExpress(
+            RotationMatrix(Quaternion(state[:4] / np.linalg.norm(state[:4])))
+        )
         of_target = M_PPo_W.CopyToFullMatrix6() @ state[7:]
         energy[i] += 0.5 * state[7:] @ of_target
         momentum[i] += shift_moment(of_target, -state[4:7])
@@ -174,7 +244,9 @@ def _through_the_grasp(
 def _with_hidden(
     dataset: "xr.Dataset", model: PlantModel, states: np.ndarray, force: np.ndarray | None
 ) -> "xr.Dataset":
-    """The dataset with the hidden coordinates, the energy of their springs and what dampers took."""
+    """The dataset with the hidden coordinates, the energy of their springs and what dampers
+    took.
+    """
     plant, context, hidden = model.plant, model.context, model.hidden
     position, velocity = np.split(hidden.hidden_part(states), 2, axis=1)
     elastic = np.full(len(states), np.nan)
@@ -182,25 +254,43 @@ def _with_hidden(
         if np.isfinite(state).all():
             plant.SetPositionsAndVelocities(context, state)
             elastic[i] = plant.CalcPotentialEnergy(context)
-    joints = [joint for joint in map(plant.get_joint, plant.GetJointIndices()) if joint.num_velocities() == 1]
+    joints = [
+        joint
+        for joint in map(plant.get_joint, plant.GetJointIndices())
+        if joint.num_velocities() == 1
+    ]
     damping = np.array([joint.GetDampingVector(context)[0] for joint in joints])
     angle = states[:, [joint.position_start() for joint in joints]]
     rate = states[:, [plant.num_positions() + joint.velocity_start() for joint in joints]]
-    # The mean square of a rate that is quadratic within a sample, from its ends and from how far it went.
+    # The mean square of a rate that is quadratic within a sample, from its ends and from how far it
+    # went.
     period = float(dataset.attrs["sample_time"])
     before, after = rate[:-1], rate[1:]
     bow = 6.0 * np.diff(angle, axis=0) / period - 3.0 * (before + after)
-    square = (before**2 + before * after + after**2) / 3.0 + bow * (before + after) / 6.0 + bow**2 / 30.0
+    square = (
+        (before**2 + before * after + after**2) / 3.0 + bow * (before + after) / 6.0 + bow**2 / 30.0
+    )
     lost = np.concatenate([np.zeros(1), np.cumsum(period * square @ damping)])
     along, unit = ("time", "hidden_coordinate"), "rad or m"
     dataset = dataset.assign(
-        hidden_position=(along, position, {"long_name": "deflection, unknown to the controller", "units": unit}),
+        hidden_position=(
+            along,
+            position,
+            {"long_name": "deflection, unknown to the controller", "units": unit},
+        ),
         hidden_velocity=(along, velocity, {"long_name": "its rate", "units": f"{unit} per s"}),
         elastic_energy=("time", elastic, {"long_name": "energy of the springs", "units": "J"}),
-        damping_loss=("time", lost, {"long_name": "energy that dampers took since the start", "units": "J"}),
+        damping_loss=(
+            "time",
+            lost,
+            {"long_name": "energy that dampers took since the start", "units": "J"},
+        ),
     )
     if force is not None:
-        meaning = {"long_name": "external forces on them at this instant, summed", "units": "N m or N"}
+        meaning = {
+            "long_name": "external forces on them at this instant, summed",
+            "units": "N m or N",
+        }
         dataset = dataset.assign(hidden_force=(along, force, meaning))
     return dataset.assign_coords(
         hidden_coordinate=list(hidden.names), hidden_unit=("hidden_coordinate", list(hidden.units))
@@ -208,7 +298,11 @@ def _with_hidden(
 
 
 def _with_phases(
-    dataset: "xr.Dataset", grasp: GraspLog, scenario: Scenario, model: PlantModel, states: np.ndarray
+    dataset: "xr.Dataset",
+    grasp: GraspLog,
+    scenario: Scenario,
+    model: PlantModel,
+    states: np.ndarray,
 ) -> "xr.Dataset":
     """The dataset with the coordinate ``phase`` along time and the target's pose, held or not."""
     count = grasp.sample
@@ -221,13 +315,18 @@ def _with_phases(
             model.plant.SetPositionsAndVelocities(model.context, state)
             X_WP = body.EvalPoseInWorld(model.context)
             pose[i] = *X_WP.rotation().ToQuaternion().wxyz(), *X_WP.translation()
-    pose[:, :4] *= np.sign(pose[:, :1]) + (pose[:, :1] == 0.0)  # one of the two quaternions of a rotation
+    # one of the two quaternions of a rotation
+    pose[:, :4] *= np.sign(pose[:, :1]) + (pose[:, :1] == 0.0)
     dataset["target_position"] = (
-        ("time", "axis"), pose[:, 4:], {"long_name": "origin of the target's frame in the world frame", "units": "m"},
-    )  # fmt: skip
+        ("time", "axis"),
+        pose[:, 4:],
+        {"long_name": "origin of the target's frame in the world frame", "units": "m"},
+    )
     dataset["target_quaternion"] = (
-        ("time", "quaternion"), pose[:, :4], {"long_name": "attitude of the target's frame in the world", "units": "1"},
-    )  # fmt: skip
+        ("time", "quaternion"),
+        pose[:, :4],
+        {"long_name": "attitude of the target's frame in the world", "units": "1"},
+    )
     phase = ["approach"] * count + ["stop"] * (len(states) - count)
     return dataset.assign_coords(phase=("time", phase), quaternion=["w", "x", "y", "z"])
 
@@ -247,7 +346,9 @@ def _end_effector(model: PlantModel, scenario: Scenario, positions: np.ndarray) 
 
 
 def _base_rpy(positions: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw (n, 3) of the base in configurations q (n, nq), rad; as ``plant.base_rpy``."""
+    """Roll, pitch, yaw (n, 3) of the base in configurations q (n, nq), rad; as
+    ``plant.base_rpy``.
+    """
     w, x, y, z = positions[:, :4].T / np.linalg.norm(positions[:, :4], axis=1)
     cosines = np.hypot(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z))  # of the pitch
     return np.stack(

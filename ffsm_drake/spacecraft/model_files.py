@@ -1,4 +1,6 @@
-"""The files that a model leads to, looked at before Drake opens them: it would read a device or a FIFO without end."""
+"""The files that a model leads to, looked at before Drake opens them: it would read a device or a
+FIFO without end.
+"""
 
 import functools
 import re
@@ -46,8 +48,12 @@ def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Pat
 
 
 @functools.lru_cache(maxsize=64)  # plants are made again and again
-def _looked_at(first: Path | None, packages: tuple[tuple[str, str], ...], changed: int) -> tuple[str, tuple[Path, ...]]:
-    """What is wrong with the files, or nothing, and which they are; ``changed`` is when the first was."""
+def _looked_at(
+    first: Path | None, packages: tuple[tuple[str, str], ...], changed: int
+) -> tuple[str, tuple[Path, ...]]:
+    """What is wrong with the files, or nothing, and which they are; ``changed`` is when the first
+    was.
+    """
     pending = [] if first is None else [first]
     for path in pending:  # which grows
         try:

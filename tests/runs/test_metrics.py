@@ -12,13 +12,18 @@ TIME = PERIOD * np.arange(2000)
 
 def test_constant_error_and_constant_effort():
     error, effort = np.full((2000, 11), -0.3), np.tile(np.arange(11.0), (2000, 1))
-    assert itae(TIME, error, PERIOD) == pytest.approx(11 * 0.3 * DURATION**2 / 2, rel=1e-3)  # left sums: L / t_f off
+    # left sums: L / t_f off
+    assert itae(TIME, error, PERIOD) == pytest.approx(11 * 0.3 * DURATION**2 / 2, rel=1e-3)
     assert isv(effort, PERIOD) == pytest.approx(385 * DURATION)
 
 
 @pytest.mark.parametrize(
     ("scales", "expected"),
-    [([], 6.921), (["disturbance.frequency_scale=3"], 6.875), (["disturbance.amplitude_scale=3"], 9 * 6.921)],
+    [
+        ([], 6.921),
+        (["disturbance.frequency_scale=3"], 6.875),
+        (["disturbance.amplitude_scale=3"], 9 * 6.921),
+    ],
 )
 def test_energy_of_the_disturbances(scales, expected):
     loop = make_closed_loop(load_scenario("paper", scales))
