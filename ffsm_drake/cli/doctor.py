@@ -4,6 +4,7 @@ import platform
 import shutil
 import tempfile
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 from ffsm_drake.common.errors import FfsmError, one_line
@@ -13,11 +14,12 @@ from ffsm_drake.scenario import load_scenario, override_scenario
 def examine() -> list[dict[str, str]]:
     """Try every part; takes a few seconds. Each gets a name, a detail and a status.
 
-    The status is "ok", "missing" (required) or "without" (optional and absent).
+    The status is "ok", "missing" (required), "without" (optional and absent) or "remark" (to know).
     """
     parts: tuple[tuple[str, str, Callable[[], str]], ...] = (
         ("Python", "missing", lambda: f"{platform.python_version()} on {platform.platform()}"),
         ("packages", "missing", _packages),
+        ("Drake", "remark", _drake),
         ("models", "missing", _models),
         ("a short run", "missing", _short_run),
         ("writing here", "missing", _writing),
@@ -42,6 +44,16 @@ def _packages() -> str:
     return ", ".join(
         f"{name} {versions[name]}" for name in versions if name not in ("python", "platform")
     )
+
+
+def _drake() -> str:
+    from ffsm_drake.common import versions
+
+    first, last = versions.TESTED_DRAKE
+    installed = version("drake")
+    if not versions.release(first) <= versions.release(installed) <= versions.release(last):
+        raise RuntimeError(f"{installed} is outside the tested range, {first} to {last}")
+    return f"{installed}, in the tested range {first} to {last}"
 
 
 def _models() -> str:

@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from importlib.metadata import version
 
 import pytest
 from click.testing import CliRunner
@@ -249,6 +250,25 @@ def test_doctor(tmp_path, monkeypatch):
     sick = ffsm("doctor")
     assert sick.exit_code == 2
     assert "[missing] models: no models" in sick.stdout
+
+
+@pytest.mark.parametrize(
+    ("tested", "status"),
+    [
+        (("1.0.0", "999.0.0"), "ok"),
+        # the installed one is newer, though "1.9" comes after "1.51" as text
+        (("1.0.0", "1.9.9"), "remark"),
+        (("999.0.0", "999.1.0"), "remark"),
+    ],
+)
+def test_doctor_remarks_on_an_untested_drake(tested, status, monkeypatch):
+    monkeypatch.setattr("ffsm_drake.common.versions.TESTED_DRAKE", tested)
+    result = ffsm("doctor", "--json")
+    assert result.exit_code == 0
+    (check,) = [check for check in json.loads(result.stdout) if check["name"] == "Drake"]
+    assert check["status"] == status
+    assert version("drake") in check["detail"]
+    assert all(end in check["detail"] for end in tested)
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

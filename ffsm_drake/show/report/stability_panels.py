@@ -132,15 +132,10 @@ def _map_panel(results: Sequence[Result], i: int, margin: Margins) -> Panel:
         used = {"sample time in use": 1e3 * margin.scenario.sample_time}
         unit, what = "L [ms]", "sample time"
     color = results[i].style.color
+    red, green, blue = bytes.fromhex(color.removeprefix("#"))
+    fill = {"fill": "tozeroy", "fillcolor": f"rgba({red}, {green}, {blue}, 0.11)"}
     traces: list[Trace] = [
-        curve(
-            (eta, limit),
-            Style(color),
-            name="stability limit",
-            width=2,
-            fill="tozeroy",
-            fillcolor=f"{color}1c",
-        )
+        curve((eta, limit), Style(color), name="stability limit", width=2, **fill)
     ]
     for (name, value), symbol in zip(used.items(), ("circle", "diamond"), strict=False):
         place = {
