@@ -1,4 +1,6 @@
-"""What (c) and (d) of rollout.py share: the arm as a model file, and the law in NumPy; and (c) itself, on MuJoCo."""
+"""What (c) and (d) of rollout.py share: the arm as a model file, and the law in NumPy; and (c)
+itself, on MuJoCo.
+"""
 
 from collections.abc import Generator, Iterator, Sequence
 from typing import NamedTuple
@@ -15,28 +17,40 @@ _AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 
 
 class Arm(NamedTuple):
-    """A base and a serial arm, links along z, with the payload ahead of the last: what the models below describe."""
+    """A base and a serial arm, links along z, with the payload ahead of the last: what the models
+    below describe.
+    """
 
     masses: Sequence[float]  # kg
     lengths: Sequence[float]  # m
     axes: Sequence[str]
-    drive: float = 0.0  # kg m^2, moment of inertia of a joint's drive, which its link carries, about any axis
+    # kg m^2, moment of inertia of a joint's drive, which its link carries, about any axis
+    drive: float = 0.0
 
     @classmethod
     def of(cls, joints: int) -> "Arm":
-        """The shipped arm for five joints; for any other number one of its mass and length, in equal links.
+        """The shipped arm for five joints; for any other number one of its mass and length, in
+        equal links.
 
-        Those get drives: without, so short and slender links hardly have inertia about the axes between them, the
-        disturbance throws them about, and what is compared is how it is sampled.
+        Those get drives: without, so short and slender links hardly have inertia about the axes
+        between them, the disturbance throws them about, and what is compared is how it is sampled.
         """
         if joints == 5:
-            return cls((3.0, 10.0, 10.0, 1.5, 1.5), (0.18, 0.62, 0.62, 0.09, 0.09), ("z", "y", "y", "y", "x"))
+            return cls(
+                (3.0, 10.0, 10.0, 1.5, 1.5),
+                (0.18, 0.62, 0.62, 0.09, 0.09),
+                ("z", "y", "y", "y", "x"),
+            )
         axes = [("z", "y", "y", "x")[i % 4] for i in range(joints)]
         return cls((26.0 / joints,) * joints, (1.6 / joints,) * joints, axes, drive=0.5)
 
     def parts(self) -> Iterator[tuple[float, float, float, str, float, float]]:
-        """Of each link: place along the link before, mass, length, axis, moment of inertia across and along."""
-        for place, mass, length, axis in zip((1.0, *self.lengths), self.masses, self.lengths, self.axes, strict=False):
+        """Of each link: place along the link before, mass, length, axis, moment of inertia across
+        and along.
+        """
+        for place, mass, length, axis in zip(
+            (1.0, *self.lengths), self.masses, self.lengths, self.axes, strict=False
+        ):
             across, along = mass * length**2 / 12, mass * 0.05**2 / 2
             yield place, mass, length, axis, across + self.drive, along + self.drive
 
@@ -44,7 +58,10 @@ class Arm(NamedTuple):
         def body(name: str, mass: float, z: float, across: float, along: float) -> str:
             moments = f'ixx="{across}" iyy="{across}" izz="{along}" ixy="0" ixz="0" iyz="0"'
             origin, inertia = f'<origin xyz="0 0 {z}"/>', f"<inertia {moments}/>"
-            return f'<link name="{name}"><inertial>{origin}<mass value="{mass}"/>{inertia}</inertial></link>'
+            return (
+                f'<link name="{name}"><inertial>{origin}<mass '
+                f'value="{mass}"/>{inertia}</inertial></link>'
+            )
 
         def joint(name: str, kind: str, parent: str, child: str, z: float, axis: str) -> str:
             ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="0 0 {z}"/>'
@@ -60,45 +77,62 @@ class Arm(NamedTuple):
         return f'<robot name="arm">{text}</robot>'
 
     def mjcf(self, payload: MassProperties, *, actuated: bool = False) -> str:
-        """The model; with ``actuated``, an actuator for every velocity, in Drake's order and world axes."""
+        """The model; with ``actuated``, an actuator for every velocity, in Drake's order and world
+        axes.
+        """
 
         def inertial(mass: float, z: float, moments: Sequence[float]) -> str:
-            return f'<inertial pos="0 0 {z}" mass="{mass}" diaginertia="{" ".join(map(str, moments))}"/>'
+            return (
+                f'<inertial pos="0 0 {z}" mass="{mass}" '
+                f'diaginertia="{" ".join(map(str, moments))}"/>'
+            )
 
         text = inertial(payload.mass, 0.0, payload.inertia)
         text = f'<body name="payload" pos="0 0 {self.lengths[-1] + 0.5}">{text}</body>'
-        for i, (place, mass, length, axis, across, along) in reversed(list(enumerate(self.parts(), start=1))):
+        for i, (place, mass, length, axis, across, along) in reversed(
+            list(enumerate(self.parts(), start=1))
+        ):
             joint = f'<joint name="joint_{i}" type="hinge" axis="{_AXES[axis]}"/>'
             text = joint + inertial(mass, length / 2, (across, across, along)) + text
             text = f'<body name="link_{i}" pos="0 0 {place}">{text}</body>'
-        text = f'<body name="base"><freejoint name="base"/>{inertial(400.0, 0.0, (266.0,) * 3)}{text}</body>'
+        text = (
+            '<body name="base"><freejoint '
+            f'name="base"/>{inertial(400.0, 0.0, (266.0,) * 3)}{text}</body>'
+        )
         option = '<option gravity="0 0 0" integrator="RK4" timestep="0.01"/>'
         actuators = ""
         if actuated:
-            for i, axis in enumerate((3, 4, 5, 0, 1, 2), start=1):  # MuJoCo has a free joint's translation first
+            # MuJoCo has a free joint's translation first
+            for i, axis in enumerate((3, 4, 5, 0, 1, 2), start=1):
                 gear = " ".join("1" if k == axis else "0" for k in range(6))
                 actuators += f'<general name="base_{i}" jointinparent="base" gear="{gear}"/>'
             for i in range(1, len(self.masses) + 1):
                 actuators += f'<general name="joint_{i}" joint="joint_{i}"/>'
-        return f"<mujoco>{option}<worldbody>{text}</worldbody><actuator>{actuators}</actuator></mujoco>"
+        world = f"<worldbody>{text}</worldbody>"
+        return f"<mujoco>{option}{world}<actuator>{actuators}</actuator></mujoco>"
 
 
 class NumpyLaw:
     """TDE-AISMC and the disturbance, in NumPy, for a simulation with MuJoCo's state.
 
-    MuJoCo's angular velocity is in body axes and its position comes first; the law works as ours does, in world axes
-    and Drake's order, so that gains mean the same. Its mass matrix is that of a second model, with the nominal payload.
+    MuJoCo's angular velocity is in body axes and its position comes first; the law works as ours
+    does, in world axes and Drake's order, so that gains mean the same. Its mass matrix is that of a
+    second model, with the nominal payload.
     """
 
     def __init__(self, scenario: Scenario, coordinates: Coordinates) -> None:
         self.period = scenario.sample_time
-        self.nominal = mujoco.MjModel.from_xml_string(Arm.of(len(coordinates.joints)).mjcf(scenario.payload.nominal))
+        self.nominal = mujoco.MjModel.from_xml_string(
+            Arm.of(len(coordinates.joints)).mjcf(scenario.payload.nominal)
+        )
         self.nominal_data = mujoco.MjData(self.nominal)
         self.motion = make_motion(scenario, coordinates)
         self.gains = gain_vectors(scenario, coordinates)
         harmonics = scenario.disturbance.harmonics
         self.harmonics = [
-            coordinates.vector({n: getattr(h, field) for n, h in harmonics.items()}, key=field, default=0.0)
+            coordinates.vector(
+                {n: getattr(h, field) for n, h in harmonics.items()}, key=field, default=0.0
+            )
             for field in ("amplitude", "frequency", "phase", "bias")
         ]
         start = self.motion.rows(np.zeros(1))[0]
@@ -110,20 +144,32 @@ class NumpyLaw:
     def samples(self, noise: np.ndarray) -> Generator[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Take (qpos, qvel) of every sample, give the force (nv) to hold until the next.
 
-        ``noise`` (n, nv) is what the sensors add to the velocities. The generator is ready after one ``next``.
+        ``noise`` (n, nv) is what the sensors add to the velocities. The generator is ready after
+        one ``next``.
         """
-        nominal, nominal_data, turn, to_world = self.nominal, self.nominal_data, self.turn, self.to_world
+        nominal, nominal_data, turn, to_world = (
+            self.nominal,
+            self.nominal_data,
+            self.turn,
+            self.to_world,
+        )
         period, num_samples, nv = self.period, len(noise), noise.shape[1]
-        k_d, k_p, alpha, beta, phi = (self.gains[name] for name in ("k_d", "k_p", "alpha", "beta", "phi"))
+        k_d, k_p, alpha, beta, phi = (
+            self.gains[name] for name in ("k_d", "k_p", "alpha", "beta", "phi")
+        )
         k_s, g, k_s_max = self.gains["k_s_initial"], self.gains["g_initial"], self.gains["k_s_max"]
         epsilon = self.gains["epsilon"]
-        # Plan and disturbance are known beforehand; forces are held over a step, so the disturbance is that of the
-        # step's middle.
+        # Plan and disturbance are known beforehand; forces are held over a step, so the disturbance
+        # is that of the step's middle.
         times = period * np.arange(num_samples)
         plan, plan_acceleration = np.split(self.motion.rows(times), [2 * nv + 1], axis=1)
         amplitude, frequency, phase, bias = self.harmonics
-        disturbances = amplitude * np.sin(frequency * (times[:, None] + 0.5 * period) + phase) + bias
-        errors, forces, sliding, reaching, switching = (np.empty((num_samples, nv)) for _ in range(5))
+        disturbances = (
+            amplitude * np.sin(frequency * (times[:, None] + 0.5 * period) + phase) + bias
+        )
+        errors, forces, sliding, reaching, switching = (
+            np.empty((num_samples, nv)) for _ in range(5)
+        )
         self.errors = errors
         positions, velocities = np.empty((num_samples, nv + 1)), np.empty((num_samples, nv))
         force, integral, previous = np.zeros(nv), np.zeros(nv), None
@@ -140,14 +186,20 @@ class NumpyLaw:
             e[:3], e[3:6], e[6:] = rotation, plan[k, 4:7] - qpos[:3], plan[k, 7 : nv + 1] - qpos[7:]
             measured = v + noise[k]
             e_dot = plan[k, nv + 1 :] - measured
-            e_dot[:3] = rotation_error_rate(tuple(rotation.tolist()), plan[k, nv + 1 : nv + 4], measured[:3])
+            e_dot[:3] = rotation_error_rate(
+                tuple(rotation.tolist()), plan[k, nv + 1 : nv + 4], measured[:3]
+            )
             s = e_dot + k_d * e + k_p * integral
             u = plan_acceleration[k] + k_d * e_dot + k_p * e + k_s * s + g * np.sign(s)
             positions[k], velocities[k], errors[k] = qpos, v, e
             sliding[k], reaching[k], switching[k] = s, k_s, g
             magnitude = np.abs(s)
-            rate = np.where(g > 0.0, np.sign(magnitude.max() - epsilon) * phi * magnitude, epsilon * phi)
-            k_s = np.clip(k_s + period * alpha * magnitude * np.sign(magnitude - k_s / beta), 0.0, k_s_max)
+            rate = np.where(
+                g > 0.0, np.sign(magnitude.max() - epsilon) * phi * magnitude, epsilon * phi
+            )
+            k_s = np.clip(
+                k_s + period * alpha * magnitude * np.sign(magnitude - k_s / beta), 0.0, k_s_max
+            )
             g = np.maximum(g + period * rate, 0.0)
             integral = integral + period * e
             if previous is not None:

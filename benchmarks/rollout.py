@@ -1,22 +1,25 @@
-"""What one rollout costs, as ratios: against the bare plant, against the same loop on MuJoCo and on Basilisk, by
-degrees of freedom.
+"""What one rollout costs, as ratios: against the bare plant, against the same loop on MuJoCo and on
+Basilisk, by degrees of freedom.
 
     python benchmarks/rollout.py [--repeats 20] [--duration 20]
 
-All compared runs take turns within one process, and what is printed are medians of the repeats, because a machine's
-speed changes from minute to minute; the minima, which other work on the machine disturbs less, stand in brackets. The
-scenario is ``postcapture`` with the proposed controller: 20 s, or what is asked for, at 10 ms.
+All compared runs take turns within one process, and what is printed are medians of the repeats,
+because a machine's speed changes from minute to minute; the minima, which other work on the machine
+disturbs less, stand in brackets. The scenario is ``postcapture`` with the proposed controller: 20
+s, or what is asked for, at 10 ms.
 
-(a) the bare plant: the same plant, integrator and step under a constant generalized force, AdvanceTo only;
-(b) our closed loop: AdvanceTo, with everything that a run records;
-(c) the same closed loop written for MuJoCo: fourth-order Runge-Kutta at 10 ms, the law in NumPy, the mass matrix of a
+(a) the bare plant: the same plant, integrator and step under a constant generalized force,
+AdvanceTo only; (b) our closed loop: AdvanceTo, with everything that a run records; (c) the same
+closed loop written for MuJoCo: fourth-order Runge-Kutta at 10 ms, the law in NumPy, the mass matrix
+of a
     second model with the nominal payload;
-(d) the same on Basilisk, where it is installed (pip install bsk): its simulation of a MuJoCo model, the law of (c) as
-    a module in Python, and a recorder of the state; ExecuteSimulation only.
+(d) the same on Basilisk, where it is installed (pip install bsk): its simulation of a MuJoCo model,
+    the law of (c) as a module in Python, and a recorder of the state; ExecuteSimulation only.
 
-Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of ``thrusters_only``
-alone, over the same run with an ideal wrench: what allocation, modulation and wheels cost. And ``flexible_panels`` over
-the same run with the panels locked: what hidden coordinates cost.
+Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of
+``thrusters_only`` alone, over the same run with an ideal wrench: what allocation, modulation and
+wheels cost. And ``flexible_panels`` over the same run with the panels locked: what hidden
+coordinates cost.
 """
 
 import argparse
@@ -62,7 +65,9 @@ class BarePlant:
         ApplySimulatorConfig(scenario.simulator_config, self.simulator)
         context = self.simulator.get_mutable_context()
         set_payload(plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
-        plant.SetPositions(context, configuration(plant, scenario.initial_posture, key="initial_posture"))
+        plant.SetPositions(
+            context, configuration(plant, scenario.initial_posture, key="initial_posture")
+        )
         force = np.full(plant.num_velocities(), 0.01)
         plant.get_applied_generalized_force_input_port().FixValue(context, force)
         self.start = context.Clone()
@@ -81,7 +86,11 @@ def arm_scenario(joints: int, folder: Path, *overrides: str) -> Scenario:
     model, directives = folder / f"arm_{joints}.urdf", folder / f"arm_{joints}.dmd.yaml"
     model.write_text(Arm.of(joints).urdf())
     directives.write_text(f"directives:\n- add_model: {{name: arm, file: 'file://{model}'}}\n")
-    arm = (f"model.directives={directives}", "model.end_effector=arm::payload", "payload.body=arm::payload")
+    arm = (
+        f"model.directives={directives}",
+        "model.end_effector=arm::payload",
+        "payload.body=arm::payload",
+    )
     return load_scenario("postcapture", (*arm, *overrides))
 
 
@@ -136,7 +145,11 @@ def contest(scenario: Scenario) -> Contest:
     log = rollout.run()
     if not log.outcome.completed:
         raise SystemExit(log.outcome.message)
-    bare, loop, noise = BarePlant(scenario), MujocoLoop(scenario, log.coordinates), sensor_noise(log)
+    bare, loop, noise = (
+        BarePlant(scenario),
+        MujocoLoop(scenario, log.coordinates),
+        sensor_noise(log),
+    )
     contestants = {
         "a": bare.advance_time,
         "b": lambda: rollout.run().wall_time["advance_to"],
@@ -154,9 +167,15 @@ def variant_times(
     scenario: str, variants: Mapping[str, Sequence[str]], repeats: int, duration: str
 ) -> dict[str, Timing]:
     """Wall time of a shipped scenario with the overrides of its variants."""
-    rollouts = {name: Rollout(load_scenario(scenario, (duration, *overrides))) for name, overrides in variants.items()}
+    rollouts = {
+        name: Rollout(load_scenario(scenario, (duration, *overrides)))
+        for name, overrides in variants.items()
+    }
     return interleaved(
-        {name: lambda rollout=rollout: rollout.run().wall_time["advance_to"] for name, rollout in rollouts.items()},
+        {
+            name: lambda rollout=rollout: rollout.run().wall_time["advance_to"]
+            for name, rollout in rollouts.items()
+        },
         repeats,
     )
 
@@ -167,15 +186,26 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
     print(f"  (b) closed loop        {b}   b/a {b.over(a)}")
     print(f"  (c) same on MuJoCo     {c}   b/c {b.over(c)}")
     if "d" in times:
-        print(f"  (d) same on Basilisk   {times['d']}   b/d {b.over(times['d'])}   bsk {on_basilisk.VERSION}")
+        print(
+            f"  (d) same on Basilisk   {times['d']}   b/d {b.over(times['d'])}   bsk "
+            f"{on_basilisk.VERSION}"
+        )
     else:
         print(f"  (d) same on Basilisk   skipped, needs 'pip install bsk': {WITHOUT_BASILISK}")
-    print(f"  (b) - (a) per control sample: {(b.median - a.median) / samples * 1e6:.0f} us", end=" ")
+    print(
+        f"  (b) - (a) per control sample: {(b.median - a.median) / samples * 1e6:.0f} us", end=" "
+    )
     print(f"({(b.minimum - a.minimum) / samples * 1e6:.0f})")
     for name, difference in contest.differences.items():
-        print(f"  final error, largest difference (b) - ({name}): {np.abs(difference[-1]).max():.1e}")
+        print(
+            f"  final error, largest difference (b) - ({name}): {np.abs(difference[-1]).max():.1e}"
+        )
         print(f"  error of the whole run, likewise:          {np.abs(difference).max():.1e}")
-    for name, label in (("build", "Rollout(scenario)"), ("run", "run() and its metrics"), ("simulate", "simulate()")):
+    for name, label in (
+        ("build", "Rollout(scenario)"),
+        ("run", "run() and its metrics"),
+        ("simulate", "simulate()"),
+    ):
         print(f"  {label:22s} {times[name]}   {times[name].over(b)} of (b)")
 
 
@@ -193,19 +223,34 @@ def print_arms(times: Mapping[str, Timing], arms: Mapping[int, Contest]) -> None
         b = own["b"]
         print(f"  {joints:2d}: " + "  ".join(f"({name}) {timing}" for name, timing in own.items()))
         print("      " + "  ".join(f"b/{name} {b.over(own[name])}" for name in own if name != "b"))
-        finals = {name: np.abs(difference[-1]).max() for name, difference in arm.differences.items()}
-        print("      final error, " + ", ".join(f"(b) - ({name}): {final:.1e}" for name, final in finals.items()))
+        finals = {
+            name: np.abs(difference[-1]).max() for name, difference in arm.differences.items()
+        }
+        print(
+            "      final error, "
+            + ", ".join(f"(b) - ({name}): {final:.1e}" for name, final in finals.items())
+        )
     degrees = np.log([joints + 6 for joints in arms])
     exponents = {
-        name: np.polyfit(degrees, np.log([times[f"{name}{joints}"].minimum for joints in arms]), 1)[0] for name in own
+        name: np.polyfit(degrees, np.log([times[f"{name}{joints}"].minimum for joints in arms]), 1)[
+            0
+        ]
+        for name in own
     }
-    print("  minima ~ (degrees of freedom)^p: " + ", ".join(f"({name}) p = {p:.2f}" for name, p in exponents.items()))
+    print(
+        "  minima ~ (degrees of freedom)^p: "
+        + ", ".join(f"({name}) p = {p:.2f}" for name, p in exponents.items())
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
-    parser.add_argument("--repeats", type=int, default=20, help="repeats of each measurement (default: 20)")
-    parser.add_argument("--duration", type=float, default=20.0, help="simulated time of a run, s (default: 20)")
+    parser.add_argument(
+        "--repeats", type=int, default=20, help="repeats of each measurement (default: 20)"
+    )
+    parser.add_argument(
+        "--duration", type=float, default=20.0, help="simulated time of a run, s (default: 20)"
+    )
     arguments = parser.parse_args(argv)
     repeats, duration = arguments.repeats, f"duration={arguments.duration:g}"
     fewer = min(repeats, max(5, repeats // 4))
@@ -221,7 +266,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         },
         repeats,
     )
-    print(f"postcapture, tde_aismc, {arguments.duration:g} s: medians of {repeats} interleaved repeats (minima)")
+    print(
+        f"postcapture, tde_aismc, {arguments.duration:g} s: medians of {repeats} interleaved "
+        "repeats (minima)"
+    )
     print_contest(times, shipped, scenario.num_control_periods)
 
     for name, variants in (("thrusters_and_wheels", ACTUATORS), ("flexible_panels", PANELS)):
@@ -232,7 +280,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         arms = {joints: contest(arm_scenario(joints, Path(folder), duration)) for joints in JOINTS}
     # All arms take turns, too: a machine whose speed changes would show in the exponents.
     times = interleaved(
-        {f"{name}{joints}": work for joints, arm in arms.items() for name, work in arm.contestants.items()}, fewer
+        {
+            f"{name}{joints}": work
+            for joints, arm in arms.items()
+            for name, work in arm.contestants.items()
+        },
+        fewer,
     )
     print(f"cost against joints, generated arms, medians of {fewer} (minima)")
     print_arms(times, arms)

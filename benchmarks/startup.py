@@ -63,7 +63,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     for name in PROGRAMS:
         found = f"{min(times[name, HERE]):.2f} s, {ratio((name, HERE), plant)} of it"
         against = "".join(
-            f"; {ratio((name, HERE), (name, package))} of what it takes with --against" for package in packages[1:]
+            f"; {ratio((name, HERE), (name, package))} of what it takes with --against"
+            for package in packages[1:]
         )
         print(f"{name}: {found}{against}")
 

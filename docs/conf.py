@@ -1,4 +1,6 @@
-"""How the documentation site is built: ``sphinx-build -W --keep-going -b html docs out/site``, without network."""
+"""How the documentation site is built: ``sphinx-build -W --keep-going -b html docs out/site``,
+without network.
+"""
 
 import os
 import sys
@@ -6,7 +8,8 @@ from pathlib import Path
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS / "_ext"))
-# The tutorial runs on the interpreter that builds the site, whatever kernels the user has installed.
+# The tutorial runs on the interpreter that builds the site, whatever kernels the user has
+# installed.
 os.environ["JUPYTER_PREFER_ENV_PATH"] = "1"
 
 project = "ffsm_drake"

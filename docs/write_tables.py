@@ -1,7 +1,9 @@
-"""Writes the tables of docs/scenario.md and docs/blocks.md from the package: ``python docs/write_tables.py``.
+"""Writes the tables of docs/scenario.md and docs/blocks.md from the package: ``python
+docs/write_tables.py``.
 
-Types, defaults and meanings of the keys come from ffsm_drake.scenario, gains from the control laws, ports from
-ffsm_drake.loop.blocks. A table stands between the lines ``<!-- written by ... -->`` and ``<!-- end -->`` of its page.
+Types, defaults and meanings of the keys come from ffsm_drake.scenario, gains from the control laws,
+ports from ffsm_drake.loop.blocks. A table stands between the lines ``<!-- written by ... -->`` and
+``<!-- end -->`` of its page.
 """
 
 import dataclasses
@@ -22,7 +24,8 @@ from ffsm_drake.systems.registry import SHIPPED, find_factory
 
 DOCS = Path(__file__).parent
 BEGIN, END = "<!-- written by python docs/write_tables.py -->", "<!-- end -->"
-_OLDER_DRAKE = ("publish_every_time_step",)  # keys of Drake's own settings that not every version has
+# keys of Drake's own settings that not every version has
+_OLDER_DRAKE = ("publish_every_time_step",)
 _BLOCK_KEYS = {"controller": "`controller`", "forces": "`blocks.forces.<name>`"}
 _UNIT = re.compile(r"(?:(?:kg|rad|m|s|N|1)(?:\^\d)?|sqrt\(s\)|control samples|or|per|[ /()])+")
 
@@ -48,13 +51,19 @@ class Section:
 
 
 def _split_unit(comment: str) -> tuple[str, str]:
-    """Unit and meaning of a comment "unit; meaning"; a quantity without unit has the meaning alone."""
+    """Unit and meaning of a comment "unit; meaning"; a quantity without unit has the meaning
+    alone.
+    """
     unit, _, meaning = comment.partition("; ")
     return (unit, meaning) if _UNIT.fullmatch(unit) else ("", comment)
 
 
 def _without_null(kind: Any) -> Any:
-    return typing.get_args(kind)[0] if typing.get_origin(kind) in (typing.Union, types.UnionType) else kind
+    return (
+        typing.get_args(kind)[0]
+        if typing.get_origin(kind) in (typing.Union, types.UnionType)
+        else kind
+    )
 
 
 def _kind(kind: Any) -> str:
@@ -87,7 +96,12 @@ def rows(cls: type, default: Any) -> list[Row]:
     """The plain keys of one group of settings; those that are groups themselves are left out."""
     comments = field_comments(cls)
     return [
-        Row(name, _kind(kind), _default(getattr(default, name)), *_split_unit(comments.get(name, "")))
+        Row(
+            name,
+            _kind(kind),
+            _default(getattr(default, name)),
+            *_split_unit(comments.get(name, "")),
+        )
         for name, kind in (schema_fields(cls) or {}).items()
         if schema_fields(_without_null(kind)) is None and name not in _OLDER_DRAKE
     ]
@@ -101,15 +115,28 @@ def _groups(cls: type, default: Any, path: str = "") -> Iterator[tuple[str, type
         if schema_fields(inner) is not None:
             given = getattr(default, name)
             yield from _groups(inner, inner() if given is None else given, place)
-        elif typing.get_origin(inner) is dict and schema_fields(typing.get_args(inner)[1]) is not None:
+        elif (
+            typing.get_origin(inner) is dict
+            and schema_fields(typing.get_args(inner)[1]) is not None
+        ):
             element = typing.get_args(inner)[1]
-            yield f"{place}.{'COORDINATE' if place == 'disturbance.harmonics' else 'NAME'}", element, element()
+            yield (
+                f"{place}.{'COORDINATE' if place == 'disturbance.harmonics' else 'NAME'}",
+                element,
+                element(),
+            )
 
 
 def _gains(controller: str) -> list[Row]:
     """The gains that a controller declares."""
     return [
-        Row(name, "number" if item.scalar else "by coordinate", _default(item.default), item.unit, item.meaning)
+        Row(
+            name,
+            "number" if item.scalar else "by coordinate",
+            _default(item.default),
+            item.unit,
+            item.meaning,
+        )
         for name, item in gains_of(find_factory("controller", controller)).items()
     ]
 
@@ -119,7 +146,8 @@ def _table(rows: list[Row]) -> list[str]:
         "| key | value | default | unit | meaning |",
         "|---|---|---|---|---|",
         *(
-            f"| `{row.key}` | {row.kind} | {row.default} | {_escaped(row.unit)} | {_escaped(row.meaning)} |"
+            f"| `{row.key}` | {row.kind} | {row.default} | {_escaped(row.unit)} | "
+            f"{_escaped(row.meaning)} |"
             for row in rows
         ),
         "",
@@ -127,11 +155,17 @@ def _table(rows: list[Row]) -> list[str]:
 
 
 def scenario_keys() -> Iterator[Section]:
-    """Every key of a scenario with default, unit and meaning, by group; the gains of the shipped controllers last."""
+    """Every key of a scenario with default, unit and meaning, by group; the gains of the shipped
+    controllers last.
+    """
     described = set()
     for path, cls, default in _groups(Scenario, Scenario()):
         if found := rows(cls, default):
-            summary = inspect.getdoc(cls) if dataclasses.is_dataclass(cls) else "Drake's own settings of the simulator."
+            summary = (
+                inspect.getdoc(cls)
+                if dataclasses.is_dataclass(cls)
+                else ("Drake's own settings of the simulator.")
+            )
             yield Section(path, "" if cls in described else summary or "", found)
             described.add(cls)
     for controller in SHIPPED["controller"]:
@@ -182,7 +216,8 @@ def _escaped(text: str) -> str:
     text = re.sub(r"\bK_([A-Za-z])\b", r"$K_\1$", text)
     text = text.replace("sqrt(s)", "√s").replace("^2", "²").replace("^3", "³")
     return "".join(
-        part if part[:1] in ("`", "$") else part.replace("_", "\\_") for part in re.split(r"(`[^`]*`|\$[^$]*\$)", text)
+        part if part[:1] in ("`", "$") else part.replace("_", "\\_")
+        for part in re.split(r"(`[^`]*`|\$[^$]*\$)", text)
     )
 
 

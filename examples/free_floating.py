@@ -1,9 +1,11 @@
-"""The same goal in the inertial frame with the Jacobian of a fixed base and with the generalized Jacobian.
+"""The same goal in the inertial frame with the Jacobian of a fixed base and with the generalized
+Jacobian.
 
 python examples/free_floating.py
 
-With thrusters off the base reacts to the arm. Joints that would reach the goal on a fixed base miss it; those that the
-generalized Jacobian gives do not. Prints the table and draws the figure of docs/free_floating.md.
+With thrusters off the base reacts to the arm. Joints that would reach the goal on a fixed base miss
+it; those that the generalized Jacobian gives do not. Prints the table and draws the figure of
+docs/free_floating.md.
 """
 
 import argparse
@@ -27,12 +29,17 @@ GOALS = {
     "postcapture": "{task: position, position: [0.94, 0.52, 1.8]}",
 }
 AT_ORIGIN = ["initial_posture.base_position=[0, 0, 0]", "initial_posture.base_rpy=[0, 0, 0]"]
-MOTION = "reference={kind: quintic, goal: target_posture, plan: null, duration: 20, base_rotation: eigenaxis}"
+MOTION = (
+    "reference={kind: quintic, goal: target_posture, plan: null, duration: 20, "
+    "base_rotation: eigenaxis}"
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Distances between the end effector and its path, over time; the first column with the fixed-base Jacobian."""
+    """Distances between the end effector and its path, over time; the first column with the
+    fixed-base Jacobian.
+    """
 
     scenario: str
     times: np.ndarray  # (n) s
@@ -46,9 +53,11 @@ def compare(name: str) -> Comparison:
     scenario = ffsm_drake.load_scenario(name, [*given, "actuation.driven=[joints]"])
     model = ffsm_drake.make_nominal_plant(scenario)
     resolved = make_motion(scenario, model.coordinates)
-    held = ffsm_drake.load_scenario(name, [*given, "actuation.driven=[all]"])  # the base stays where it is
+    # the base stays where it is
+    held = ffsm_drake.load_scenario(name, [*given, "actuation.driven=[all]"])
     fixed = make_motion(held, model.coordinates)
-    played = FreeMotion(fixed, model=model, sample_time=scenario.sample_time)  # its joints, with the base free
+    # its joints, with the base free
+    played = FreeMotion(fixed, model=model, sample_time=scenario.sample_time)
 
     played.accuracy = 1e-8  # enough here, of what is itself integrated
 
@@ -62,7 +71,9 @@ def compare(name: str) -> Comparison:
             X_WF = frame.CalcPoseInWorld(model.context)
             poses[i] = *X_WF.rotation().ToQuaternion().wxyz(), *X_WF.translation()
         misses.append(position_errors(path[:, :7], poses))
-        turns.append(np.linalg.norm(position_errors(q, np.tile(q[0], (times.size, 1)))[:, :3], axis=1))
+        turns.append(
+            np.linalg.norm(position_errors(q, np.tile(q[0], (times.size, 1)))[:, :3], axis=1)
+        )
     return Comparison(
         scenario=name,
         times=times,
@@ -76,7 +87,9 @@ def draw(found: list[Comparison]) -> Figure:
     """The distance to the path over time, a panel for each servicer."""
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     for axes, one in zip(figure.subplots(1, len(found)), found, strict=True):
-        for curve, color, label in zip(one.position.T, (VERMILION, BLUE), ("fixed-base J", "J*"), strict=True):
+        for curve, color, label in zip(
+            one.position.T, (VERMILION, BLUE), ("fixed-base J", "J*"), strict=True
+        ):
             axes.semilogy(one.times, np.maximum(curve, 1e-16), color=color, label=label)
         axes.set_title(one.scenario)
         axes.set_xlabel("time [s]")
@@ -87,8 +100,12 @@ def draw(found: list[Comparison]) -> Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("out/free_floating.png"), help="default: %(default)s")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/free_floating.png"), help="default: %(default)s"
+    )
     options = parser.parse_args()
     found = [compare(name) for name in GOALS]
     print("At the end                     position [m]   attitude [rad]   base turned [rad]")
@@ -97,7 +114,10 @@ def main() -> None:
             asked = "position" not in GOALS[one.scenario].partition("task:")[2].partition(",")[0]
             attitude = f"{one.attitude[-1, column]:.3g}" if asked else "-"
             turn = f"{one.base_turn[-1, column]:.3g}"
-            print(f"{one.scenario:16} {label:14} {one.position[-1, column]:11.3g} {attitude:>16} {turn:>19}")
+            print(
+                f"{one.scenario:16} {label:14} {one.position[-1, column]:11.3g} {attitude:>16} "
+                f"{turn:>19}"
+            )
     options.out.parent.mkdir(parents=True, exist_ok=True)
     draw(found).savefig(options.out, dpi=150)
     print(f"Written to {options.out}.")

@@ -1,6 +1,7 @@
 """A user-supplied controller, checked, run and compared with the paper's; the same from the shell:
 
-ffsm compare postcapture -c own_controller:MyPdPlus -c tde_aismc          (in the folder of this file)
+ffsm compare postcapture -c own_controller:MyPdPlus -c tde_aismc          (in the folder of this
+file)
 """
 
 import dataclasses
@@ -19,7 +20,9 @@ class MyPdPlus(ffsm_drake.ControlLaw):
 
     model: ffsm_drake.PlantModel
     k_p: np.ndarray = gain(
-        {"base_position": 1200, "base_rotation": 300, "joints": 30}, "N m/rad or N/m", "on the error"
+        {"base_position": 1200, "base_rotation": 300, "joints": 30},
+        "N m/rad or N/m",
+        "on the error",
     )
     k_d: np.ndarray = gain({"all": 300, "joints": 30}, "N m s/rad or N s/m", "on its rate")
 
@@ -33,7 +36,10 @@ class MyPdPlus(ffsm_drake.ControlLaw):
 def main():
     print(check_controller(MyPdPlus))
     mine = ["controller=own_controller:MyPdPlus", "controllers.MyPdPlus.k_p.joints=20"]
-    scenarios = [ffsm_drake.load_scenario("postcapture", overrides) for overrides in (mine, ["controller=tde_aismc"])]
+    scenarios = [
+        ffsm_drake.load_scenario("postcapture", overrides)
+        for overrides in (mine, ["controller=tde_aismc"])
+    ]
     records = [ffsm_drake.simulate(scenario) for scenario in scenarios]
     print(results_table(records))
     ffsm_drake.write_outputs(records, "out/own_controller", figures=False)

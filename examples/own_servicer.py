@@ -13,7 +13,8 @@ from ffsm_drake.show.tables import results_table
 
 LINK = """<link name="{name}"><inertial><origin xyz="{place}"/><mass value="{mass}"/>
   <inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
-JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{place}"/>
+JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
+  <origin xyz="{place}"/>
   <axis xyz="{axis}"/><limit lower="{low}" upper="{high}" effort="40" velocity="0.5"/></joint>"""
 URDF = "".join(
     (
@@ -23,7 +24,14 @@ URDF = "".join(
         LINK.format(name="arm", place="0 0 0.4", mass=6, i=0.4),
         LINK.format(name="boom", place="0 0 0.3", mass=4, i=0.2),
         JOINT.format(
-            name="yaw", kind="revolute", parent="bus", child="turret", place="0 0 0.5", axis="0 0 1", low=-3, high=3
+            name="yaw",
+            kind="revolute",
+            parent="bus",
+            child="turret",
+            place="0 0 0.5",
+            axis="0 0 1",
+            low=-3,
+            high=3,
         ),
         JOINT.format(
             name="shoulder",

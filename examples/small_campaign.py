@@ -1,4 +1,5 @@
-"""A few dispersed cases, the same for two controllers; from the shell, with the specification in a file:
+"""A few dispersed cases, the same for two controllers; from the shell, with the specification in a
+file:
 
 ffsm campaign run small.yaml --database out/small_campaign/small.db
 ffsm campaign report out/small_campaign/small.db

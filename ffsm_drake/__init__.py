@@ -1,17 +1,25 @@
-"""Simulate and evaluate controllers of a free-flying space manipulator that has just captured a piece of debris.
+"""Simulate and evaluate controllers of a free-flying space manipulator that has just captured a
+piece of debris.
 
 The verbs: ``simulate``, ``compare``, ``analyze``, ``stability``, ``design``, ``run_campaign``.
 """
 
 import importlib
 
-TYPE_CHECKING = False  # not from typing: nothing that takes a while is imported before the command line handles signals
+# not from typing: nothing that takes a while is imported before the command line handles signals
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
     from ffsm_drake.analysis import analyze
     from ffsm_drake.campaign.run import run_campaign
-    from ffsm_drake.common.errors import BlockError, FfsmError, ModelError, RecordError, ScenarioError
+    from ffsm_drake.common.errors import (
+        BlockError,
+        FfsmError,
+        ModelError,
+        RecordError,
+        ScenarioError,
+    )
     from ffsm_drake.control_design.gains import design
     from ffsm_drake.control_design.stability import stability
     from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, make_closed_loop

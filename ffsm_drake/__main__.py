@@ -3,7 +3,8 @@
 import _signal  # type: ignore[import-not-found]  # what ``signal`` is made of; built in, so that no time passes
 import os
 
-for _number in (_signal.SIGINT, _signal.SIGTERM):  # before the next import: Ctrl-C may fall into any of them
+# before the next import: Ctrl-C may fall into any of them
+for _number in (_signal.SIGINT, _signal.SIGTERM):
     if _signal.getsignal(_number) != _signal.SIG_IGN:
         _signal.signal(_number, lambda number, frame: os._exit(128 + number))
 

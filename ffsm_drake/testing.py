@@ -1,4 +1,5 @@
-"""A conformance kit for user-supplied controllers and other blocks, to be called from a user's own tests.
+"""A conformance kit for user-supplied controllers and other blocks, to be called from a user's own
+tests.
 
 from ffsm_drake.testing import check_block, check_controller
 from my_module import MyController, Vicon
@@ -54,7 +55,8 @@ class Conformance:
 
     name: str
     checks: tuple[str, ...]
-    # s: of a controller per update, the fastest of several runs; of another block, the closed loop's per sample
+    # s: of a controller per update, the fastest of several runs; of another block, the closed
+    # loop's per sample
     update_time: float
 
     def __str__(self) -> str:
@@ -70,13 +72,14 @@ def check_controller(
 ) -> Conformance:
     """Check a controller against the contract that the closed loop relies on.
 
-    Ports and sizes; a force that is finite and held over each period; no memory outside the context (a reset and a
-    second run give the same force, two runs do not disturb each other); forces that follow the joints' names when the
-    model lists them in another order; an update that takes less than a period.
+    Ports and sizes; a force that is finite and held over each period; no memory outside the context
+    (a reset and a second run give the same force, two runs do not disturb each other); forces that
+    follow the joints' names when the model lists them in another order; an update that takes less
+    than a period.
 
     Args:
-      factory: the law's class, a function (BlockSetup -> control law or Drake system), or a name as for
-        ``--controller``.
+      factory: the law's class, a function (BlockSetup -> control law or Drake system), or a name as
+        for ``--controller``.
       scenario: the spacecraft to check it with.
       gains: as under ``controllers.<name>`` in a scenario.
 
@@ -99,7 +102,8 @@ def check_controller(
     cost = _update_time(candidate, base)
     if cost > base.sample_time:
         raise ConformanceError(
-            f"{name}: an update takes {1e3 * cost:.1f} ms, more than the period of {1e3 * base.sample_time:g} ms"
+            f"{name}: an update takes {1e3 * cost:.1f} ms, more than the period of "
+            f"{1e3 * base.sample_time:g} ms"
         )
     return Conformance(name=name, checks=tuple(passed), update_time=cost)
 
@@ -111,10 +115,11 @@ def check_block(
     scenario: str | Path | Scenario = "postcapture",
     settings: Mapping[str, Any] | None = None,
 ) -> Conformance:
-    """Check a user-supplied block in the closed loop; for a controller, ``check_controller`` checks more.
+    """Check a user-supplied block in the closed loop; for a controller, ``check_controller`` checks
+    more.
 
-    Ports and sizes; signals that are finite; no memory outside the context (a second run, and a second closed loop,
-    give the same bits).
+    Ports and sizes; signals that are finite; no memory outside the context (a second run, and a
+    second closed loop, give the same bits).
 
     Args:
       block: "reference", "sensing", "actuation", or "forces.<name>".
@@ -130,19 +135,31 @@ def check_block(
     base = dataclasses.replace(base, duration=_SAMPLES * base.sample_time)
     if settings:
         base = scenario_from_dict(
-            scenario_to_dict(base), [f"blocks.{block}={json.dumps({'system': 'given', 'settings': dict(settings)})}"]
+            scenario_to_dict(base),
+            [f"blocks.{block}={json.dumps({'system': 'given', 'settings': dict(settings)})}"],
         )
     try:
         rollout = Rollout(base, blocks={block: factory})
         first = rollout.run()
         for name, values in first.series.items():
             if not np.isfinite(values).all():
-                raise ConformanceError(f"{place}: '{name}' is not finite in the closed loop; {first.outcome.message}")
+                raise ConformanceError(
+                    f"{place}: '{name}' is not finite in the closed loop; {first.outcome.message}"
+                )
         for again, when in (
-            (rollout.run(), "a second run differs from the first: keep memory in the context, not on self"),
-            (Rollout(base, blocks={block: factory}).run(), "two closed loops differ: keep no state in module or class"),
+            (
+                rollout.run(),
+                "a second run differs from the first: keep memory in the context, not on self",
+            ),
+            (
+                Rollout(base, blocks={block: factory}).run(),
+                "two closed loops differ: keep no state in module or class",
+            ),
         ):
-            if any(not np.array_equal(again.series[name], values) for name, values in first.series.items()):
+            if any(
+                not np.array_equal(again.series[name], values)
+                for name, values in first.series.items()
+            ):
                 raise ConformanceError(f"{place}: {when}; draw random numbers from a RandomSource")
     except FfsmError as error:
         raise ConformanceError(str(error)) from error
@@ -164,7 +181,9 @@ class _Candidate:
         key = getattr(self.factory, "__name__", type(self.factory).__name__)
         own = dataclasses.replace(scenario, controllers={key: dict(self.gains)})
         controller = make_controller(own, nominal, self.factory)
-        check_ports(controller, "controller", nominal.coordinates, place=f"controller '{self.name}'")
+        check_ports(
+            controller, "controller", nominal.coordinates, place=f"controller '{self.name}'"
+        )
         return controller
 
 
@@ -177,8 +196,12 @@ class _Bench:
         self._simulator = Simulator(controller, controller.CreateDefaultContext())
         self._sample = 0
 
-    def step(self, inputs: Mapping[str, np.ndarray], *, later: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
-        """The force (nv) after one sample with these inputs; with ``later``, read at mid-period with those instead."""
+    def step(
+        self, inputs: Mapping[str, np.ndarray], *, later: Mapping[str, np.ndarray] | None = None
+    ) -> np.ndarray:
+        """The force (nv) after one sample with these inputs; with ``later``, read at mid-period
+        with those instead.
+        """
         context = self._simulator.get_mutable_context()
         self._set(inputs)
         if self._sample == 0:
@@ -195,7 +218,8 @@ class _Bench:
             raise
         except Exception as error:
             raise ConformanceError(
-                f"{self._controller.get_name()}: the update raises {type(error).__name__}: {one_line(error)}"
+                f"{self._controller.get_name()}: the update raises {type(error).__name__}: "
+                f"{one_line(error)}"
             ) from error
         return force
 
@@ -233,12 +257,18 @@ def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
     return samples
 
 
-def _reordered(samples: list[dict[str, np.ndarray]], order: np.ndarray) -> list[dict[str, np.ndarray]]:
+def _reordered(
+    samples: list[dict[str, np.ndarray]], order: np.ndarray
+) -> list[dict[str, np.ndarray]]:
     """The same samples for a model that lists the old coordinates ``order`` (nv)."""
-    states = np.concatenate([[0], 1 + order, order.size + 1 + order])  # the quaternion has one number more
+    # the quaternion has one number more
+    states = np.concatenate([[0], 1 + order, order.size + 1 + order])
     orders = {order.size: order, states.size: states}
     return [
-        {name: value if name == "desired_frame" else value[orders[value.size]] for name, value in sample.items()}
+        {
+            name: value if name == "desired_frame" else value[orders[value.size]]
+            for name, value in sample.items()
+        }
         for sample in samples
     ]
 
@@ -250,7 +280,9 @@ def _run(bench: _Bench, samples: list[dict[str, np.ndarray]]) -> np.ndarray:
 def _check_ports(candidate: _Candidate, scenario: Scenario) -> str:
     controller = candidate.build(scenario)
     if controller.num_continuous_states() > 0:
-        raise ConformanceError(f"{candidate.name}: has continuous state; a sampled controller keeps discrete state")
+        raise ConformanceError(
+            f"{candidate.name}: has continuous state; a sampled controller keeps discrete state"
+        )
     return "ports: names and sizes"
 
 
@@ -262,7 +294,9 @@ def _check_finite(candidate: _Candidate, scenario: Scenario) -> str:
             force = _run(_Bench(candidate.build(scenario), scenario.sample_time), given)
             if not np.isfinite(force).all():
                 sample = int(np.argmin(np.isfinite(force).all(axis=1)))
-                raise ConformanceError(f"{candidate.name}: the force is not finite at sample {sample} with {situation}")
+                raise ConformanceError(
+                    f"{candidate.name}: the force is not finite at sample {sample} with {situation}"
+                )
     return "finite force, with errors and without any"
 
 
@@ -270,15 +304,19 @@ def _check_sampling(candidate: _Candidate, scenario: Scenario) -> str:
     samples, others = _inputs(scenario, seed=2), _inputs(scenario, seed=3)
     force = _run(_Bench(candidate.build(scenario), scenario.sample_time), samples)
     bench = _Bench(candidate.build(scenario), scenario.sample_time)
-    held = np.array([bench.step(sample, later=other) for sample, other in zip(samples, others, strict=True)])
+    held = np.array(
+        [bench.step(sample, later=other) for sample, other in zip(samples, others, strict=True)]
+    )
     if not np.array_equal(force, held):
         raise ConformanceError(
-            f"{candidate.name}: the force follows its inputs between two samples; declare it as an output of discrete "
+            f"{candidate.name}: the force follows its inputs between two samples; declare it as "
+            "an output of discrete "
             "state (DeclareStateOutputPort), updated every sample_time"
         )
     if all(np.array_equal(force[0], later) for later in force[1:]):
         raise ConformanceError(
-            f"{candidate.name}: the force never changes; declare a periodic update every sample_time "
+            f"{candidate.name}: the force never changes; declare a periodic update every "
+            "sample_time "
             f"({scenario.sample_time:g} s), offset 0"
         )
     return "one update per period, the force held in between"
@@ -287,7 +325,9 @@ def _check_sampling(candidate: _Candidate, scenario: Scenario) -> str:
 def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
     samples, others = _inputs(scenario, seed=4), _inputs(scenario, seed=5)
     first = _run(_Bench(candidate.build(scenario), scenario.sample_time), samples)
-    if not np.array_equal(first, _run(_Bench(candidate.build(scenario), scenario.sample_time), samples)):
+    if not np.array_equal(
+        first, _run(_Bench(candidate.build(scenario), scenario.sample_time), samples)
+    ):
         raise ConformanceError(
             f"{candidate.name}: two new controllers give different forces for the same inputs; "
             "draw random numbers from an input port, and keep no state in the module or class"
@@ -299,7 +339,8 @@ def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
     if not np.array_equal(first, again):
         where = int(np.argmin((first == again).all(axis=1)))
         raise ConformanceError(
-            f"{candidate.name}: hides state on self: after a reset, the force at sample {where} depends on the run "
+            f"{candidate.name}: hides state on self: after a reset, the force at sample {where} "
+            "depends on the run "
             f"before; {remedy}"
         )
     controller = candidate.build(scenario)
@@ -309,8 +350,12 @@ def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
         interleaved.append(one.step(sample))
         two.step(other)
     if not np.array_equal(first, np.array(interleaved)):
-        raise ConformanceError(f"{candidate.name}: hides state on self: two runs at once disturb each other; {remedy}")
-    return "no state outside the context: reset, second run and two runs at once give the same force"
+        raise ConformanceError(
+            f"{candidate.name}: hides state on self: two runs at once disturb each other; {remedy}"
+        )
+    return (
+        "no state outside the context: reset, second run and two runs at once give the same force"
+    )
 
 
 def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
@@ -326,20 +371,32 @@ def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
     if not np.allclose(first, back, rtol=1e-6, atol=1e-9 * max(1.0, float(np.abs(first).max()))):
         worst = listed[int(np.argmax(np.abs(first - back).max(axis=0)))]
         raise ConformanceError(
-            f"{candidate.name}: the force on '{worst}' changes when the model lists its joints in another order; "
+            f"{candidate.name}: the force on '{worst}' changes when the model lists its joints in "
+            "another order; "
             "give gains by name (gain(...), or setup.coordinates.vector), not by index"
         )
     return "forces follow the joints' names, not their order"
 
 
 def two_armed(scenario: Scenario, names: tuple[str, str], urdf: Path) -> Scenario:
-    """A spacecraft with two one-joint arms, listed in the given order; the left one holds the debris."""
+    """A spacecraft with two one-joint arms, listed in the given order; the left one holds the
+    debris.
+    """
     urdf.write_text(_two_arms(names), encoding="utf-8")
-    target = Posture(base_position=[0.1, -0.2, 0.3], base_rpy=[0.1, 0.2, -0.1], joints={"left": 0.5, "right": -0.2})
-    blank = Scenario(
-        sample_time=scenario.sample_time, reference=scenario.reference, initial_posture=Posture(), target_posture=target
+    target = Posture(
+        base_position=[0.1, -0.2, 0.3],
+        base_rpy=[0.1, 0.2, -0.1],
+        joints={"left": 0.5, "right": -0.2},
     )
-    return override_scenario(blank, [f"model.servicer={urdf}", "model.end_effector=servicer::left_link"])
+    blank = Scenario(
+        sample_time=scenario.sample_time,
+        reference=scenario.reference,
+        initial_posture=Posture(),
+        target_posture=target,
+    )
+    return override_scenario(
+        blank, [f"model.servicer={urdf}", "model.end_effector=servicer::left_link"]
+    )
 
 
 def _two_arms(names: tuple[str, str]) -> str:
@@ -349,7 +406,8 @@ def _two_arms(names: tuple[str, str]) -> str:
         inertia = mass * size**2 / 6.0
         return (
             f'<link name="{name}"><inertial><mass value="{mass}"/>'
-            f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" '
+            'iyz="0"/></inertial></link>'
         )
 
     arms = {
@@ -360,8 +418,10 @@ def _two_arms(names: tuple[str, str]) -> str:
     for name in names:
         text, place, axis = arms[name]
         parts.append(
-            f'{text}<joint name="{name}" type="revolute"><parent link="base"/><child link="{name}_link"/>'
-            f'<origin xyz="{place}"/><axis xyz="{axis}"/><limit lower="-3" upper="3" effort="0" velocity="0"/></joint>'
+            f'{text}<joint name="{name}" type="revolute"><parent link="base"/><child '
+            f'link="{name}_link"/>'
+            f'<origin xyz="{place}"/><axis xyz="{axis}"/><limit lower="-3" upper="3" effort="0" '
+            'velocity="0"/></joint>'
         )
     return f'<robot name="two_arms">{"".join(parts)}</robot>'
 

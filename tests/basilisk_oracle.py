@@ -1,10 +1,12 @@
-"""The cases of rigid_bus.py on Basilisk (https://avslab.github.io/basilisk/): its spacecraft and what that carries.
+"""The cases of rigid_bus.py on Basilisk (https://avslab.github.io/basilisk/): its spacecraft and
+what that carries.
 
     PYTHONPATH=tests python tests/basilisk_oracle.py
 
-writes systems/basilisk.json, with which tests/systems/test_basilisk.py compares ours; ``pip install bsk`` brings
-Basilisk. Its wheels are the "balanced" ones, whose mass and inertia, about the axis too, are in the hub's, as ours are
-in the base's. Thrusters do not lose mass. Masses on springs stand beside the hub's; ours are part of the bus's.
+writes systems/basilisk.json, with which tests/systems/test_basilisk.py compares ours; ``pip install
+bsk`` brings Basilisk. Its wheels are the "balanced" ones, whose mass and inertia, about the axis
+too, are in the hub's, as ours are in the base's. Thrusters do not lose mass. Masses on springs
+stand beside the hub's; ours are part of the bus's.
 """
 
 import json
@@ -77,7 +79,9 @@ class Part(NamedTuple):
 
 
 class Deflections(sysModel.SysModel):
-    """Keeps what the parts' states are at every call, as no message holds them: deflections, then their rates."""
+    """Keeps what the parts' states are at every call, as no message holds them: deflections, then
+    their rates.
+    """
 
     def __init__(self, body: spacecraft.Spacecraft, parts: list[Part]) -> None:
         super().__init__()
@@ -85,7 +89,9 @@ class Deflections(sysModel.SysModel):
 
     def UpdateState(self, time: int) -> None:
         names = [part.states[i] for i in (0, 1) for part in self._parts]
-        self.rows.append([self._body.dynManager.getStateObject(name).getState()[0][0] for name in names])
+        self.rows.append(
+            [self._body.dynManager.getStateObject(name).getState()[0][0] for name in names]
+        )
 
 
 def make_hub(parts: dict[str, Flexible] | None = None) -> tuple[spacecraft.Spacecraft, Deflections]:
@@ -96,10 +102,18 @@ def make_hub(parts: dict[str, Flexible] | None = None) -> tuple[spacecraft.Space
     mass, moment = bus.MASS, bus.MASS * bus.CENTER
     inertia = bus.INERTIA + about(bus.CENTER, bus.MASS)  # about the bus's origin
     for each in added:
-        mass, moment, inertia = mass - each.mass, moment - each.mass * each.center, inertia - each.inertia
+        mass, moment, inertia = (
+            mass - each.mass,
+            moment - each.mass * each.center,
+            inertia - each.inertia,
+        )
     center = moment / mass
     hub = body.hub
-    hub.mHub, hub.r_BcB_B, hub.IHubPntBc_B = mass, center.tolist(), (inertia - about(center, mass)).tolist()
+    hub.mHub, hub.r_BcB_B, hub.IHubPntBc_B = (
+        mass,
+        center.tolist(),
+        (inertia - about(center, mass)).tolist(),
+    )
     hub.r_CN_NInit, hub.v_CN_NInit = bus.CENTER.tolist(), [0.0, 0.0, 0.0]
     hub.sigma_BNInit, hub.omega_BN_BInit = [[0.0]] * 3, bus.RATE[:, None].tolist()
     integrator = svIntegrators.svIntegratorRKF78(body)
@@ -124,7 +138,9 @@ def add_part(body: spacecraft.Spacecraft, part: Flexible, deflection: float) -> 
         slosh.massInit, slosh.rhoInit, slosh.rhoDotInit = mass, deflection, 0.0
         slosh.k, slosh.c = mass * w**2, 2.0 * part.damping_ratio * mass * w
         body.addStateEffector(slosh)
-        return Part(slosh, mass, place, about(place, mass), (slosh.nameOfRhoState, slosh.nameOfRhoDotState))
+        return Part(
+            slosh, mass, place, about(place, mass), (slosh.nameOfRhoState, slosh.nameOfRhoDotState)
+        )
     # Its plate lies along -s1 and turns about s2.
     axis = np.array(part.axis) / np.linalg.norm(part.axis)
     axes, half = np.array([-along, axis, np.cross(axis, along)]), part.length / 2.0
@@ -142,9 +158,15 @@ def add_part(body: spacecraft.Spacecraft, part: Flexible, deflection: float) -> 
 
 
 def wheels(
-    torques: np.ndarray, *, coulomb: float = 0.0, viscous: float = 0.0, parts: dict[str, Flexible] | None = None
+    torques: np.ndarray,
+    *,
+    coulomb: float = 0.0,
+    viscous: float = 0.0,
+    parts: dict[str, Flexible] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Torques on the bus (n, 3) through Basilisk's mapping to motors: what rigid_bus.wheels gives, by its names."""
+    """Torques on the bus (n, 3) through Basilisk's mapping to motors: what rigid_bus.wheels gives,
+    by its names.
+    """
     simulation, (body, log) = Simulation(bus.PERIOD), make_hub(parts)
     effector = reactionWheelStateEffector.ReactionWheelStateEffector()
     body.addStateEffector(effector)
@@ -152,13 +174,22 @@ def wheels(
         wheel = reactionWheelStateEffector.RWConfigPayload()
         wheel.RWModel, wheel.Js, wheel.Omega = messaging.BalancedWheels, bus.SPIN, speed
         wheel.gsHat_B, wheel.rWB_B = axis[:, None].tolist(), [[0.0]] * 3
-        wheel.u_max = wheel.Omega_max = wheel.P_max = wheel.betaStatic = -1.0  # no limits, no static friction
+        # no limits, no static friction
+        wheel.u_max = wheel.Omega_max = wheel.P_max = wheel.betaStatic = -1.0
         wheel.fCoulomb, wheel.cViscous = coulomb, viscous
         effector.addReactionWheel(wheel)
-    command = Commands(messaging.CmdTorqueBodyMsg(), messaging.CmdTorqueBodyMsgPayload, "torqueRequestBody", torques)
+    command = Commands(
+        messaging.CmdTorqueBodyMsg(),
+        messaging.CmdTorqueBodyMsgPayload,
+        "torqueRequestBody",
+        torques,
+    )
     count = len(bus.AXES)
     config = messaging.RWArrayConfigMsgPayload(
-        numRW=count, GsMatrix_B=bus.AXES.ravel().tolist(), JsList=[bus.SPIN] * count, uMax=[1e3] * count
+        numRW=count,
+        GsMatrix_B=bus.AXES.ravel().tolist(),
+        JsList=[bus.SPIN] * count,
+        uMax=[1e3] * count,
     )
     config = messaging.RWArrayConfigMsg().write(config)
     mapping = rwMotorTorque.rwMotorTorque()
@@ -195,13 +226,18 @@ def thrusters(pulses: list[list[list[int]]]) -> dict[str, np.ndarray]:
     for i, (unit, each) in enumerate(zip(bus.units(), pulses, strict=True)):
         thruster = thrusterDynamicEffector.THRSimConfig()
         thruster.thrLoc_B = np.array(unit.position)[:, None].tolist()
-        thruster.thrDir_B = (np.array(unit.direction) / np.linalg.norm(unit.direction))[:, None].tolist()
+        thruster.thrDir_B = (np.array(unit.direction) / np.linalg.norm(unit.direction))[
+            :, None
+        ].tolist()
         thruster.MaxThrust, thruster.MinOnTime, thruster.updateOnly = unit.force, 0.0, True
         effector.addThruster(thruster)
         for start, length in each:
             on_times[start : start + length, i] = 1.5 * bus.PERIOD  # the next command ends it
     command = Commands(
-        messaging.THRArrayOnTimeCmdMsg(), messaging.THRArrayOnTimeCmdMsgPayload, "OnTimeRequest", on_times
+        messaging.THRArrayOnTimeCmdMsg(),
+        messaging.THRArrayOnTimeCmdMsgPayload,
+        "OnTimeRequest",
+        on_times,
     )
     effector.cmdsInMsg.subscribeTo(command.message)
     recorder = body.scStateOutMsg.recorder()
@@ -210,15 +246,20 @@ def thrusters(pulses: list[list[list[int]]]) -> dict[str, np.ndarray]:
     return {"rate": np.array(recorder.omega_BN_B), "velocity": np.array(recorder.v_BN_N)}
 
 
-def on_times(shares: np.ndarray, *, on: float, off: float, minimum: float = bus.MINIMUM) -> np.ndarray:
-    """How long (n, 12) thrusters open for wanted shares (n, 12) of their force: pulse widths with a Schmitt trigger.
+def on_times(
+    shares: np.ndarray, *, on: float, off: float, minimum: float = bus.MINIMUM
+) -> np.ndarray:
+    """How long (n, 12) thrusters open for wanted shares (n, 12) of their force: pulse widths with a
+    Schmitt trigger.
 
     Args: the trigger's levels, shares of the shortest pulse; that, s.
     """
     count, force, simulation = shares.shape[1], bus.units()[0].force, Simulation(bus.FRAME)
     # It fires nothing at its first two calls.
     rows = np.r_[np.zeros((2, count)), shares * force]
-    command = Commands(messaging.THRArrayCmdForceMsg(), messaging.THRArrayCmdForceMsgPayload, "thrForce", rows)
+    command = Commands(
+        messaging.THRArrayCmdForceMsg(), messaging.THRArrayCmdForceMsgPayload, "thrForce", rows
+    )
     trigger = thrFiringSchmitt.thrFiringSchmitt()
     trigger.thrMinFireTime, trigger.level_on, trigger.level_off = minimum, on, off
     trigger.baseThrustState = 0
@@ -244,15 +285,22 @@ def results() -> dict[str, object]:
         "viscous": wheels(at_rest, viscous=bus.VISCOUS),
         "thrusters": thrusters(bus.pulses()),
     }
-    thinned = {case: {name: rows[::every].tolist() for name, rows in found.items()} for case, found in cases.items()}
+    thinned = {
+        case: {name: rows[::every].tolist() for name, rows in found.items()}
+        for case, found in cases.items()
+    }
     return {
         "basilisk": version("bsk"),
         **thinned,
         "pulses": bus.pulses(),
         "on_times": on_times(bus.shares(), on=0.5, off=0.5).tolist(),
-        "hysteresis": (on_times(bus.shares(), on=0.75, off=0.25, minimum=bus.FRAME) > 0.0).astype(int).tolist(),
+        "hysteresis": (on_times(bus.shares(), on=0.75, off=0.25, minimum=bus.FRAME) > 0.0)
+        .astype(int)
+        .tolist(),
     }
 
 
 if __name__ == "__main__":
-    TABLE.write_text(json.dumps(results()).replace("], [[", "],\n[[").replace('], "', '],\n"') + "\n")
+    TABLE.write_text(
+        json.dumps(results()).replace("], [[", "],\n[[").replace('], "', '],\n"') + "\n"
+    )

@@ -1,4 +1,6 @@
-"""What the campaign tests share: a small specification, tables to compare, a driver in a process of its own."""
+"""What the campaign tests share: a small specification, tables to compare, a driver in a process of
+its own.
+"""
 
 import contextlib
 import gc
@@ -31,8 +33,16 @@ SMALL = {
     "factors": {"nominal_error": {"distribution": "uniform", "low": -0.5, "high": 0.2}},
     "derive": {
         "payload.truth.inertia": {"rule": "solid_cube", "mass": "payload.truth.mass", "side": 1.0},
-        "payload.nominal.mass": {"rule": "relative", "of": "payload.truth.mass", "error": "nominal_error"},
-        "payload.nominal.inertia": {"rule": "relative", "of": "payload.truth.inertia", "error": "nominal_error"},
+        "payload.nominal.mass": {
+            "rule": "relative",
+            "of": "payload.truth.mass",
+            "error": "nominal_error",
+        },
+        "payload.nominal.inertia": {
+            "rule": "relative",
+            "of": "payload.truth.inertia",
+            "error": "nominal_error",
+        },
     },
     "settled": {"hold": 0.1},
 }
@@ -58,18 +68,22 @@ def forked(count: int, *, in_flight: int) -> Workers:
 
 def run_here(spec_file: Path, database: Path, *, workers: Workers = HERE) -> Path:
     """Run a campaign from this process; by default in it."""
-    gc.collect()  # a Meshcat that another test left must end in its own thread: elsewhere Drake ends the process
+    # a Meshcat that another test left must end in its own thread: elsewhere Drake ends the process
+    gc.collect()
     start_campaign(load_spec(spec_file), database, workers=workers, stop=Stop())
     return database
 
 
 def table(database: Path) -> list[tuple]:
     """All that must be the same however a campaign was run."""
-    columns = ", ".join(("case_index", "controller", "random_seed", "outcome", "outcome_time", "message"))
+    columns = ", ".join(
+        ("case_index", "controller", "random_seed", "outcome", "outcome_time", "message")
+    )
     values = '"payload.truth.mass", "sensing.velocity_noise", "payload.nominal.inertia"'
     with contextlib.closing(sqlite3.connect(database)) as connection:
         return connection.execute(
-            f"SELECT {columns}, {values}, {', '.join((*METRICS, *PREDICTIONS))} FROM runs ORDER BY 1, 2"
+            f"SELECT {columns}, {values}, {', '.join((*METRICS, *PREDICTIONS))} FROM runs ORDER "
+            "BY 1, 2"
         ).fetchall()
 
 

@@ -14,16 +14,33 @@ from ffsm_drake import RunRecord, load_scenario, simulate
 
 
 def pytest_configure(config):
-    gc.set_threshold(100_000)  # figures and diagrams are many objects: collecting less often saves a tenth of the time
-    # Tests run unstable loops on purpose. (Not in pyproject.toml, where it would load NumPy before the lines above.)
-    config.addinivalue_line("filterwarnings", "ignore::ffsm_drake.control_design.stability.StabilityWarning")
+    # figures and diagrams are many objects: collecting less often saves a tenth of the time
+    gc.set_threshold(100_000)
+    # Tests run unstable loops on purpose. (Not in pyproject.toml, where it would load NumPy before
+    # the lines above.)
+    config.addinivalue_line(
+        "filterwarnings", "ignore::ffsm_drake.control_design.stability.StabilityWarning"
+    )
 
 
 # The modules that take longest; the longest starts first, so that no worker ends alone with one.
 LONGEST = (
-    "bad_inputs", "flight", "user_controllers", "cli", "task_space", "report", "reproduction", "noise_study",
-    "resolved_motion", "stability", "rehearsal", "campaign_run", "campaign_report", "linearization", "example",
-)  # fmt: skip
+    "bad_inputs",
+    "flight",
+    "user_controllers",
+    "cli",
+    "task_space",
+    "report",
+    "reproduction",
+    "noise_study",
+    "resolved_motion",
+    "stability",
+    "rehearsal",
+    "campaign_run",
+    "campaign_report",
+    "linearization",
+    "example",
+)
 
 
 def pytest_collection_modifyitems(items):
@@ -38,7 +55,9 @@ def _run(name: str, *overrides: str) -> RunRecord:
 
 @pytest.fixture
 def rough_pictures(monkeypatch):
-    """Pictures of few pixels, whose layout is not computed: where only that they are drawn counts."""
+    """Pictures of few pixels, whose layout is not computed: where only that they are drawn
+    counts.
+    """
     from matplotlib.figure import Figure
 
     save = Figure.savefig

@@ -1,4 +1,6 @@
-"""A run with flight sensors whose gains and filter are the tests' own: the shipped ones may be tuned without these."""
+"""A run with flight sensors whose gains and filter are the tests' own: the shipped ones may be
+tuned without these.
+"""
 
 FLIGHT = (
     "flight_sensors",

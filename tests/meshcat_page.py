@@ -30,17 +30,23 @@ def click(meshcat: Meshcat, button: str) -> None:
 
 
 class ForeignPage:
-    """A page of another site in the same machine's browser: a websocket with that site's Origin and Host."""
+    """A page of another site in the same machine's browser: a websocket with that site's Origin and
+    Host.
+    """
 
     def __init__(self, meshcat: Meshcat) -> None:
         address = urlsplit(meshcat.web_url())
         self._socket = socket.create_connection((address.hostname, address.port), timeout=5.0)
         key = base64.b64encode(os.urandom(16)).decode()
         self._socket.sendall(
-            f"GET / HTTP/1.1\r\nHost: evil.example\r\nOrigin: http://evil.example\r\nUpgrade: websocket\r\n"
-            f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+            "GET / HTTP/1.1\r\nHost: evil.example\r\nOrigin: http://evil.example\r\nUpgrade: "
+            "websocket\r\n"
+            f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: "
+            "13\r\n\r\n".encode()
         )
-        assert b" 101 " in self._socket.recv(4096).splitlines()[0], "Drake has learnt to look at the origin"
+        assert b" 101 " in self._socket.recv(4096).splitlines()[0], (
+            "Drake has learnt to look at the origin"
+        )
 
     def send(self, message: bytes) -> None:
         assert len(message) < 126

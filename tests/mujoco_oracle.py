@@ -1,10 +1,12 @@
-"""The combined spacecraft in MuJoCo, written from the numbers of the paper rather than from our URDF.
+"""The combined spacecraft in MuJoCo, written from the numbers of the paper rather than from our
+URDF.
 
-Coordinates here are the paper's: position first. A configuration is (p_WB, quaternion wxyz of R_WB, joint angles),
-which is MuJoCo's qpos; rates are (v_WB, w_WB, joint rates) with both base vectors in world axes, forces are dual to
-them. MuJoCo's qvel differs from the rates in the angular velocity alone, which it takes in body axes. Because the time
-derivative of R w_B is R times that of w_B, the two accelerations are related by that same rotation, without a further
-term. Drake's order is a permutation: quaternion before position, rotation before position.
+Coordinates here are the paper's: position first. A configuration is (p_WB, quaternion wxyz of R_WB,
+joint angles), which is MuJoCo's qpos; rates are (v_WB, w_WB, joint rates) with both base vectors in
+world axes, forces are dual to them. MuJoCo's qvel differs from the rates in the angular velocity
+alone, which it takes in body axes. Because the time derivative of R w_B is R times that of w_B, the
+two accelerations are related by that same rotation, without a further term. Drake's order is a
+permutation: quaternion before position, rotation before position.
 """
 
 import dataclasses
@@ -18,13 +20,15 @@ BASE_MASS = 400.0  # kg
 BASE_INERTIA = 266.0  # kg m^2, about every axis
 LINK_MASSES = (3.0, 10.0, 10.0, 1.5, 1.5)  # kg
 LINK_LENGTHS = (0.18, 0.62, 0.62, 0.09, 0.09)  # m
-# What the paper leaves open: the arm stands on the base's +z face, links along +z at the zero posture.
+# What the paper leaves open: the arm stands on the base's +z face, links along +z at the zero
+# posture.
 ARM_MOUNT = 1.0  # m, from the base's centre
 JOINT_AXES = ((0, 0, 1), (0, 1, 0), (0, 1, 0), (0, 1, 0), (1, 0, 0))
 LINK_RADIUS = 0.05  # m
 TARGET_OFFSET = 0.5  # m, from the tip of link 5 to the target's centre
 
-# Drake's coordinates from the paper's, and back: drake = paper[..._TO_DRAKE], paper = drake[..._FROM_DRAKE].
+# Drake's coordinates from the paper's, and back: drake = paper[..._TO_DRAKE], paper =
+# drake[..._FROM_DRAKE].
 Q_TO_DRAKE = np.array([3, 4, 5, 6, 0, 1, 2, 7, 8, 9, 10, 11])
 V_TO_DRAKE = np.array([3, 4, 5, 0, 1, 2, 6, 7, 8, 9, 10])
 Q_FROM_DRAKE = np.argsort(Q_TO_DRAKE)
@@ -33,7 +37,9 @@ V_FROM_DRAKE = np.argsort(V_TO_DRAKE)
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """Mass properties of the captured body, in axes parallel to link 5's, TARGET_OFFSET beyond its tip."""
+    """Mass properties of the captured body, in axes parallel to link 5's, TARGET_OFFSET beyond its
+    tip.
+    """
 
     mass: float  # kg
     center_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m
@@ -68,7 +74,8 @@ def mjcf(target: Target) -> str:
     x, y, z, w = Rotation.from_matrix(axes * np.sign(np.linalg.det(axes))).as_quat()
     body = f"""
         <body name="target" pos="{text(0, 0, LINK_LENGTHS[-1] + TARGET_OFFSET)}">
-          <inertial pos="{text(*target.center_of_mass)}" quat="{text(w, x, y, z)}" mass="{target.mass}"
+          <inertial pos="{text(*target.center_of_mass)}" quat="{text(w, x, y, z)}"
+            mass="{target.mass}"
             diaginertia="{text(*moments)}"/>
         </body>"""
     mounts = (ARM_MOUNT, *LINK_LENGTHS[:-1])
@@ -77,7 +84,8 @@ def mjcf(target: Target) -> str:
         body = f"""
         <body name="link_{i + 1}" pos="{text(0, 0, mounts[i])}">
           <joint name="joint_{i + 1}" type="hinge" axis="{text(*JOINT_AXES[i])}"/>
-          <inertial pos="{text(0, 0, length / 2)}" mass="{mass}" diaginertia="{text(*rod_inertia(mass, length))}"/>
+          <inertial pos="{text(0, 0, length / 2)}" mass="{mass}"
+            diaginertia="{text(*rod_inertia(mass, length))}"/>
           {body}
         </body>"""
     return f"""
@@ -108,14 +116,18 @@ def rates_to_qvel(configuration: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def qvel_to_rates(configuration: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-    """Rates (11): the angular velocity turned into world axes. Accelerations and forces turn alike."""
+    """Rates (11): the angular velocity turned into world axes. Accelerations and forces turn
+    alike.
+    """
     rates = np.array(qvel)
     rates[3:6] = rotation_matrix(configuration) @ qvel[3:6]
     return rates
 
 
 class MujocoSpacecraft:
-    """Dynamics H dv/dt + c = f of the spacecraft with a given target; arrays in the paper's order (see above)."""
+    """Dynamics H dv/dt + c = f of the spacecraft with a given target; arrays in the paper's order
+    (see above).
+    """
 
     def __init__(self, target: Target) -> None:
         self.model = mujoco.MjModel.from_xml_string(mjcf(target))
@@ -135,7 +147,9 @@ class MujocoSpacecraft:
         self._evaluate(configuration, rates, np.zeros(11))
         return qvel_to_rates(configuration, self.data.qfrc_bias)
 
-    def acceleration(self, configuration: np.ndarray, rates: np.ndarray, force: np.ndarray) -> np.ndarray:
+    def acceleration(
+        self, configuration: np.ndarray, rates: np.ndarray, force: np.ndarray
+    ) -> np.ndarray:
         """dv/dt (11) under a generalized force (11)."""
         self._evaluate(configuration, rates, force)
         return qvel_to_rates(configuration, self.data.qacc)

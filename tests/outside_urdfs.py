@@ -8,16 +8,32 @@ def link(name, *, mass=None, inertia=(0.1, 0.1, 0.05), com=(0.0, 0.0, 0.0), extr
         return f'<link name="{name}">{extra}</link>'
     ixx, iyy, izz = inertia
     return (
-        f'<link name="{name}"><inertial><origin xyz="{com[0]} {com[1]} {com[2]}"/><mass value="{mass}"/>'
-        f'<inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" iyz="0"/></inertial>{extra}</link>'
+        f'<link name="{name}"><inertial><origin xyz="{com[0]} {com[1]} {com[2]}"/><mass '
+        f'value="{mass}"/>'
+        f'<inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" '
+        f'iyz="0"/></inertial>{extra}</link>'
     )
 
 
-def joint(name, parent, child, *, kind="revolute", axis="0 0 1", xyz="0 0 0", rpy="0 0 0", limit="", extra=""):
+def joint(
+    name,
+    parent,
+    child,
+    *,
+    kind="revolute",
+    axis="0 0 1",
+    xyz="0 0 0",
+    rpy="0 0 0",
+    limit="",
+    extra="",
+):
     ends = f'<parent link="{parent}"/><child link="{child}"/>'
     axis = "" if kind == "fixed" else f'<axis xyz="{axis}"/>'
     limit = f"<limit {limit}/>" if limit else ""
-    return f'<joint name="{name}" type="{kind}">{ends}<origin xyz="{xyz}" rpy="{rpy}"/>{axis}{limit}{extra}</joint>'
+    return (
+        f'<joint name="{name}" type="{kind}">{ends}<origin xyz="{xyz}" '
+        f'rpy="{rpy}"/>{axis}{limit}{extra}</joint>'
+    )
 
 
 def robot(*parts, name="mine"):
@@ -30,11 +46,19 @@ TURN = 'lower="-2.9" upper="2.9" effort="80" velocity="1.5"'
 def rod(name, length, mass, **extra):
     """A link along z: a solid cylinder of radius 0.05 m."""
     across = mass * (length**2 / 12.0 + 0.05**2 / 4.0)
-    return link(name, mass=mass, inertia=(across, across, 0.5 * mass * 0.05**2), com=(0.0, 0.0, 0.5 * length), **extra)
+    return link(
+        name,
+        mass=mass,
+        inertia=(across, across, 0.5 * mass * 0.05**2),
+        com=(0.0, 0.0, 0.5 * length),
+        **extra,
+    )
 
 
 def six_joints():
-    """A 6-joint arm on a box, with what ROS tools add: transmissions, simulator tags, friction, lost meshes."""
+    """A 6-joint arm on a box, with what ROS tools add: transmissions, simulator tags, friction,
+    lost meshes.
+    """
     lost = (
         '<visual><geometry><mesh filename="package://nowhere/a.stl"/></geometry></visual>'
         '<collision><geometry><mesh filename="package://nowhere/a.stl"/></geometry></collision>'
@@ -47,11 +71,18 @@ def six_joints():
         parts += [
             rod(f"link_{k}", length, 12.0 * length + 2.0, extra=lost),
             joint(
-                f"arm_{k}", parent, f"link_{k}", axis=axis, xyz=f"0 0 {height}", limit=TURN,
-                extra='<dynamics damping="0.7" friction="0.1"/><safety_controller k_velocity="10"/>',
+                f"arm_{k}",
+                parent,
+                f"link_{k}",
+                axis=axis,
+                xyz=f"0 0 {height}",
+                limit=TURN,
+                extra='<dynamics damping="0.7" friction="0.1"/><safety_controller '
+                'k_velocity="10"/>',
             ),
-            f'<transmission name="t{k}"><joint name="arm_{k}"/><actuator name="m{k}"/></transmission>',
-        ]  # fmt: skip
+            f'<transmission name="t{k}"><joint name="arm_{k}"/><actuator '
+            f'name="m{k}"/></transmission>',
+        ]
         parent, height = f"link_{k}", length
     parts += [link("tool0"), joint("tool_joint", parent, "tool0", kind="fixed", xyz="0 0 0.1")]
     parts += ['<gazebo reference="bus"><material>Gazebo/Blue</material></gazebo>']
@@ -59,7 +90,9 @@ def six_joints():
 
 
 def arm_alone(*, stand=True):
-    """The kinematics and masses of Universal Robots' UR5, as ROS publishes them: an arm fixed to the world."""
+    """The kinematics and masses of Universal Robots' UR5, as ROS publishes them: an arm fixed to
+    the world.
+    """
     turn = 'lower="-6.283" upper="6.283" effort="150" velocity="3.14"'
     right, y = "0 1.570796325 0", "0 1 0"
     chain = (
@@ -72,24 +105,36 @@ def arm_alone(*, stand=True):
     )
     parts, parent = [rod("base_link", 0.1, 4.0)], "base_link"
     if stand:
-        parts += [link("world"), joint("world", "world", "base_link", kind="fixed", xyz="0.2 0 0.05", rpy="0 0 0.5")]
+        parts += [
+            link("world"),
+            joint("world", "world", "base_link", kind="fixed", xyz="0.2 0 0.05", rpy="0 0 0.5"),
+        ]
     for name, child, mass, xyz, rpy, axis in chain:
         parts += [
             rod(child, 0.15, mass),
             joint(f"{name}_joint", parent, child, axis=axis, xyz=xyz, rpy=rpy, limit=turn),
         ]
         parent = child
-    return robot(*parts, link("tool0"), joint("tool", parent, "tool0", kind="fixed", xyz="0 0.0823 0"), name="ur5")
+    return robot(
+        *parts,
+        link("tool0"),
+        joint("tool", parent, "tool0", kind="fixed", xyz="0 0.0823 0"),
+        name="ur5",
+    )
 
 
 def stage(*extra, frame='<frame name="handle" link="tank" xyz="0 0 -1.5" rpy="0 0 0"/>'):
-    """A target: a tank whose centre of mass and principal axes are off its frame, and a nozzle without mass."""
+    """A target: a tank whose centre of mass and principal axes are off its frame, and a nozzle
+    without mass.
+    """
     inertial = (
         '<inertial><origin xyz="0.1 0 0.2" rpy="0 0 1.5707963267948966"/><mass value="250"/>'
         '<inertia ixx="180" iyy="120" izz="90" ixy="0" ixz="10" iyz="0"/></inertial>'
     )
     nozzle = joint("nozzle_joint", "tank", "nozzle", kind="fixed", xyz="0 0 1.5")
-    return robot(f'<link name="tank">{inertial}</link>', link("nozzle"), nozzle, frame, *extra, name="stage")
+    return robot(
+        f'<link name="tank">{inertial}</link>', link("nozzle"), nozzle, frame, *extra, name="stage"
+    )
 
 
 def prismatic():
@@ -122,10 +167,26 @@ def gripper():
         joint("shoulder", "platform", "upper", axis="0 1 0", xyz="0.2 0 0.3", limit=TURN),
         joint("elbow", "upper", "fore", axis="0 1 0", xyz="0 0 0.5", limit=TURN),
         joint("roll", "fore", "hand", axis="0 0 1", xyz="0 0 0.4", limit=TURN),
-        joint("grip_a", "hand", "finger_a", kind="prismatic", axis="0 1 0", xyz="0 0 0.08", limit=finger),
-        joint("grip_b", "hand", "finger_b", kind="prismatic", axis="0 -1 0", xyz="0 0 0.08", limit=finger,
-              extra='<mimic joint="grip_a" multiplier="1"/>'),
-    )  # fmt: skip
+        joint(
+            "grip_a",
+            "hand",
+            "finger_a",
+            kind="prismatic",
+            axis="0 1 0",
+            xyz="0 0 0.08",
+            limit=finger,
+        ),
+        joint(
+            "grip_b",
+            "hand",
+            "finger_b",
+            kind="prismatic",
+            axis="0 -1 0",
+            xyz="0 0 0.08",
+            limit=finger,
+            extra='<mimic joint="grip_a" multiplier="1"/>',
+        ),
+    )
 
 
 def two_arms():
@@ -142,14 +203,35 @@ def two_arms():
                 joint(name, parent, f"{name}_link", axis=axis, xyz=at, limit=TURN),
             ]
             parent, at = f"{name}_link", f"0 0 {length}"
-        parts += [link(f"{side}_tool"), joint(f"{side}_mount", parent, f"{side}_tool", kind="fixed", xyz=at)]
+        parts += [
+            link(f"{side}_tool"),
+            joint(f"{side}_mount", parent, f"{side}_tool", kind="fixed", xyz=at),
+        ]
     return robot(*parts)
 
 
 def seven_joints():
-    """Seven joints with offsets and turned frames, the usual redundant arm; a massless root before the bus."""
-    turned = ("0 0 0", "-1.5708 0 0", "1.5708 0 0", "1.5708 0 0", "-1.5708 0 0", "1.5708 0 0", "1.5708 0 0")
-    offsets = ("0.1 0 0.5", "0 0.1 0", "0 -0.42 0.05", "0.08 0 0", "-0.08 0.38 0", "0 0 0.06", "0.09 0 0.1")
+    """Seven joints with offsets and turned frames, the usual redundant arm; a massless root before
+    the bus.
+    """
+    turned = (
+        "0 0 0",
+        "-1.5708 0 0",
+        "1.5708 0 0",
+        "1.5708 0 0",
+        "-1.5708 0 0",
+        "1.5708 0 0",
+        "1.5708 0 0",
+    )
+    offsets = (
+        "0.1 0 0.5",
+        "0 0.1 0",
+        "0 -0.42 0.05",
+        "0.08 0 0",
+        "-0.08 0.38 0",
+        "0 0 0.06",
+        "0.09 0 0.1",
+    )
     masses = (6.0, 6.0, 5.0, 5.0, 3.5, 3.0, 1.5)
     parts = [
         link("base_link"),
@@ -159,8 +241,20 @@ def seven_joints():
     parent = "base_link"
     for k, (rpy, xyz, mass) in enumerate(zip(turned, offsets, masses, strict=True), start=1):
         parts += [
-            link(f"l{k}", mass=mass, inertia=(0.03 * mass, 0.03 * mass, 0.02 * mass), com=(0.01, 0.02, 0.05)),
-            joint(f"j-{k}", parent, f"l{k}", xyz=xyz, rpy=rpy, limit=TURN if k % 2 else TURN.replace("2.9", "1.9")),
+            link(
+                f"l{k}",
+                mass=mass,
+                inertia=(0.03 * mass, 0.03 * mass, 0.02 * mass),
+                com=(0.01, 0.02, 0.05),
+            ),
+            joint(
+                f"j-{k}",
+                parent,
+                f"l{k}",
+                xyz=xyz,
+                rpy=rpy,
+                limit=TURN if k % 2 else TURN.replace("2.9", "1.9"),
+            ),
         ]
         parent = f"l{k}"
     parts += ['<frame name="grasp_point" link="l7" xyz="0 0 0.12" rpy="0 0 0"/>']

@@ -1,8 +1,10 @@
-"""A bus with our wheels and thrusters, commanded in open loop: what basilisk_oracle.py simulates too.
+"""A bus with our wheels and thrusters, commanded in open loop: what basilisk_oracle.py simulates
+too.
 
-The bus is a rigid body, which in one case carries panels and a sloshing mass. The cases are given in its own axes, as
-flight software commands them: a torque and a force for each control sample. Rates are w_WB in those axes, velocities
-those of the bus's origin in world axes, attitudes modified Rodrigues parameters.
+The bus is a rigid body, which in one case carries panels and a sloshing mass. The cases are given
+in its own axes, as flight software commands them: a torque and a force for each control sample.
+Rates are w_WB in those axes, velocities those of the bus's origin in world axes, attitudes modified
+Rodrigues parameters.
 """
 
 import functools
@@ -38,18 +40,37 @@ COASTING = 5.0  # s
 COULOMB, VISCOUS = 5e-3, 1e-4  # N m and N m s
 PARTS = {
     "port": Flexible(
-        body="spacecraft::bus", position=[0.1, 0.9, 0.05], direction=[0.0, 1.0, 0.0], axis=[1.0, 0.0, 0.0],
-        mass=4.0, length=3.0, width=1.2, frequency=0.25, damping_ratio=0.005,
+        body="spacecraft::bus",
+        position=[0.1, 0.9, 0.05],
+        direction=[0.0, 1.0, 0.0],
+        axis=[1.0, 0.0, 0.0],
+        mass=4.0,
+        length=3.0,
+        width=1.2,
+        frequency=0.25,
+        damping_ratio=0.005,
     ),
     "starboard": Flexible(
-        body="spacecraft::bus", position=[0.0, -0.8, -0.1], direction=[0.0, -0.8, 0.6], axis=[1.0, 0.3, 0.4],
-        mass=3.0, length=2.5, width=0.9, frequency=0.4, damping_ratio=0.01,
+        body="spacecraft::bus",
+        position=[0.0, -0.8, -0.1],
+        direction=[0.0, -0.8, 0.6],
+        axis=[1.0, 0.3, 0.4],
+        mass=3.0,
+        length=2.5,
+        width=0.9,
+        frequency=0.4,
+        damping_ratio=0.01,
     ),
     "fuel": Flexible(
-        kind="mass", body="spacecraft::bus", position=[0.1, -0.2, -0.4], direction=[0.6, 0.0, 0.8],
-        mass=12.0, frequency=0.3, damping_ratio=0.02,
+        kind="mass",
+        body="spacecraft::bus",
+        position=[0.1, -0.2, -0.4],
+        direction=[0.6, 0.0, 0.8],
+        mass=12.0,
+        frequency=0.3,
+        damping_ratio=0.02,
     ),
-}  # fmt: skip
+}
 DEFLECTION = {"port": 0.3, "starboard": -0.2, "fuel": 0.05}  # rad and m, at the start, at rest
 FRAME, MINIMUM = 0.1, 0.02  # s, of a pulse-width modulator
 
@@ -57,13 +78,17 @@ FRAME, MINIMUM = 0.1, 0.02  # s, of a pulse-width modulator
 def torques() -> np.ndarray:
     """Torques (n, 3) on the bus, one for each control sample, N m."""
     time = np.arange(round(DURATION / PERIOD))[:, None] * PERIOD
-    return np.array([0.6, 0.4, 0.5]) * np.sin(np.array([0.5, 0.9, 1.4]) * time + np.array([0.3, 1.0, 2.0]))
+    return np.array([0.6, 0.4, 0.5]) * np.sin(
+        np.array([0.5, 0.9, 1.4]) * time + np.array([0.3, 1.0, 2.0])
+    )
 
 
 def forces() -> np.ndarray:
     """Forces (n, 3) on the bus, likewise, N."""
     time = np.arange(round(DURATION / PERIOD))[:, None] * PERIOD
-    return np.array([3.0, 2.0, 1.5]) * np.sin(np.array([0.7, 0.4, 1.1]) * time + np.array([0.0, 2.0, 4.0]))
+    return np.array([3.0, 2.0, 1.5]) * np.sin(
+        np.array([0.7, 0.4, 1.1]) * time + np.array([0.0, 2.0, 4.0])
+    )
 
 
 class _BusAxes(LeafSystem):
@@ -92,16 +117,23 @@ def simulate(
     period: float = PERIOD,
     carries: dict[str, Flexible] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Our actuators under commands (n, 6), torque and force: their outputs by name at the n samples and after the last.
+    """Our actuators under commands (n, 6), torque and force: their outputs by name at the n samples
+    and after the last.
 
-    Beside them ``rate``, ``velocity`` and ``attitude`` (n + 1, 3) each; of the parts ``deflection`` and its derivative
-    ``deflection_rate``, by their order.
+    Beside them ``rate``, ``velocity`` and ``attitude`` (n + 1, 3) each; of the parts ``deflection``
+    and its derivative ``deflection_rate``, by their order.
     """
-    plant, builder, model = MultibodyPlant(time_step=0.0), DiagramBuilder(), Model(flexible=carries or {})
+    plant, builder, model = (
+        MultibodyPlant(time_step=0.0),
+        DiagramBuilder(),
+        Model(flexible=carries or {}),
+    )
     builder.AddNamedSystem("plant", plant)
     unit = UnitInertia(*(np.diag(INERTIA) / MASS), *(INERTIA[[0, 0, 1], [1, 2, 2]] / MASS))
     about_origin = unit.ShiftFromCenterOfMass(CENTER)
-    plant.AddRigidBody("bus", plant.AddModelInstance("spacecraft"), SpatialInertia(MASS, CENTER, about_origin))
+    plant.AddRigidBody(
+        "bus", plant.AddModelInstance("spacecraft"), SpatialInertia(MASS, CENTER, about_origin)
+    )
     add_flexible(plant, model)
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
     plant.Finalize()
@@ -116,7 +148,9 @@ def simulate(
     adder = builder.AddSystem(Adder(len(total), 6))
     for index, port in enumerate(total):
         builder.Connect(port, adder.get_input_port(index))
-    on_known = builder.AddSystem(MatrixGain(hidden.known_velocities(np.eye(plant.num_velocities())).T))
+    on_known = builder.AddSystem(
+        MatrixGain(hidden.known_velocities(np.eye(plant.num_velocities())).T)
+    )
     builder.Connect(adder.get_output_port(), on_known.get_input_port())
     builder.Connect(on_known.get_output_port(), plant.get_applied_generalized_force_input_port())
     builder.Connect(command.get_output_port(), actuators.GetInputPort("commanded_force"))
@@ -128,7 +162,9 @@ def simulate(
     logs = {name: LogVectorOutput(port, builder, period) for name, port in ports.items()}
     simulator = Simulator(builder.Build())
     scheme = "runge_kutta5" if carries else "runge_kutta3"
-    config = SimulatorConfig(integration_scheme=scheme, max_step_size=period, use_error_control=False)
+    config = SimulatorConfig(
+        integration_scheme=scheme, max_step_size=period, use_error_control=False
+    )
     ApplySimulatorConfig(config, simulator)
     root = simulator.get_mutable_context()
     context = plant.GetMyMutableContextFromRoot(root)
@@ -136,11 +172,15 @@ def simulate(
     set_wheels(plant, context, actuation.wheels)
     state = np.concatenate([[1.0, 0, 0, 0], np.zeros(3), RATE, np.zeros(3)])
     deflection = [DEFLECTION[name] for name in hidden.names]
-    plant.SetPositionsAndVelocities(context, hidden.whole(state, np.r_[deflection, np.zeros(len(deflection))]))
+    plant.SetPositionsAndVelocities(
+        context, hidden.whole(state, np.r_[deflection, np.zeros(len(deflection))])
+    )
     # The centre of mass is at rest.
     state[10:] = -plant.CalcCenterOfMassTranslationalVelocityInWorld(context)
     velocity = SpatialVelocity(state[7:10], state[10:])
-    plant.SetFreeBodySpatialVelocity(context=context, body=plant.GetBodyByName("bus"), V_JpJc=velocity)
+    plant.SetFreeBodySpatialVelocity(
+        context=context, body=plant.GetBodyByName("bus"), V_JpJc=velocity
+    )
     actuators.set_initial_state(actuators.GetMyMutableContextFromRoot(root), state)
     simulator.AdvanceTo((len(commands) + 1) * period)
     found = {name: log.FindLog(root).data().T for name, log in logs.items()}
@@ -149,15 +189,22 @@ def simulate(
     # What is held from a sample on is logged at the next.
     found = {name: rows[1:] for name, rows in found.items()}
     turned = [attitude_ahead(row[:4], row[7:10], 0.0).reshape(3, 3).T @ row[7:10] for row in states]
-    found |= {"rate": np.array(turned), "velocity": states[:, 10:], "attitude": states[:, 1:4] / (1.0 + states[:, :1])}
+    found |= {
+        "rate": np.array(turned),
+        "velocity": states[:, 10:],
+        "attitude": states[:, 1:4] / (1.0 + states[:, :1]),
+    }
     order = [hidden.names.index(name) for name in carries or {}]
     deflections = np.split(hidden.hidden_part(whole), 2, axis=1)
     return found | {
-        name: rows[:, order] for name, rows in zip(("deflection", "deflection_rate"), deflections, strict=True)
+        name: rows[:, order]
+        for name, rows in zip(("deflection", "deflection_rate"), deflections, strict=True)
     }
 
 
-def wheel_settings(*, coulomb: float = 0.0, viscous: float = 0.0, torque_limit: float = 10.0) -> schema.Actuation:
+def wheel_settings(
+    *, coulomb: float = 0.0, viscous: float = 0.0, torque_limit: float = 10.0
+) -> schema.Actuation:
     momenta = SPIN * (WHEEL_RATES + AXES @ RATE)
     units = {
         f"wheel_{i}": schema.Wheel(
@@ -182,27 +229,39 @@ def wheels() -> dict[str, np.ndarray]:
 @functools.cache
 def parts() -> dict[str, np.ndarray]:
     """The same with panels and a sloshing mass."""
-    return with_wheel_speeds(simulate(wheel_settings(), np.c_[torques(), np.zeros_like(torques())], carries=PARTS))
+    return with_wheel_speeds(
+        simulate(wheel_settings(), np.c_[torques(), np.zeros_like(torques())], carries=PARTS)
+    )
 
 
-def coasting(*, coulomb: float = 0.0, viscous: float = 0.0, period: float = PERIOD) -> dict[str, np.ndarray]:
+def coasting(
+    *, coulomb: float = 0.0, viscous: float = 0.0, period: float = PERIOD
+) -> dict[str, np.ndarray]:
     """Friction alone slows the wheels: their motors give as good as nothing."""
     settings = wheel_settings(coulomb=coulomb, viscous=viscous, torque_limit=1e-15)
-    return with_wheel_speeds(simulate(settings, np.zeros((round(COASTING / period), 6)), period=period))
+    return with_wheel_speeds(
+        simulate(settings, np.zeros((round(COASTING / period), 6)), period=period)
+    )
 
 
 @functools.cache
 def thrusters() -> dict[str, np.ndarray]:
     """The twelve thrusters give the torques and forces in pulses."""
-    return simulate(schema.Actuation(thrusters=schema.Thrusters(layout=LAYOUT)), np.c_[torques(), forces()])
+    return simulate(
+        schema.Actuation(thrusters=schema.Thrusters(layout=LAYOUT)), np.c_[torques(), forces()]
+    )
 
 
 def pulses() -> list[list[list[int]]]:
-    """Of each thruster the pulses: sample in which it opens, and samples for which it stays open."""
+    """Of each thruster the pulses: sample in which it opens, and samples for which it stays
+    open.
+    """
     result = []
     for column in thrusters()["thruster_open"][:-1].T:
         starts, lengths = pulses_of(column, 1.0)
-        result.append([[int(start), round(length)] for start, length in zip(starts, lengths, strict=True)])
+        result.append(
+            [[int(start), round(length)] for start, length in zip(starts, lengths, strict=True)]
+        )
     return result
 
 
@@ -211,6 +270,8 @@ def units() -> list[schema.Thruster]:
 
 
 def shares() -> np.ndarray:
-    """Wanted shares (60, 12) of the thrusters' force, most of them near the shortest pulse or below."""
+    """Wanted shares (60, 12) of the thrusters' force, most of them near the shortest pulse or
+    below.
+    """
     random = np.random.default_rng(0)
     return random.uniform(0.0, 0.25, (60, 12)) * random.choice([1.0, 5.0], (60, 12), p=[0.8, 0.2])

@@ -18,11 +18,19 @@ def test_rollout(monkeypatch, capsys):
     ratio = r"\d+\.\d\d \(\d+\.\d\d\)"
     others = ["a", "c", *(["d"] if ON_BASILISK else [])]
     for other in others:
-        assert len(re.findall(rf"b/{other} {ratio}", printed)) == 4, other  # the shipped arm and three others
+        # the shipped arm and three others
+        assert len(re.findall(rf"b/{other} {ratio}", printed)) == 4, other
     assert ("skipped, needs 'pip install bsk'" in printed) != ON_BASILISK
     # Drake, MuJoCo and Basilisk fly the same.
     for other in others[1:]:
-        differences = [float(x) for x in re.findall(rf"\(b\) - \({other}\): +(\d\.\de[-+]\d\d)", printed)]
+        differences = [
+            float(x)
+            for x in re.findall(
+                rf"\(b\) - \({other}\): "
+                r"+(\d\.\de[-+]\d\d)",
+                printed,
+            )
+        ]
         assert len(differences) == 4
         assert 0.0 < max(differences) < 1e-7
 
@@ -30,9 +38,11 @@ def test_rollout(monkeypatch, capsys):
 def test_startup(monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     startup = importlib.import_module("startup")
-    monkeypatch.setattr(startup, "PROGRAMS", {"nothing": ["-c", "pass"]})  # the others take too long for a test
+    # the others take too long for a test
+    monkeypatch.setattr(startup, "PROGRAMS", {"nothing": ["-c", "pass"]})
     startup.main(["--repeats", "1", "--against", str(BENCHMARKS)])
     printed = capsys.readouterr().out.splitlines()
     assert len(printed) == 2
-    assert float(re.search(r"(\d\.\d\d) \(\d\.\d\d\) of it", printed[1])[1]) < 0.7  # Drake takes longer
+    # Drake takes longer
+    assert float(re.search(r"(\d\.\d\d) \(\d\.\d\d\) of it", printed[1])[1]) < 0.7
     assert printed[1].endswith("of what it takes with --against")

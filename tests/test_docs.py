@@ -1,4 +1,5 @@
-"""The documentation speaks of this package: its commands exist, its examples run, its reference is complete.
+"""The documentation speaks of this package: its commands exist, its examples run, its reference is
+complete.
 
 That the site builds, with all links inside it, is ``sphinx-build -W``'s to say.
 """
@@ -38,11 +39,16 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
 NOT_RUN = "<!-- not run -->"  # on the line before a block
-MODULE = re.compile(r"# (\w+)\.py\b")  # first line of a python block that is (or continues) a module of the user's
+# first line of a python block that is (or continues) a module of the user's
+MODULE = re.compile(r"# (\w+)\.py\b")
 
 
 def blocks(page: Path, language: str) -> list[str]:
-    found = re.findall(rf"(?:^([^\n]*)\n)?^```{language}\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    found = re.findall(
+        rf"(?:^([^\n]*)\n)?^```{language}\n(.*?)^```",
+        page.read_text(),
+        flags=re.MULTILINE | re.DOTALL,
+    )
     return [text for before, text in found if before.strip() != NOT_RUN]
 
 
@@ -51,7 +57,9 @@ def shell_commands() -> Iterator[tuple[str, tuple[str, ...]]]:
     for page in PAGES:
         for block in blocks(page, "sh"):
             for line in re.sub(r"\\\n", " ", block).splitlines():
-                lexer = shlex.shlex(re.sub(r"\$\w+", "1", line), posix=True, punctuation_chars=";&|")
+                lexer = shlex.shlex(
+                    re.sub(r"\$\w+", "1", line), posix=True, punctuation_chars=";&|"
+                )
                 lexer.whitespace_split = True
                 words: list[str] = []
                 for word in [*lexer, ";"]:
@@ -71,7 +79,9 @@ def module_at(path: Path) -> ModuleType:
 
 
 def ffsm_parameters(words: tuple[str, ...]) -> dict[str, object]:
-    """The parameters of ``ffsm WORDS`` as its command would get them; fails on what the command does not know."""
+    """The parameters of ``ffsm WORDS`` as its command would get them; fails on what the command
+    does not know.
+    """
     context = main.make_context("ffsm", list(words))
     command, rest = main, list(words)
     while isinstance(command, click.Group):
@@ -101,7 +111,9 @@ def test_commands_are_found():
     assert sum(words[:2] == ("python", "-c") for _, words in COMMANDS) > 0
 
 
-@pytest.mark.parametrize(("page", "words"), [pytest.param(*c, id=f"{c[0]}: {' '.join(c[1])[:60]}") for c in COMMANDS])
+@pytest.mark.parametrize(
+    ("page", "words"), [pytest.param(*c, id=f"{c[0]}: {' '.join(c[1])[:60]}") for c in COMMANDS]
+)
 def test_commands_exist_with_their_options(page, words, capsys, monkeypatch):
     if words[0] == "ffsm":
         parameters = ffsm_parameters(words[1:])
@@ -115,7 +127,9 @@ def test_commands_exist_with_their_options(page, words, capsys, monkeypatch):
         assert path.is_file(), f"{page}: {words[1]} does not exist"
         example = module_at(path)
         if words[2:]:
-            monkeypatch.setattr(example, "run", lambda name, overrides, directory: check_overrides(name, overrides))
+            monkeypatch.setattr(
+                example, "run", lambda name, overrides, directory: check_overrides(name, overrides)
+            )
             example.main(words[2:])
     elif words[:2] == ("python", "-c"):
         exec(compile(words[2], page, "exec"), {})
@@ -136,9 +150,10 @@ def absent(_):
     ],
 )
 def test_python_examples_run(page, tmp_path, monkeypatch):
-    """All python blocks of a page: those that begin with the name of a file as modules, together with the tests in
-    them, the others one after another in one namespace. Figures, the report's stability section and most prices of a
-    design cost seconds and have tests of their own."""
+    """All python blocks of a page: those that begin with the name of a file as modules, together
+    with the tests in them, the others one after another in one namespace. Figures, the report's
+    stability section and most prices of a design cost seconds and have tests of their own.
+    """
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
     monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", PRICES[:1])
@@ -168,7 +183,12 @@ def test_python_examples_run(page, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("page", "text"),
-    [(page.name, text) for page in PAGES for text in blocks(page, "yaml") if "directives:" not in text],
+    [
+        (page.name, text)
+        for page in PAGES
+        for text in blocks(page, "yaml")
+        if "directives:" not in text
+    ],
 )
 def test_scenario_fragments_are_valid(page, text):
     assert scenario_to_dict(scenario_from_yaml(text)) != scenario_to_dict(Scenario()), page
@@ -201,7 +221,9 @@ def test_the_controllers_are_counted(page, phrase):
         "twenty",
     ]
     number = len(SHIPPED["controller"])
-    assert phrase.format(words[number - 8]) in (ROOT / page).read_text().lower(), f"there are {number} controllers"
+    assert phrase.format(words[number - 8]) in (ROOT / page).read_text().lower(), (
+        f"there are {number} controllers"
+    )
 
 
 @pytest.mark.parametrize("page", ["scenario.md", "blocks.md"])
@@ -232,7 +254,11 @@ def test_every_scenario_key_is_in_the_reference_with_a_meaning():
 
     older_drake = {"simulator_config.publish_every_time_step"}
     assert set(keys(scenario_to_dict(Scenario()))) - older_drake <= documented | sections
-    assert {"disturbance.harmonics.COORDINATE.phase", "model.servicer", "controllers.tdc.k_p"} <= documented
+    assert {
+        "disturbance.harmonics.COORDINATE.phase",
+        "model.servicer",
+        "controllers.tdc.k_p",
+    } <= documented
 
 
 @pytest.mark.parametrize(
@@ -260,23 +286,35 @@ def test_the_tutorial_is_stored_without_outputs():
     code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert len(code) > 5
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)
-    assert notebook["metadata"]["kernelspec"]["name"] == "python3"  # ipykernel's own, in any environment
+    # ipykernel's own, in any environment
+    assert notebook["metadata"]["kernelspec"]["name"] == "python3"
 
 
-@pytest.mark.parametrize(("controller", "coordinate"), [("computed_torque", "base_position_x"), ("pd_plus", "joint_2")])
+@pytest.mark.parametrize(
+    ("controller", "coordinate"), [("computed_torque", "base_position_x"), ("pd_plus", "joint_2")]
+)
 def test_the_baselines_sampled_limit(controller, coordinate):
-    """controllers.md: near a held posture the largest eigenvalue of H^-1 K_d or H^-1 Hhat K_d must stay below 2/L."""
+    """controllers.md: near a held posture the largest eigenvalue of H^-1 K_d or H^-1 Hhat K_d must
+    stay below 2/L.
+    """
     scenario = load_scenario("postcapture")
     posture = json.dumps(scenario_to_dict(scenario)["initial_posture"])
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
     q = make_motion(scenario, nominal.coordinates).evaluate(0.0)[0]
-    held = ["duration=2", "disturbance.amplitude_scale=0", f"target_posture={posture}", f"controller={controller}"]
+    held = [
+        "duration=2",
+        "disturbance.amplitude_scale=0",
+        f"target_posture={posture}",
+        f"controller={controller}",
+    ]
     base = 10.0 if controller == "computed_torque" else 0.0
     applied = nominal.calc_mass_matrix(q) if controller == "computed_torque" else np.eye(q.size - 1)
 
     def radius(k_d):
         gains = np.where(np.array(nominal.coordinates.names) == coordinate, k_d, base)
-        return np.linalg.eigvals(np.linalg.solve(true.calc_mass_matrix(q), applied * gains)).real.max()
+        return np.linalg.eigvals(
+            np.linalg.solve(true.calc_mass_matrix(q), applied * gains)
+        ).real.max()
 
     limit = brentq(lambda k_d: radius(k_d) - 2.0 / scenario.sample_time, 10.0, 1e5)
     late = {}

@@ -31,9 +31,17 @@ def test_the_main_job(tmp_path, monkeypatch, capfd):
     out, err = capfd.readouterr()
     written = {path.name for path in (tmp_path / "out" / "postcapture").iterdir()}
     assert written >= {
-        "record.nc", "metrics.json", "manifest.json", "report.html", "recording.html", "trajectories.png", "errors.png",
-        "efforts.png", "gains.png", "block_diagram.dot",
-    }  # fmt: skip
+        "record.nc",
+        "metrics.json",
+        "manifest.json",
+        "report.html",
+        "recording.html",
+        "trajectories.png",
+        "errors.png",
+        "efforts.png",
+        "gains.png",
+        "block_diagram.dot",
+    }
     metrics = json.loads((tmp_path / "out/postcapture/metrics.json").read_text())
     row = next(line for line in out.splitlines() if line.startswith("tde_aismc  "))
     assert f"{metrics['itae']:.4g}" in row
@@ -44,13 +52,21 @@ def test_the_main_job(tmp_path, monkeypatch, capfd):
 
 
 @pytest.mark.slow
-def test_the_jacobian_of_a_fixed_base_misses_where_the_generalized_one_does_not(tmp_path, monkeypatch, capsys):
+def test_the_jacobian_of_a_fixed_base_misses_where_the_generalized_one_does_not(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["free_floating.py"])
     runpy.run_path(str(EXAMPLES / "free_floating.py"), run_name="__main__")
     rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:5]]
-    assert [row[:3] for row in rows[::2]] == [[name, "fixed-base", "J"] for name in ("planar_detumble", "postcapture")]
-    assert [row[-3:] for row in rows[::2]] == [["0.253", "0.0968", "0.0968"], ["0.208", "-", "0.0905"]]  # m, rad, rad
+    assert [row[:3] for row in rows[::2]] == [
+        [name, "fixed-base", "J"] for name in ("planar_detumble", "postcapture")
+    ]
+    # m, rad, rad
+    assert [row[-3:] for row in rows[::2]] == [
+        ["0.253", "0.0968", "0.0968"],
+        ["0.208", "-", "0.0905"],
+    ]
     assert max(float(row[2]) for row in rows[1::2]) < 1e-9
     assert Path("out/free_floating.png").stat().st_size > 10_000
 
@@ -61,7 +77,9 @@ def absent(_):
 
 @pytest.fixture
 def cheap(monkeypatch):
-    """Without the figures and the report's stability section, which cost seconds and have tests of their own."""
+    """Without the figures and the report's stability section, which cost seconds and have tests of
+    their own.
+    """
     monkeypatch.setattr("ffsm_drake.show.figures.run.save_figures", lambda *_: [])
     monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
 
@@ -76,8 +94,20 @@ def main(monkeypatch, tmp_path):
 @pytest.mark.filterwarnings("default")
 @pytest.mark.usefixtures("cheap")
 def test_a_diverging_run_of_another_scenario_says_so_and_keeps_its_record(main, capfd):
-    scenario = ["--scenario", "paper", "--set", "controller=aismc", "--set", "divergence_speed=1e-3"]
-    unstable = ["--set", "controllers.aismc.k_s_initial=250", "--set", "controllers.aismc.k_s_max=null"]
+    scenario = [
+        "--scenario",
+        "paper",
+        "--set",
+        "controller=aismc",
+        "--set",
+        "divergence_speed=1e-3",
+    ]
+    unstable = [
+        "--set",
+        "controllers.aismc.k_s_initial=250",
+        "--set",
+        "controllers.aismc.k_s_max=null",
+    ]
     assert main([*scenario, *unstable, "--out", "mine"]) == 3
     out, err = capfd.readouterr()
     assert re.search(r"aismc diverged at t = [\d.]+ s: \S+ moves at", out)
@@ -92,7 +122,9 @@ def test_a_diverging_run_of_another_scenario_says_so_and_keeps_its_record(main, 
 def test_bad_input_gets_one_line(main, capfd):
     assert main(["--set", "controllers.tdc.kd=1"]) == 2
     error = capfd.readouterr().err
-    assert error.startswith("error: controllers.tdc.kd: unknown gain; tdc has k_d, k_p; did you mean 'k_d'?")
+    assert error.startswith(
+        "error: controllers.tdc.kd: unknown gain; tdc has k_d, k_p; did you mean 'k_d'?"
+    )
     assert error.count("\n") == 1
 
 
@@ -111,7 +143,9 @@ def test_the_campaign(tmp_path):
 @pytest.mark.usefixtures("cheap")
 @pytest.mark.parametrize("name", OTHERS)
 def test_the_other_examples(name, tmp_path, monkeypatch):
-    """As scripts, in this process: as __main__, and with their folder among those that modules come from."""
+    """As scripts, in this process: as __main__, and with their folder among those that modules come
+    from.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(EXAMPLES)
     try:
@@ -152,13 +186,27 @@ def test_recording_shows_the_spacecraft_in_a_browser(recording, tmp_path):
     picture = tmp_path / "picture.png"
     subprocess.run(
         [
-            CHROMIUM, "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-sync",
-            "--disable-background-networking", "--disable-component-update", "--use-gl=angle",
-            "--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'profile'}",
-            "--window-size=400,300", "--virtual-time-budget=3000", f"--screenshot={picture}", recording.as_uri(),
+            CHROMIUM,
+            "--headless",
+            "--no-sandbox",
+            "--disable-quic",
+            "--no-first-run",
+            "--disable-sync",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--use-gl=angle",
+            "--use-angle=swiftshader",
+            "--enable-unsafe-swiftshader",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--window-size=400,300",
+            "--virtual-time-budget=3000",
+            f"--screenshot={picture}",
+            recording.as_uri(),
         ],
-        capture_output=True, timeout=120, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        timeout=120,
+        check=True,
+    )
     pixels = image.imread(picture)[..., :3]
     gold = (pixels[..., 0] > 0.45) & (pixels[..., 1] > 0.3) & (pixels[..., 2] < 0.35)
     panels = (pixels[..., 2] > 0.4) & (pixels[..., 0] < 0.25)

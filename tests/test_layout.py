@@ -21,7 +21,8 @@ ROOMS = (
     "studies",
     "cli",
 )
-APART = ({"control_design", "runs"}, {"analysis", "campaign"})  # neighbours: neither imports the other
+# neighbours: neither imports the other
+APART = ({"control_design", "runs"}, {"analysis", "campaign"})
 DRAWING = {"matplotlib", "plotly", "jinja2", "markupsafe"}  # what only pictures and pages need
 DRAWS = {"show", "studies"}
 # What stands at the top for users: the verbs, the command, the conformance kit.
@@ -32,7 +33,9 @@ def room_of(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
+@pytest.mark.parametrize(
+    "path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE))
+)
 def test_imports_go_one_way(path):
     room = room_of(path)
     if room in FACES:

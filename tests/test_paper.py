@@ -29,7 +29,10 @@ def test_effort_of_table_2(run, controller, disturbance):
 @pytest.mark.slow
 @pytest.mark.parametrize("disturbance", DISTURBANCES)
 def test_accuracy_ranking_of_table_2(run, disturbance):
-    itae = [run("paper", f"controller={name}", *DISTURBANCES[disturbance]).metrics["itae"] for name in TABLE_2]
+    itae = [
+        run("paper", f"controller={name}", *DISTURBANCES[disturbance]).metrics["itae"]
+        for name in TABLE_2
+    ]
     assert itae == sorted(itae), dict(zip(TABLE_2, itae, strict=True))
 
 
@@ -47,7 +50,11 @@ def test_published_gains_without_bound_diverge_on_the_exact_plant(run, tmp_path)
     assert record.outcome.status == "diverged"
     assert 4.0 < record.outcome.time < 8.0
     assert record.outcome.coordinate in record.dataset["coordinate"].values
-    for part in ("tde_aismc diverged at t = ", record.outcome.coordinate, "rad/s, beyond divergence_speed = 10"):
+    for part in (
+        "tde_aismc diverged at t = ",
+        record.outcome.coordinate,
+        "rad/s, beyond divergence_speed = 10",
+    ):
         assert part in record.outcome.message
     # Law (9) has carried K_s past the sampled loop's limit of 100 by then.
     assert record.dataset["reaching_gain"].values[-1].max() > 100.0

@@ -1,4 +1,6 @@
-"""The scenario seven_joint: its model against the published figures and MuJoCo, its four controllers, its picture."""
+"""The scenario seven_joint: its model against the published figures and MuJoCo, its four
+controllers, its picture.
+"""
 
 import mujoco
 import mujoco_oracle as oracle
@@ -23,13 +25,20 @@ from ffsm_drake.systems.controllers import PAPER_LAWS
 from ffsm_drake.systems.reference import make_motion
 
 JOINTS = (
-    "shoulder_roll", "shoulder_yaw", "shoulder_pitch", "elbow_pitch", "wrist_pitch", "wrist_yaw", "wrist_roll",
-)  # fmt: skip
+    "shoulder_roll",
+    "shoulder_yaw",
+    "shoulder_pitch",
+    "elbow_pitch",
+    "wrist_pitch",
+    "wrist_yaw",
+    "wrist_roll",
+)
 SCALE = 0.25
 BOOM_RADIUS = 0.175  # m, full size
 
-# Full size, as published, in the published axes (roll x, yaw z, pitch y at the zero posture): name, mass in kg, the
-# long side (centre of mass at its middle) and where the next joint is, m, and that joint's axis.
+# Full size, as published, in the published axes (roll x, yaw z, pitch y at the zero posture): name,
+# mass in kg, the long side (centre of mass at its middle) and where the next joint is, m, and that
+# joint's axis.
 PUBLISHED = (
     ("mount", 243.66, (1.3589, 0, 0), (1.3589, 0, 0), "x"),
     ("shoulder_roll_link", 105.98, (0, 0, 0.7026), (0, 0, 0.7026), "z"),
@@ -42,7 +51,9 @@ PUBLISHED = (
 )
 # The published x axis is the base's z: a turn of -90 degrees about y, which the arm's foot makes.
 FOOT = Rotation.from_euler("y", -np.pi / 2)
-OFF_CENTRE = MassProperties(mass=70.0, center_of_mass=[0.2, -0.3, 0.15], inertia=[12.0, 9.0, 7.0, 1.5, -0.8, 0.6])
+OFF_CENTRE = MassProperties(
+    mass=70.0, center_of_mass=[0.2, -0.3, 0.15], inertia=[12.0, 9.0, 7.0, 1.5, -0.8, 0.6]
+)
 
 
 def text(numbers) -> str:
@@ -74,11 +85,17 @@ def mjcf(target: MassProperties) -> str:
         if before:
             axis = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}[before[4]]
             joint = f'<joint name="{JOINTS[k - 1]}" type="hinge" axis="{axis}"/>'
-        place = f'pos="{text(SCALE * np.array(before[3]))}"' if before else f'pos="0 0 1" quat="{wxyz(FOOT)}"'
+        place = (
+            f'pos="{text(SCALE * np.array(before[3]))}"'
+            if before
+            else (f'pos="0 0 1" quat="{wxyz(FOOT)}"')
+        )
         body = f"""<body name="{name}" {place}>{joint}
-          <inertial pos="{text(side / 2)}" mass="{mass!r}" diaginertia="{text(inertia)}"/>{body}</body>"""
+          <inertial pos="{text(side / 2)}" mass="{mass!r}"
+            diaginertia="{text(inertia)}"/>{body}</body>"""
     return f"""<mujoco><option gravity="0 0 0"/><worldbody><body name="base"><freejoint/>
-      <inertial pos="0 0 0" mass="400" diaginertia="266 266 266"/>{body}</body></worldbody></mujoco>"""
+      <inertial pos="0 0 0" mass="400" diaginertia="266 266 266"/>{body}</body>
+      </worldbody></mujoco>"""
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +108,9 @@ def random_states(number: int):
     rng = np.random.default_rng(7)
     for _ in range(number):
         quaternion = rng.normal(size=4)
-        q = np.concatenate([quaternion / np.linalg.norm(quaternion), rng.uniform(-2, 2, 3), rng.uniform(-3, 3, 7)])
+        q = np.concatenate(
+            [quaternion / np.linalg.norm(quaternion), rng.uniform(-2, 2, 3), rng.uniform(-3, 3, 7)]
+        )
         yield q, rng.normal(size=13), rng.normal(scale=20, size=13)
 
 
@@ -104,14 +123,20 @@ def test_names(truth):
 
 def test_masses_are_the_published_ones_scaled(truth):
     for name, mass, *_ in PUBLISHED:
-        assert truth.plant.GetBodyByName(name).default_mass() == pytest.approx(mass * SCALE**3, rel=1e-9)
+        assert truth.plant.GetBodyByName(name).default_mass() == pytest.approx(
+            mass * SCALE**3, rel=1e-9
+        )
     arm = sum(mass for _, mass, *_ in PUBLISHED)
     assert arm == pytest.approx(1505.32)
-    assert truth.plant.CalcTotalMass(truth.context) == pytest.approx(400 + arm * SCALE**3 + 100, rel=1e-9)
+    assert truth.plant.CalcTotalMass(truth.context) == pytest.approx(
+        400 + arm * SCALE**3 + 100, rel=1e-9
+    )
 
 
 def test_reach_is_the_published_one_scaled(truth):
-    """Stretched out, the published chain measures 16.94 m along and -1.61 m across: the agency's 17 m."""
+    """Stretched out, the published chain measures 16.94 m along and -1.61 m across: the agency's 17
+    m.
+    """
     plant, context = truth.plant, truth.context
     plant.SetPositions(context, [1, 0, 0, 0] + [0] * 10)
     foot, tip = plant.GetFrameByName("mount"), plant.GetFrameByName("end_effector")
@@ -131,7 +156,8 @@ def test_dynamics_agree_with_mujoco(payload):
         set_payload(ours.plant, ours.context, body=scenario.payload.body, properties=target)
     model = mujoco.MjModel.from_xml_string(mjcf(target))
     data = mujoco.MjData(model)
-    swap_q, swap_v = np.r_[4:7, 0:4, 7:14], np.r_[3:6, 0:3, 6:13]  # position first, as the oracle has it; v: both ways
+    # position first, as the oracle has it; v: both ways
+    swap_q, swap_v = np.r_[4:7, 0:4, 7:14], np.r_[3:6, 0:3, 6:13]
     for q, v, force in random_states(20):
         state = q[swap_q]
         data.qpos[:] = state
@@ -150,7 +176,9 @@ def test_dynamics_agree_with_mujoco(payload):
         assert_allclose(bias, their_bias, rtol=0, atol=1e-9 * np.abs(their_bias).max())
         acceleration = np.linalg.solve(mass_matrix, force - bias)
         their_acceleration = oracle.qvel_to_rates(state, data.qacc)[swap_v]
-        assert_allclose(acceleration, their_acceleration, rtol=0, atol=1e-8 * np.abs(their_acceleration).max())
+        assert_allclose(
+            acceleration, their_acceleration, rtol=0, atol=1e-8 * np.abs(their_acceleration).max()
+        )
 
 
 @pytest.mark.parametrize("controller", PAPER_LAWS)
@@ -158,14 +186,17 @@ def test_sampled_loop_is_stable(controller):
     assert stability(load_scenario("seven_joint", [f"controller={controller}"])).verdict == "stable"
 
 
-@pytest.mark.parametrize(("controller", "seed"), [*((name, 0) for name in PAPER_LAWS), ("tde_aismc", 1)])
+@pytest.mark.parametrize(
+    ("controller", "seed"), [*((name, 0) for name in PAPER_LAWS), ("tde_aismc", 1)]
+)
 def test_controllers_converge(run, controller, seed):
     quick = ("reference.duration=10", "duration=10")  # half of what is shipped, which asks for more
     record = run("seven_joint", f"controller={controller}", f"random_seed={seed}", *quick)
     assert record.outcome.completed
     bound = 1e-5 if controller == "tdc" else 1e-6  # TDC has no K_s: its stiffness is K_P alone
     for kind in ("peak_error", "final_error"):
-        # What the loop finds in its first samples, before it knows the force, is the largest error of the joints.
+        # What the loop finds in its first samples, before it knows the force, is the largest error
+        # of the joints.
         slack = 10.0 if kind == "peak_error" else 1.0
         for group, error in record.metrics[kind].items():
             assert error < slack * bound, (kind, group)
@@ -209,18 +240,25 @@ def test_clearances_are_those_of_the_documentation():
         return scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
 
     def between_cubes(time):
-        return query(time).ComputeSignedDistancePairClosestPoints(cube["base"], cube["debris"]).distance
+        return (
+            query(time)
+            .ComputeSignedDistancePairClosestPoints(cube["base"], cube["debris"])
+            .distance
+        )
 
     assert between_cubes(14.7) > 0.0 > between_cubes(14.9)
     assert between_cubes(20.0) == pytest.approx(-0.41, abs=5e-3)
     at_end = query(20.0)
     distances = [
-        at_end.ComputeSignedDistancePairClosestPoints(a, b).distance for a in drawn["base"] for b in drawn["debris"]
+        at_end.ComputeSignedDistancePairClosestPoints(a, b).distance
+        for a in drawn["base"]
+        for b in drawn["debris"]
     ]
     assert min(distances) == pytest.approx(0.2525, abs=1e-4)
     upper, lower = (plant.GetFrameByName(name) for name in ("upper_boom", "lower_boom"))
     elbow = plant.CalcRelativeTransform(plant.GetMyContextFromRoot(context), upper, lower)
-    assert abs(elbow.translation()[1]) == pytest.approx(0.119, abs=5e-4)  # along the axis that the booms fold about
+    # along the axis that the booms fold about
+    assert abs(elbow.translation()[1]) == pytest.approx(0.119, abs=5e-4)
     assert elbow.rotation().col(1) == pytest.approx([0, 1, 0], abs=1e-12)
 
 
@@ -229,10 +267,15 @@ def test_camera_looks_at_the_middle_of_the_spacecraft_and_sees_all_of_it(name):
     scenario = load_scenario(name)
     builder = DiagramBuilder()
     plant = add_combined_plant(builder, scenario.model)
-    camera, center = camera_pose(plant, scenario, builder.GetSubsystemByName("scene_graph").model_inspector())
+    camera, center = camera_pose(
+        plant, scenario, builder.GetSubsystemByName("scene_graph").model_inspector()
+    )
     ahead = (center - camera) / np.linalg.norm(center - camera)
     places = np.array(list(body_places(plant, scenario)))
-    angles = [np.degrees(np.arccos((place - camera) @ ahead / np.linalg.norm(place - camera))) for place in places]
+    angles = [
+        np.degrees(np.arccos((place - camera) @ ahead / np.linalg.norm(place - camera)))
+        for place in places
+    ]
     assert np.linalg.norm(places - camera, axis=1).min() > 2.0  # m: nothing fills the picture
     assert max(angles) < 37.5  # as far up and down as Meshcat shows
     assert (places.min(axis=0) <= center + 1e-9).all()

@@ -1,4 +1,6 @@
-"""Equations as MathML, which browsers show by themselves: no JavaScript, no network. docutils does the conversion."""
+"""Equations as MathML, which browsers show by themselves: no JavaScript, no network. docutils does
+the conversion.
+"""
 
 import html
 import re
@@ -33,10 +35,14 @@ def _mathml(node: nodes.Node, *, block: bool) -> str:
 
 
 def _tidied(mathml: str) -> str:
-    """Subscripts of accented letters beside them rather than below, bars without the space of an operator."""
+    """Subscripts of accented letters beside them rather than below, bars without the space of an
+    operator.
+    """
     ET.register_namespace("", _NAMESPACE.strip("{}"))
     # XML knows none of HTML's named characters but these.
-    root = ET.fromstring(re.sub(r"&(?!lt;|gt;|amp;|#)\w+;", lambda found: html.unescape(found.group()), mathml))
+    root = ET.fromstring(
+        re.sub(r"&(?!lt;|gt;|amp;|#)\w+;", lambda found: html.unescape(found.group()), mathml)
+    )
     for element in list(root.iter()):
         tag = element.tag.removeprefix(_NAMESPACE)
         if tag == "munderover" and element[2].text in _ACCENTS:
@@ -59,7 +65,10 @@ def _visit_inline(translator: Any, node: nodes.Node) -> None:
 def _visit_block(translator: Any, node: nodes.Element) -> None:
     number = f'<span class="eqno">({node["number"]})</span>' if node.get("number") else ""
     translator.body.append(
-        translator.starttag(node, "div", CLASS="equation") + number + _mathml(node, block=True) + "</div>\n"
+        translator.starttag(node, "div", CLASS="equation")
+        + number
+        + _mathml(node, block=True)
+        + "</div>\n"
     )
     raise nodes.SkipNode
 

@@ -1,4 +1,6 @@
-"""Lets docstrings that are written to be read as plain text through reStructuredText: |s|, formulas, lists of ports."""
+"""Lets docstrings that are written to be read as plain text through reStructuredText: |s|,
+formulas, lists of ports.
+"""
 
 import re
 from typing import Any
@@ -10,7 +12,9 @@ _LITERAL = re.compile(r"(``.*?``)")
 
 
 def readable(lines: list[str], *, module: bool) -> list[str]:
-    """The docstring with bars escaped, lists of names as bullets and, in a module's, indented formulas as literals."""
+    """The docstring with bars escaped, lists of names as bullets and, in a module's, indented
+    formulas as literals.
+    """
     result: list[str] = []
     position = 0
     while position < len(lines):
@@ -20,7 +24,9 @@ def readable(lines: list[str], *, module: bool) -> list[str]:
             result += ["", line, ""]
             while position < len(lines) and lines[position].startswith("  "):
                 item = lines[position][2:]
-                result.append(_escaped(f"  {item.strip()}" if item.startswith(" ") else f"* {item}"))
+                result.append(
+                    _escaped(f"  {item.strip()}" if item.startswith(" ") else f"* {item}")
+                )
                 position += 1
             result.append("")
         elif module and line.startswith("    ") and result and not result[-1].strip():

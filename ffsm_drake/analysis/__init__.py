@@ -1,6 +1,7 @@
 """Check the theory on a recorded run: ``analyze(record)``, for any controller.
 
-Nothing here runs during a simulation. A run that ended early is analysed up to its last finite sample.
+Nothing here runs during a simulation. A run that ended early is analysed up to its last finite
+sample.
 """
 
 from ffsm_drake.analysis import balances, chattering, estimation, inertia, lyapunov, sliding_mode

@@ -8,15 +8,20 @@ import numpy as np
 from ffsm_drake.analysis.evidence import Evidence, ratio
 from ffsm_drake.analysis.findings import Finding, finding, not_applicable
 from ffsm_drake.runs.metrics import momentum_residual
-from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, NUM_BASE_VELOCITIES, position_error
+from ffsm_drake.spacecraft.coordinates import (
+    BASE_POSITION,
+    BASE_ROTATION,
+    NUM_BASE_VELOCITIES,
+    position_error,
+)
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.actuation.drives import FRICTION_WORK
 
 if TYPE_CHECKING:
     import xarray as xr
 
-# A balance holds when its residual is below this share of what is exchanged: explicit Euler at the control period
-# misses by 1e-4 and more, the exact integration of the shipped scenarios by 1e-10.
+# A balance holds when its residual is below this share of what is exchanged: explicit Euler at the
+# control period misses by 1e-4 and more, the exact integration of the shipped scenarios by 1e-10.
 TOLERANCE = 1e-6
 _INSTANTS = 200  # of a run
 
@@ -24,23 +29,27 @@ _INSTANTS = 200  # of a run
 def displacements(position: np.ndarray) -> np.ndarray:
     """Integral of v over each period (n - 1, nv) from the configurations (n, nq).
 
-    Exact but for the base's rotation: its rotation vector differs from the integral of w by L^3 |w x dw/dt| / 12.
+    Exact but for the base's rotation: its rotation vector differs from the integral of w by L^3 |w
+    x dw/dt| / 12.
     """
     rows = [position_error(after, before) for before, after in itertools.pairwise(position)]
     return np.array(rows).reshape(-1, position.shape[1] - 1)
 
 
 def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
-    """T(t) - T(0) minus the work of tau, tau_d and friction since the start, J (n), and what to compare it with.
+    """T(t) - T(0) minus the work of tau, tau_d and friction since the start, J (n), and what to
+    compare it with.
 
-    With hidden coordinates the energy of their springs counts too, and so does the work of their dampers.
+    With hidden coordinates the energy of their springs counts too, and so does the work of their
+    dampers.
 
     Keys:
-      residual: tau is constant over a period, so its work is tau . displacement; tau_d and v are taken as linear within
-        the period; friction's work was integrated with the plant. On an exactly integrated run this leaves about
-        1e-11 J of the paper's 1.2 J.
-      trapezoid: the same with the mean of two samples' v for the displacement; the difference bounds the error of the
-        quadrature where positions and velocities belong to one path (they do not on a plant stepped by explicit Euler).
+      residual: tau is constant over a period, so its work is tau . displacement; tau_d and v are
+        taken as linear within the period; friction's work was integrated with the plant. On an
+        exactly integrated run this leaves about 1e-11 J of the paper's 1.2 J.
+      trapezoid: the same with the mean of two samples' v for the displacement; the difference
+        bounds the error of the quadrature where positions and velocities belong to one path (they
+        do not on a plant stepped by explicit Euler).
       absolute_work: the sum of |work| of every coordinate's tau up to each sample.
     """
     period = float(dataset.attrs["sample_time"])
@@ -55,8 +64,8 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
         work = (0.5 * (pull[1:] + pull[:-1]) * np.diff(path, axis=0)).sum(axis=1)
         energy = energy - np.concatenate([np.zeros(1), np.cumsum(work)])
     mean = held + 0.5 * (smooth[1:] + smooth[:-1])
-    # Beyond the product of means, linear tau_d and v correlate within the period; the mean of tau_d is off by its
-    # curvature, L^2/12 of the second derivative, here from neighbouring samples.
+    # Beyond the product of means, linear tau_d and v correlate within the period; the mean of tau_d
+    # is off by its curvature, L^2/12 of the second derivative, here from neighbouring samples.
     correlation = period / 12.0 * np.diff(velocity, axis=0) * np.diff(smooth, axis=0)
     if len(smooth) >= 3:
         slope = np.gradient(smooth, axis=0)
@@ -80,13 +89,16 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
 
 
 def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
-    """Time integral of the norms of the external force and torque (about the world's origin): ``linear``, ``angular``.
+    """Time integral of the norms of the external force and torque (about the world's origin):
+    ``linear``, ``angular``.
 
     The measure that a momentum residual is compared with, N s and N m s.
     """
     period = float(dataset.attrs["sample_time"])
     total = dataset["applied_force"] + dataset["disturbance_force"]
-    force, torque = (total.sel(coordinate=list(names)).values for names in (BASE_POSITION, BASE_ROTATION))
+    force, torque = (
+        total.sel(coordinate=list(names)).values for names in (BASE_POSITION, BASE_ROTATION)
+    )
     if "wheel_reaction" in dataset:  # which is not external
         torque = torque - dataset["wheel_reaction"].values
     arm = dataset["position"].sel(position_name=list(BASE_POSITION)).values
@@ -98,9 +110,11 @@ def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
 
 
 def exchanged_momentum(run: Evidence) -> dict[str, float]:
-    """What the arm's motion gives the base: the largest momentum of the joints' velocities, ``linear``, ``angular``.
+    """What the arm's motion gives the base: the largest momentum of the joints' velocities,
+    ``linear``, ``angular``.
 
-    About the base's origin, N s and N m s; with what a momentum residual is compared where no force acts from outside.
+    About the base's origin, N s and N m s; with what a momentum residual is compared where no force
+    acts from outside.
     """
     velocity = run.values("velocity").copy()
     velocity[:, :NUM_BASE_VELOCITIES] = 0.0

@@ -13,35 +13,48 @@ FEWEST_SAMPLES = 16
 
 
 def split_frequency(period: float) -> float:
-    """Frequency from which on a force counts as chattering, Hz: 10 Hz, but at most a fifth of the Nyquist frequency.
+    """Frequency from which on a force counts as chattering, Hz: 10 Hz, but at most a fifth of the
+    Nyquist frequency.
 
-    The planned motion and the disturbances lie below 1 Hz, the sampled loop's oscillation at half the sampling rate.
+    The planned motion and the disturbances lie below 1 Hz, the sampled loop's oscillation at half
+    the sampling rate.
     """
     return min(10.0, 0.1 / period)
 
 
 def effort_spectrum(effort: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (m), Hz, and power spectral density (m, nv), squared force per Hz, smoothed for plotting.
+    """Frequencies (m), Hz, and power spectral density (m, nv), squared force per Hz, smoothed for
+    plotting.
 
-    Welch's mean over half-overlapping Hann windows, each with its linear trend (the planned motion) taken out.
+    Welch's mean over half-overlapping Hann windows, each with its linear trend (the planned motion)
+    taken out.
     """
     from scipy.signal import detrend, welch  # slow to load
 
     frequency, density = welch(
-        effort.T, fs=1.0 / period, nperseg=min(SEGMENT, len(effort)), detrend=detrend, scaling="density"
+        effort.T,
+        fs=1.0 / period,
+        nperseg=min(SEGMENT, len(effort)),
+        detrend=detrend,
+        scaling="density",
     )
     return frequency, density.T
 
 
-def split_variance(effort: np.ndarray, period: float, *, split: float) -> tuple[np.ndarray, np.ndarray]:
-    """Variance of each coordinate's force, its linear trend taken out: the parts (below, from ``split`` on).
+def split_variance(
+    effort: np.ndarray, period: float, *, split: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Variance of each coordinate's force, its linear trend taken out: the parts (below, from
+    ``split`` on).
 
-    Both (nv), squared force, over the whole record, from the periodogram without a window: it weights
-    all samples equally, and by Parseval's theorem the two parts sum to the variance.
+    Both (nv), squared force, over the whole record, from the periodogram without a window: it
+    weights all samples equally, and by Parseval's theorem the two parts sum to the variance.
     """
     from scipy.signal import detrend, periodogram
 
-    frequency, power = periodogram(detrend(effort, axis=0), fs=1.0 / period, detrend=False, scaling="spectrum", axis=0)
+    frequency, power = periodogram(
+        detrend(effort, axis=0), fs=1.0 / period, detrend=False, scaling="spectrum", axis=0
+    )
     high = frequency >= split
     return power[~high].sum(axis=0), power[high].sum(axis=0)
 
@@ -52,29 +65,39 @@ def total_variation(effort: np.ndarray) -> np.ndarray:
 
 
 def reversals(effort: np.ndarray) -> np.ndarray:
-    """Number of reversals of the force (nv): sign changes of tau_{k+1} - tau_k, without the zero changes."""
+    """Number of reversals of the force (nv): sign changes of tau_{k+1} - tau_k, without the zero
+    changes.
+    """
     changes = np.diff(effort, axis=0).T
-    return np.array([np.count_nonzero(np.diff(np.sign(change[change != 0.0]))) for change in changes], dtype=float)
+    return np.array(
+        [np.count_nonzero(np.diff(np.sign(change[change != 0.0]))) for change in changes],
+        dtype=float,
+    )
 
 
 def findings(run: Evidence) -> list[Finding]:
     """``chattering``, of any controller."""
     tau, period = run.values("generalized_force"), run.period
     if len(tau) < FEWEST_SAMPLES:
-        return not_applicable(f"a spectrum needs {FEWEST_SAMPLES} samples, the record has {len(tau)}", "chattering")
+        return not_applicable(
+            f"a spectrum needs {FEWEST_SAMPLES} samples, the record has {len(tau)}", "chattering"
+        )
     split = split_frequency(period)
     frequency, density = effort_spectrum(tau, period)
     run.axes["frequency"] = frequency
     run.attributes["split_frequency"] = split
     run.add(effort_spectrum=density)
     low, high = split_variance(tau, period, split=split)
-    turns = reversals(tau) / (period * (len(tau) - 1))  # n samples have n - 1 changes in n - 1 periods
+    # n samples have n - 1 changes in n - 1 periods
+    turns = reversals(tau) / (period * (len(tau) - 1))
     variation = total_variation(tau)
     numbers: dict[str, float | str] = {
         "split_frequency": split,
         "sampling_frequency": 1.0 / period,
         "effort_share": ratio(float(high.sum()), float(np.square(tau).sum(axis=1).mean())),
-        **run.named("share", np.array([ratio(*pair) for pair in zip(high, low + high, strict=True)])),
+        **run.named(
+            "share", np.array([ratio(*pair) for pair in zip(high, low + high, strict=True)])
+        ),
         **run.named("rms", np.sqrt(high)),
         **run.named("reversals_per_second", turns),
         **run.named("total_variation", variation),

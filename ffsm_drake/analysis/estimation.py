@@ -12,19 +12,27 @@ if TYPE_CHECKING:
 
 
 def mass_matrices(model: PlantModel, positions: np.ndarray) -> np.ndarray:
-    """The mass matrix, apparent where something is hidden, at each of the configurations (n, nq): (n, nv, nv)."""
+    """The mass matrix, apparent where something is hidden, at each of the configurations (n, nq):
+    (n, nv, nv).
+    """
     size = len(model.coordinates.names)
     return np.array([model.calc_apparent_mass_matrix(q) for q in positions]).reshape(-1, size, size)
 
 
 def commanded_acceleration(
-    *, effort: np.ndarray, measured_velocity: np.ndarray, nominal_mass_matrix: np.ndarray, period: float
+    *,
+    effort: np.ndarray,
+    measured_velocity: np.ndarray,
+    nominal_mass_matrix: np.ndarray,
+    period: float,
 ) -> np.ndarray:
-    """The injected dynamics u_k (n, nv) that gave the recorded force: equation (6) solved for u, per s^2.
+    """The injected dynamics u_k (n, nv) that gave the recorded force: equation (6) solved for u,
+    per s^2.
 
-    u_k = (v_k - v_{k-1}) / L + Hhat_k^-1 (tau_k - tau_{k-1}). As in the controller, the first sample has no past: its
-    acceleration and the force before it are zero. ``effort`` is tau held from t_k (n, nv), ``measured_velocity`` v as
-    the controller reads it (n, nv), ``nominal_mass_matrix`` Hhat at the measured configurations (n, nv, nv).
+    u_k = (v_k - v_{k-1}) / L + Hhat_k^-1 (tau_k - tau_{k-1}). As in the controller, the first
+    sample has no past: its acceleration and the force before it are zero. ``effort`` is tau held
+    from t_k (n, nv), ``measured_velocity`` v as the controller reads it (n, nv),
+    ``nominal_mass_matrix`` Hhat at the measured configurations (n, nv, nv).
     """
     change = np.diff(effort, axis=0, prepend=np.zeros_like(effort[:1]))
     acceleration = np.diff(measured_velocity, axis=0, prepend=measured_velocity[:1]) / period
@@ -32,10 +40,12 @@ def commanded_acceleration(
 
 
 def estimation_error(*, velocity: np.ndarray, commanded: np.ndarray, period: float) -> np.ndarray:
-    """TDE error Ntilde = N - Nhat (n - 1, nv) of each period: the mean true acceleration minus the commanded one.
+    """TDE error Ntilde = N - Nhat (n - 1, nv) of each period: the mean true acceleration minus the
+    commanded one.
 
-    From (2), (5) and (6), N - Nhat = q'' - u, which is what equation (7) calls the disturbance of ds/dt. ``velocity``
-    is the true v (n, nv), ``commanded`` the u of ``commanded_acceleration`` (n, nv).
+    From (2), (5) and (6), N - Nhat = q'' - u, which is what equation (7) calls the disturbance of
+    ds/dt. ``velocity`` is the true v (n, nv), ``commanded`` the u of ``commanded_acceleration`` (n,
+    nv).
     """
     return np.diff(velocity, axis=0) / period - commanded[:-1]
 
@@ -43,8 +53,9 @@ def estimation_error(*, velocity: np.ndarray, commanded: np.ndarray, period: flo
 def start_up_time(period: float) -> float:
     """Duration of the start-up transient, s: 0.1 s, or ten samples where those are longer.
 
-    At the first sample the controller has no past, so that Nhat is 0 whatever N is. With the published gains the
-    slowest pole this excites is about -0.74 per sample, which ten samples bring down to 5 %.
+    At the first sample the controller has no past, so that Nhat is 0 whatever N is. With the
+    published gains the slowest pole this excites is about -0.74 per sample, which ten samples bring
+    down to 5 %.
     """
     return max(0.1, 10.0 * period)
 
@@ -62,10 +73,18 @@ def findings(run: "Evidence") -> list[Finding]:
         "time_of_bound": float(run.time[np.abs(run.tde_error[:, worst]).argmax()]),
     }
     for name, values in bounds.items():
-        numbers |= {name: float(values.max()), **run.grouped(name, values), **run.named(name, values)}
+        numbers |= {
+            name: float(values.max()),
+            **run.grouped(name, values),
+            **run.named(name, values),
+        }
     statement = (
         "N* = {bound:.3g} ({worst_coordinate} at {time_of_bound:.3g} s)"
-        + ("; after the first {start_up_time:g} s, {bound_late:.3g}" if run.outlasts_start_up else "")
+        + (
+            "; after the first {start_up_time:g} s, {bound_late:.3g}"
+            if run.outlasts_start_up
+            else ""
+        )
         + " (rad/s^2 or m/s^2)."
     )
     return [finding("tde_error_bound", statement, numbers)]

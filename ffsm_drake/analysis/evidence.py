@@ -32,7 +32,11 @@ SERIES = {
     "sliding_variable": ("time coordinate", _RATE, "s"),
     "reaching_gain": ("time coordinate", "1/s", "K_s"),
     "switching_gain": ("time coordinate", _ACCELERATION, "G"),
-    "reaching_law_remainder": ("period coordinate", _ACCELERATION, "ds/dt minus what equation (7) gives"),
+    "reaching_law_remainder": (
+        "period coordinate",
+        _ACCELERATION,
+        "ds/dt minus what equation (7) gives",
+    ),
     "direct_bound": ("coordinate", _RATE, "bound on |s_i| from equation (7), whole run"),
     "scaled_sliding_variable": ("time", "1/s", "largest beta_i times ||s||_inf"),
     "lyapunov": ("time", "1", "V of equation (12)"),
@@ -41,15 +45,25 @@ SERIES = {
     "lyapunov_rate_of_k_s": ("period", "1/s", "the part of dV/dt from K_s"),
     "lyapunov_rate_of_g": ("period", "1/s", "the part of dV/dt from G"),
     "outside": ("time", "1", "coordinates with |s_i| > max(K_si / beta_i, epsilon)"),
-    "effort_spectrum": ("frequency coordinate", "(N m)^2/Hz, N^2/Hz", "power spectral density of tau (Welch)"),
+    "effort_spectrum": (
+        "frequency coordinate",
+        "(N m)^2/Hz, N^2/Hz",
+        "power spectral density of tau (Welch)",
+    ),
     "linear_momentum_residual": ("time", "N s", "norm of the linear momentum's residual"),
     "angular_momentum_residual": ("time", "N m s", "norm of the angular momentum's residual"),
-    "energy_residual": ("time", "J", "change of energy since the start minus the work of tau + tau_d and dampers"),
+    "energy_residual": (
+        "time",
+        "J",
+        "change of energy since the start minus the work of tau + tau_d and dampers",
+    ),
 }
 
 
 class Evidence:
-    """A record cut to its finite part, quantities that several findings share, and the series they add."""
+    """A record cut to its finite part, quantities that several findings share, and the series they
+    add.
+    """
 
     def __init__(self, record: RunRecord) -> None:
         self.record = record
@@ -80,7 +94,9 @@ class Evidence:
 
     @functools.cached_property
     def constants(self) -> Mapping[str, Any]:
-        """The gains that the controller declares, (nv) or numbers; empty where it declares none or cannot be loaded."""
+        """The gains that the controller declares, (nv) or numbers; empty where it declares none or
+        cannot be loaded.
+        """
         try:
             return gain_vectors(self.scenario, self.coordinates)
         except FfsmError:
@@ -91,7 +107,11 @@ class Evidence:
     @property
     def too_short(self) -> str:
         """Why there is no complete period; empty where there is at least one."""
-        return "" if len(self.time) >= 2 else f"the record has {len(self.time)} finite samples, less than one period"
+        return (
+            ""
+            if len(self.time) >= 2
+            else (f"the record has {len(self.time)} finite samples, less than one period")
+        )
 
     @property
     def outlasts_start_up(self) -> bool:
@@ -106,17 +126,28 @@ class Evidence:
         """Keep series, by their names in ``SERIES``."""
         for name, values in series.items():
             dims, units, meaning = SERIES[name]
-            self.series[name] = (tuple(dims.split()), values, {"long_name": meaning, "units": units})
+            self.series[name] = (
+                tuple(dims.split()),
+                values,
+                {"long_name": meaning, "units": units},
+            )
 
     @functools.cached_property
     def tde_error(self) -> np.ndarray:
         """Ntilde (n - 1, nv)."""
-        effort, velocity, position = map(self.values, ("generalized_force", "measured_velocity", "measured_position"))
+        effort, velocity, position = map(
+            self.values, ("generalized_force", "measured_velocity", "measured_position")
+        )
         inertia = estimation.mass_matrices(self.nominal, position)
         commanded = estimation.commanded_acceleration(
-            effort=effort, measured_velocity=velocity, nominal_mass_matrix=inertia, period=self.period
+            effort=effort,
+            measured_velocity=velocity,
+            nominal_mass_matrix=inertia,
+            period=self.period,
         )
-        error = estimation.estimation_error(velocity=self.values("velocity"), commanded=commanded, period=self.period)
+        error = estimation.estimation_error(
+            velocity=self.values("velocity"), commanded=commanded, period=self.period
+        )
         return np.where(self.coordinates.is_driven, error, 0.0)
 
     @functools.cached_property
@@ -126,12 +157,16 @@ class Evidence:
 
     @functools.cached_property
     def late_bound(self) -> np.ndarray:
-        """N* of each coordinate from the end of the start-up on (nv); NaN where the run ends before."""
+        """N* of each coordinate from the end of the start-up on (nv); NaN where the run ends
+        before.
+        """
         return largest(self.tde_error[self.after_start_up[:-1]])
 
     @functools.cached_property
     def gains(self) -> tuple[np.ndarray, np.ndarray]:
-        """K_s and G at every sample, both (n, nv); constant ones from the scenario, zero where the law has none."""
+        """K_s and G at every sample, both (n, nv); constant ones from the scenario, zero where the
+        law has none.
+        """
         v = self.values("velocity")
         constant = np.broadcast_to(self.constants.get("k_s", 0.0), v.shape)
         k_s = self.values("reaching_gain") if "reaching_gain" in self.data else constant
@@ -140,7 +175,10 @@ class Evidence:
 
     def named(self, prefix: str, values: np.ndarray) -> dict[str, float]:
         """``prefix.coordinate`` -> value, for values (nv)."""
-        return {f"{prefix}.{name}": float(x) for name, x in zip(self.coordinates.names, values, strict=True)}
+        return {
+            f"{prefix}.{name}": float(x)
+            for name, x in zip(self.coordinates.names, values, strict=True)
+        }
 
     def grouped(self, prefix: str, values: np.ndarray) -> dict[str, float]:
         """``prefix.group`` -> the largest of the group's coordinates, for values (nv)."""
@@ -164,7 +202,9 @@ class Evidence:
 
 
 def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
-    """The samples before the first at which any recorded value is not finite, as at the end of a diverged run."""
+    """The samples before the first at which any recorded value is not finite, as at the end of a
+    diverged run.
+    """
     finite = np.ones(dataset.sizes["time"], dtype=bool)
     for variable in dataset.data_vars.values():
         finite &= np.isfinite(variable.values).reshape(finite.size, -1).all(axis=1)

@@ -1,6 +1,7 @@
 """What an analysis returns: findings with their figures, and the curves behind them.
 
-``docs/findings.md`` explains every finding: its source, how it is computed, and when it does not apply.
+``docs/findings.md`` explains every finding: its source, how it is computed, and when it does not
+apply.
 """
 
 import dataclasses
@@ -38,13 +39,18 @@ class Finding:
     title: str
     statement: str  # one sentence with the main figures
     verdict: (
-        Verdict  # "measured" for a figure of merit, "not tested" where no sample is of the kind that the claim is about
+        # "measured" for a figure of merit, "not tested" where no sample is of the kind that the
+        # claim is about
+        Verdict
     )
-    numbers: Numbers  # all figures; ``name.part`` belongs to a group or coordinate, NaN is undefined in this run
+    # all figures; ``name.part`` belongs to a group or coordinate, NaN is undefined in this run
+    numbers: Numbers
 
     @property
     def holds(self) -> bool | None:
-        """Whether the claim holds on this run; None where it does not apply or there is no claim."""
+        """Whether the claim holds on this run; None where it does not apply or there is no
+        claim.
+        """
         return {"holds": True, "does not hold": False}.get(self.verdict)
 
 
@@ -52,8 +58,9 @@ class Finding:
 class Analysis:
     """All findings of a run, and the curves behind them.
 
-    ``series`` is an xarray Dataset along ``time`` (samples t_k), ``period`` (start times t_k of the periods),
-    ``posture_time``, ``frequency`` and ``coordinate``. It holds what applies to the run, with units and meaning.
+    ``series`` is an xarray Dataset along ``time`` (samples t_k), ``period`` (start times t_k of the
+    periods), ``posture_time``, ``frequency`` and ``coordinate``. It holds what applies to the run,
+    with units and meaning.
     """
 
     findings: tuple[Finding, ...]
@@ -61,7 +68,9 @@ class Analysis:
 
     def __str__(self) -> str:
         """The findings as plain text, one paragraph each."""
-        return "\n".join(f"[{item.verdict}] {item.title}\n    {item.statement}" for item in self.findings)
+        return "\n".join(
+            f"[{item.verdict}] {item.title}\n    {item.statement}" for item in self.findings
+        )
 
     def finding(self, key: str) -> Finding:
         """The finding of that key. Raises KeyError naming the valid keys."""
@@ -72,13 +81,24 @@ class Analysis:
 
 
 def finding(key: str, statement: str, numbers: Numbers, *, holds: bool | None = None) -> Finding:
-    """A finding whose statement is a format string over ``numbers``; without ``holds`` it is measured."""
+    """A finding whose statement is a format string over ``numbers``; without ``holds`` it is
+    measured.
+    """
     verdict: Verdict = "measured" if holds is None else "holds" if holds else "does not hold"
-    return Finding(key=key, title=TITLES[key], statement=statement.format(**numbers), verdict=verdict, numbers=numbers)
+    return Finding(
+        key=key,
+        title=TITLES[key],
+        statement=statement.format(**numbers),
+        verdict=verdict,
+        numbers=numbers,
+    )
 
 
 def not_applicable(reason: str, *keys: str) -> list[Finding]:
     """Findings that do not apply to this run, all for the same reason."""
     said: Verdict = "not applicable"
     statement = f"Not applicable: {reason}."
-    return [Finding(key=key, title=TITLES[key], statement=statement, verdict=said, numbers={}) for key in keys]
+    return [
+        Finding(key=key, title=TITLES[key], statement=statement, verdict=said, numbers={})
+        for key in keys
+    ]

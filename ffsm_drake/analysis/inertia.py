@@ -17,12 +17,15 @@ UNITS_OF_LENGTH = {"centimetres": 0.01, "decimetres": 0.1, "metres": 1.0, "decam
 class InertiaMatch:
     """How well Hhat matches H at n configurations."""
 
-    eta: np.ndarray  # eigenvalues of H^-1 Hhat, ascending (n, nv): free of units; > 1 is an over-estimated inertia
+    # eigenvalues of H^-1 Hhat, ascending (n, nv): free of units; > 1 is an over-estimated inertia
+    eta: np.ndarray
     norm: np.ndarray  # ||E - H^-1 Hhat||_2 of equation (8), for the given unit of length (n)
 
     @property
     def norm_in_h(self) -> np.ndarray:
-        """The same norm in the metric of H, sup |(E - H^-1 Hhat) x|_H / |x|_H = max |1 - eta|: free of units (n)."""
+        """The same norm in the metric of H, sup |(E - H^-1 Hhat) x|_H / |x|_H = max |1 - eta|: free
+        of units (n).
+        """
         return np.abs(1.0 - self.eta).max(axis=-1, initial=0.0)
 
 
@@ -32,7 +35,8 @@ def match_inertia(
     """Compare mass matrices H and Hhat (n, nv, nv).
 
     Args:
-      is_length: which coordinates are lengths rather than angles (nv); equation (8) depends on their unit.
+      is_length: which coordinates are lengths rather than angles (nv); equation (8) depends on
+        their unit.
       unit_of_length: the unit, in m, that lengths are expressed in for the norm of (8).
     """
     size = true.shape[-1]
@@ -72,7 +76,8 @@ def findings(run: Evidence) -> list[Finding]:
         **{f"norm_max_in.{name}": float(one.norm.max()) for name, one in matches.items()},
     }
     statement = (
-        "||E - H^-1 Hhat||_2 is at most {norm_max:.4g} in metres and radians, where 1 is the limit; the eigenvalues of "
+        "||E - H^-1 Hhat||_2 is at most {norm_max:.4g} in metres and radians, where 1 is the "
+        "limit; the eigenvalues of "
         "H^-1 Hhat lie in [{eta_min:.4g}, {eta_max:.4g}]."
     )
     return [finding("condition_8", statement, numbers, holds=numbers["norm_max"] < 1.0)]

@@ -32,12 +32,20 @@ class Lyapunov:
 
 
 def lyapunov(
-    *, s: np.ndarray, k_s: np.ndarray, g: np.ndarray, alpha: np.ndarray, phi: np.ndarray, bound: float, period: float
+    *,
+    s: np.ndarray,
+    k_s: np.ndarray,
+    g: np.ndarray,
+    alpha: np.ndarray,
+    phi: np.ndarray,
+    bound: float,
+    period: float,
 ) -> Lyapunov:
     """Evaluate (12) and (13) on samples.
 
-    The rates are differences over the period, so that their sum is the change of V. A gain that does not adapt
-    (alpha_i or phi_i zero) has no term: it is constant, and its quotient is not a number.
+    The rates are differences over the period, so that their sum is the change of V. A gain that
+    does not adapt (alpha_i or phi_i zero) has no term: it is constant, and its quotient is not a
+    number.
     """
 
     def term(distance: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -48,10 +56,14 @@ def lyapunov(
 
     parts = [term(s, np.ones_like(alpha)), term(k_s - bound, alpha), term(g - bound, phi)]
     values, (of_s, of_k_s, of_g) = zip(*parts, strict=True)
-    return Lyapunov(value=np.sum(values, axis=0), rate_of_s=of_s, rate_of_k_s=of_k_s, rate_of_g=of_g)
+    return Lyapunov(
+        value=np.sum(values, axis=0), rate_of_s=of_s, rate_of_k_s=of_k_s, rate_of_g=of_g
+    )
 
 
-def ultimate_bound(*, bound: float, alpha: np.ndarray, beta: np.ndarray, phi: np.ndarray, epsilon: float) -> float:
+def ultimate_bound(
+    *, bound: float, alpha: np.ndarray, beta: np.ndarray, phi: np.ndarray, epsilon: float
+) -> float:
     """The bound on ||s||_2 of equation (16). Infinite where a gain does not adapt."""
     with np.errstate(divide="ignore", invalid="ignore"):
         squares = np.maximum(bound / beta, epsilon) ** 2 + bound**2 / alpha + bound**2 / phi
@@ -59,22 +71,34 @@ def ultimate_bound(*, bound: float, alpha: np.ndarray, beta: np.ndarray, phi: np
 
 
 def findings(run: Evidence) -> list[Finding]:
-    """Section 3.2: for a run that records s, K_s and G, of a law with the constants of (9) and (10)."""
+    """Section 3.2: for a run that records s, K_s and G, of a law with the constants of (9) and
+    (10).
+    """
     keys = ("lyapunov_derivative", "ultimate_bound", "lemma_1_premise", "lemma_1_conclusion")
-    recorded, constants = {"sliding_variable", "reaching_gain", "switching_gain"}, {"alpha", "beta", "phi", "epsilon"}
+    recorded, constants = (
+        {"sliding_variable", "reaching_gain", "switching_gain"},
+        {"alpha", "beta", "phi", "epsilon"},
+    )
     if not (recorded <= {*run.data} and constants <= {*run.constants}):
-        reason = f"the proof is about gains that adapt by (9) and (10), which those of {run.scenario.controller} do not"
+        reason = (
+            "the proof is about gains that adapt by (9) and (10), which those of "
+            f"{run.scenario.controller} do not"
+        )
         return not_applicable(reason, *keys)
     if run.too_short:
         return not_applicable(run.too_short, *keys)
     s, k_s, bound = run.values("sliding_variable"), run.gains[0], float(run.bound.max())
-    alpha, beta, phi, epsilon = (run.constants[name] for name in ("alpha", "beta", "phi", "epsilon"))
+    alpha, beta, phi, epsilon = (
+        run.constants[name] for name in ("alpha", "beta", "phi", "epsilon")
+    )
     peak = np.abs(s).max(axis=1)  # ||s||_inf
     scaled = beta.max() * peak
     run.add(scaled_sliding_variable=scaled)
     limit = {
         "bound": bound,
-        "ultimate_bound": ultimate_bound(bound=bound, alpha=alpha, beta=beta, phi=phi, epsilon=float(epsilon)),
+        "ultimate_bound": ultimate_bound(
+            bound=bound, alpha=alpha, beta=beta, phi=phi, epsilon=float(epsilon)
+        ),
         "largest_norm": float(np.linalg.norm(s, axis=1).max()),
     }
     limit["ratio"] = ratio(limit["largest_norm"], limit["ultimate_bound"])
@@ -97,20 +121,23 @@ def findings(run: Evidence) -> list[Finding]:
         _derivative(run, bound),
         finding(
             "ultimate_bound",
-            "||s||_2 reaches {largest_norm:.3g}; (16) gives {ultimate_bound:.3g} for N* = {bound:.3g}.",
+            "||s||_2 reaches {largest_norm:.3g}; (16) gives {ultimate_bound:.3g} for N* = "
+            "{bound:.3g}.",
             limit,
             holds=limit["largest_norm"] <= limit["ultimate_bound"],
         ),
         finding(
             "lemma_1_premise",
-            "The largest beta_i ||s||_inf is {largest:.3g}, {ratio:.2g} times N* = {bound:.3g}; all beta_i satisfy the "
+            "The largest beta_i ||s||_inf is {largest:.3g}, {ratio:.2g} times N* = {bound:.3g}; "
+            "all beta_i satisfy the "
             "premise in {share_of_samples:.3g} of the samples.",
             premise,
             holds=premise["largest"] < bound,
         ),
         finding(
             "lemma_1_conclusion",
-            "K_si lies in [{smallest_k_s:.4g}, {largest_k_s:.4g}] 1/s, up to {ratio:.2g} times N* = {bound:.3g}.",
+            "K_si lies in [{smallest_k_s:.4g}, {largest_k_s:.4g}] 1/s, up to {ratio:.2g} times N* "
+            "= {bound:.3g}.",
             conclusion,
             holds=conclusion["largest_k_s"] < bound,
         ),
@@ -119,7 +146,9 @@ def findings(run: Evidence) -> list[Finding]:
 
 def _derivative(run: Evidence, bound: float) -> Finding:
     s, (k_s, g) = run.values("sliding_variable"), run.gains
-    alpha, beta, phi, epsilon = (run.constants[name] for name in ("alpha", "beta", "phi", "epsilon"))
+    alpha, beta, phi, epsilon = (
+        run.constants[name] for name in ("alpha", "beta", "phi", "epsilon")
+    )
     v = lyapunov(s=s, k_s=k_s, g=g, alpha=alpha, phi=phi, bound=bound, period=run.period)
     beyond = outside(s, k_s, beta=beta, epsilon=float(epsilon))
     parts = {"s": v.rate_of_s, "K_s": v.rate_of_k_s, "G": v.rate_of_g}
@@ -145,9 +174,12 @@ def _derivative(run: Evidence, bound: float) -> Finding:
         "driver": driver,
     }
     statement = (
-        "dV/dt > 0 in {rising_outside_all:g} of the {outside_all:g} samples with all |s_i| > max(K_si/beta_i, "
-        "epsilon), which (14) is about, in {rising_outside_any:g} of the {outside_any:g} with some, and in "
-        "{rising_inside:g} of the {inside:g} others; V goes from {value_first:.4g} to {value_last:.4g}."
+        "dV/dt > 0 in {rising_outside_all:g} of the {outside_all:g} samples with all |s_i| > "
+        "max(K_si/beta_i, "
+        "epsilon), which (14) is about, in {rising_outside_any:g} of the {outside_any:g} with "
+        "some, and in "
+        "{rising_inside:g} of the {inside:g} others; V goes from {value_first:.4g} to "
+        "{value_last:.4g}."
     )
     found = finding("lyapunov_derivative", statement, numbers, holds=not (rising & wholly).any())
     return found if wholly.any() else dataclasses.replace(found, verdict="not tested")

@@ -1,6 +1,8 @@
-"""Campaigns: thousands of runs of dispersed scenarios, stored in one database and evaluated in one report.
+"""Campaigns: thousands of runs of dispersed scenarios, stored in one database and evaluated in one
+report.
 
-spec, dispersion -> cases -> evaluate (in workers, by common.workers) -> store -> statistics -> report; ``run`` drives.
+spec, dispersion -> cases -> evaluate (in workers, by common.workers) -> store -> statistics ->
+report; ``run`` drives.
 """
 
 from ffsm_drake.campaign.run import repeat_run, resume_campaign, start_campaign

@@ -1,4 +1,6 @@
-"""The cases of a campaign: number -> seed and values, and the scenario that follows for a controller."""
+"""The cases of a campaign: number -> seed and values, and the scenario that follows for a
+controller.
+"""
 
 import copy
 import dataclasses
@@ -32,7 +34,9 @@ def make_cases(spec: Spec) -> Iterator[Case]:
     points = unit_points(spec.sampling, cases=spec.cases, dimensions=len(sampled), seed=spec.seed)
     for index in range(spec.cases):
         point = dict(zip(sampled, points[index].tolist(), strict=True))
-        drawn = {name: item.value(point.get(name, 0.0), index) for name, item in distributions.items()}
+        drawn = {
+            name: item.value(point.get(name, 0.0), index) for name, item in distributions.items()
+        }
         yield make_case(spec, index, drawn)
 
 
@@ -51,7 +55,11 @@ def make_case(spec: Spec, index: int, drawn: Mapping[str, Any]) -> Case:
         except OverflowError:
             values[name] = math.inf
     for name, value in values.items():
-        if not all(math.isfinite(x) for x in (value if isinstance(value, list) else [value]) if isinstance(x, float)):
+        if not all(
+            math.isfinite(x)
+            for x in (value if isinstance(value, list) else [value])
+            if isinstance(x, float)
+        ):
             raise CampaignError(f"{name}: is not finite in case {index}: {value}")
     return Case(index=index, seed=case_seed(spec.seed, index), values=values)
 

@@ -1,11 +1,12 @@
-"""What a campaign disperses: distributions, the points they are sampled at, and rules for derived values.
+"""What a campaign disperses: distributions, the points they are sampled at, and rules for derived
+values.
 
 A rule computes a value from others of the same case:
 
-  scale         of (one name or several) multiplied with each other and with ``by`` (a number or a list; default 1)
-  sum           of (several names), added up; lists of the same length element by element
-  relative      of * (1 + error)
-  direction     of * (sqrt(1 - h^2) cos a, sqrt(1 - h^2) sin a, h), with height h and azimuth a (rad): every direction
+  scale         of (one name or several) multiplied with each other and with ``by`` (a number or a
+  list; default 1) sum           of (several names), added up; lists of the same length element by
+  element relative      of * (1 + error) direction     of * (sqrt(1 - h^2) cos a, sqrt(1 - h^2) sin
+  a, h), with height h and azimuth a (rad): every direction
                 as likely where h is uniform in -1 to 1 and a in 0 to 2 pi
   solid_cube    inertia of a homogeneous cube: mass side^2 / 6 about each axis
   solid_sphere  inertia of a homogeneous sphere: 2/5 mass radius^2 about each axis
@@ -39,7 +40,8 @@ def unit_points(sampling: str, *, cases: int, dimensions: int, seed: int) -> np.
     if sampling == "random":
         points = generator.random((cases, dimensions))
     else:
-        from scipy.stats import qmc  # here: it takes longer to load than all else, and workers are given their cases
+        # here: it takes longer to load than all else, and workers are given their cases
+        from scipy.stats import qmc
 
         kind = qmc.LatinHypercube if sampling == "latin_hypercube" else qmc.Sobol
         points = kind(dimensions, seed=generator).random(cases)
@@ -47,7 +49,9 @@ def unit_points(sampling: str, *, cases: int, dimensions: int, seed: int) -> np.
 
 
 def case_seed(seed: int, case: int) -> int:
-    """The scenario's random_seed of one case: 31 bits of NumPy's SeedSequence(seed, spawn_key=(1, case))."""
+    """The scenario's random_seed of one case: 31 bits of NumPy's SeedSequence(seed, spawn_key=(1,
+    case)).
+    """
     return int(np.random.SeedSequence(seed, spawn_key=(1, case)).generate_state(1)[0]) >> 1
 
 
@@ -75,7 +79,13 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
     Raises:
       CampaignError: an unknown distribution or field, a missing one, or numbers out of range.
     """
-    kind = _kind_of(data, "distribution", _DISTRIBUTIONS, place=place, example="distribution: uniform, low: 0, high: 1")
+    kind = _kind_of(
+        data,
+        "distribution",
+        _DISTRIBUTIONS,
+        place=place,
+        example="distribution: uniform, low: 0, high: 1",
+    )
     if kind in ("choice", "list"):
         values = data["values"]
         if not isinstance(values, list) or not values:
@@ -83,7 +93,9 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
         values = [_tidy(value, place=f"{place}.values[{i}]") for i, value in enumerate(values)]
         if kind == "list":
             return Distribution(value=lambda u, case: values[case % len(values)], uses_point=False)
-        return Distribution(value=lambda u, case: values[min(int(u * len(values)), len(values) - 1)])
+        return Distribution(
+            value=lambda u, case: values[min(int(u * len(values)), len(values) - 1)]
+        )
     first, second = (number(data[name], place=f"{place}.{name}") for name in _DISTRIBUTIONS[kind])
     if kind == "normal":
         if second <= 0.0:
@@ -93,8 +105,12 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
         raise CampaignError(f"{place}: low must be below high, not {first:g} and {second:g}")
     if kind == "uniform":
         if not math.isfinite(second - first):
-            raise CampaignError(f"{place}: low and high are too far apart: {first:g} and {second:g}")
-        return Distribution(value=lambda u, case: min(max(first + u * (second - first), first), second))
+            raise CampaignError(
+                f"{place}: low and high are too far apart: {first:g} and {second:g}"
+            )
+        return Distribution(
+            value=lambda u, case: min(max(first + u * (second - first), first), second)
+        )
     if first <= 0.0:
         raise CampaignError(f"{place}.low: must be > 0 for log_uniform, not {first:g}")
 
@@ -130,11 +146,16 @@ def parse_rule(data: Any, *, place: str) -> Rule:
     Raises:
       CampaignError: an unknown rule or field, or one that is missing or of the wrong type.
     """
-    kind = _kind_of(data, "rule", _RULES, place=place, example="rule: scale, of: payload.truth.mass, by: 0.8")
+    kind = _kind_of(
+        data, "rule", _RULES, place=place, example="rule: scale, of: payload.truth.mass, by: 0.8"
+    )
     sources = _names(data[_RULES[kind][0]], place=place)
     if kind == "relative":
         sources = (*sources, *_names(data["error"], place=place))
-        return Rule(sources=sources, apply=lambda values: _product([*values[:-1], 1.0 + _single(values[-1])]))
+        return Rule(
+            sources=sources,
+            apply=lambda values: _product([*values[:-1], 1.0 + _single(values[-1])]),
+        )
     if kind == "direction":
         places = (*_names(data["height"], place=place), *_names(data["azimuth"], place=place))
         if len(sources) > 1 or len(places) > 2:
@@ -151,7 +172,10 @@ def parse_rule(data: Any, *, place: str) -> Rule:
     by = data.get("by", 1.0)
     is_list = isinstance(by, list)
     factors = [number(item, place=f"{place}.by") for item in (by if is_list else [by])]
-    return Rule(sources=sources, apply=lambda values: _product([*values, factors if is_list else factors[0]]))
+    return Rule(
+        sources=sources,
+        apply=lambda values: _product([*values, factors if is_list else factors[0]]),
+    )
 
 
 def _product(values: list[Value]) -> Value:
@@ -191,7 +215,9 @@ def number(data: Any, *, place: str) -> float:
             raise ValueError
         value = float(data)
     except OverflowError:
-        raise CampaignError(f"{place}: must be finite, not a number of hundreds of digits") from None
+        raise CampaignError(
+            f"{place}: must be finite, not a number of hundreds of digits"
+        ) from None
     except ValueError:
         raise CampaignError(f"{place}: must be a number, not {shown(data)}") from None
     if not math.isfinite(value):
@@ -214,9 +240,14 @@ def check_plain(data: Any, *, place: str) -> None:
             raise CampaignError(f"{place}: holds half a character (a lone surrogate)")
     elif isinstance(data, int):
         if not -(2**63) <= data < 2**63:
-            raise CampaignError(f"{place}: a whole number must fit into 64 bits; write it with a decimal point")
+            raise CampaignError(
+                f"{place}: a whole number must fit into 64 bits; write it with a decimal point"
+            )
     elif not (data is None or isinstance(data, float)):
-        raise CampaignError(f"{place}: must be a number, text, list or mapping, not a {type(data).__name__}; quote it")
+        raise CampaignError(
+            f"{place}: must be a number, text, list or mapping, not a "
+            f"{type(data).__name__}; quote it"
+        )
 
 
 def check_keys(data: Mapping[str, Any], valid: tuple[str, ...], *, place: str) -> None:
@@ -226,13 +257,17 @@ def check_keys(data: Mapping[str, Any], valid: tuple[str, ...], *, place: str) -
             raise CampaignError(f"{place}.{key}: unknown key; valid here: {', '.join(valid)}")
 
 
-def _kind_of(data: Any, key: str, fields: Mapping[str, tuple[str, ...]], *, place: str, example: str) -> str:
+def _kind_of(
+    data: Any, key: str, fields: Mapping[str, tuple[str, ...]], *, place: str, example: str
+) -> str:
     """What an entry says under ``key``; its other keys must be the kind's fields, all of them."""
     if not isinstance(data, Mapping):
         raise CampaignError(f"{place}: must be a mapping such as {{{example}}}")
     kind = data.get(key)
     if not isinstance(kind, str) or kind not in fields:
-        raise CampaignError(f"{place}: {key} '{kind}' is unknown; choose one of {', '.join(fields)}")
+        raise CampaignError(
+            f"{place}: {key} '{kind}' is unknown; choose one of {', '.join(fields)}"
+        )
     check_keys(data, (key, *fields[kind]), place=place)
     if missing := [name for name in fields[kind] if name not in data and name not in _OPTIONAL]:
         raise CampaignError(f"{place}: {kind} needs {' and '.join(missing)}")
@@ -247,7 +282,9 @@ def _names(data: Any, *, place: str) -> tuple[str, ...]:
 
 
 def _tidy(value: Any, *, place: str) -> Any:
-    """A value for the scenario; numbers must be finite, also within lists and mappings and where YAML has text."""
+    """A value for the scenario; numbers must be finite, also within lists and mappings and where
+    YAML has text.
+    """
     if isinstance(value, Mapping):
         return {name: _tidy(item, place=f"{place}.{name}") for name, item in value.items()}
     if isinstance(value, list):
@@ -277,7 +314,8 @@ def get_value(data: Any, key: str) -> Any:
 
 
 def set_value(data: Any, key: str, value: Any) -> None:
-    """Write the value at a dotted key; missing mappings are added; the scenario's schema checks them later.
+    """Write the value at a dotted key; missing mappings are added; the scenario's schema checks
+    them later.
 
     Raises:
       CampaignError: the key leads through a single value, or past the end of a list.

@@ -33,28 +33,40 @@ from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.reference import timed
 
-OUTCOMES = ("settled", "not_settled", "diverged", "refused", "error")  # refused: no motion keeps the limits
-_BY_GROUP = [(kind, group) for kind in ("peak_error", "final_error", "peak_effort") for group in GROUPS]
+# refused: no motion keeps the limits
+OUTCOMES = ("settled", "not_settled", "diverged", "refused", "error")
+_BY_GROUP = [
+    (kind, group) for kind in ("peak_error", "final_error", "peak_effort") for group in GROUPS
+]
 METRICS = ("itae", "isv", *(f"{kind}_{group}" for kind, group in _BY_GROUP), "settled_time")
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
 # Further columns where the scenario has a capture. The first limit that a run leaves is text.
 OF_CAPTURE = ("grasp_impulse", "grasp_angular_impulse", "first_limit_time")
-# Further columns where it has thrusters: kg, N s, number, and the share of the samples whose wrench they could not
-# give whole; where it has wheels: the largest share of a limit, and shares of the samples.
+# Further columns where it has thrusters: kg, N s, number, and the share of the samples whose wrench
+# they could not give whole; where it has wheels: the largest share of a limit, and shares of the
+# samples.
 OF_THRUSTERS = ("propellant", "thruster_impulse", "thruster_pulses", "thrusters_saturated")
 OF_WHEELS = ("wheel_speed_used", "wheel_torque_used", "wheels_torque_limited", "wheels_unloading")
-# Further columns where it has hidden coordinates, by their unit: the largest deflection and residual amplitude of any.
+# Further columns where it has hidden coordinates, by their unit: the largest deflection and
+# residual amplitude of any.
 OF_HIDDEN = {
     "rad": ("peak_deflection_angle", "residual_angle"),
     "m": ("peak_deflection_distance", "residual_distance"),
 }
-# Further columns where a frame has a reference: its errors, rad and m; where the base is not driven: how far it is from
-# its start at the end, rad and m.
-OF_FRAME = {part: (f"largest_frame_{part}", f"final_frame_{part}") for part in ("rotation", "position")}
+# Further columns where a frame has a reference: its errors, rad and m; where the base is not
+# driven: how far it is from its start at the end, rad and m.
+OF_FRAME = {
+    part: (f"largest_frame_{part}", f"final_frame_{part}") for part in ("rotation", "position")
+}
 OF_DRIFT = {"base_rotation": "final_drift_rotation", "base_position": "final_drift_position"}
 _FURTHER = (
-    *OF_CAPTURE, *OF_THRUSTERS, *OF_WHEELS, *chain(*OF_HIDDEN.values()), *chain(*OF_FRAME.values()), *OF_DRIFT.values(),
-)  # fmt: skip
+    *OF_CAPTURE,
+    *OF_THRUSTERS,
+    *OF_WHEELS,
+    *chain(*OF_HIDDEN.values()),
+    *chain(*OF_FRAME.values()),
+    *OF_DRIFT.values(),
+)
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
 DIVERGENCE = "predicted_divergence"  # with thrusters or wheels
 
@@ -71,9 +83,15 @@ def metrics_of(spec: Spec) -> tuple[str, ...]:
 
 
 def frame_parts(spec: Spec) -> tuple[str, ...]:
-    """What a campaign's scenario prescribes of a frame: ``rotation``, ``position``, both or nothing."""
+    """What a campaign's scenario prescribes of a frame: ``rotation``, ``position``, both or
+    nothing.
+    """
     task = (spec.base["reference"]["frame"] or {"task": "none"})["task"]
-    return {"pose": ("rotation", "position"), "attitude": ("rotation",), "position": ("position",)}.get(task, ())
+    return {
+        "pose": ("rotation", "position"),
+        "attitude": ("rotation",),
+        "position": ("position",),
+    }.get(task, ())
 
 
 def undriven_of(spec: Spec) -> tuple[str, ...]:
@@ -111,8 +129,9 @@ _ONE_AT_A_TIME = threading.Lock()
 def evaluate(campaign: str, case: Case, controller: str) -> Row:
     """Run one case with one controller; errors become part of the row.
 
-    Takes ``Spec.to_json()``, which a process reads once. Returns the columns ``outcome``, ``outcome_time``,
-    ``message``, those of ``metrics_of`` and ``predictions_of``, CIRCUMSTANCES; with a capture FIRST_LIMIT.
+    Takes ``Spec.to_json()``, which a process reads once. Returns the columns ``outcome``,
+    ``outcome_time``, ``message``, those of ``metrics_of`` and ``predictions_of``, CIRCUMSTANCES;
+    with a capture FIRST_LIMIT.
     """
     with _ONE_AT_A_TIME:
         return _evaluator(campaign).evaluate(case, controller)
@@ -129,7 +148,9 @@ class Evaluator:
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
         self._rollouts: dict[str, Rollout | CaptureRollout] = {}
-        self._software = " ".join(f"{name} {version}" for name, version in software_versions().items())
+        self._software = " ".join(
+            f"{name} {version}" for name, version in software_versions().items()
+        )
 
     def evaluate(self, case: Case, controller: str) -> Row:
         """One row, as the function of the same name returns it."""
@@ -139,7 +160,8 @@ class Evaluator:
             with time_limit(self._spec.time_limit):
                 scenario = timed(scenario_of(self._spec, case, controller))
                 row |= evaluate_run(self._spec, self._run(scenario))
-                with contextlib.suppress(BlockError):  # a user-supplied block that cannot be linearised: no prediction
+                # a user-supplied block that cannot be linearised: no prediction
+                with contextlib.suppress(BlockError):
                     row |= dict(zip(predictions_of(self._spec), predict(scenario), strict=False))
         except LimitError as error:
             row |= _refused_row(error)
@@ -170,7 +192,9 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
         raise RuntimeError("the run was interrupted")
     settled_time, outcome, message = None, "diverged", log.outcome.message
     if log.outcome.completed:
-        velocity = log.series["state"][:, len(log.coordinates.position_names) :][:, log.coordinates.driven]
+        velocity = log.series["state"][:, len(log.coordinates.position_names) :][
+            :, log.coordinates.driven
+        ]
         settled_time = spec.settled.time(log.time, log.tracked, velocity=velocity)
         outcome, message = "not_settled" if settled_time is None else "settled", ""
     metrics = log.metrics
@@ -182,8 +206,15 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
         first = min(left, key=lambda name: left[name], default="")
         text[FIRST_LIMIT], values["first_limit_time"] = first, left.get(first)
         if outcome == "settled" and CLEARANCE in left:
-            text |= {"outcome": "not_settled", "message": f"parts come too near at t = {left[CLEARANCE]:.2f} s"}
-        impulse = np.full(6, np.nan) if log.grasp is None or log.grasp.contact is None else log.grasp.contact.impulse
+            text |= {
+                "outcome": "not_settled",
+                "message": f"parts come too near at t = {left[CLEARANCE]:.2f} s",
+            }
+        impulse = (
+            np.full(6, np.nan)
+            if log.grasp is None or log.grasp.contact is None
+            else log.grasp.contact.impulse
+        )
         values["grasp_angular_impulse"], values["grasp_impulse"] = (
             float(np.linalg.norm(part)) for part in np.split(impulse, 2)
         )
@@ -196,12 +227,21 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     if log.frame_error is not None:
         sizes = frame_metrics(log.frame_error, frame_rows(log.scenario))
         for part in frame_parts(spec):
-            values |= dict(zip(OF_FRAME[part], (sizes[moment][part] for moment in ("largest", "final")), strict=True))
+            values |= dict(
+                zip(
+                    OF_FRAME[part],
+                    (sizes[moment][part] for moment in ("largest", "final")),
+                    strict=True,
+                )
+            )
     if undriven := undriven_of(spec):
         drift = base_drift(log.series["state"], undriven)["final"]
         values |= {OF_DRIFT[group]: size for group, size in drift.items()}
     # The database knows no NaN.
-    row = {name: None if value is None or math.isnan(value) else float(value) for name, value in values.items()}
+    row = {
+        name: None if value is None or math.isnan(value) else float(value)
+        for name, value in values.items()
+    }
     return {**text, "outcome_time": log.outcome.time, **row}
 
 

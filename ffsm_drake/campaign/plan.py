@@ -25,22 +25,32 @@ def plan_text(spec: Spec, *, workers: int) -> str:
     evaluator = Evaluator(spec)
     for controller in spec.controllers:  # the first run pays for imports
         evaluator.evaluate(first[0], controller)
-    seconds = [evaluator.evaluate(first[-1], controller)["wall_time"] for controller in spec.controllers]
+    seconds = [
+        evaluator.evaluate(first[-1], controller)["wall_time"] for controller in spec.controllers
+    ]
     width = max(map(len, spec.names)) + 2
     tolerance = ", ".join(f"{group} {value:g}" for group, value in spec.settled.tolerance.items())
     lines = [
         spec.description or "campaign",
-        f"{spec.cases} cases ({spec.sampling}, seed {spec.seed}), each with {', '.join(spec.controllers)}: "
+        f"{spec.cases} cases ({spec.sampling}, seed {spec.seed}), each with "
+        f"{', '.join(spec.controllers)}: "
         f"{spec.runs} runs",
         f"settled: |e| within {tolerance} (rad, m) throughout the last {spec.settled.hold:g} s",
         "",
         f"{'value':<{width}}" + "".join(f"{f'case {case.index}':>14}" for case in first),
     ]
     for name in spec.names:
-        lines.append(f"{name:<{width}}" + "".join(f"{_short(case.values[name]):>14}" for case in first))
+        lines.append(
+            f"{name:<{width}}" + "".join(f"{_short(case.values[name]):>14}" for case in first)
+        )
     total = statistics.fmean(seconds) * spec.runs / workers
-    per_run = ", ".join(f"{name} {value:.2f} s" for name, value in zip(spec.controllers, seconds, strict=True))
-    lines += ["", f"one run: {per_run}; all of them with {workers} workers: about {duration_text(total)}"]
+    per_run = ", ".join(
+        f"{name} {value:.2f} s" for name, value in zip(spec.controllers, seconds, strict=True)
+    )
+    lines += [
+        "",
+        f"one run: {per_run}; all of them with {workers} workers: about {duration_text(total)}",
+    ]
     return "\n".join(lines)
 
 
@@ -52,19 +62,33 @@ def status_text(store: Store) -> str:
         f"{store.path}: {spec.description or 'campaign'}",
         f"{done} of {spec.runs} runs ({100.0 * done / spec.runs:.1f} %)",
         "",
-        f"{'controller':<12}" + "".join(f"{name.replace('_', ' '):>13}" for name in OUTCOMES) + f"{'mean s':>9}",
+        f"{'controller':<12}"
+        + "".join(f"{name.replace('_', ' '):>13}" for name in OUTCOMES)
+        + f"{'mean s':>9}",
     ]
-    seconds = dict(store.query("SELECT controller, avg(wall_time) FROM results GROUP BY controller"))
+    seconds = dict(
+        store.query("SELECT controller, avg(wall_time) FROM results GROUP BY controller")
+    )
     for controller, outcomes in counts.items():
         mean = f"{seconds[controller]:.2f}" if seconds.get(controller) is not None else "-"
-        lines.append(f"{controller:<12}" + "".join(f"{outcomes[name]:>13}" for name in OUTCOMES) + f"{mean:>9}")
-    memory = "SELECT avg(rss_mib), max(rss_mib) FROM (SELECT rss_mib FROM results ORDER BY case_index {} LIMIT ?)"
+        lines.append(
+            f"{controller:<12}"
+            + "".join(f"{outcomes[name]:>13}" for name in OUTCOMES)
+            + f"{mean:>9}"
+        )
+    memory = (
+        "SELECT avg(rss_mib), max(rss_mib) FROM (SELECT rss_mib FROM results ORDER BY "
+        "case_index {} LIMIT ?)"
+    )
     if done:
-        first, last = (next(store.query(memory.format(order), (_WINDOW,))) for order in ("ASC", "DESC"))
+        first, last = (
+            next(store.query(memory.format(order), (_WINDOW,))) for order in ("ASC", "DESC")
+        )
         if first[0] is not None and last[0] is not None:
             lines += [
                 "",
-                f"memory of a worker: mean {first[0]:.0f} MiB, largest {first[1]:.0f} MiB over the first "
+                f"memory of a worker: mean {first[0]:.0f} MiB, largest {first[1]:.0f} MiB over "
+                "the first "
                 f"{min(done, _WINDOW)} runs; {last[0]:.0f} and {last[1]:.0f} MiB over the last "
                 f"(replaced at {MEMORY_LIMIT:.0f} MiB)",
             ]

@@ -1,4 +1,5 @@
-"""Stability predicted from the closed loop as it is wired: of one case, cheap enough for every run, and over a map.
+"""Stability predicted from the closed loop as it is wired: of one case, cheap enough for every run,
+and over a map.
 
 A map is the predicted boundary over two of a campaign's values, the others at their medians.
 """
@@ -32,11 +33,13 @@ REFINEMENT = 3  # finer by this near the boundary
 
 
 def predict_stability(scenario: Scenario, *, postures: int = 1) -> tuple[float, float]:
-    """Spectral radii of the closed loop as it is wired, the worst over the postures looked at; below 1 it is stable.
+    """Spectral radii of the closed loop as it is wired, the worst over the postures looked at;
+    below 1 it is stable.
 
-    The first is at the starting gains, the second with every K_s at the largest value that adaptation is expected to
-    reach. The postures are those of the planned motion with the most over-estimated inertia, ``postures`` of five.
-    Raises ModelError, ScenarioError or BlockError where a value cannot be used or a block cannot be linearised.
+    The first is at the starting gains, the second with every K_s at the largest value that
+    adaptation is expected to reach. The postures are those of the planned motion with the most
+    over-estimated inertia, ``postures`` of five. Raises ModelError, ScenarioError or BlockError
+    where a value cannot be used or a block cannot be linearised.
     """
     scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
@@ -46,8 +49,9 @@ def predict_stability(scenario: Scenario, *, postures: int = 1) -> tuple[float, 
 def predict(scenario: Scenario) -> tuple[float, ...]:
     """What tells of a run beforehand whether it settles: every number below 1.
 
-    The two of ``predict_stability``; with a capture and limits of force also ``predicted_load``; with thrusters or
-    wheels also whether the linearised loop diverges under them, 0 or 1 (``rehearse``).
+    The two of ``predict_stability``; with a capture and limits of force also ``predicted_load``;
+    with thrusters or wheels also whether the linearised loop diverges under them, 0 or 1
+    (``rehearse``).
     """
     scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
@@ -61,21 +65,27 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
 
 
 def predicted_load(linearizer: Linearizer) -> float:
-    """The largest share of its limit that a force takes after a grasp, without noise; beyond 1 it saturates.
+    """The largest share of its limit that a force takes after a grasp, without noise; beyond 1 it
+    saturates.
 
-    The first second, in which the loop answers to the difference between the true velocity after the grasp and that of
-    the plan, is run without noise and limits. From there on it is what perfect tracking of the plan takes with the
-    true payload, less the disturbance.
+    The first second, in which the loop answers to the difference between the true velocity after
+    the grasp and that of the plan, is run without noise and limits. From there on it is what
+    perfect tracking of the plan takes with the true payload, less the disturbance.
     """
     scenario, motion = linearizer.given, linearizer.motion
     true = driven_model(make_true_plant(scenario))
     disturbance = make_disturbance(scenario.disturbance, motion.coordinates)
-    port, context = disturbance.GetOutputPort("generalized_force"), disturbance.CreateDefaultContext()
+    port, context = (
+        disturbance.GetOutputPort("generalized_force"),
+        disturbance.CreateDefaultContext(),
+    )
     answer = min(round(_ANSWER / scenario.sample_time), scenario.num_control_periods)
     _, force = linearizer.follow(samples=answer)
     ideal = np.empty((_INSTANTS, force.shape[1]))
     begin = answer * scenario.sample_time
-    for i, time in enumerate(np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)):
+    for i, time in enumerate(
+        np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
+    ):
         context.SetTime(time)
         ideal[i] = true.calc_inverse_dynamics(*motion.evaluate(time)) - port.Eval(context)
     share = np.abs(np.concatenate([force, ideal])) / force_limits(scenario, true.plant)
@@ -86,19 +96,29 @@ def _radii(linearizer: Linearizer, times: Sequence[float]) -> tuple[float, float
     loops = [linearizer.at(time) for time in times]
     starting = max(loop.spectral_radius for loop in loops)
     held = expected_gains(linearizer, loops[0]) if starting < 1.0 else {}
-    return starting, max(linearizer.at(time, held=held).spectral_radius for time in times) if held else starting
+    return starting, max(
+        linearizer.at(time, held=held).spectral_radius for time in times
+    ) if held else starting
 
 
 def _most_overestimated(scenario: Scenario) -> list[float]:
-    """Times (s) of the postures, the one with the largest inertia ratio first, of equal ones the earliest."""
-    nominal, true = driven_model(make_nominal_plant(scenario)), driven_model(make_flexible_plant(scenario))
+    """Times (s) of the postures, the one with the largest inertia ratio first, of equal ones the
+    earliest.
+    """
+    nominal, true = (
+        driven_model(make_nominal_plant(scenario)),
+        driven_model(make_flexible_plant(scenario)),
+    )
     pick = np.ix_(nominal.coordinates.driven, nominal.coordinates.driven)
     reference = make_motion(scenario, nominal.coordinates)
     times = [reference.part(share) for share in POSTURES]
     postures = {time: reference.evaluate(time)[0] for time in times}
     ratio = {
         time: round(
-            inertia_ratios(true.calc_apparent_mass_matrix(q)[pick], nominal.calc_mass_matrix(q)[pick])[-1], 9
+            inertia_ratios(
+                true.calc_apparent_mass_matrix(q)[pick], nominal.calc_mass_matrix(q)[pick]
+            )[-1],
+            9,
         )  # beyond: rounding
         for time, q in postures.items()
     }
@@ -107,7 +127,9 @@ def _most_overestimated(scenario: Scenario) -> list[float]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class StabilityMap:
-    """The largest of what is predicted (``predict``) over a grid, NaN where there is no prediction."""
+    """The largest of what is predicted (``predict``) over a grid, NaN where there is no
+    prediction.
+    """
 
     x_name: str
     y_name: str
@@ -119,7 +141,9 @@ class StabilityMap:
     fixed: Mapping[str, object]  # the other sampled values
 
     def side(self, controller: str) -> np.ndarray:
-        """The radius (n, m) clipped to 1 +- 0.1, so that the boundary is drawn midway between points on either side."""
+        """The radius (n, m) clipped to 1 +- 0.1, so that the boundary is drawn midway between
+        points on either side.
+        """
         radius = self.radius[controller]
         if np.isnan(radius).all():  # nothing is predicted of this controller: no boundary
             return np.full_like(radius, 0.9)
@@ -135,17 +159,24 @@ def predict_map(
 ) -> StabilityMap:
     """Predict over the range that the cases cover.
 
-    ``axes`` names two of ``values``, the cases' numbers by name; ``progress`` is called with (done, total) controllers.
-    Raises CampaignError when an axis is not a sampled number, or both are the same.
+    ``axes`` names two of ``values``, the cases' numbers by name; ``progress`` is called with (done,
+    total) controllers. Raises CampaignError when an axis is not a sampled number, or both are the
+    same.
     """
     for name in axes:
         if name not in values:
-            raise CampaignError(f"--map: '{name}' is not a sampled number; choose two of {', '.join(values)}")
+            raise CampaignError(
+                f"--map: '{name}' is not a sampled number; choose two of {', '.join(values)}"
+            )
     if axes[0] == axes[1]:
         raise CampaignError("--map: needs two different values")
     log = [spec.distributions[name].is_logarithmic for name in axes]
     x, y = (_axis(values[name], is_log) for name, is_log in zip(axes, log, strict=True))
-    fixed = {name: distribution.value(0.5, 0) for name, distribution in spec.distributions.items() if name not in axes}
+    fixed = {
+        name: distribution.value(0.5, 0)
+        for name, distribution in spec.distributions.items()
+        if name not in axes
+    }
 
     def predicted(controller: str, i: int, j: int) -> float:
         drawn = {**fixed, axes[0]: float(x[j]), axes[1]: float(y[i])}
@@ -159,21 +190,32 @@ def predict_map(
 
     radius = {}
     for k, controller in enumerate(spec.controllers):
-        if math.isnan(predicted(controller, 0, 0)) and math.isnan(predicted(controller, x.size - 1, x.size - 1)):
+        if math.isnan(predicted(controller, 0, 0)) and math.isnan(
+            predicted(controller, x.size - 1, x.size - 1)
+        ):
             radius[controller] = np.full((x.size, x.size), np.nan)
         else:
             radius[controller] = _refined(functools.partial(predicted, controller), x.size)
         if progress is not None:
             progress(k + 1, len(spec.controllers))
     return StabilityMap(
-        x_name=axes[0], y_name=axes[1], x=x, y=y, x_log=log[0], y_log=log[1], radius=radius, fixed=fixed
+        x_name=axes[0],
+        y_name=axes[1],
+        x=x,
+        y=y,
+        x_log=log[0],
+        y_log=log[1],
+        radius=radius,
+        fixed=fixed,
     )
 
 
 def _refined(predict: Callable[[int, int], float], size: int) -> np.ndarray:
-    """The grid (size, size): every REFINEMENT-th point, and all points of the cells that the boundary crosses.
+    """The grid (size, size): every REFINEMENT-th point, and all points of the cells that the
+    boundary crosses.
 
-    The other cells lie on one side of the boundary and are filled with the value at their first corner.
+    The other cells lie on one side of the boundary and are filled with the value at their first
+    corner.
     """
     grid, known = np.full((size, size), np.nan), np.zeros((size, size), dtype=bool)
 

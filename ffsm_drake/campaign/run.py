@@ -27,13 +27,15 @@ from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.record import RunRecord
 
-# A process that has grown to this is replaced: Drake keeps every diagram with a system written in Python alive, some
-# 4 MiB for each closed loop that has to be built anew.
+# A process that has grown to this is replaced: Drake keeps every diagram with a system written in
+# Python alive, some 4 MiB for each closed loop that has to be built anew.
 MEMORY_LIMIT = 700.0  # MiB
 _TRIED = 20
 _LOST = {
     **dict.fromkeys(CIRCUMSTANCES),
-    **error_row("WorkerLost: the worker process died each time it ran this, or went beyond time_limit"),
+    **error_row(
+        "WorkerLost: the worker process died each time it ran this, or went beyond time_limit"
+    ),
     "software": "unknown",
 }
 
@@ -56,9 +58,14 @@ class Progress:
 
     def __str__(self) -> str:
         """Such as: 120 of 10000 runs (1.2 %), 5.1/s, 32 min left, 3 not settled, 1 error."""
-        parts = [f"{self.done} of {self.total} runs ({100.0 * self.done / max(self.total, 1):.1f} %)"]
+        parts = [
+            f"{self.done} of {self.total} runs ({100.0 * self.done / max(self.total, 1):.1f} %)"
+        ]
         if self.remaining is not None and self.done < self.total:
-            parts += [f"{self.session / self.elapsed:.2g}/s", f"{duration_text(self.remaining)} left"]
+            parts += [
+                f"{self.session / self.elapsed:.2g}/s",
+                f"{duration_text(self.remaining)} left",
+            ]
         if self.unsettled:
             parts.append(f"{self.unsettled} not settled")
         if self.failed:
@@ -77,7 +84,8 @@ def duration_text(seconds: float) -> str:
 def check_cases(spec: Spec) -> None:
     """Build a case of every controller, so that a wrong key shows before anything is run.
 
-    One case may have an impossible value and become an error row; that the first few all have is a mistake.
+    One case may have an impossible value and become an error row; that the first few all have is a
+    mistake.
 
     Raises:
       CampaignError, ModelError, ScenarioError: what would make every run fail.
@@ -91,7 +99,9 @@ def check_cases(spec: Spec) -> None:
                     make_rollout(scenario_of(spec, case, controller)).release()
                 break
             except TimeLimit as error:
-                raise CampaignError(f"controllers: building the loop with '{controller}' {error}") from None
+                raise CampaignError(
+                    f"controllers: building the loop with '{controller}' {error}"
+                ) from None
             except FfsmError as error:
                 problem = problem or error
         else:
@@ -117,7 +127,8 @@ def run_campaign(
     Returns: the database, for ``open_store`` and ``ffsm campaign report``.
 
     Raises:
-      CampaignError, ScenarioError, ModelError, BlockError: a value cannot be used, or the database cannot be made.
+      CampaignError, ScenarioError, ModelError, BlockError: a value cannot be used, or the database
+        cannot be made.
     """
     loaded = spec if isinstance(spec, Spec) else load_spec(spec)
     with local_workers(workers or os.cpu_count() or 1) as crew:
@@ -133,7 +144,8 @@ def start_campaign(
     stop: Stop | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
-    """Run a campaign into a new database; ``stop`` ends it early, ``progress`` is called after every result.
+    """Run a campaign into a new database; ``stop`` ends it early, ``progress`` is called after
+    every result.
 
     Raises:
       CampaignError, RecordError: a value cannot be used, or the database cannot be made.
@@ -146,14 +158,20 @@ def start_campaign(
 
 
 def resume_campaign(
-    path: Path, *, workers: Workers, stop: Stop | None = None, progress: Callable[[Progress], None] | None = None
+    path: Path,
+    *,
+    workers: Workers,
+    stop: Stop | None = None,
+    progress: Callable[[Progress], None] | None = None,
 ) -> None:
     """Run what a database still lacks; arguments and errors as for ``start_campaign``."""
     with open_store(path, writing=True) as store:
         _drive(store, workers, stop, progress)
 
 
-def _drive(store: Store, workers: Workers, stop: Stop | None, progress: Callable[[Progress], None] | None) -> None:
+def _drive(
+    store: Store, workers: Workers, stop: Stop | None, progress: Callable[[Progress], None] | None
+) -> None:
     campaign, start, total = store.spec.to_json(), time.perf_counter(), store.spec.runs
     before = store.num_results()
     counted = {"session": 0, "failed": 0, "unsettled": 0}
@@ -161,7 +179,9 @@ def _drive(store: Store, workers: Workers, stop: Stop | None, progress: Callable
     def report() -> None:
         if progress is not None:
             elapsed = time.perf_counter() - start
-            progress(Progress(done=before + counted["session"], total=total, elapsed=elapsed, **counted))
+            progress(
+                Progress(done=before + counted["session"], total=total, elapsed=elapsed, **counted)
+            )
 
     report()
     results = run_tasks(
@@ -214,4 +234,9 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
     record = None if log is None else make_record(log, start=start)
     if rollout is not None:
         rollout.release()
-    return Repeated(record=record, stored=stored, repeated=repeated, differences=differing_columns(stored, repeated))
+    return Repeated(
+        record=record,
+        stored=stored,
+        repeated=repeated,
+        differences=differing_columns(stored, repeated),
+    )

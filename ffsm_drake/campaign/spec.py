@@ -1,4 +1,6 @@
-"""The specification of a campaign: which scenario, which controllers, what is dispersed, what counts as settled."""
+"""The specification of a campaign: which scenario, which controllers, what is dispersed, what
+counts as settled.
+"""
 
 import copy
 import dataclasses
@@ -43,29 +45,46 @@ if TYPE_CHECKING:
     from ffsm_drake.runs.tracking import Tracked
 
 _KEYS = (
-    "description", "scenario", "overrides", "controllers", "cases", "seed", "sampling", "parameters", "factors",
-    "derive", "settled", "time_limit",
-)  # fmt: skip
-_MOST_CASES, _MOST_VALUES, _MOST_NUMBERS = 1_000_000, 1000, 20_000_000  # cases, values of a case, points drawn in all
+    "description",
+    "scenario",
+    "overrides",
+    "controllers",
+    "cases",
+    "seed",
+    "sampling",
+    "parameters",
+    "factors",
+    "derive",
+    "settled",
+    "time_limit",
+)
+# cases, values of a case, points drawn in all
+_MOST_CASES, _MOST_VALUES, _MOST_NUMBERS = 1_000_000, 1000, 20_000_000
 _LARGEST_SEED = 2**53  # beyond, a number read as floating point is another
 _TIME_LIMIT = 600.0  # s
 # What the campaign sets by itself.
-_RESERVED = {"random_seed": "follows from 'seed' and the case's number", "controller": "belongs into 'controllers'"}
+_RESERVED = {
+    "random_seed": "follows from 'seed' and the case's number",
+    "controller": "belongs into 'controllers'",
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settled:
-    """Every |e| that counts is within its group's tolerance throughout the last ``hold`` seconds of the run."""
+    """Every |e| that counts is within its group's tolerance throughout the last ``hold`` seconds of
+    the run.
+    """
 
     hold: float  # s; 0: the last sample alone
     tolerance: Mapping[str, float]  # rad or m, by group
     rest: float | None = None  # rad/s and m/s; no coordinate moves faster either; None: it may
 
     def time(self, time: np.ndarray, tracked: "Tracked", *, velocity: np.ndarray) -> float | None:
-        """The time (s) from which error and velocity stay within these; None when the run is not settled.
+        """The time (s) from which error and velocity stay within these; None when the run is not
+        settled.
 
-        Takes the control samples (n,), s, the errors that count (n, k), and the velocity of the driven coordinates
-        (n, na), rad/s or m/s.
+        Takes the control samples (n,), s, the errors that count (n, k), and the velocity of the
+        driven coordinates (n, na), rad/s or m/s.
         """
         bound = np.array([self.tolerance[group] for group in tracked.groups])
         within = (np.abs(tracked.error) <= bound).all(axis=1)  # NaN is not
@@ -84,7 +103,8 @@ class Settled:
 class Spec:
     """A campaign, whole: what follows from it follows from nothing else."""
 
-    data: Mapping[str, Any]  # as written, and the scenario as plain data: what ``spec_from_data`` takes back
+    # as written, and the scenario as plain data: what ``spec_from_data`` takes back
+    data: Mapping[str, Any]
     controllers: tuple[str, ...]
     cases: int
     seed: int
@@ -142,12 +162,15 @@ def load_spec(name_or_path: str | Path) -> Spec:
     """Read a specification by shipped name or path, and check it.
 
     Raises:
-      CampaignError, ScenarioError: the file, a key or a value cannot be used; one line says where and why.
+      CampaignError, ScenarioError: the file, a key or a value cannot be used; one line says where
+        and why.
     """
     shipped = shipped_campaigns()
     path = shipped.get(str(name_or_path), Path(name_or_path))
     if not path.is_file():
-        raise CampaignError(f"{path}: no such campaign; choose one of {', '.join(shipped)}, or give a YAML file")
+        raise CampaignError(
+            f"{path}: no such campaign; choose one of {', '.join(shipped)}, or give a YAML file"
+        )
     try:
         check_regular(path, limit=MAX_FILE_SIZE)
         data = read_yaml(path.read_text(encoding="utf-8"))
@@ -169,7 +192,9 @@ def load_spec(name_or_path: str | Path) -> Spec:
 
 
 def _with_python_path(spec: Spec) -> Spec:
-    """The specification with the folders of all user-supplied modules: a campaign is resumed from any folder."""
+    """The specification with the folders of all user-supplied modules: a campaign is resumed from
+    any folder.
+    """
     base = spec.base
     blocks = [(name, base["blocks"][name]) for name in ("reference", "sensing", "actuation")]
     blocks += [("forces", block) for block in base["blocks"]["forces"].values()]
@@ -204,7 +229,9 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
         raise CampaignError(f"time_limit: must be > 0 s and at most 1e6 s, not {time_limit:g}")
     sampling = data.get("sampling", SAMPLINGS[0])
     if sampling not in SAMPLINGS:
-        raise CampaignError(f"sampling: '{sampling}' is unknown; choose one of {', '.join(SAMPLINGS)}")
+        raise CampaignError(
+            f"sampling: '{sampling}' is unknown; choose one of {', '.join(SAMPLINGS)}"
+        )
     parameters, factors = (
         {
             str(name): parse_distribution(entry, place=f"{section}.{name}")
@@ -214,7 +241,10 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
     )
     if not parameters and not factors:
         raise CampaignError("parameters: must disperse at least one scenario value")
-    derive = {str(name): parse_rule(entry, place=f"derive.{name}") for name, entry in _section(data, "derive").items()}
+    derive = {
+        str(name): parse_rule(entry, place=f"derive.{name}")
+        for name, entry in _section(data, "derive").items()
+    }
     spec = Spec(
         data=data,
         controllers=_controllers(data.get("controllers", [data["base"]["controller"]])),
@@ -225,7 +255,9 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
         factors=factors,
         derive=derive,
         settled=parse_settled(
-            data.get("settled", {}), place="settled", base=Scenario(tolerance=data["base"]["tolerance"])
+            data.get("settled", {}),
+            place="settled",
+            base=Scenario(tolerance=data["base"]["tolerance"]),
         ),
         time_limit=time_limit,
     )
@@ -234,7 +266,8 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
 
 
 def parse_settled(data: Any, *, place: str, base: Scenario | None = None) -> Settled:
-    """The criterion of a specification; what it does not say is the tolerance of the scenario ``base``.
+    """The criterion of a specification; what it does not say is the tolerance of the scenario
+    ``base``.
 
     Raises CampaignError for an unknown key or a value out of range.
     """
@@ -249,7 +282,9 @@ def parse_settled(data: Any, *, place: str, base: Scenario | None = None) -> Set
         raise CampaignError(f"{place}.tolerance: must be a mapping by group: {', '.join(GROUPS)}")
     check_keys(given, GROUPS, place=f"{place}.tolerance")
     tolerance = {
-        group: number(given.get(group, base.tolerance_of(group)), place=f"{place}.tolerance.{group}")
+        group: number(
+            given.get(group, base.tolerance_of(group)), place=f"{place}.tolerance.{group}"
+        )
         for group in GROUPS
     }
     for group, value in tolerance.items():
@@ -270,7 +305,10 @@ def _base(data: Mapping[str, Any], *, folder: Path) -> dict[str, Any]:
     for key in overrides:
         _check_not_reserved(key, place="overrides")
     place = name if name in shipped_scenarios() else folder / name
-    texts = [f"{key}={yaml.safe_dump(value, default_flow_style=True).strip()}" for key, value in overrides.items()]
+    texts = [
+        f"{key}={yaml.safe_dump(value, default_flow_style=True).strip()}"
+        for key, value in overrides.items()
+    ]
     return scenario_to_dict(load_scenario(place, [text.removesuffix("\n...") for text in texts]))
 
 
@@ -296,7 +334,9 @@ def _controllers(data: Any) -> tuple[str, ...]:
     names = data if isinstance(data, list) else [data]
     for name in names:
         if not isinstance(name, str):
-            raise CampaignError(f"controllers: must be names, or module:attribute, not {shown(name)}")
+            raise CampaignError(
+                f"controllers: must be names, or module:attribute, not {shown(name)}"
+            )
     if not names or len(set(names)) < len(names):
         raise CampaignError("controllers: must name at least one, each once")
     return tuple(names)
@@ -306,24 +346,32 @@ def _check_names(spec: Spec) -> None:
     """Each value is set once, and whatever a rule reads is there by then."""
     if len(spec.names) > _MOST_VALUES:
         raise CampaignError(
-            f"parameters: at most {_MOST_VALUES} values with factors and derived ones, not {len(spec.names)}"
+            f"parameters: at most {_MOST_VALUES} values with factors and derived ones, not "
+            f"{len(spec.names)}"
         )
     if spec.cases * len(spec.distributions) > _MOST_NUMBERS:
         raise CampaignError(
-            f"cases: {spec.cases} cases with {len(spec.distributions)} values are more than {_MOST_NUMBERS} numbers"
+            f"cases: {spec.cases} cases with {len(spec.distributions)} values are more than "
+            f"{_MOST_NUMBERS} numbers"
         )
     keys = (*spec.parameters, *spec.derive)
-    if repeated := [name for name in keys if keys.count(name) > 1] or sorted({*keys} & {*spec.factors}):
+    if repeated := [name for name in keys if keys.count(name) > 1] or sorted(
+        {*keys} & {*spec.factors}
+    ):
         raise CampaignError(f"derive.{repeated[0]}: is dispersed already; a value can be set once")
     for section, names in (("parameters", spec.parameters), ("derive", spec.derive)):
         for name in names:
             _check_not_reserved(name, place=section)
     for inner, outer in itertools.permutations(keys, 2):
         if inner.startswith(f"{outer}."):
-            raise CampaignError(f"parameters.{inner}: lies within {outer}, which is set too; set one of them")
+            raise CampaignError(
+                f"parameters.{inner}: lies within {outer}, which is set too; set one of them"
+            )
     for factor in spec.factors:
         if "." in factor or factor in spec.base:
-            raise CampaignError(f"factors.{factor}: must be a free name, not a scenario key; see 'parameters'")
+            raise CampaignError(
+                f"factors.{factor}: must be a free name, not a scenario key; see 'parameters'"
+            )
         if not any(factor in rule.sources for rule in spec.derive.values()):
             raise CampaignError(f"factors.{factor}: no rule of 'derive' uses it")
     known = {*spec.parameters, *spec.factors}
@@ -332,11 +380,15 @@ def _check_names(spec: Spec) -> None:
             if source in known:
                 continue
             if source in spec.derive:
-                raise CampaignError(f"derive.{name}: reads {source}, which must be derived before it")
+                raise CampaignError(
+                    f"derive.{name}: reads {source}, which must be derived before it"
+                )
             try:
                 get_value(spec.base, source)
             except CampaignError:
-                raise CampaignError(f"derive.{name}: '{source}' is neither a factor nor a scenario value") from None
+                raise CampaignError(
+                    f"derive.{name}: '{source}' is neither a factor nor a scenario value"
+                ) from None
         known.add(name)
 
 

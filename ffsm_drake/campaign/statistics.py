@@ -1,4 +1,6 @@
-"""Statistics of a campaign: success rates, paired differences, sensitivities, agreement with the prediction."""
+"""Statistics of a campaign: success rates, paired differences, sensitivities, agreement with the
+prediction.
+"""
 
 import dataclasses
 import functools
@@ -10,7 +12,15 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ffsm_drake.campaign.evaluate import DIVERGENCE, FIRST_LIMIT, LOAD, METRICS, PREDICTIONS, metrics_of, predictions_of
+from ffsm_drake.campaign.evaluate import (
+    DIVERGENCE,
+    FIRST_LIMIT,
+    LOAD,
+    METRICS,
+    PREDICTIONS,
+    metrics_of,
+    predictions_of,
+)
 from ffsm_drake.campaign.prediction import StabilityMap, predict_map
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.store import Store
@@ -23,12 +33,15 @@ _COMPARED = 10  # fewest pairs for a confidence interval
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Runs:
-    """The stored runs of one controller, by case: arrays (n,) in the order of the cases, NaN for no value."""
+    """The stored runs of one controller, by case: arrays (n,) in the order of the cases, NaN for no
+    value.
+    """
 
     controller: str
     case: np.ndarray
     outcome: np.ndarray  # text
-    metrics: Mapping[str, np.ndarray]  # of ``metrics_of``, ``predictions_of``, outcome_time and wall_time
+    # of ``metrics_of``, ``predictions_of``, outcome_time and wall_time
+    metrics: Mapping[str, np.ndarray]
     first_limit: np.ndarray | None = None  # text, "" for none; of campaigns with a capture
 
     @functools.cached_property
@@ -37,8 +50,12 @@ class Runs:
 
     @functools.cached_property
     def predicted(self) -> np.ndarray:
-        """The largest of what is predicted; below 1 a run is foreseen to settle, NaN without a prediction."""
-        found = [self.metrics[name] for name in (*PREDICTIONS, LOAD, DIVERGENCE) if name in self.metrics]
+        """The largest of what is predicted; below 1 a run is foreseen to settle, NaN without a
+        prediction.
+        """
+        found = [
+            self.metrics[name] for name in (*PREDICTIONS, LOAD, DIVERGENCE) if name in self.metrics
+        ]
         return np.asarray(np.fmax.reduce(found))
 
 
@@ -47,7 +64,8 @@ class Table:
     """A campaign's results in memory: some hundred bytes per run."""
 
     runs: Mapping[str, Runs]  # by controller
-    values: Mapping[str, np.ndarray]  # the sampled values that are numbers, by name, (number of cases,)
+    # the sampled values that are numbers, by name, (number of cases,)
+    values: Mapping[str, np.ndarray]
 
 
 def read_table(store: Store) -> Table:
@@ -55,21 +73,30 @@ def read_table(store: Store) -> Table:
     columns = ("outcome_time", "wall_time", *metrics_of(store.spec), *predictions_of(store.spec))
     runs = {}
     for controller in store.spec.controllers:
-        select = f"SELECT case_index, outcome, {', '.join(columns)} FROM results WHERE controller = ? ORDER BY 1"
+        select = (
+            f"SELECT case_index, outcome, {', '.join(columns)} FROM results WHERE controller "
+            "= ? ORDER BY 1"
+        )
         rows = store.query(select, (controller,))
         cells = list(zip(*rows, strict=True)) or [()] * (2 + len(columns))
         runs[controller] = Runs(
             controller=controller,
             case=np.array(cells[0], dtype=int),
             outcome=np.array(cells[1], dtype=str),
-            metrics={name: np.array(cell, dtype=float) for name, cell in zip(columns, cells[2:], strict=True)},
+            metrics={
+                name: np.array(cell, dtype=float)
+                for name, cell in zip(columns, cells[2:], strict=True)
+            },
         )
         if store.spec.base["capture"] is not None:
             limits = store.query(
-                f"SELECT coalesce({FIRST_LIMIT}, '') FROM results WHERE controller = ? ORDER BY case_index",
+                f"SELECT coalesce({FIRST_LIMIT}, '') FROM results WHERE controller = ? ORDER BY "
+                "case_index",
                 (controller,),
             )
-            runs[controller] = dataclasses.replace(runs[controller], first_limit=np.array([row[0] for row in limits]))
+            runs[controller] = dataclasses.replace(
+                runs[controller], first_limit=np.array([row[0] for row in limits])
+            )
     values = {}
     for name in store.spec.distributions:
         column = store.sampled(name)
@@ -88,10 +115,14 @@ class Interval:
 
 
 def success_rate(runs: Runs) -> Interval:
-    """Share of settled runs, with the Clopper-Pearson interval. An error row counts as not settled."""
+    """Share of settled runs, with the Clopper-Pearson interval. An error row counts as not
+    settled.
+    """
     if runs.case.size == 0:
         return Interval(value=math.nan, low=0.0, high=1.0)
-    found = stats.binomtest(int(runs.settled.sum()), int(runs.case.size)).proportion_ci(CONFIDENCE, method="exact")
+    found = stats.binomtest(int(runs.settled.sum()), int(runs.case.size)).proportion_ci(
+        CONFIDENCE, method="exact"
+    )
     return Interval(value=float(runs.settled.mean()), low=float(found.low), high=float(found.high))
 
 
@@ -110,7 +141,10 @@ class Difference:
 
 def paired_differences(table: Table) -> list[Difference]:
     """Every pair of controllers."""
-    return [_difference(first, second) for first, second in itertools.combinations(table.runs.values(), 2)]
+    return [
+        _difference(first, second)
+        for first, second in itertools.combinations(table.runs.values(), 2)
+    ]
 
 
 def _difference(first: Runs, second: Runs) -> Difference:
@@ -124,7 +158,9 @@ def _difference(first: Runs, second: Runs) -> Difference:
         first=first.controller,
         second=second.controller,
         cases=int(i.size),
-        success=_paired_proportions(int((settled > 0).sum()), int((settled < 0).sum()), int(i.size)),
+        success=_paired_proportions(
+            int((settled > 0).sum()), int((settled < 0).sum()), int(i.size)
+        ),
         itae_ratio=_median(ratios) if ratios.size >= _COMPARED else None,
         both=int(both.sum()),
         ratios=ratios,
@@ -132,22 +168,30 @@ def _difference(first: Runs, second: Runs) -> Difference:
 
 
 def _paired_proportions(first: int, second: int, cases: int) -> Interval:
-    """Difference of two success rates on the same cases, ``first`` and ``second`` of which only one controller settled.
+    """Difference of two success rates on the same cases, ``first`` and ``second`` of which only one
+    controller settled.
 
-    The interval is Bonett and Price's (2012, "Adjusted Wald confidence interval for a difference of binomial
-    proportions based on paired data"), Wald's after one more discordant case either way: it keeps its width where all
-    cases agree.
+    The interval is Bonett and Price's (2012, "Adjusted Wald confidence interval for a difference of
+    binomial proportions based on paired data"), Wald's after one more discordant case either way:
+    it keeps its width where all cases agree.
     """
     if cases == 0:
         return Interval(value=math.nan, low=-1.0, high=1.0)
     p, q = (first + 1) / (cases + 2), (second + 1) / (cases + 2)
-    half = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) * math.sqrt((p + q - (p - q) ** 2) / (cases + 2))
-    return Interval(value=(first - second) / cases, low=max(p - q - half, -1.0), high=min(p - q + half, 1.0))
+    half = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) * math.sqrt(
+        (p + q - (p - q) ** 2) / (cases + 2)
+    )
+    return Interval(
+        value=(first - second) / cases, low=max(p - q - half, -1.0), high=min(p - q + half, 1.0)
+    )
 
 
 def _median(sample: np.ndarray) -> Interval:
-    """The median, with the interval between order statistics, which no distribution is assumed for."""
-    found: Any = stats.quantile_test(sample, p=0.5).confidence_interval(CONFIDENCE)  # typed wrongly in SciPy's stubs
+    """The median, with the interval between order statistics, which no distribution is assumed
+    for.
+    """
+    # typed wrongly in SciPy's stubs
+    found: Any = stats.quantile_test(sample, p=0.5).confidence_interval(CONFIDENCE)
     return Interval(value=float(np.median(sample)), low=float(found.low), high=float(found.high))
 
 
@@ -178,7 +222,13 @@ def sensitivities(table: Table, *, seed: int) -> list[Sensitivity]:
 def _sensitivity(name: str, values: np.ndarray, runs: Runs, *, seed: int) -> Sensitivity:
     failed = (~runs.settled).astype(float)
     if failed.size < 2 * BINS or failed.min() == failed.max():
-        return Sensitivity(name=name, controller=runs.controller, correlation=math.nan, share=math.nan, chance=math.nan)
+        return Sensitivity(
+            name=name,
+            controller=runs.controller,
+            correlation=math.nan,
+            share=math.nan,
+            chance=math.nan,
+        )
     bins = np.minimum(((stats.rankdata(values) - 0.5) * BINS / values.size).astype(int), BINS - 1)
     generator = np.random.default_rng(seed)
     by_chance = [_explained(bins, generator.permutation(failed)) for _ in range(_PERMUTATIONS)]
@@ -207,7 +257,9 @@ def most_influential(found: list[Sensitivity]) -> list[str]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """Number of runs by prediction and outcome; unstable stands for all that is foreseen to fail."""
+    """Number of runs by prediction and outcome; unstable stands for all that is foreseen to
+    fail.
+    """
 
     controller: str
     stable_settled: int
@@ -217,7 +269,9 @@ class Agreement:
 
     @property
     def total(self) -> int:
-        return self.stable_settled + self.stable_failed + self.unstable_settled + self.unstable_failed
+        return (
+            self.stable_settled + self.stable_failed + self.unstable_settled + self.unstable_failed
+        )
 
     @property
     def share(self) -> float:
@@ -226,7 +280,9 @@ class Agreement:
 
 
 def agreement(runs: Runs) -> Agreement:
-    """Count predictions and outcomes; what was not run, and runs without a prediction, are left out."""
+    """Count predictions and outcomes; what was not run, and runs without a prediction, are left
+    out.
+    """
     known = ~np.isin(runs.outcome, ("error", "refused")) & ~np.isnan(runs.predicted)
     stable, settled = (runs.predicted < 1.0)[known], runs.settled[known]
     return Agreement(
@@ -239,11 +295,15 @@ def agreement(runs: Runs) -> Agreement:
 
 
 def worst_runs(runs: Runs, *, count: int = 5) -> np.ndarray:
-    """Positions of the ``count`` worst runs: errors, then the earliest divergences, then the largest final errors."""
+    """Positions of the ``count`` worst runs: errors, then the earliest divergences, then the
+    largest final errors.
+    """
     errors = [runs.metrics[name] for name in METRICS if name.startswith("final_error")]
     final = np.nanmax(np.vstack([np.zeros(runs.case.size), *errors]), axis=0)
     kinds = ("error", "diverged", "refused")
-    order = np.select([*(runs.outcome == kind for kind in kinds), ~runs.settled], [0, 1, 3, 2], default=4)
+    order = np.select(
+        [*(runs.outcome == kind for kind in kinds), ~runs.settled], [0, 1, 3, 2], default=4
+    )
     time = np.where(runs.outcome == "diverged", runs.metrics["outcome_time"], 0.0)
     return np.lexsort((-final, time, order))[:count]
 
@@ -276,12 +336,16 @@ class Findings:
 
 
 def find(
-    store: Store, *, axes: tuple[str, str] | None = None, progress: Callable[[int, int], None] | None = None
+    store: Store,
+    *,
+    axes: tuple[str, str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Findings:
     """Evaluate the results that a database holds so far.
 
-    ``axes`` are the map's two values, None for the two most influential; ``progress`` is called with (done, total)
-    controllers of the map. Raises CampaignError when an axis is not a sampled number.
+    ``axes`` are the map's two values, None for the two most influential; ``progress`` is called
+    with (done, total) controllers of the map. Raises CampaignError when an axis is not a sampled
+    number.
     """
     spec, table = store.spec, read_table(store)
     found = sensitivities(table, seed=spec.seed)

@@ -1,8 +1,9 @@
 """The campaign's database: SQLite, one writer (the driver), one row per case and controller.
 
-Tables: ``campaign`` (key, value: the specification and its fingerprint), ``cases`` (case_index, random_seed, one column
-per value), ``results`` (case_index, controller, outcome, metrics, circumstances), ``software`` (the versions that the
-results refer to). The view ``runs`` joins them all: one row per run, for any SQL reader.
+Tables: ``campaign`` (key, value: the specification and its fingerprint), ``cases`` (case_index,
+random_seed, one column per value), ``results`` (case_index, controller, outcome, metrics,
+circumstances), ``software`` (the versions that the results refer to). The view ``runs`` joins them
+all: one row per run, for any SQL reader.
 """
 
 import contextlib
@@ -53,13 +54,19 @@ class Store:
             last = rows[-1][0]
             done = set(self.query(stored, (rows[0][0], last)))
             for case in map(self._case, rows):
-                yield from ((case, name) for name in self.spec.controllers if (case.index, name) not in done)
+                yield from (
+                    (case, name) for name in self.spec.controllers if (case.index, name) not in done
+                )
 
     def case(self, index: int) -> Case:
         """One case by its number. Raises CampaignError when there is no such case."""
         if 0 <= index < self.spec.cases:
-            return self._case(next(self.query("SELECT * FROM cases WHERE case_index = ?", (index,))))
-        raise CampaignError(f"{self.path}: has no case {index}; there are 0 to {self.spec.cases - 1}")
+            return self._case(
+                next(self.query("SELECT * FROM cases WHERE case_index = ?", (index,)))
+            )
+        raise CampaignError(
+            f"{self.path}: has no case {index}; there are 0 to {self.spec.cases - 1}"
+        )
 
     def _case(self, row: Sequence[Any]) -> Case:
         index, seed, *cells = row
@@ -68,11 +75,15 @@ class Store:
             try:
                 values[name] = _from_column(cell)
             except (ValueError, RecursionError) as error:
-                raise CampaignError(f"{self.path}: is damaged: {name} of case {index} is no value") from error
+                raise CampaignError(
+                    f"{self.path}: is damaged: {name} of case {index} is no value"
+                ) from error
         return Case(index=index, seed=seed, values=values)
 
     def check(self) -> None:
-        """Raise CampaignError unless what the tables hold can be this campaign's, of whatever origin the file is."""
+        """Raise CampaignError unless what the tables hold can be this campaign's, of whatever
+        origin the file is.
+        """
         columns = {
             "cases": ("case_index", "random_seed", *self.spec.names),
             "results": ("case_index", "controller", *result_columns(self.spec), "software"),
@@ -89,7 +100,9 @@ class Store:
             with _one_line_errors(self.path):
                 description = self._connection.execute(f"SELECT * FROM {table} LIMIT 0").description
             if tuple(item[0] for item in description) != names:
-                raise CampaignError(f"{self.path}: is damaged: the columns of {table} are not a campaign's")
+                raise CampaignError(
+                    f"{self.path}: is damaged: the columns of {table} are not a campaign's"
+                )
         number = "typeof({0}) NOT IN ('real', 'integer', 'null')"
         text = "typeof({0}) NOT IN ('text', 'null')"
         faults = {
@@ -99,47 +112,76 @@ class Store:
             ),
             "results": (
                 f"outcome IS NULL OR outcome NOT IN ({', '.join('?' * len(OUTCOMES))})",
-                *((text if name in _TEXT else number).format(name) for name in result_columns(self.spec)),
+                *(
+                    (text if name in _TEXT else number).format(name)
+                    for name in result_columns(self.spec)
+                ),
                 "case_index NOT IN (SELECT case_index FROM cases)",
                 "software IS NULL OR software NOT IN (SELECT id FROM software)",
-                f"controller IS NULL OR controller NOT IN ({', '.join('?' * len(self.spec.controllers))})",
+                "controller IS NULL OR controller NOT IN "
+                f"({', '.join('?' * len(self.spec.controllers))})",
             ),
         }
         given = {"cases": (), "results": (*OUTCOMES, *self.spec.controllers)}
         found = next(self.query("SELECT count(*), min(case_index), max(case_index) FROM cases"))
         if found != (self.spec.cases, 0, self.spec.cases - 1):
             raise CampaignError(
-                f"{self.path}: is damaged: its {found[0]} cases are not the {self.spec.cases} specified"
+                f"{self.path}: is damaged: its {found[0]} cases are not the {self.spec.cases} "
+                "specified"
             )
         if (stored := self.num_results()) > self.spec.runs:
-            raise CampaignError(f"{self.path}: is damaged: it holds {stored} results of {self.spec.runs} runs")
+            raise CampaignError(
+                f"{self.path}: is damaged: it holds {stored} results of {self.spec.runs} runs"
+            )
         for table, conditions in faults.items():
             where = " OR ".join(f"({condition})" for condition in conditions)
-            for row in self.query(f"SELECT case_index FROM {table} WHERE {where} LIMIT 1", given[table]):
-                raise CampaignError(f"{self.path}: is damaged: the {table} of case {row[0]} are not what a run stores")
+            for row in self.query(
+                f"SELECT case_index FROM {table} WHERE {where} LIMIT 1", given[table]
+            ):
+                raise CampaignError(
+                    f"{self.path}: is damaged: the {table} of case {row[0]} are "
+                    "not what a run stores"
+                )
 
     def sampled(self, name: str) -> list[Any]:
         """A sampled or derived value as the database keeps it, for every case in order."""
-        return [row[0] for row in self.query(f"SELECT {_quoted(name)} FROM cases ORDER BY case_index")]
+        return [
+            row[0] for row in self.query(f"SELECT {_quoted(name)} FROM cases ORDER BY case_index")
+        ]
 
     def add(self, case: Case, controller: str, row: Row) -> None:
         """Store one result."""
-        cells = (case.index, controller, *(row[name] for name in result_columns(self.spec)), row["software"])
-        values = f"{', '.join('?' * (len(cells) - 1))}, (SELECT id FROM software WHERE versions = ?)"
+        cells = (
+            case.index,
+            controller,
+            *(row[name] for name in result_columns(self.spec)),
+            row["software"],
+        )
+        values = (
+            f"{', '.join('?' * (len(cells) - 1))}, (SELECT id FROM software WHERE versions = ?)"
+        )
         with _one_line_errors(self.path), self._connection:
-            self._connection.execute("INSERT OR IGNORE INTO software (versions) VALUES (?)", (row["software"],))
+            self._connection.execute(
+                "INSERT OR IGNORE INTO software (versions) VALUES (?)", (row["software"],)
+            )
             self._connection.execute(f"INSERT INTO results VALUES ({values})", cells)
 
     def result(self, case: int, controller: str) -> dict[str, Any]:
-        """The stored row of one run, by column of the view ``runs``. Raises CampaignError when it is not there yet."""
-        for row in self.query("SELECT * FROM runs WHERE case_index = ? AND controller = ?", (case, controller)):
+        """The stored row of one run, by column of the view ``runs``. Raises CampaignError when it
+        is not there yet.
+        """
+        for row in self.query(
+            "SELECT * FROM runs WHERE case_index = ? AND controller = ?", (case, controller)
+        ):
             return dict(zip(self.columns, row, strict=True))
         raise CampaignError(f"{self.path}: holds no run of case {case} with {controller}")
 
     def counts(self) -> dict[str, dict[str, int]]:
         """Controller -> outcome -> number of runs."""
         table = {name: dict.fromkeys(OUTCOMES, 0) for name in self.spec.controllers}
-        for controller, outcome, count in self.query("SELECT controller, outcome, count(*) FROM results GROUP BY 1, 2"):
+        for controller, outcome, count in self.query(
+            "SELECT controller, outcome, count(*) FROM results GROUP BY 1, 2"
+        ):
             table[controller][outcome] = count
         return table
 
@@ -150,10 +192,14 @@ class Store:
     def columns(self) -> tuple[str, ...]:
         """The columns of the view ``runs``."""
         with _one_line_errors(self.path):
-            return tuple(item[0] for item in self._connection.execute("SELECT * FROM runs LIMIT 0").description)
+            return tuple(
+                item[0]
+                for item in self._connection.execute("SELECT * FROM runs LIMIT 0").description
+            )
 
     def export(self, path: Path) -> None:
-        """Write the view ``runs`` as CSV or Parquet, by the file's suffix; a chunk of rows is held at a time.
+        """Write the view ``runs`` as CSV or Parquet, by the file's suffix; a chunk of rows is held
+        at a time.
 
         Raises:
           CampaignError: another suffix, or ``pyarrow`` is missing.
@@ -176,9 +222,15 @@ class Store:
             pa: Any = importlib.import_module("pyarrow")  # optional, and without types
             pq: Any = importlib.import_module("pyarrow.parquet")
         except ImportError:
-            raise CampaignError("Parquet needs the extra 'parquet': pip install 'ffsm-drake[parquet]'") from None
+            raise CampaignError(
+                "Parquet needs the extra 'parquet': pip install 'ffsm-drake[parquet]'"
+            ) from None
         # The cases' values that are not numbers throughout are text.
-        named = [name for name in self.spec.names if any(isinstance(value, str) for value in self.sampled(name))]
+        named = [
+            name
+            for name in self.spec.names
+            if any(isinstance(value, str) for value in self.sampled(name))
+        ]
         types = dict.fromkeys(self.columns, pa.float64())
         types |= dict.fromkeys(("case_index", "random_seed"), pa.int64())
         texts = [name for name in (*_TEXT, "controller", "software", *named) if name in types]
@@ -187,21 +239,29 @@ class Store:
         with pq.ParquetWriter(path, schema) as writer:
             while chunk := list(itertools.islice(rows, _EXPORTED)):
                 cells = [
-                    [None if value is None else str(value) for value in column] if name in texts else column
+                    [None if value is None else str(value) for value in column]
+                    if name in texts
+                    else column
                     for name, column in zip(types, zip(*chunk, strict=True), strict=True)
                 ]
                 writer.write_table(pa.table(cells, schema=schema))
 
 
 def check_columns(spec: Spec) -> None:
-    """Raise CampaignError unless every value of a case can have a column; SQL does not tell A from a."""
+    """Raise CampaignError unless every value of a case can have a column; SQL does not tell A from
+    a.
+    """
     taken = dict.fromkeys(
-        ("case_index", "controller", "random_seed", "software", *result_columns(spec)), "of the results"
+        ("case_index", "controller", "random_seed", "software", *result_columns(spec)),
+        "of the results",
     )
     for name in spec.names:
         if owner := taken.get(name.lower()):
             place = "factors." if name in spec.factors else ""
-            raise CampaignError(f"{place}{name}: is the name of a column {owner}, but for upper case; choose another")
+            raise CampaignError(
+                f"{place}{name}: is the name of a column {owner}, but for upper "
+                "case; choose another"
+            )
         taken[name.lower()] = f"already, '{name}'"
 
 
@@ -218,10 +278,13 @@ def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Stor
         with open_store(path) as store:
             if store.spec.fingerprint != spec.fingerprint:
                 raise CampaignError(
-                    f"{path}: holds another campaign (fingerprint {store.spec.fingerprint[:12]}, not "
+                    f"{path}: holds another campaign (fingerprint {store.spec.fingerprint[:12]}, "
+                    "not "
                     f"{spec.fingerprint[:12]}); choose another file with --database"
                 )
-        raise CampaignError(f"{path}: exists; finish it with 'ffsm campaign resume {path}', or choose --database")
+        raise CampaignError(
+            f"{path}: exists; finish it with 'ffsm campaign resume {path}', or choose --database"
+        )
     # Filled under another name, so that a database at ``path`` always holds all cases.
     with (
         _held(path),
@@ -247,7 +310,9 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
         if writing:
             stack.enter_context(_held(path))
         stack.enter_context(_one_line_errors(path))
-        connection = stack.enter_context(contextlib.closing(sqlite3.connect(path, timeout=PATIENCE)))
+        connection = stack.enter_context(
+            contextlib.closing(sqlite3.connect(path, timeout=PATIENCE))
+        )
         if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION_ID:
             raise CampaignError(f"{path}: is not a campaign's database")
         problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
@@ -255,7 +320,9 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
             raise CampaignError(f"{path}: is damaged: {' '.join(problem.split())}")
         notes = dict(connection.execute("SELECT key, value FROM campaign"))
         if notes.get("format") != str(FORMAT):
-            raise CampaignError(f"{path}: format {notes.get('format')} is not the supported {FORMAT}")
+            raise CampaignError(
+                f"{path}: format {notes.get('format')} is not the supported {FORMAT}"
+            )
         if writing:
             connection.execute("PRAGMA journal_mode = WAL")
             connection.execute("PRAGMA synchronous = NORMAL")
@@ -263,36 +330,56 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
             connection.rollback()
         try:
             spec = spec_from_json(notes["specification"], path.parent)
-        except (LookupError, TypeError, AttributeError, ValueError, RecursionError, FfsmError) as error:
-            raise CampaignError(f"{path}: is damaged: it holds no usable specification: {one_line(error)}") from error
+        except (
+            LookupError,
+            TypeError,
+            AttributeError,
+            ValueError,
+            RecursionError,
+            FfsmError,
+        ) as error:
+            raise CampaignError(
+                f"{path}: is damaged: it holds no usable specification: {one_line(error)}"
+            ) from error
         store = Store(connection, path, spec)
         store.check()
         try:
             yield store
         finally:
-            if writing:  # back to a single file, which can be read where nothing may be written; unless others read it
+            # back to a single file, which can be read where nothing may be written; unless others
+            # read it
+            if writing:
                 with contextlib.suppress(sqlite3.Error):
                     connection.execute("PRAGMA busy_timeout = 0")
                     connection.execute("PRAGMA journal_mode = DELETE")
 
 
-def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, folder: Path) -> None:
+def _fill(
+    connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, folder: Path
+) -> None:
     values = [_quoted(name) for name in spec.names]
     results = [f"{name} {'TEXT' if name in _TEXT else 'REAL'}" for name in result_columns(spec)]
-    shown = [*(f"cases.{name}" for name in values), *(f"results.{name}" for name in result_columns(spec))]
+    shown = [
+        *(f"cases.{name}" for name in values),
+        *(f"results.{name}" for name in result_columns(spec)),
+    ]
     with connection:
         connection.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
         connection.execute("CREATE TABLE campaign (key TEXT PRIMARY KEY, value TEXT)")
         connection.execute(
-            f"CREATE TABLE cases (case_index INTEGER PRIMARY KEY, {', '.join(['random_seed', *values])})"
+            "CREATE TABLE cases (case_index INTEGER PRIMARY KEY, "
+            f"{', '.join(['random_seed', *values])})"
         )
         connection.execute("CREATE TABLE software (id INTEGER PRIMARY KEY, versions TEXT UNIQUE)")
         connection.execute(
-            f"CREATE TABLE results (case_index INTEGER REFERENCES cases, controller TEXT, {', '.join(results)}, "
-            "software INTEGER REFERENCES software, PRIMARY KEY (case_index, controller)) WITHOUT ROWID"
+            "CREATE TABLE results (case_index INTEGER REFERENCES cases, controller TEXT, "
+            f"{', '.join(results)}, "
+            "software INTEGER REFERENCES software, PRIMARY KEY (case_index, controller)) WITHOUT "
+            "ROWID"
         )
         connection.execute(
-            f"CREATE VIEW runs AS SELECT cases.case_index, results.controller, cases.random_seed, {', '.join(shown)}, "
+            "CREATE VIEW runs AS SELECT cases.case_index, results.controller, cases.random_seed, "
+            f"{', '.join(shown)}, "
             "software.versions AS software FROM results JOIN cases USING (case_index) "
             "JOIN software ON software.id = results.software"
         )
@@ -311,12 +398,16 @@ def _fill(connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, 
 
 @contextlib.contextmanager
 def _held(path: Path) -> Iterator[None]:
-    """Hold the lock of a database's only writer; it ends with the process, and its file with this block."""
+    """Hold the lock of a database's only writer; it ends with the process, and its file with this
+    block.
+    """
     lock = path.with_name(f".{path.name}.lock")
     while True:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            file = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o644)
+            file = os.open(
+                lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o644
+            )
         except OSError as error:
             raise CampaignError(f"{path}: cannot be written: {one_line(error)}") from error
         try:
@@ -342,8 +433,11 @@ def _one_line_errors(path: Path) -> Iterator[None]:
         yield
     except sqlite3.OperationalError as error:
         raise CampaignError(f"{path}: cannot be used: {one_line(error)}") from error
-    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter: its messages quote the file's bytes
-        raise CampaignError(f"{path}: is damaged or not a campaign's database: {one_line(error)}") from error
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+        # the latter: its messages quote the file's bytes
+        raise CampaignError(
+            f"{path}: is damaged or not a campaign's database: {one_line(error)}"
+        ) from error
 
 
 def result_columns(spec: Spec) -> tuple[str, ...]:
@@ -354,10 +448,16 @@ def result_columns(spec: Spec) -> tuple[str, ...]:
 
 
 def _to_column(value: Any) -> Any:
-    """A value as SQLite keeps it: numbers and text as they are; all else, and text that looks like it, as JSON text."""
+    """A value as SQLite keeps it: numbers and text as they are; all else, and text that looks like
+    it, as JSON text.
+    """
     if isinstance(value, str):
         return json.dumps(value) if _looks_like_json(value) else value
-    return value if isinstance(value, (int, float)) and not isinstance(value, bool) else json.dumps(value)
+    return (
+        value
+        if isinstance(value, (int, float)) and not isinstance(value, bool)
+        else json.dumps(value)
+    )
 
 
 def _looks_like_json(text: str) -> bool:

@@ -1,4 +1,6 @@
-"""The command line ``ffsm``: parses, calls, prints. Nothing heavy is imported before a command runs."""
+"""The command line ``ffsm``: parses, calls, prints. Nothing heavy is imported before a command
+runs.
+"""
 
 import logging
 import os
@@ -18,7 +20,10 @@ from ffsm_drake.cli.show import diagram, plot, replay
 from ffsm_drake.common.workers import ONE_THREAD
 
 
-@click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=CommandGroup,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
 @click.version_option(package_name="ffsm-drake")
 def main() -> None:
     """Simulate and evaluate controllers of a free-flying space manipulator after debris capture.
@@ -33,8 +38,10 @@ def main() -> None:
     """
     for name, threads in ONE_THREAD.items():
         os.environ.setdefault(name, threads)  # read when NumPy loads
-    os.environ["MPLBACKEND"] = "agg"  # figures go to files, whatever the user's windows are made with
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it remarks on a home that cannot be written
+    # figures go to files, whatever the user's windows are made with
+    os.environ["MPLBACKEND"] = "agg"
+    # it remarks on a home that cannot be written
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     folder = str(Path.cwd())
     if folder not in sys.path:  # for module:Class; last, so that it shadows no installed module
         sys.path.append(folder)

@@ -1,4 +1,6 @@
-"""The commands ``ffsm campaign …``. Imports are made when a command runs, so that ``--help`` stays fast."""
+"""The commands ``ffsm campaign …``. Imports are made when a command runs, so that ``--help`` stays
+fast.
+"""
 
 import math
 import os
@@ -26,9 +28,9 @@ _FOLDER = Path("out/campaigns")
 def campaign() -> None:
     """Thousands of runs of a scenario with dispersed values, in one database, with a report.
 
-    A specification (SPEC.yaml, or a shipped name such as payload_uncertainty) says what is dispersed and how; see
-    docs/campaigns.md. Every controller runs the same cases. The results do not depend on
-    the workers.
+    A specification (SPEC.yaml, or a shipped name such as payload_uncertainty) says what is
+    dispersed and how; see docs/campaigns.md. Every controller runs the same cases. The results do
+    not depend on the workers.
 
     \b
     Examples:
@@ -39,16 +41,24 @@ def campaign() -> None:
 
 
 _workers_option = click.option(
-    "--workers", type=click.IntRange(min=1), help="Processes on this machine (default: one per processor)."
+    "--workers",
+    type=click.IntRange(min=1),
+    help="Processes on this machine (default: one per processor).",
 )
 _scheduler_option = click.option(
-    "--scheduler", metavar="ADDRESS", help="Use the workers of a running Dask cluster, such as tcp://127.0.0.1:8786."
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Use the workers of a running Dask cluster, such as tcp://127.0.0.1:8786.",
 )
 _source = click.argument("source", metavar="SPEC|DATABASE")
 _database_option = click.option(
-    "--database", type=click.Path(path_type=Path, dir_okay=False), help="Default: out/campaigns/NAME.db."
+    "--database",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Default: out/campaigns/NAME.db.",
 )
-_cases_option = click.option("--cases", type=click.IntRange(min=1), help="Number of cases instead of the specified.")
+_cases_option = click.option(
+    "--cases", type=click.IntRange(min=1), help="Number of cases instead of the specified."
+)
 
 
 @campaign.command()
@@ -75,10 +85,13 @@ def plan(spec: str, cases: int | None, workers: int | None) -> None:
 @_cases_option
 @_workers_option
 @_scheduler_option
-def run(spec: str, database: Path | None, cases: int | None, workers: int | None, scheduler: str | None) -> None:
+def run(
+    spec: str, database: Path | None, cases: int | None, workers: int | None, scheduler: str | None
+) -> None:
     """Run a campaign into a new database.
 
-    Ctrl-C stops after the current runs (exit code 130); 'resume' continues, as it does after a crash.
+    Ctrl-C stops after the current runs (exit code 130); 'resume' continues, as it does after a
+    crash.
 
     \b
     Examples:
@@ -112,7 +125,8 @@ def resume(source: str, database: Path | None, workers: int | None, scheduler: s
 @_source
 @_database_option
 def status(source: str, database: Path | None) -> None:
-    """Show progress, outcomes so far and memory of the worker processes. Works while the campaign runs.
+    """Show progress, outcomes so far and memory of the worker processes. Works while the campaign
+    runs.
 
     \b
     Example:
@@ -124,16 +138,28 @@ def status(source: str, database: Path | None) -> None:
 @campaign.command()
 @_source
 @_database_option
-@click.option("--case", "case_index", type=click.IntRange(min=0), required=True, help="Number of the case, from 0.")
+@click.option(
+    "--case",
+    "case_index",
+    type=click.IntRange(min=0),
+    required=True,
+    help="Number of the case, from 0.",
+)
 @click.option("--controller", help="Default: every controller of the campaign.")
 @out_option(help="Folder (default: beside the database).")
 @click.option("--no-recording", is_flag=True, help="Write no recording.html.")
 def rerun(
-    source: str, database: Path | None, case_index: int, controller: str | None, out: Path | None, no_recording: bool
+    source: str,
+    database: Path | None,
+    case_index: int,
+    controller: str | None,
+    out: Path | None,
+    no_recording: bool,
 ) -> None:
     """Repeat one case with its full record and recording, and compare with the stored row.
 
-    Exits with 3 when a value differs from the stored one, for instance with other software or another processor.
+    Exits with 3 when a value differs from the stored one, for instance with other software or
+    another processor.
 
     \b
     Example:
@@ -146,7 +172,8 @@ def rerun(
     with open_store(_locate(source, database)) as store:
         if controller is not None and controller not in store.spec.controllers:
             raise CampaignError(
-                f"--controller: '{controller}' is not in it; choose {', '.join(store.spec.controllers)}"
+                f"--controller: '{controller}' is not in it; choose "
+                f"{', '.join(store.spec.controllers)}"
             )
         folder = out or store.path.parent / f"{store.path.stem}-case-{case_index}"
         same = True
@@ -154,7 +181,9 @@ def rerun(
             found = repeat_run(store, store.case(case_index), name)
             same = same and not found.differences
             message = found.repeated["message"]
-            what = f"case {case_index}, {name}: {found.repeated['outcome']}" + (f" ({message})" if message else "")
+            what = f"case {case_index}, {name}: {found.repeated['outcome']}" + (
+                f" ({message})" if message else ""
+            )
             if found.differences:
                 click.echo(f"{what}; NOT as stored: {', '.join(found.differences)}")
                 click.echo(f"  stored by {found.stored['software']}")
@@ -175,9 +204,18 @@ def rerun(
 @_source
 @_database_option
 @out_option(help="Folder (default: beside the database).")
-@click.option("--map", "axes", nargs=2, metavar="X Y", help="Axes of the map (default: the two most influential).")
-def report(source: str, database: Path | None, out: Path | None, axes: tuple[str, str] | None) -> None:
-    """Evaluate a campaign: report.html (one file, opens offline), its figures as PNG, all runs as CSV and Parquet.
+@click.option(
+    "--map",
+    "axes",
+    nargs=2,
+    metavar="X Y",
+    help="Axes of the map (default: the two most influential).",
+)
+def report(
+    source: str, database: Path | None, out: Path | None, axes: tuple[str, str] | None
+) -> None:
+    """Evaluate a campaign: report.html (one file, opens offline), its figures as PNG, all runs as
+    CSV and Parquet.
 
     \b
     Examples:
@@ -191,7 +229,9 @@ def report(source: str, database: Path | None, out: Path | None, axes: tuple[str
     with open_store(_locate(source, database)) as store:
         folder = out or store.path.with_suffix("").with_name(f"{store.path.stem}-report")
         check_writable(folder)  # before the evaluation, which takes a while
-        written = write_report(store, folder, axes=axes, progress=count_progress("controllers predicted"))
+        written = write_report(
+            store, folder, axes=axes, progress=count_progress("controllers predicted")
+        )
         click.echo(written.summary)
         click.echo(f"\nWritten to {folder}: {', '.join(path.name for path in written.files)}")
 
@@ -220,20 +260,34 @@ def _locate(source: str, database: Path | None) -> Path:
     path, spec = database or _default_database(source), load_spec(source)
     with open_store(path) as store:
         # With --cases it may hold fewer or more.
-        if store.spec.fingerprint != spec_from_data({**spec.data, "cases": store.spec.data["cases"]}).fingerprint:
+        if (
+            store.spec.fingerprint
+            != spec_from_data({**spec.data, "cases": store.spec.data["cases"]}).fingerprint
+        ):
             raise CampaignError(
-                f"{path}: holds another campaign than {source} describes; name the database to go on with it"
+                f"{path}: holds another campaign than {source} describes; name the database to go "
+                "on with it"
             )
     return path
 
 
-def _drive(drive: Callable[..., None], path: Path, workers: int | None, scheduler: str | None) -> None:
-    """Start or resume a campaign with the workers that the options name, and say how it stands then."""
+def _drive(
+    drive: Callable[..., None], path: Path, workers: int | None, scheduler: str | None
+) -> None:
+    """Start or resume a campaign with the workers that the options name, and say how it stands
+    then.
+    """
     from ffsm_drake.common.workers import cluster_workers, local_workers, stop_on_signals
 
     if scheduler is not None and workers is not None:
-        raise CampaignError("--workers: the cluster at --scheduler has its own; leave one of them out")
-    crew = cluster_workers(scheduler) if scheduler is not None else local_workers(workers or _processors())
+        raise CampaignError(
+            "--workers: the cluster at --scheduler has its own; leave one of them out"
+        )
+    crew = (
+        cluster_workers(scheduler)
+        if scheduler is not None
+        else local_workers(workers or _processors())
+    )
     with stop_on_signals() as stop, crew as opened, closing(_ProgressLine()) as progress:
         drive(path, workers=opened, stop=stop, progress=progress)
     _print_status(path)
@@ -253,7 +307,9 @@ def _processors() -> int:
 
 
 class _ProgressLine:
-    """A campaign's progress on standard error: a bar that fills up on a terminal, plain lines elsewhere."""
+    """A campaign's progress on standard error: a bar that fills up on a terminal, plain lines
+    elsewhere.
+    """
 
     def __init__(self) -> None:
         self._terminal = sys.stderr.isatty()

@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
 
-from ffsm_drake.common.errors import FfsmError, ModelError, ScenarioError, one_line, warnings_as_lines
+from ffsm_drake.common.errors import (
+    FfsmError,
+    ModelError,
+    ScenarioError,
+    one_line,
+    warnings_as_lines,
+)
 from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:
@@ -23,7 +29,9 @@ EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE = 0, 2, 3
 
 
 class CommandGroup(click.Group):
-    """Lists its commands in the order of use; the package's errors become one line and exit code 2, warnings a line."""
+    """Lists its commands in the order of use; the package's errors become one line and exit code 2,
+    warnings a line.
+    """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -33,7 +41,9 @@ class CommandGroup(click.Group):
             try:
                 text.encode()
             except UnicodeEncodeError:  # bytes of a file's name
-                raise click.UsageError(f"{text!r} is not UTF-8 text; rename the file or folder", ctx) from None
+                raise click.UsageError(
+                    f"{text!r} is not UTF-8 text; rename the file or folder", ctx
+                ) from None
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -80,10 +90,14 @@ def forgiving_stderr() -> None:
 def end_threads(code: Any) -> None:
     """End the process if a controller has left threads for which Python would wait."""
     left = [
-        thread.name for thread in threading.enumerate() if not thread.daemon and thread.ident != threading.get_ident()
+        thread.name
+        for thread in threading.enumerate()
+        if not thread.daemon and thread.ident != threading.get_ident()
     ]
     if left:
-        click.echo(f"warning: ended with threads that were left running: {', '.join(left)}", err=True)
+        click.echo(
+            f"warning: ended with threads that were left running: {', '.join(left)}", err=True
+        )
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):
                 stream.flush()
@@ -110,34 +124,58 @@ scenario_argument = click.argument(
     "scenario", default="postcapture", metavar="[SCENARIO]", shell_complete=complete_scenario
 )
 overrides_option = click.option(
-    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override a scenario value; repeatable."
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Override a scenario value; repeatable.",
 )
-seed_option = click.option("--seed", type=int, help="Seed of the noise; short for --set random_seed=N.")
-json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of text.")
+seed_option = click.option(
+    "--seed", type=int, help="Seed of the noise; short for --set random_seed=N."
+)
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON document instead of text."
+)
 run_argument = click.argument("run", type=click.Path(path_type=Path), metavar="RUN_DIR")
 
 
 def out_option(what: str = "DIR", **settings: Any) -> Callable[..., Any]:
     """The option --out for a folder, or with "FILE" for a file."""
-    return click.option("--out", type=click.Path(path_type=Path, dir_okay=what == "DIR"), metavar=what, **settings)
+    return click.option(
+        "--out", type=click.Path(path_type=Path, dir_okay=what == "DIR"), metavar=what, **settings
+    )
 
 
 def controller_option(*, multiple: bool = False, **settings: Any) -> Callable[..., Any]:
     return click.option(
-        "--controller", "-c", multiple=multiple, metavar="NAME", shell_complete=complete_controller, **settings
+        "--controller",
+        "-c",
+        multiple=multiple,
+        metavar="NAME",
+        shell_complete=complete_controller,
+        **settings,
     )
 
 
 def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add SCENARIO, --controller, --set and --seed, which the command receives as one loaded ``scenario``."""
+    """Add SCENARIO, --controller, --set and --seed, which the command receives as one loaded
+    ``scenario``.
+    """
 
     @scenario_argument
-    @controller_option(help="One of 'ffsm doctor's list, or module:Class. Default: the one that the scenario names.")
+    @controller_option(
+        help="One of 'ffsm doctor's list, or module:Class. Default: the one that "
+        "the scenario names."
+    )
     @overrides_option
     @seed_option
     @functools.wraps(command)
     def wrapped(
-        scenario: str, controller: str | None, overrides: tuple[str, ...], seed: int | None, **rest: Any
+        scenario: str,
+        controller: str | None,
+        overrides: tuple[str, ...],
+        seed: int | None,
+        **rest: Any,
     ) -> Any:
         from ffsm_drake.scenario import load_scenario
 
@@ -153,11 +191,17 @@ def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @contextmanager
 def located_errors(scenario: str, overrides: Sequence[str] = ()) -> Iterator[None]:
-    """Add to errors that appear after loading where their scenario key was given: in the file or by an override."""
+    """Add to errors that appear after loading where their scenario key was given: in the file or by
+    an override.
+    """
     from ffsm_drake.scenario import Scenario, is_overridden, schema_fields
 
     def place_of(key: str) -> str:
-        return "override" if is_overridden(key, [text.partition("=")[0].strip() for text in overrides]) else scenario
+        return (
+            "override"
+            if is_overridden(key, [text.partition("=")[0].strip() for text in overrides])
+            else scenario
+        )
 
     try:
         yield
@@ -192,7 +236,9 @@ def print_json(data: Any) -> None:
 class FiniteFloat(click.FloatRange):
     """A number that is neither NaN nor infinite."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{value!r} is not a finite number.", param, ctx)
@@ -200,7 +246,9 @@ class FiniteFloat(click.FloatRange):
 
 
 class RunProgress:
-    """Progress of one run: one updated line on a terminal, otherwise a line every five simulated seconds."""
+    """Progress of one run: one updated line on a terminal, otherwise a line every five simulated
+    seconds.
+    """
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -226,7 +274,9 @@ def count_progress(what: str) -> Callable[[int, int], None]:
 
     def show(done: int, total: int) -> None:
         if sys.stderr.isatty():
-            click.echo(f"\r{done} of {total} {what}" + ("\n" if done == total else ""), nl=False, err=True)
+            click.echo(
+                f"\r{done} of {total} {what}" + ("\n" if done == total else ""), nl=False, err=True
+            )
 
     return show
 

@@ -39,7 +39,9 @@ def _packages() -> str:
     from ffsm_drake.runs.record import software_versions
 
     versions = software_versions()
-    return ", ".join(f"{name} {versions[name]}" for name in versions if name not in ("python", "platform"))
+    return ", ".join(
+        f"{name} {versions[name]}" for name in versions if name not in ("python", "platform")
+    )
 
 
 def _models() -> str:
@@ -53,7 +55,9 @@ def _models() -> str:
 def _short_run() -> str:
     from ffsm_drake.preflight.simulate import simulate
 
-    record = simulate(override_scenario(load_scenario("postcapture"), ["duration=0.5"]), check_stability=False)
+    record = simulate(
+        override_scenario(load_scenario("postcapture"), ["duration=0.5"]), check_stability=False
+    )
     return f"{record.outcome.message} of simulated time in {record.wall_time['total']:.2f} s"
 
 

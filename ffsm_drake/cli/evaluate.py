@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     """Margins of the sampled loop along the planned motion, without a simulation.
 
-    SCENARIO is a shipped name or a YAML file (default: postcapture). Exits with 3 when the scenario is unstable.
+    SCENARIO is a shipped name or a YAML file (default: postcapture). Exits with 3 when the scenario
+    is unstable.
 
     \b
     Examples:
@@ -49,7 +50,10 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     if as_json:
         print_json(margins_data(margins) | {"boundaries": dataclasses.asdict(boundaries)})
     else:
-        click.echo(f"{margins_table(margins)}\n\n{boundaries_table(boundaries, scenario)}\n\n{margins.verdict}")
+        click.echo(
+            f"{margins_table(margins)}\n\n"
+            f"{boundaries_table(boundaries, scenario)}\n\n{margins.verdict}"
+        )
     if out is not None:
         from ffsm_drake.show.figures.stability import plot_margins
 
@@ -95,19 +99,32 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
 
 @click.command()
 @scenario_options
-@click.option("--budget", type=FiniteFloat(), help="Largest ISV (default: 1.1 times that of perfect tracking).")
 @click.option(
-    "--payload-range", type=FiniteFloat(), nargs=2, metavar="LOW HIGH", help="True masses to be stable for, kg."
+    "--budget",
+    type=FiniteFloat(),
+    help="Largest ISV (default: 1.1 times that of perfect tracking).",
+)
+@click.option(
+    "--payload-range",
+    type=FiniteFloat(),
+    nargs=2,
+    metavar="LOW HIGH",
+    help="True masses to be stable for, kg.",
 )
 @out_option(default=Path("out/design"), show_default=True)
 @json_option
 def design(
-    scenario: "Scenario", budget: float | None, payload_range: tuple[float, float] | None, out: Path, as_json: bool
+    scenario: "Scenario",
+    budget: float | None,
+    payload_range: tuple[float, float] | None,
+    out: Path,
+    as_json: bool,
 ) -> None:
-    """Choose gains and estimator for a scenario's sensors, delays, limits and payload range; never worse than given.
+    """Choose gains and estimator for a scenario's sensors, delays, limits and payload range; never
+    worse than given.
 
-    Writes design.yaml, a scenario to run, and design.png, accuracy against effort. Exits with 3 when the chosen gains
-    are unstable for some payload of the range.
+    Writes design.yaml, a scenario to run, and design.png, accuracy against effort. Exits with 3
+    when the chosen gains are unstable for some payload of the range.
 
     \b
     Examples:
@@ -122,7 +139,9 @@ def design(
     from ffsm_drake.show.tables import design_data, design_table
 
     check_writable(out)
-    found = design_gains(scenario, budget=budget, payload_range=payload_range, progress=count_progress("steps"))
+    found = design_gains(
+        scenario, budget=budget, payload_range=payload_range, progress=count_progress("steps")
+    )
     if as_json:
         print_json(design_data(found))
     else:

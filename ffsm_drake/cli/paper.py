@@ -10,7 +10,13 @@ from ffsm_drake.cli.common import batch_progress, out_option
 @click.command()
 @click.argument("what", type=click.Choice(("table2", "fig3", "fig4", "fig5", "all")), default="all")
 @out_option(default=Path("out/reproduction"), show_default=True)
-@click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Seeds of the noise per cell.")
+@click.option(
+    "--seeds",
+    type=click.IntRange(min=1),
+    default=3,
+    show_default=True,
+    help="Seeds of the noise per cell.",
+)
 def reproduce(what: str, out: Path, seeds: int) -> None:
     """Recompute the paper's table and figures, and evaluate its claims.
 
@@ -27,9 +33,16 @@ def reproduce(what: str, out: Path, seeds: int) -> None:
 
 @click.command()
 @out_option(default=Path("out/noise"), show_default=True)
-@click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds of the noise per point.")
+@click.option(
+    "--seeds",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Seeds of the noise per point.",
+)
 def noise(out: Path, seeds: int) -> None:
-    """What the published gains cost with real sensors: error and effort against noise, all controllers, both estimates.
+    """What the published gains cost with real sensors: error and effort against noise, all
+    controllers, both estimates.
 
     Writes noise.md, noise.csv, noise.png and noise.svg.
 

@@ -5,7 +5,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ffsm_drake.cli.common import json_option, out_option, print_json, scenario_options, scenario_stem
+from ffsm_drake.cli.common import (
+    json_option,
+    out_option,
+    print_json,
+    scenario_options,
+    scenario_stem,
+)
 
 if TYPE_CHECKING:
     from ffsm_drake.scenario import Scenario
@@ -16,11 +22,12 @@ if TYPE_CHECKING:
 @out_option(help="Where plan.yaml and plan.png go (default: out/<scenario>_plan).")
 @json_option
 def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
-    """Plan the least-time or least-effort motion to rest within every limit, as 'planning' in SCENARIO says.
+    """Plan the least-time or least-effort motion to rest within every limit, as 'planning' in
+    SCENARIO says.
 
-    Takes seconds. Prints what the plan takes and how near it comes to each limit. With reference.kind 'optimal' the
-    plan is also written to the file that reference.plan names, and 'run' follows it. Exits with 2 when no motion keeps
-    every limit, and says which is in the way.
+    Takes seconds. Prints what the plan takes and how near it comes to each limit. With
+    reference.kind 'optimal' the plan is also written to the file that reference.plan names, and
+    'run' follows it. Exits with 2 when no motion keeps every limit, and says which is in the way.
 
     \b
     Examples:
@@ -48,4 +55,7 @@ def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     if as_json:
         print_json(plan_data(found) | {"files": list(map(str, files))})
     else:
-        click.echo(f"{plan_table(found)}\n\nWritten to {', '.join(map(str, files))}; {directory / 'plan.png'}")
+        click.echo(
+            f"{plan_table(found)}\n\nWritten to {', '.join(map(str, files))}; "
+            f"{directory / 'plan.png'}"
+        )

@@ -33,10 +33,13 @@ if TYPE_CHECKING:
     from ffsm_drake.scenario import Scenario
 
 _out = out_option(
-    help="Default: out/ and the scenario's name, with the controller's where another is chosen. A run that is there "
+    help="Default: out/ and the scenario's name, with the controller's where another is chosen. A "
+    "run that is there "
     "already is replaced, with a warning if its settings were others."
 )
-_report = click.option("--report/--no-report", default=True, show_default=True, help="Write report.html.")
+_report = click.option(
+    "--report/--no-report", default=True, show_default=True, help="Write report.html."
+)
 
 
 @click.command()
@@ -45,14 +48,25 @@ _report = click.option("--report/--no-report", default=True, show_default=True, 
 @json_option
 @_report
 @click.option("--meshcat", is_flag=True, help="Run live in the browser, at real time.")
-@click.option("--controls", is_flag=True, help="Likewise, with an operator's panel that a code printed here unlocks.")
-def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, meshcat: bool, controls: bool) -> None:
+@click.option(
+    "--controls",
+    is_flag=True,
+    help="Likewise, with an operator's panel that a code printed here unlocks.",
+)
+def run(
+    scenario: "Scenario",
+    out: Path | None,
+    as_json: bool,
+    report: bool,
+    meshcat: bool,
+    controls: bool,
+) -> None:
     """Run a scenario and write its record and report.
 
-    SCENARIO is a shipped name (see 'ffsm scenarios'), a YAML file, or a run's folder: that run is repeated, into
-    out/NAME_again, and the two records are compared. The folder then holds record.nc, metrics.json,
-    manifest.json and report.html, one page with results, plots, recording, findings and margins. With --controls each
-    run has its own folder.
+    SCENARIO is a shipped name (see 'ffsm scenarios'), a YAML file, or a run's folder: that run is
+    repeated, into out/NAME_again, and the two records are compared. The folder then holds
+    record.nc, metrics.json, manifest.json and report.html, one page with results, plots, recording,
+    findings and margins. With --controls each run has its own folder.
 
     \b
     Examples:
@@ -65,7 +79,9 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
     from ffsm_drake.spacecraft.plant import check_pictures
 
     repeated = repeated_run()
-    directory = out or Path("out") / (f"{scenario_stem()}_again" if repeated else _stem_of(scenario))
+    directory = out or Path("out") / (
+        f"{scenario_stem()}_again" if repeated else _stem_of(scenario)
+    )
     check_writable(directory)  # before the run, which may take a while
     if report or meshcat or controls:
         check_pictures(scenario.model)
@@ -84,8 +100,12 @@ def run(scenario: "Scenario", out: Path | None, as_json: bool, report: bool, mes
     from ffsm_drake.show.meshcat.interactive import run_interactive
 
     click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
-    folders = (folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists())
-    records = run_interactive(scenario, open_browser=True, keep=lambda record: record.save(next(folders)))
+    folders = (
+        folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists()
+    )
+    records = run_interactive(
+        scenario, open_browser=True, keep=lambda record: record.save(next(folders))
+    )
     sys.exit(_finish(records, directory, as_json=as_json, report=report) if records else EXIT_GOOD)
 
 
@@ -106,7 +126,8 @@ def compare(
     as_json: bool,
     report: bool,
 ) -> None:
-    """Run several controllers on the same scenario with the same noise; overlay and rank them, the best first.
+    """Run several controllers on the same scenario with the same noise; overlay and rank them, the
+    best first.
 
     Writes one folder per controller, and report.html beside them.
 
@@ -132,8 +153,11 @@ def compare(
     check_writable(directory)
     if report:
         check_pictures(base.model)
-    scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]  # checked before any of them runs
-    _tell_replaced(zip([directory / folder for folder in folders], scenarios, strict=True), directory)
+    # checked before any of them runs
+    scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]
+    _tell_replaced(
+        zip([directory / folder for folder in folders], scenarios, strict=True), directory
+    )
     records: list[RunRecord] = []
     for chosen, folder in zip(scenarios, folders, strict=True):
         with located_errors(scenario, overrides):
@@ -142,7 +166,9 @@ def compare(
         records.append(record)
         if record.outcome.status == "interrupted":
             break
-    sys.exit(_finish(records, directory, as_json=as_json, report=report, distances=_distances(records)))
+    sys.exit(
+        _finish(records, directory, as_json=as_json, report=report, distances=_distances(records))
+    )
 
 
 def _distances(records: Sequence["RunRecord"]) -> list[float]:
@@ -160,15 +186,21 @@ def _distances(records: Sequence["RunRecord"]) -> list[float]:
 
 
 def _stem_of(scenario: "Scenario") -> str:
-    """A folder name for a run, with the controller where it is not the scenario's own: no run replaces another's."""
+    """A folder name for a run, with the controller where it is not the scenario's own: no run
+    replaces another's.
+    """
     from ffsm_drake.scenario import controller_key, load_scenario
 
     own = load_scenario(click.get_current_context().params["scenario"]).controller
-    return scenario_stem() + ("" if scenario.controller == own else f"_{controller_key(scenario.controller)}")
+    return scenario_stem() + (
+        "" if scenario.controller == own else f"_{controller_key(scenario.controller)}"
+    )
 
 
 def _tell_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) -> None:
-    """Say so, in a line, when one of the runs planned in a directory will take the place of one with other settings."""
+    """Say so, in a line, when one of the runs planned in a directory will take the place of one
+    with other settings.
+    """
     from ffsm_drake.common.errors import FfsmError
     from ffsm_drake.preflight.simulate import repeatable_scenario
     from ffsm_drake.scenario import MANIFEST_FILE, differing_keys, load_scenario
@@ -184,8 +216,14 @@ def _tell_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) 
         else:
             if not keys:
                 continue
-            old = f"a run with other settings ({', '.join(keys[:3])}{', ...' if len(keys) > 3 else ''})"
-        click.echo(f"warning: {directory}: {old} will be replaced; to keep it, give another --out", err=True)
+            old = (
+                "a run with other settings "
+                f"({', '.join(keys[:3])}{', ...' if len(keys) > 3 else ''})"
+            )
+        click.echo(
+            f"warning: {directory}: {old} will be replaced; to keep it, give another --out",
+            err=True,
+        )
         return
 
 
@@ -205,12 +243,16 @@ def _simulate(scenario: "Scenario") -> "RunRecord":
 
 
 def _places(records: Sequence["RunRecord"]) -> list[int]:
-    """The places of the records by accuracy (ITAE), the best first; runs that ended early stand last."""
+    """The places of the records by accuracy (ITAE), the best first; runs that ended early stand
+    last.
+    """
     order = ("completed", "interrupted", "diverged")
 
     def key(k: int) -> tuple[int, float]:
         outcome = records[k].outcome
-        return order.index(outcome.status), records[k].metrics["itae"] if outcome.completed else -outcome.time
+        return order.index(outcome.status), records[k].metrics[
+            "itae"
+        ] if outcome.completed else -outcome.time
 
     return sorted(range(len(records)), key=key)
 
@@ -235,7 +277,9 @@ def _finish(
             click.echo(f"warning: {record.scenario.controller}: {remark}", err=True)
         with suppress(ModelError):  # of which the remarks tell
             for closest in run_clearance(record):
-                click.echo(f"{record.scenario.controller}: nearest to each other: {closest}", err=True)
+                click.echo(
+                    f"{record.scenario.controller}: nearest to each other: {closest}", err=True
+                )
     if not as_json:
         placed = _places(records)
         shown = None if distances is None else [distances[k] for k in placed]
@@ -247,7 +291,9 @@ def _finish(
     if as_json:
         print_json({"directory": str(directory), "runs": results_data(records, distances)})
     else:
-        click.echo(f"\nWritten to {directory}" + (f"; open {directory / REPORT_FILE}" if report else ""))
+        click.echo(
+            f"\nWritten to {directory}" + (f"; open {directory / REPORT_FILE}" if report else "")
+        )
     statuses = {record.outcome.status for record in records}
     if "interrupted" in statuses:
         return exit_code()

@@ -1,4 +1,6 @@
-"""Commands around scenarios and the installation: new, scenarios, validate, schema, doctor, completion."""
+"""Commands around scenarios and the installation: new, scenarios, validate, schema, doctor,
+completion.
+"""
 
 import dataclasses
 import os
@@ -20,7 +22,9 @@ from ffsm_drake.cli.common import (
 )
 
 
-def _packages(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, Path]:
+def _packages(
+    ctx: click.Context, param: click.Parameter, values: tuple[str, ...]
+) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for value in values:
         name, equals, folder = value.partition("=")
@@ -32,11 +36,15 @@ def _packages(ctx: click.Context, param: click.Parameter, values: tuple[str, ...
     return found
 
 
-def _sizes(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, ...] | None:
+def _sizes(
+    ctx: click.Context, param: click.Parameter, value: str | None
+) -> tuple[float, ...] | None:
     try:
         return None if value is None else tuple(float(part) for part in value.split(","))
     except ValueError:
-        raise click.BadParameter(f"'{value}' must be a side in m, or three such as 1.2,1.2,1.5") from None
+        raise click.BadParameter(
+            f"'{value}' must be a side in m, or three such as 1.2,1.2,1.5"
+        ) from None
 
 
 def _target(value: str | None) -> tuple[float | None, Path | None]:
@@ -49,19 +57,43 @@ def _target(value: str | None) -> tuple[float | None, Path | None]:
 
 @click.command()
 @click.argument("directory", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--urdf", required=True, type=click.Path(path_type=Path), metavar="FILE", help="URDF of base and arm.")
-@click.option("--tip", metavar="FRAME", help="Link or frame that holds the target (default: end of the longest chain).")
 @click.option(
-    "--package", "packages", multiple=True, callback=_packages, metavar="NAME=FOLDER",
-    help="Where package://NAME/ of a mesh is; repeatable. Folders above the URDF are looked through anyway.",
-)  # fmt: skip
+    "--urdf",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="URDF of base and arm.",
+)
 @click.option(
-    "--target", "--payload-mass", "target", metavar="KG|FILE",
-    help="The target: its mass, as a cube of 1 m, or its URDF (default: a quarter of the base's mass).",
-)  # fmt: skip
-@click.option("--bus-mass", type=float, metavar="KG", help="For an arm alone: mount it on a box of this mass.")
+    "--tip",
+    metavar="FRAME",
+    help="Link or frame that holds the target (default: end of the longest chain).",
+)
 @click.option(
-    "--bus-size", callback=_sizes, metavar="M|X,Y,Z", help="Sides of that box (default: a cube of 50 kg/m^3)."
+    "--package",
+    "packages",
+    multiple=True,
+    callback=_packages,
+    metavar="NAME=FOLDER",
+    help="Where package://NAME/ of a mesh is; repeatable. Folders above the URDF are looked "
+    "through anyway.",
+)
+@click.option(
+    "--target",
+    "--payload-mass",
+    "target",
+    metavar="KG|FILE",
+    help="The target: its mass, as a cube of 1 m, or its URDF (default: a quarter of the base's "
+    "mass).",
+)
+@click.option(
+    "--bus-mass", type=float, metavar="KG", help="For an arm alone: mount it on a box of this mass."
+)
+@click.option(
+    "--bus-size",
+    callback=_sizes,
+    metavar="M|X,Y,Z",
+    help="Sides of that box (default: a cube of 50 kg/m^3).",
 )
 @json_option
 def new(
@@ -76,22 +108,31 @@ def new(
 ) -> None:
     """Start a scenario for your own servicer from its URDF.
 
-    DIR is a new folder. It gets DIR/<name of DIR>.yaml, commented and ready to run with every shipped controller, a
-    copy of the URDF that Drake loads, and the meshes that can be drawn. It can be edited, moved or sent.
+    DIR is a new folder. It gets DIR/<name of DIR>.yaml, commented and ready to run with every
+    shipped controller, a copy of the URDF that Drake loads, and the meshes that can be drawn. It
+    can be edited, moved or sent.
 
     \b
     Examples:
       ffsm new mine --urdf my_robot.urdf
       ffsm new mine --urdf my_robot.urdf --tip left_tool --target 30
       ffsm new mine --urdf ur5.urdf --bus-mass 400 --bus-size 1.2,1.2,1.5 --target stage.urdf
-      ffsm new mine --urdf my_robot.urdf --package my_robot_description=~/ws/src/my_robot_description
+      ffsm new mine --urdf my_robot.urdf --package
+      my_robot_description=~/ws/src/my_robot_description
     """
     from ffsm_drake.control_design.first_scenario import new_scenario
 
     folders = {name: folder.expanduser() for name, folder in packages.items()}
     mass, file = _target(target)
     made = new_scenario(
-        urdf, directory, tip=tip, packages=folders, payload_mass=mass, target=file, bus_mass=bus_mass, bus_size=bus_size
+        urdf,
+        directory,
+        tip=tip,
+        packages=folders,
+        payload_mass=mass,
+        target=file,
+        bus_mass=bus_mass,
+        bus_size=bus_size,
     )
     if as_json:
         print_json(made.data())
@@ -130,14 +171,17 @@ def scenarios(name: str | None, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("scenarios", nargs=-1, required=True, metavar="SCENARIO...", shell_complete=complete_scenario)
+@click.argument(
+    "scenarios", nargs=-1, required=True, metavar="SCENARIO...", shell_complete=complete_scenario
+)
 @overrides_option
 @json_option
 def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bool) -> None:
-    """Check scenarios, their models and controllers, as 'run' does, without a run. Exits with 2 if one cannot be used.
+    """Check scenarios, their models and controllers, as 'run' does, without a run. Exits with 2 if
+    one cannot be used.
 
-    An unstable loop, or a plan that leaves the joints' limits, can be run: it is a warning, and exits with 0, as 'run'
-    warns and goes on. With --json, 'warnings' lists them.
+    An unstable loop, or a plan that leaves the joints' limits, can be run: it is a warning, and
+    exits with 0, as 'run' warns and goes on. With --json, 'warnings' lists them.
 
     \b
     Examples:
@@ -180,7 +224,10 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
                     click.echo(f"warning: {name}: {text}", err=True)
                 joints = len(loop.coordinates.joints)
                 nearest = "".join(f"; plan: {each}" for each in closest)
-                click.echo(f"{name}: valid; {loop.scenario.controller}, free base and {joints} joints{nearest}")
+                click.echo(
+                    f"{name}: valid; {loop.scenario.controller}, free base and {joints} "
+                    f"joints{nearest}"
+                )
                 for line in momentum_lines(budget):
                     click.echo(f"{name}: {line}")
         except FfsmError as error:
@@ -194,7 +241,8 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
 
 @click.command()
 def schema() -> None:
-    """The scenario file's JSON Schema, with the unit and meaning of every key, for editors and checkers.
+    """The scenario file's JSON Schema, with the unit and meaning of every key, for editors and
+    checkers.
 
     \b
     Example:
@@ -212,7 +260,8 @@ def schema() -> None:
 @click.command()
 @json_option
 def doctor(as_json: bool) -> None:
-    """Check this installation: versions, models, controllers, a short run, the browser view, Graphviz.
+    """Check this installation: versions, models, controllers, a short run, the browser view,
+    Graphviz.
 
     Exits with 2 when something required is missing.
 

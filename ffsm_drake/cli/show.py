@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN_DIR...")
+@click.argument(
+    "runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN_DIR..."
+)
 @out_option(help="Default: the first RUN_DIR.")
 def plot(runs: tuple[Path, ...], out: Path | None) -> None:
     """Draw the figures of a recorded run, or of several overlaid, as PNG and SVG.
@@ -38,7 +40,10 @@ def plot(runs: tuple[Path, ...], out: Path | None) -> None:
     check_writable(directory)
     records = [RunRecord.load(run) for run in runs]
     for run, record in zip(runs, records, strict=True):
-        if record.dataset.coordinate.values.tolist() != records[0].dataset.coordinate.values.tolist():
+        if (
+            record.dataset.coordinate.values.tolist()
+            != records[0].dataset.coordinate.values.tolist()
+        ):
             raise RecordError(f"{run}: has other joints than {runs[0]}; draw them separately")
     written = save_figures(records, directory)
     click.echo(f"Written to {directory}: {', '.join(path.name for path in written)}")
@@ -60,14 +65,19 @@ def diagram(scenario: "Scenario", out: Path | None) -> None:
 
     if out is not None:
         if not out.name:
-            raise click.UsageError(f"--out: '{out}' is not a file's name; give one, such as loop.svg")
+            raise click.UsageError(
+                f"--out: '{out}' is not a file's name; give one, such as loop.svg"
+            )
         check_writable(out.parent)
     dot = closed_loop_dot(scenario)
     if out is None:
         click.echo(dot)
         return
     remark = write_diagram(dot, out.with_suffix(".dot"))
-    click.echo(f"Written to {out.with_suffix('.dot')}" + ("" if remark else f" and {out.with_suffix('.svg').name}"))
+    click.echo(
+        f"Written to {out.with_suffix('.dot')}"
+        + ("" if remark else f" and {out.with_suffix('.svg').name}")
+    )
     if remark:
         click.echo(remark, err=True)
 
@@ -75,13 +85,27 @@ def diagram(scenario: "Scenario", out: Path | None) -> None:
 @click.command()
 @run_argument
 @click.option("--speed", type=float, default=1.0, show_default=True, help="Times real time.")
-@click.option("--ghost/--no-ghost", default=True, show_default=True, help="The target posture, translucent.")
+@click.option(
+    "--ghost/--no-ghost", default=True, show_default=True, help="The target posture, translucent."
+)
 @click.option("--path/--no-path", default=True, show_default=True, help="The end effector's path.")
-@click.option("--forces/--no-forces", default=True, show_default=True, help="Control and disturbance as arrows.")
-@click.option("--live", is_flag=True, help="Serve it on this machine, with a time slider, until Quit or Ctrl-C.")
+@click.option(
+    "--forces/--no-forces",
+    default=True,
+    show_default=True,
+    help="Control and disturbance as arrows.",
+)
+@click.option(
+    "--live",
+    is_flag=True,
+    help="Serve it on this machine, with a time slider, until Quit or Ctrl-C.",
+)
 @out_option("FILE", help="Default: recording.html in RUN_DIR.")
-def replay(run: Path, speed: float, ghost: bool, path: bool, forces: bool, live: bool, out: Path | None) -> None:
-    """Play a recorded run back, without simulating it again: as a page to open and send, or live with a time slider.
+def replay(
+    run: Path, speed: float, ghost: bool, path: bool, forces: bool, live: bool, out: Path | None
+) -> None:
+    """Play a recorded run back, without simulating it again: as a page to open and send, or live
+    with a time slider.
 
     \b
     Examples:

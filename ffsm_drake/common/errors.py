@@ -12,11 +12,17 @@ _LONGEST = 1500  # characters of an error that quotes what it was given
 
 
 class FfsmError(Exception):
-    """Base of every error caused by bad input; its text is one line, and its middle left out where that is endless."""
+    """Base of every error caused by bad input; its text is one line, and its middle left out where
+    that is endless.
+    """
 
     def __init__(self, text: str) -> None:
         line = " ".join(text.splitlines())
-        super().__init__(line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}")
+        super().__init__(
+            line
+            if len(line) <= _LONGEST
+            else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+        )
 
 
 class ScenarioError(FfsmError):
@@ -64,7 +70,9 @@ class InterruptedCampaign(KeyboardInterrupt):
     """The campaign was asked to stop; finished runs are stored."""
 
     def __init__(self, done: int, total: int) -> None:
-        super().__init__(f"interrupted with {done} of {total} runs stored; 'ffsm campaign resume' finishes them")
+        super().__init__(
+            f"interrupted with {done} of {total} runs stored; 'ffsm campaign resume' finishes them"
+        )
 
 
 class WorkersError(FfsmError):
@@ -81,7 +89,9 @@ def one_line(error: BaseException) -> str:
 
 
 def did_you_mean(name: object, valid: Iterable[str]) -> str:
-    """``; did you mean 'x'?`` with the closest valid name, or an empty string when none is close."""
+    """``; did you mean 'x'?`` with the closest valid name, or an empty string when none is
+    close.
+    """
     close = difflib.get_close_matches(str(name), list(valid), n=1)
     return f"; did you mean '{close[0]}'?" if close else ""
 

@@ -1,6 +1,7 @@
 """Files: written whole or not at all, and looked at before they are opened.
 
-A reader never sees half a file, or half of what belongs together; a failed write keeps what was there.
+A reader never sees half a file, or half of what belongs together; a failed write keeps what was
+there.
 """
 
 import csv
@@ -19,7 +20,8 @@ from ffsm_drake.common.interrupts import undisturbed, unfinished
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside ``path`` to write to, and rename it into place when the block succeeds.
+    """Give a temporary path beside ``path`` to write to, and rename it into place when the block
+    succeeds.
 
     Creates missing folders. Raises RecordError when the place cannot be written.
     """
@@ -35,10 +37,12 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def published(directory: Path, *, outdated: Iterable[str] = ()) -> Iterator[Path]:
-    """Give a new folder to write files to, which become those of ``directory`` together when the block succeeds.
+    """Give a new folder to write files to, which become those of ``directory`` together when the
+    block succeeds.
 
-    Where there is no such folder, the new one is renamed. An existing one stays (it may be somebody's current folder,
-    and hold other files): its files of the same names and the ``outdated`` ones are exchanged, or all put back.
+    Where there is no such folder, the new one is renamed. An existing one stays (it may be
+    somebody's current folder, and hold other files): its files of the same names and the
+    ``outdated`` ones are exchanged, or all put back.
 
     Raises:
       RecordError: the place cannot be written.
@@ -46,7 +50,11 @@ def published(directory: Path, *, outdated: Iterable[str] = ()) -> Iterator[Path
     place = directory.absolute()
     try:
         exists = place.is_dir()
-        new = place / f".{os.getpid()}.partial" if exists else place.with_name(f".{place.name}.{os.getpid()}.partial")
+        new = (
+            place / f".{os.getpid()}.partial"
+            if exists
+            else place.with_name(f".{place.name}.{os.getpid()}.partial")
+        )
         with unfinished(new):
             new.mkdir(parents=True, exist_ok=True)
             yield new
@@ -60,14 +68,20 @@ def published(directory: Path, *, outdated: Iterable[str] = ()) -> Iterator[Path
 
 
 def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:
-    """Move all files of a folder within ``directory`` into that; what they replace goes, with what is ``outdated``."""
+    """Move all files of a folder within ``directory`` into that; what they replace goes, with what
+    is ``outdated``.
+    """
     names = [path.name for path in new.iterdir()]
     for name in names:
         if (directory / name).is_dir():
             raise IsADirectoryError(f"{directory / name} is a folder; move it away")
     old = new / "old"
     old.mkdir()
-    moves = [(directory / name, old / name) for name in (*names, *outdated) if os.path.lexists(directory / name)]
+    moves = [
+        (directory / name, old / name)
+        for name in (*names, *outdated)
+        if os.path.lexists(directory / name)
+    ]
     moves += [(new / name, directory / name) for name in names]
     done: list[tuple[Path, Path]] = []
     try:
@@ -82,7 +96,9 @@ def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:
 
 @contextmanager
 def same_folder() -> Iterator[None]:
-    """Return to the current folder when the block ends: a user-supplied controller may have left it."""
+    """Return to the current folder when the block ends: a user-supplied controller may have left
+    it.
+    """
     try:
         before = os.open(".", os.O_RDONLY)
     except OSError:  # deleted, or not to be read
@@ -97,7 +113,8 @@ def same_folder() -> Iterator[None]:
 
 
 def check_regular(path: Path, *, limit: int) -> None:
-    """Raise OSError unless a file may be opened: not a device or a FIFO, which may never end, nor beyond its limit.
+    """Raise OSError unless a file may be opened: not a device or a FIFO, which may never end, nor
+    beyond its limit.
 
     Args:
       limit: of the size, bytes.
@@ -112,21 +129,30 @@ def check_regular(path: Path, *, limit: int) -> None:
 
 
 def check_writable(directory: Path) -> None:
-    """Raise RecordError unless files could be written into a folder, which need not exist; creates nothing."""
+    """Raise RecordError unless files could be written into a folder, which need not exist; creates
+    nothing.
+    """
     place = directory.absolute()
     try:
         while not _exists(place):
             place = place.parent
         if not place.is_dir():
-            raise RecordError(f"{directory}: cannot be written: {place} is not a folder; give another one")
+            raise RecordError(
+                f"{directory}: cannot be written: {place} is not a folder; give another one"
+            )
         if not os.access(place, os.W_OK | os.X_OK):
-            raise RecordError(f"{directory}: cannot be written: no permission to write into {place}; give another one")
+            raise RecordError(
+                f"{directory}: cannot be written: no permission to write into "
+                f"{place}; give another one"
+            )
     except (OSError, ValueError) as error:  # too long, holds a null character, ...
         raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
 
 
 def _exists(path: Path) -> bool:
-    """Like os.path.lexists, but raises OSError for an impossible name or a folder without permission."""
+    """Like os.path.lexists, but raises OSError for an impossible name or a folder without
+    permission.
+    """
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError):
@@ -141,10 +167,18 @@ def write_text(path: Path, text: str) -> None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows of the same columns as comma-separated values; numbers with eight digits, empty where not finite."""
+    """Rows of the same columns as comma-separated values; numbers with eight digits, empty where
+    not finite.
+    """
 
     def cell(value: Any) -> Any:
-        return value if not isinstance(value, float) else f"{value:.8g}" if math.isfinite(value) else ""
+        return (
+            value
+            if not isinstance(value, float)
+            else f"{value:.8g}"
+            if math.isfinite(value)
+            else ""
+        )
 
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")

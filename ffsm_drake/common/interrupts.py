@@ -1,9 +1,12 @@
-"""Ctrl-C and SIGTERM on the command line: the process ends, at any moment, with 130 or 143 and no partial file.
+"""Ctrl-C and SIGTERM on the command line: the process ends, at any moment, with 130 or 143 and no
+partial file.
 
-An exception at any moment would not do: within an import it becomes an ImportError, within a callback of a library it
-is printed and forgotten. So the handler itself ends the process, after it has removed what is unfinished. Only within
-``interruptible`` does a first signal raise KeyboardInterrupt, and within ``undisturbed`` it waits. In a program that
-does not ``handle_signals`` these change nothing. Imported before anything else, this imports next to nothing.
+An exception at any moment would not do: within an import it becomes an ImportError, within a
+callback of a library it is printed and forgotten. So the handler itself ends the process, after it
+has removed what is unfinished. Only within ``interruptible`` does a first signal raise
+KeyboardInterrupt, and within ``undisturbed`` it waits. In a program that does not
+``handle_signals`` these change nothing. Imported before anything else, this imports next to
+nothing.
 """
 
 import contextlib
@@ -39,7 +42,9 @@ class Interrupts:
 
 
 def handle_signals() -> None:
-    """End this process on Ctrl-C and SIGTERM as described above; a signal that is ignored stays so."""
+    """End this process on Ctrl-C and SIGTERM as described above; a signal that is ignored stays
+    so.
+    """
     interrupts = Interrupts()
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:
@@ -68,7 +73,9 @@ def exit_code() -> int:
 
 @contextlib.contextmanager
 def interruptible() -> "Iterator[Interrupts]":
-    """Within, a first Ctrl-C or SIGTERM raises KeyboardInterrupt; what is given remembers it, should that be lost."""
+    """Within, a first Ctrl-C or SIGTERM raises KeyboardInterrupt; what is given remembers it,
+    should that be lost.
+    """
     interrupts = current() or Interrupts()
     before, interrupts.raises = interrupts.raises, True
     try:

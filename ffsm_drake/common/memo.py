@@ -16,7 +16,8 @@ _LEAVES = (str, bytes, int, type(None), type, enum.Enum)
 
 
 def memoized(*, maxsize: int, besides: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """A decorator that keeps the results of a function, by the content of its arguments (``content_of``).
+    """A decorator that keeps the results of a function, by the content of its arguments
+    (``content_of``).
 
     Every caller gets lists, mappings, sets and dataclasses of its own, and arrays that are
     read-only; other objects are shared.
@@ -56,7 +57,8 @@ def content_of(value: Any) -> Hashable:
     """Equal for values of equal type and content, and for no others.
 
     Dataclasses and Drake's structs count by every field, arrays by type, shape and bytes, mappings
-    and sequences by their items in order, files (``Path``) by name and the time of their last change.
+    and sequences by their items in order, files (``Path``) by name and the time of their last
+    change.
 
     Raises TypeError for anything else: what it holds cannot be told.
     """

@@ -21,14 +21,18 @@ class TimeLimit(BaseException):
 def time_limit(seconds: float) -> Iterator[None]:
     """Within, TimeLimit is raised after ``seconds`` of wall time.
 
-    It interrupts Python in the main thread. A worker process whose code does not let itself be interrupted (compiled
-    code, or a thread of a cluster's worker) is ended GRACE later; elsewhere such code has no limit.
+    It interrupts Python in the main thread. A worker process whose code does not let itself be
+    interrupted (compiled code, or a thread of a cluster's worker) is ended GRACE later; elsewhere
+    such code has no limit.
     """
 
     def handle(number: int, frame: Any) -> None:
         raise TimeLimit(f"took longer than {seconds:g} s of wall time (time_limit)")
 
-    is_main, is_worker = threading.current_thread() is threading.main_thread(), parent_process() is not None
+    is_main, is_worker = (
+        threading.current_thread() is threading.main_thread(),
+        parent_process() is not None,
+    )
     with contextlib.ExitStack() as stack:
         if is_worker:
             nowhere = stack.enter_context(open(os.devnull, "w", encoding="ascii"))

@@ -1,10 +1,12 @@
-"""The one process pool: tasks on any ``concurrent.futures`` executor, with lost workers replaced and tasks repeated.
+"""The one process pool: tasks on any ``concurrent.futures`` executor, with lost workers replaced
+and tasks repeated.
 
-``map_tasks`` is for a list of tasks on this machine; ``run_tasks`` takes tasks one by one, also on a Dask cluster.
+``map_tasks`` is for a list of tasks on this machine; ``run_tasks`` takes tasks one by one, also on
+a Dask cluster.
 
-A process that dies breaks its local pool, and every task in flight is lost with it; nobody says which task was to
-blame. So the tasks that were in flight are repeated one at a time. A task that is alone when its worker dies,
-``ATTEMPTS`` times, is given up as WorkerLost.
+A process that dies breaks its local pool, and every task in flight is lost with it; nobody says
+which task was to blame. So the tasks that were in flight are repeated one at a time. A task that is
+alone when its worker dies, ``ATTEMPTS`` times, is given up as WorkerLost.
 """
 
 import contextlib
@@ -17,7 +19,14 @@ import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from multiprocessing import get_context, parent_process
 from typing import Any, Generic, TypeVar
 
@@ -25,9 +34,17 @@ from ffsm_drake.common.errors import FfsmError, WorkersError, one_line
 from ffsm_drake.common.interrupts import Interrupts, current
 
 ATTEMPTS = 3
-# Library threads per process: the workers fill the machine, and a manipulator's matrices are too small to share out.
+# Library threads per process: the workers fill the machine, and a manipulator's matrices are too
+# small to share out.
 ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+        "NUMEXPR_NUM_THREADS",
+    ),
+    "1",
 )
 _POLL = 0.5  # s, after which a request to stop is noticed at the latest
 
@@ -43,7 +60,8 @@ class WorkerLost:
 class Workers:
     """Where tasks are run.
 
-    ``open`` gives a fresh executor; the one before, if any, is shut down by then or finishing its last tasks.
+    ``open`` gives a fresh executor; the one before, if any, is shut down by then or finishing its
+    last tasks.
     """
 
     open: Callable[[], Executor]
@@ -53,12 +71,16 @@ class Workers:
 
 @contextlib.contextmanager
 def local_workers(count: int) -> Iterator[Workers]:
-    """Spawned processes on this machine, one library thread each, that end when this process does."""
+    """Spawned processes on this machine, one library thread each, that end when this process
+    does.
+    """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)  # inherited by the workers, and read there when NumPy loads
     try:
         yield Workers(
-            open=lambda: ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_follow_parent),
+            open=lambda: ProcessPoolExecutor(
+                count, mp_context=get_context("spawn"), initializer=_follow_parent
+            ),
             in_flight=lambda: 2 * count,
             renewable=True,
         )
@@ -72,7 +94,8 @@ def local_workers(count: int) -> Iterator[Workers]:
 
 @contextlib.contextmanager
 def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers]:
-    """The workers of a running Dask cluster, by its scheduler's address, such as tcp://127.0.0.1:8786.
+    """The workers of a running Dask cluster, by its scheduler's address, such as
+    tcp://127.0.0.1:8786.
 
     Waits ``patience`` seconds for the scheduler and its first worker.
 
@@ -83,16 +106,22 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
     try:
         distributed: Any = importlib.import_module("distributed")  # optional, and without types
     except ImportError:
-        raise WorkersError("a Dask cluster needs the extra 'cluster': pip install 'ffsm-drake[cluster]'") from None
+        raise WorkersError(
+            "a Dask cluster needs the extra 'cluster': pip install 'ffsm-drake[cluster]'"
+        ) from None
     try:
         client = distributed.Client(address, timeout=patience, set_as_default=False)
     except Exception as error:
-        raise WorkersError(f"{address}: no Dask scheduler answers there: {one_line(error)}") from error
+        raise WorkersError(
+            f"{address}: no Dask scheduler answers there: {one_line(error)}"
+        ) from error
     with client:
         try:
             client.wait_for_workers(1, timeout=patience)
         except TimeoutError:
-            raise WorkersError(f"{address}: no worker joined the cluster within {patience:g} s") from None
+            raise WorkersError(
+                f"{address}: no worker joined the cluster within {patience:g} s"
+            ) from None
         yield Workers(
             # Not pure: Dask must not reuse the result of a task with equal arguments.
             open=lambda: client.get_executor(pure=False),
@@ -102,11 +131,15 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
 
 
 def _check_address(address: str) -> None:
-    """Raise WorkersError for what cannot be a scheduler's address: Dask would try it until its patience ends."""
+    """Raise WorkersError for what cannot be a scheduler's address: Dask would try it until its
+    patience ends.
+    """
     form = r"(?:(?:tcp|tls|wss?)://)?(\[[0-9a-fA-F:.]+(?:%\w+)?\]|[\w.-]+):(\d{1,5})"
     found = re.fullmatch(form, address, re.ASCII)
     if found is None or not 0 < int(found[2]) < 2**16:
-        raise WorkersError(f"'{address}': is not an address such as tcp://127.0.0.1:8786, with tcp, tls, ws or wss")
+        raise WorkersError(
+            f"'{address}': is not an address such as tcp://127.0.0.1:8786, with tcp, tls, ws or wss"
+        )
     try:
         socket.getaddrinfo(found[1].strip("[]"), int(found[2]))
     except (OSError, UnicodeError) as error:
@@ -139,7 +172,9 @@ def _follow_parent() -> None:
 
 
 class Stop(threading.Event):
-    """A request to stop, true once set; ``set`` may be called from a signal handler or another thread."""
+    """A request to stop, true once set; ``set`` may be called from a signal handler or another
+    thread.
+    """
 
     def __bool__(self) -> bool:
         return self.is_set()
@@ -147,7 +182,9 @@ class Stop(threading.Event):
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """Ctrl-C and SIGTERM request a stop; a second one interrupts at once. Outside the main thread, nothing changes."""
+    """Ctrl-C and SIGTERM request a stop; a second one interrupts at once. Outside the main thread,
+    nothing changes.
+    """
     stop, interrupts = Stop(), current() or Interrupts()
 
     def handle(number: int, frame: Any) -> None:
@@ -176,13 +213,15 @@ def run_tasks(
     stop: Stop,
     worn: Callable[[Result], bool] = lambda result: False,
 ) -> Generator[tuple[Task, Result | WorkerLost], None, None]:
-    """Run ``function(*arguments(task))`` for every task; yield (task, result) as they come, in any order.
+    """Run ``function(*arguments(task))`` for every task; yield (task, result) as they come, in any
+    order.
 
-    Never more tasks are taken from ``tasks`` than are in flight. When ``stop`` is set, what runs is finished and
-    yielded, and nothing more is started.
+    Never more tasks are taken from ``tasks`` than are in flight. When ``stop`` is set, what runs is
+    finished and yielded, and nothing more is started.
 
     Args:
-      function: importable by its name in the workers; of its errors only FfsmError is passed on as it is.
+      function: importable by its name in the workers; of its errors only FfsmError is passed on as
+        it is.
       worn: whether a result shows that its process should be replaced.
 
     Raises:
@@ -199,7 +238,8 @@ def map_tasks(
     workers: int,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> list[Result]:
-    """``function(task)`` for every task, in the order of the tasks; the results do not depend on the workers.
+    """``function(task)`` for every task, in the order of the tasks; the results do not depend on
+    the workers.
 
     Args:
       function: importable by its name.
@@ -214,8 +254,13 @@ def map_tasks(
     """
     here = Workers(open=_InThisProcess, in_flight=lambda: 1, renewable=False)
     results: dict[int, Result] = {}
-    with stop_on_signals() as stop, local_workers(workers) if workers > 1 else contextlib.nullcontext(here) as crew:
-        done = run_tasks(function, range(len(tasks)), arguments=lambda k: (tasks[k],), workers=crew, stop=stop)
+    with (
+        stop_on_signals() as stop,
+        local_workers(workers) if workers > 1 else contextlib.nullcontext(here) as crew,
+    ):
+        done = run_tasks(
+            function, range(len(tasks)), arguments=lambda k: (tasks[k],), workers=crew, stop=stop
+        )
         with contextlib.closing(done):
             for k, result in done:
                 if isinstance(result, WorkerLost):
@@ -246,7 +291,8 @@ class _Runner(Generic[Task, Result]):
     stop: Stop
     worn: Callable[[Result], bool]
     flying: dict[Future[Result], _Flight[Task]] = dataclasses.field(default_factory=dict)
-    suspects: deque[tuple[Task, int]] = dataclasses.field(default_factory=deque)  # with their strikes
+    # with their strikes
+    suspects: deque[tuple[Task, int]] = dataclasses.field(default_factory=deque)
     succeeded: bool = False
     lost: int = 0
 
@@ -255,7 +301,8 @@ class _Runner(Generic[Task, Result]):
         try:
             while True:
                 if self.stop:
-                    for future in [future for future in self.flying if future.cancel()]:  # those not started yet
+                    # those not started yet
+                    for future in [future for future in self.flying if future.cancel()]:
                         del self.flying[future]
                 else:
                     self._fill()
@@ -297,14 +344,19 @@ class _Runner(Generic[Task, Result]):
 
     def _collect(self, done: set[Future[Result]]) -> Iterator[tuple[Task, Result | WorkerLost]]:
         alone = len(self.flying) == 1
-        if any(not future.cancelled() and isinstance(future.exception(), BrokenExecutor) for future in done):
+        if any(
+            not future.cancelled() and isinstance(future.exception(), BrokenExecutor)
+            for future in done
+        ):
             # The pool is gone: every other future of it ends now too.
             done, _ = wait(self.flying)
         broken, worn = False, False
         for future in done:
             flight = self.flying.pop(future)
             if future.cancelled():
-                raise WorkersError("the cluster cancelled a task: its scheduler is gone, or somebody cleared it")
+                raise WorkersError(
+                    "the cluster cancelled a task: its scheduler is gone, or somebody cleared it"
+                )
             error = future.exception()
             if error is None:
                 result = future.result()
@@ -318,12 +370,15 @@ class _Runner(Generic[Task, Result]):
                     self.suspects.append((flight.task, strikes))
                 else:
                     yield self._give_up(flight.task)
-            elif type(error).__name__ == "KilledWorker":  # Dask's, which may not be installed; it counts the attempts
+            elif type(error).__name__ == "KilledWorker":
+                # Dask's, which may not be installed; it counts the attempts
                 yield self._give_up(flight.task)
             elif isinstance(error, FfsmError):
                 raise error
             else:
-                raise WorkersError(f"a worker cannot work: {type(error).__name__}: {one_line(error)}") from error
+                raise WorkersError(
+                    f"a worker cannot work: {type(error).__name__}: {one_line(error)}"
+                ) from error
         if broken or (worn and self.workers.renewable):
             self._renew()
 

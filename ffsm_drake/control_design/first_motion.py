@@ -1,4 +1,6 @@
-"""A first motion for an arm of which only the URDF is known, its disturbance, and gains to start from."""
+"""A first motion for an arm of which only the URDF is known, its disturbance, and gains to start
+from.
+"""
 
 import dataclasses
 import math
@@ -9,7 +11,12 @@ import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from ffsm_drake.scenario import Posture, Reference
-from ffsm_drake.spacecraft.coordinates import BASE_POSITION, NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.coordinates import (
+    BASE_POSITION,
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    Coordinates,
+)
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body, find_body, find_frame
 from ffsm_drake.spacecraft.urdf import Joint, Servicer
@@ -23,7 +30,8 @@ _PEAK_RATE = {"rad": 0.1, "m": 0.05}  # rad/s, m/s
 _SHARE_OF_VELOCITY, _SHARE_OF_EFFORT = 0.2, 0.3  # of the URDF's limits
 _PEAK_BASE_ACCELERATION = 0.01  # force on the base per mass of the spacecraft, m/s^2
 _SHORTEST, _LONGEST = 20.0, 120.0  # s
-# The disturbance accelerates each coordinate, the others free to react, by this much: rad/s^2 or m/s^2.
+# The disturbance accelerates each coordinate, the others free to react, by this much: rad/s^2 or
+# m/s^2.
 _DISTURBANCE = {"base_rotation": 1.5e-3, "base_position": 8e-4, "rad": 5e-3, "m": 1e-3}
 _FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)  # rad/s, taken in turn
 # Natural frequencies to start from, rad/s.
@@ -43,19 +51,26 @@ class Motion:
 
 
 def plan_motion(true: PlantModel, servicer: Servicer, *, body: str) -> Motion:
-    """Choose postures and duration for a spacecraft that holds the payload with the scoped name ``body``.
+    """Choose postures and duration for a spacecraft that holds the payload with the scoped name
+    ``body``.
 
-    The target posture is the best of many drawn from the inner part of the joint limits: far from singular, the target
-    clear of the spacecraft. The initial posture is the best of many near it. Seeded, so that the same URDF gets the
-    same motion.
+    The target posture is the best of many drawn from the inner part of the joint limits: far from
+    singular, the target clear of the spacecraft. The initial posture is the best of many near it.
+    Seeded, so that the same URDF gets the same motion.
     """
     search = _Search(true, servicer, body)
     rng = np.random.default_rng(0)
     low, high = search.inner_limits.T
-    target = search.best([search.rest, *(low + (high - low) * x for x in rng.random((_SAMPLES, low.size)))])
+    target = search.best(
+        [search.rest, *(low + (high - low) * x for x in rng.random((_SAMPLES, low.size)))]
+    )
     step = np.where(search.units == "m", 0.35 * (high - low), np.minimum(0.6, 0.5 * (high - low)))
-    draws = rng.uniform(0.35, 1.0, (_SAMPLES // 2, low.size)) * rng.choice([-1.0, 1.0], (_SAMPLES // 2, low.size))
-    near = [start for start in target + draws * step if np.all(start >= low) and np.all(start <= high)]
+    draws = rng.uniform(0.35, 1.0, (_SAMPLES // 2, low.size)) * rng.choice(
+        [-1.0, 1.0], (_SAMPLES // 2, low.size)
+    )
+    near = [
+        start for start in target + draws * step if np.all(start >= low) and np.all(start <= high)
+    ]
     initial = search.best([*near, 0.5 * (target + search.rest)])
     scale = min(max(servicer.tip.reach, 0.2), 10.0)
     start = Posture(
@@ -88,21 +103,31 @@ class _Search:
         links = map(self.plant.get_body, self.plant.GetBodyIndices(base.model_instance()))
         self.links = [link for link in links if link.index() not in holding]
         self.base = base
-        fixed = [self.plant.GetBodyByName(name, base.model_instance()).index() for name in servicer.base_links]
+        fixed = [
+            self.plant.GetBodyByName(name, base.model_instance()).index()
+            for name in servicer.base_links
+        ]
         inertia = self.plant.CalcSpatialInertia(true.context, base.body_frame(), fixed)
         self.base_centre = inertia.get_com()
         # Of the solid cube with these moments: between half its side and half its diagonal.
-        moments = np.diagonal(inertia.Shift(self.base_centre).CalcRotationalInertia().CopyToFullMatrix3())
+        moments = np.diagonal(
+            inertia.Shift(self.base_centre).CalcRotationalInertia().CopyToFullMatrix3()
+        )
         self.base_radius = 0.6 * math.sqrt(6.0 * moments.mean() / servicer.base_mass)
 
     def all_joints(self, values: np.ndarray) -> np.ndarray:
-        """Positions (n) of all joints for those (m) that move the tip; the others stay at zero or the next limit."""
+        """Positions (n) of all joints for those (m) that move the tip; the others stay at zero or
+        the next limit.
+        """
         joints = np.array([min(max(0.0, joint.lower), joint.upper) for joint in self.joints])
         joints[self.moving] = values
         return joints
 
     def by_name(self, values: np.ndarray) -> dict[str, float]:
-        return {joint.name: float(value) for joint, value in zip(self.joints, self.all_joints(values), strict=True)}
+        return {
+            joint.name: float(value)
+            for joint, value in zip(self.joints, self.all_joints(values), strict=True)
+        }
 
     def best(self, candidates: list[np.ndarray]) -> np.ndarray:
         """The best of several (m), rounded to three digits after the point."""
@@ -116,18 +141,29 @@ class _Search:
         q[NUM_BASE_POSITIONS:] = self.all_joints(values)
         plant.SetPositions(context, q)
         jacobian = plant.CalcJacobianSpatialVelocity(
-            context, JacobianWrtVariable.kV, self.tip, np.zeros(3), self.base.body_frame(), self.base.body_frame()
+            context,
+            JacobianWrtVariable.kV,
+            self.tip,
+            np.zeros(3),
+            self.base.body_frame(),
+            self.base.body_frame(),
         )[:, NUM_BASE_VELOCITIES + self.moving]
         jacobian[3:] /= self.reach
-        jacobian[:, self.units == "m"] *= self.reach  # a metre of stroke counts as a radian at full reach
+        # a metre of stroke counts as a radian at full reach
+        jacobian[:, self.units == "m"] *= self.reach
         singular = np.linalg.svd(jacobian, compute_uv=False)
         dexterity = singular[-1] / singular[0] if singular[0] > 0.0 else 0.0
         centre = plant.EvalBodyPoseInWorld(context, self.payload).translation()
         tip = self.tip.CalcPoseInWorld(context).translation()
-        outward = float(np.linalg.norm(centre - tip))  # the target's half width, as far as the model says
+        # the target's half width, as far as the model says
+        outward = float(np.linalg.norm(centre - tip))
         nearest = min(
-            [np.linalg.norm(centre - link.EvalPoseInWorld(context).translation()) for link in self.links]
-            + [np.linalg.norm(centre - self.base_centre) - self.base_radius]  # the base stands at the origin
+            [
+                np.linalg.norm(centre - link.EvalPoseInWorld(context).translation())
+                for link in self.links
+            ]
+            # the base stands at the origin
+            + [np.linalg.norm(centre - self.base_centre) - self.base_radius]
         )
         clearance = min(max((float(nearest) - outward) / (0.5 * self.reach), 0.01), 1.0)
         return float((dexterity + 1e-6) * clearance)
@@ -165,15 +201,20 @@ def _timed(true: PlantModel, servicer: Servicer, initial: Posture, target: Postu
         forces.append(matrices[-1] @ a + true.calc_bias(q, v))
         rates.append(v)
     peak_force, peak_rate = (
-        dict(zip(coordinates.names, np.abs(values).max(axis=0).tolist(), strict=True)) for values in (forces, rates)
+        dict(zip(coordinates.names, np.abs(values).max(axis=0).tolist(), strict=True))
+        for values in (forces, rates)
     )
     # Rates fall with the duration, forces with its square.
     needed = [_SHORTEST]
     for joint in servicer.joints:
-        needed.append(peak_rate[joint.name] / min(_PEAK_RATE[joint.unit], _SHARE_OF_VELOCITY * joint.velocity))
+        needed.append(
+            peak_rate[joint.name] / min(_PEAK_RATE[joint.unit], _SHARE_OF_VELOCITY * joint.velocity)
+        )
         needed.append(math.sqrt(peak_force[joint.name] / (_SHARE_OF_EFFORT * joint.effort)))
     mass = true.plant.CalcTotalMass(true.context)
-    needed += [math.sqrt(peak_force[name] / (_PEAK_BASE_ACCELERATION * mass)) for name in BASE_POSITION]
+    needed += [
+        math.sqrt(peak_force[name] / (_PEAK_BASE_ACCELERATION * mass)) for name in BASE_POSITION
+    ]
     duration = min(5.0 * math.ceil(max(needed) / 5.0 - 1e-9), _LONGEST)
     return Motion(
         initial=initial,
@@ -185,7 +226,9 @@ def _timed(true: PlantModel, servicer: Servicer, initial: Posture, target: Postu
 
 
 def scaled_disturbance(motion: Motion, coordinates: Coordinates) -> dict[str, dict[str, float]]:
-    """A harmonic per coordinate, sized by how easily the coordinate is moved in the target posture."""
+    """A harmonic per coordinate, sized by how easily the coordinate is moved in the target
+    posture.
+    """
     inertia = effective_inertia(motion.mass_matrices[-1])
     kinds = [
         unit if group == "joints" else group
@@ -226,16 +269,22 @@ def starting_gains(
         "aismc": adaptive(),
         "tde_aismc": {**adaptive(), "g_max": 2e-3},
         "computed_torque": linear(),
-        "pd_plus": _pd_plus(_PD_PLUS_FACTOR * coordinates.vector(omega, key="omega"), coordinates, mass_matrices),
+        "pd_plus": _pd_plus(
+            _PD_PLUS_FACTOR * coordinates.vector(omega, key="omega"), coordinates, mass_matrices
+        ),
     }
 
 
-def _pd_plus(omega: np.ndarray, coordinates: Coordinates, mass_matrices: np.ndarray) -> dict[str, dict[str, float]]:
-    """Forces per error: K_P = w^2 m and K_D = 2 w m with the smallest inertia m of each coordinate along the motion.
+def _pd_plus(
+    omega: np.ndarray, coordinates: Coordinates, mass_matrices: np.ndarray
+) -> dict[str, dict[str, float]]:
+    """Forces per error: K_P = w^2 m and K_D = 2 w m with the smallest inertia m of each coordinate
+    along the motion.
 
-    PD+ does not decouple the coordinates, so that m is less than the effective inertia: with A = H^-1, it is
-    1 / sum_j |A_ij| sqrt(A_ii / A_jj). Then no eigenvalue of H^-1 K_D exceeds the largest 2 w (sums over the rows of
-    the scaled matrix), and the sampled loop is stable for 2 w L < 2.
+    PD+ does not decouple the coordinates, so that m is less than the effective inertia: with A =
+    H^-1, it is 1 / sum_j |A_ij| sqrt(A_ii / A_jj). Then no eigenvalue of H^-1 K_D exceeds the
+    largest 2 w (sums over the rows of the scaled matrix), and the sampled loop is stable for 2 w L
+    < 2.
     """
     inertia = np.full(omega.size, np.inf)
     for mass_matrix in mass_matrices:

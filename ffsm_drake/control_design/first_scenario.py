@@ -1,4 +1,6 @@
-"""The starting scenario for a URDF: a folder with a commented YAML file, the URDF as Drake loads it, and its meshes."""
+"""The starting scenario for a URDF: a folder with a commented YAML file, the URDF as Drake loads
+it, and its meshes.
+"""
 
 import dataclasses
 import re
@@ -29,7 +31,15 @@ from ffsm_drake.scenario import Scenario, scenario_from_dict, shipped_scenarios
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import check_pictures
-from ffsm_drake.spacecraft.urdf import Joint, Servicer, Target, make_bus, read_target, read_urdf, write_urdf
+from ffsm_drake.spacecraft.urdf import (
+    Joint,
+    Servicer,
+    Target,
+    make_bus,
+    read_target,
+    read_urdf,
+    write_urdf,
+)
 from ffsm_drake.systems.controllers import PAPER_LAWS
 
 _BODY = "debris::debris"
@@ -43,25 +53,36 @@ _SHRINK, _TRIES = 0.7, 6  # of the natural frequencies, until the margins are co
 _MARGIN = 1.5  # that the bound of K_s and the sample time keep to their limits
 
 _COMMENTS = {
-    "description": "A start, written by 'ffsm new': everything here is meant to be edited. Keys that are not here keep "
-    "their defaults; 'ffsm schema' lists all, with meaning and unit. Units: m, kg, s, rad, N. A value by coordinate "
-    "takes the keys all, base_rotation, base_position, joints, or one coordinate's name (base_rotation_x, "
+    "description": "A start, written by 'ffsm new': everything here is meant to be edited. Keys "
+    "that are not here keep "
+    "their defaults; 'ffsm schema' lists all, with meaning and unit. Units: m, kg, s, rad, N. A "
+    "value by coordinate "
+    "takes the keys all, base_rotation, base_position, joints, or one coordinate's name "
+    "(base_rotation_x, "
     "base_position_z, a joint's); the most specific one wins.",
     "duration": "Of the run, and of one period of the controller.",
     "simulator_config": "Fixed steps of third order: accurate, and repeatable bit for bit.",
-    "model": "Paths start at this file's folder. The target's frame (grasp) is welded to that of the servicer "
+    "model": "Paths start at this file's folder. The target's frame (grasp) is welded to that of "
+    "the servicer "
     "(end_effector).",
-    "payload": "The target: its true mass properties, and the nominal ones that the controller uses; rather too light "
-    "than too heavy. Inertia about the centre of mass: [Ixx, Iyy, Izz] or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz].",
+    "payload": "The target: its true mass properties, and the nominal ones that the controller "
+    "uses; rather too light "
+    "than too heavy. Inertia about the centre of mass: [Ixx, Iyy, Izz] or [Ixx, Iyy, Izz, Ixy, "
+    "Ixz, Iyz].",
     "reference": "Duration of the planned motion; the target posture is held afterwards.",
-    "controller": "One of tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus, tvlqr, torque_against_momentum.",
-    "controllers": "With w the natural frequency in rad/s: K_P = w^2 and K_D = 2 w; ASMC: K_D = w and K_s = 2 w; PD+: "
-    "with 2 w in place of w, times an inertia of each coordinate. With the sample time L and a known inertia, the "
+    "controller": "One of tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus, tvlqr, "
+    "torque_against_momentum.",
+    "controllers": "With w the natural frequency in rad/s: K_P = w^2 and K_D = 2 w; ASMC: K_D = w "
+    "and K_s = 2 w; PD+: "
+    "with 2 w in place of w, times an inertia of each coordinate. With the sample time L and a "
+    "known inertia, the "
     "sampled loop is stable for (K_D + K_s) L < 2.",
     "disturbance": "Force on each coordinate: amplitude * sin(frequency * t + phase) + bias.",
-    "sensing": "Standard deviation per sample: near perfect, as in the paper. For real sensors see the scenario "
+    "sensing": "Standard deviation per sample: near perfect, as in the paper. For real sensors "
+    "see the scenario "
     "flight_sensors and 'ffsm design'.",
-    "actuation": "Largest force of each joint: the effort limits of the URDF. The base's force is not limited.",
+    "actuation": "Largest force of each joint: the effort limits of the URDF. The base's force is "
+    "not limited.",
 }
 
 
@@ -73,24 +94,34 @@ class NewScenario:
     scenario_file: Path
     motion: Motion
     payload_mass: float  # kg, true
-    margins: Mapping[str, Mapping[str, Any]]  # of the paper's controllers, the worst over coordinates and postures
+    # of the paper's controllers, the worst over coordinates and postures
+    margins: Mapping[str, Mapping[str, Any]]
     remarks: tuple[str, ...]
 
     def data(self) -> dict[str, Any]:
-        """Everything found and chosen, as plain data in SI units; numbers without limit are null."""
+        """Everything found and chosen, as plain data in SI units; numbers without limit are
+        null.
+        """
 
         def numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-            return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}
+            return {
+                k: None if isinstance(v, float) and not np.isfinite(v) else v
+                for k, v in values.items()
+            }
 
         found = self.servicer
         joint_keys = ("name", "kind", "unit", "lower", "upper", "effort", "velocity")
         return {
             "scenario": str(self.scenario_file),
-            "files": [str(path) for path in sorted(self.scenario_file.parent.rglob("*")) if path.is_file()],
+            "files": [
+                str(path) for path in sorted(self.scenario_file.parent.rglob("*")) if path.is_file()
+            ],
             "base": {"link": found.base, "mass": found.base_mass},
             "total_mass": found.total_mass,
             "payload_mass": self.payload_mass,
-            "joints": [numbers({key: getattr(joint, key) for key in joint_keys}) for joint in found.joints],
+            "joints": [
+                numbers({key: getattr(joint, key) for key in joint_keys}) for joint in found.joints
+            ],
             "tip": found.tip.frame,
             "tips": [dataclasses.asdict(tip) for tip in (found.tip, *found.other_tips)],
             "duration": self.motion.duration,
@@ -100,12 +131,16 @@ class NewScenario:
         }
 
     def summary(self) -> str:
-        """What was found, for people: base, joints, tip, masses, margins, and the commands that come next."""
+        """What was found, for people: base, joints, tip, masses, margins, and the commands that
+        come next.
+        """
         found = self.servicer
         lines = [
-            f"base        {found.base}, {found.base_mass:.4g} kg of {found.total_mass:.4g} kg; holds a target of "
+            f"base        {found.base}, {found.base_mass:.4g} kg of {found.total_mass:.4g} kg; "
+            "holds a target of "
             f"{self.payload_mass:.4g} kg",
-            f"tip         {found.tip.frame}, {len(found.tip.joints)} joints, reach {found.tip.reach:.3g} m",
+            f"tip         {found.tip.frame}, {len(found.tip.joints)} joints, reach "
+            f"{found.tip.reach:.3g} m",
         ]
         for tip in found.other_tips:
             tip_length = f"{len(tip.joints)} joints, reach {tip.reach:.3g} m"
@@ -113,23 +148,38 @@ class NewScenario:
         lines += ["", f"{'joint':<28}{'kind':<12}{'limits':>24}{'peak force':>14}"]
         for joint in found.joints:
             unit, peak = "N" if joint.unit == "m" else "N m", self.motion.peak_force[joint.name]
-            lines.append(f"{joint.name:<28}{joint.kind:<12}{_limits(joint):>24}{peak:>10.3g} {unit}")
+            lines.append(
+                f"{joint.name:<28}{joint.kind:<12}{_limits(joint):>24}{peak:>10.3g} {unit}"
+            )
         lines += [
             "",
-            f"planned motion of {self.motion.duration:g} s; sampled-loop margins, worst coordinate and posture:",
-            f"{'controller':<12}{'K_s bound':>10}{'limit, 1/s':>12}{'largest L, ms':>15}{'eta met':>14}"
+            f"planned motion of {self.motion.duration:g} s; sampled-loop margins, worst "
+            "coordinate and posture:",
+            f"{'controller':<12}{'K_s bound':>10}{'limit, 1/s':>12}"
+            f"{'largest L, ms':>15}{'eta met':>14}"
             f"{'tolerated':>14}  verdict",
         ]
         for name, worst in self.margins.items():
             gains = f"{worst['k_s_bound']:>10.3g}{worst['k_s_limit']:>12.4g}".replace("nan", "  -")
-            met, tolerated = (f"{low:.2f}..{high:.2f}" for low, high in (worst["eta"], worst["eta_tolerated"]))
+            met, tolerated = (
+                f"{low:.2f}..{high:.2f}" for low, high in (worst["eta"], worst["eta_tolerated"])
+            )
             longest = f"{1e3 * worst['sample_time_limit']:>15.1f}"
             lines.append(f"{name:<12}{gains}{longest}{met:>14}{tolerated:>14}  {worst['verdict']}")
         lines += ["", *(f"- {remark}" for remark in self.remarks)] if self.remarks else []
         entries = sorted(path.name for path in self.scenario_file.parent.iterdir())
         scenario = shlex.quote(str(_relative(self.scenario_file)))
-        lines += ["", f"Written to {_relative(self.scenario_file.parent)}: {', '.join(entries)}", "Next:"]
-        return "\n".join([*lines, *(f"  ffsm {command} {scenario}" for command in ("run", "compare", "stability"))])
+        lines += [
+            "",
+            f"Written to {_relative(self.scenario_file.parent)}: {', '.join(entries)}",
+            "Next:",
+        ]
+        return "\n".join(
+            [
+                *lines,
+                *(f"  ffsm {command} {scenario}" for command in ("run", "compare", "stability")),
+            ]
+        )
 
 
 def new_scenario(
@@ -143,9 +193,11 @@ def new_scenario(
     bus_mass: float | None = None,
     bus_size: tuple[float, ...] | None = None,
 ) -> NewScenario:
-    """Write a folder with a scenario for the servicer of a URDF, the URDF as Drake loads it, and its meshes.
+    """Write a folder with a scenario for the servicer of a URDF, the URDF as Drake loads it, and
+    its meshes.
 
-    The folder is complete in itself: it can be moved or sent. Nothing is written if an argument is refused.
+    The folder is complete in itself: it can be moved or sent. Nothing is written if an argument is
+    refused.
 
     Args:
       urdf: the URDF of base and arm; the base is its root link.
@@ -153,10 +205,10 @@ def new_scenario(
       tip: link or frame that holds the target; None for the end of the longest chain.
       packages: folders of the packages that mesh addresses name.
       payload_mass: true mass of the target, a cube of 1 m, kg; None for a quarter of the base's.
-      target: URDF of the target in place of that: one rigid body, and a frame where it is held (``grasp``, or the only
-        one), with z into the target.
-      bus_mass: of a box on whose +z face the URDF's arm is mounted, kg; a fixed joint to ``world`` says where. The box
-        is the base then.
+      target: URDF of the target in place of that: one rigid body, and a frame where it is held
+        (``grasp``, or the only one), with z into the target.
+      bus_mass: of a box on whose +z face the URDF's arm is mounted, kg; a fixed joint to ``world``
+        says where. The box is the base then.
       bus_size: of that box, m: one side or three; None for a cube of 50 kg/m^3.
 
     Raises:
@@ -187,13 +239,17 @@ def new_scenario(
     return dataclasses.replace(made, scenario_file=directory / made.scenario_file.name)
 
 
-def _check_arguments(directory: Path, packages: Mapping[str, Path], payload_mass: float | None) -> None:
+def _check_arguments(
+    directory: Path, packages: Mapping[str, Path], payload_mass: float | None
+) -> None:
     if directory.exists() and not directory.is_dir():
         raise ScenarioError("DIR", f"{directory} is a file; name a new folder")
     if directory.is_dir() and any(directory.iterdir()):
         raise ScenarioError("DIR", f"{directory} is not empty; name a new folder")
     if directory.name in shipped_scenarios():
-        raise ScenarioError("DIR", f"'{directory.name}' is the name of a scenario that ships; choose another")
+        raise ScenarioError(
+            "DIR", f"'{directory.name}' is the name of a scenario that ships; choose another"
+        )
     check_writable(directory)
     for name, folder in packages.items():
         if not folder.is_dir():
@@ -203,10 +259,18 @@ def _check_arguments(directory: Path, packages: Mapping[str, Path], payload_mass
 
 
 def _make(
-    servicer: Servicer, folder: Path, *, target: Target | None, mass: float, packages: Mapping[str, Path]
+    servicer: Servicer,
+    folder: Path,
+    *,
+    target: Target | None,
+    mass: float,
+    packages: Mapping[str, Path],
 ) -> NewScenario:
     """Make everything in a folder that is still temporary."""
-    urdf, scenario_file = folder / f"{servicer.source.name.removesuffix('.urdf')}.urdf", folder / f"{folder.name}.yaml"
+    urdf, scenario_file = (
+        folder / f"{servicer.source.name.removesuffix('.urdf')}.urdf",
+        folder / f"{folder.name}.yaml",
+    )
     try:
         left_out = write_urdf(servicer, folder, file_name=urdf.name, packages=packages)
         draft = _cube_draft(mass)
@@ -222,17 +286,25 @@ def _make(
         motion = plan_motion(true, servicer, body=draft["payload"]["body"])
         for attempt in range(_TRIES):
             omega = {group: rounded(_SHRINK**attempt * w) for group, w in OMEGA.items()}
-            gains = starting_gains(omega, coordinates=true.coordinates, mass_matrices=motion.mass_matrices)
+            gains = starting_gains(
+                omega, coordinates=true.coordinates, mass_matrices=motion.mass_matrices
+            )
             data = _scenario_data(servicer, motion, true.coordinates, draft, gains)
             margins = {
-                name: _margins(scenario_from_dict(data | {"controller": name}, source=str(scenario_file)))
+                name: _margins(
+                    scenario_from_dict(data | {"controller": name}, source=str(scenario_file))
+                )
                 for name in PAPER_LAWS
             }
             if all(_is_comfortable(each) for each in margins.values()):
                 break
     except FfsmError as error:
         # Drake's line numbers are those of the copy, not of the user's file.
-        told = re.sub(rf"{re.escape(urdf.name)}:\d+: error: ", f"{urdf.name}: ", str(error).replace(f"{folder}/", ""))
+        told = re.sub(
+            rf"{re.escape(urdf.name)}:\d+: error: ",
+            f"{urdf.name}: ",
+            str(error).replace(f"{folder}/", ""),
+        )
         raise ModelError(told) from error
     write_text(scenario_file, _commented_yaml(data, servicer.joints))
     remarks = [*servicer.remarks, *left_out]
@@ -240,7 +312,10 @@ def _make(
         remarks.append("no gains tried are stable for all controllers; see 'ffsm stability'")
     weak = [joint.name for joint in servicer.joints if motion.peak_force[joint.name] > joint.effort]
     if weak:
-        remarks.append(f"the motion needs more than the effort limit of {', '.join(weak)}: move less, or more slowly")
+        remarks.append(
+            f"the motion needs more than the effort limit of {', '.join(weak)}: move "
+            "less, or more slowly"
+        )
     return NewScenario(
         servicer=servicer,
         scenario_file=scenario_file,
@@ -254,8 +329,16 @@ def _make(
 def _cube_draft(mass: float) -> dict[str, dict[str, Any]]:
     """The target that ships."""
     return {
-        "model": {"servicer": "", "debris": "package://ffsm_drake/urdf/debris.urdf", "grasp": "debris::grasp"},
-        "payload": {"body": _BODY, "truth": _cube(mass), "nominal": _cube(rounded(_NOMINAL_SHARE * mass))},
+        "model": {
+            "servicer": "",
+            "debris": "package://ffsm_drake/urdf/debris.urdf",
+            "grasp": "debris::grasp",
+        },
+        "payload": {
+            "body": _BODY,
+            "truth": _cube(mass),
+            "nominal": _cube(rounded(_NOMINAL_SHARE * mass)),
+        },
     }
 
 
@@ -264,21 +347,37 @@ def _target_draft(target: Target, file: str) -> dict[str, dict[str, Any]]:
 
     def share(part: float) -> dict[str, Any]:
         inertia = [part * moment for moment in target.inertia]
-        return {"mass": part * target.mass, "center_of_mass": list(target.center_of_mass), "inertia": inertia}
+        return {
+            "mass": part * target.mass,
+            "center_of_mass": list(target.center_of_mass),
+            "inertia": inertia,
+        }
 
     return {
         "model": {"servicer": "", "debris": file, "grasp": f"debris::{target.grasp}"},
-        "payload": {"body": f"debris::{target.body}", "truth": share(1.0), "nominal": share(_NOMINAL_SHARE)},
+        "payload": {
+            "body": f"debris::{target.body}",
+            "truth": share(1.0),
+            "nominal": share(_NOMINAL_SHARE),
+        },
     }
 
 
 def _cube(mass: float) -> dict[str, Any]:
     """Mass properties of a solid cube of the shipped target's size."""
-    return {"mass": mass, "center_of_mass": [0.0] * 3, "inertia": [rounded(mass * _SIDE**2 / 6.0)] * 3}
+    return {
+        "mass": mass,
+        "center_of_mass": [0.0] * 3,
+        "inertia": [rounded(mass * _SIDE**2 / 6.0)] * 3,
+    }
 
 
 def _scenario_data(
-    servicer: Servicer, motion: Motion, coordinates: Coordinates, draft: Mapping[str, Any], gains: Mapping[str, Any]
+    servicer: Servicer,
+    motion: Motion,
+    coordinates: Coordinates,
+    draft: Mapping[str, Any],
+    gains: Mapping[str, Any],
 ) -> dict[str, Any]:
     """The scenario as plain data, in the file's order."""
     efforts = {joint.name: joint.effort for joint in servicer.joints if joint.effort < 1e20}
@@ -294,27 +393,43 @@ def _scenario_data(
         "reference": {"duration": motion.duration},
         "controller": "tde_aismc",
         "controllers": gains,
-        "disturbance": {"amplitude_scale": 1.0, "harmonics": scaled_disturbance(motion, coordinates)},
+        "disturbance": {
+            "amplitude_scale": 1.0,
+            "harmonics": scaled_disturbance(motion, coordinates),
+        },
         "sensing": {"velocity_noise": 1e-6, "position_noise": 0.0},
         **({"actuation": {"limit": efforts}} if efforts else {}),
     }
 
 
 def _commented_yaml(data: Mapping[str, Any], joints: tuple[Joint, ...]) -> str:
-    """YAML with a comment above the keys that have one, nested values on one line where they are short."""
-    comments = {**_COMMENTS, "initial_posture": "Joint limits: " + "; ".join(f"{j.name} {_limits(j)}" for j in joints)}
+    """YAML with a comment above the keys that have one, nested values on one line where they are
+    short.
+    """
+    comments = {
+        **_COMMENTS,
+        "initial_posture": "Joint limits: " + "; ".join(f"{j.name} {_limits(j)}" for j in joints),
+    }
     parts = []
     for key, value in data.items():
-        is_nested = isinstance(value, Mapping) and any(isinstance(each, (Mapping, list)) for each in value.values())
+        is_nested = isinstance(value, Mapping) and any(
+            isinstance(each, (Mapping, list)) for each in value.values()
+        )
         style = None if is_nested else False
-        text = yaml.safe_dump({key: value}, sort_keys=False, allow_unicode=True, width=100, default_flow_style=style)
+        text = yaml.safe_dump(
+            {key: value}, sort_keys=False, allow_unicode=True, width=100, default_flow_style=style
+        )
         comment = "".join(f"# {line}\n" for line in textwrap.wrap(comments.get(key, ""), 116))
         parts.append(("\n" if comment or isinstance(value, Mapping) else "") + comment + text)
     return "".join(parts).lstrip()
 
 
 def _limits(joint: Joint) -> str:
-    return f"{joint.lower:.4g} to {joint.upper:.4g} {joint.unit}" if joint.is_limited else "no limits"
+    return (
+        f"{joint.lower:.4g} to {joint.upper:.4g} {joint.unit}"
+        if joint.is_limited
+        else ("no limits")
+    )
 
 
 def _margins(scenario: Scenario) -> dict[str, Any]:
@@ -326,17 +441,26 @@ def _margins(scenario: Scenario) -> dict[str, Any]:
         "verdict": margins.verdict,
         "stable": margins.is_stable,
         "spectral_radius": margins.worst.spectral_radius,
-        "k_s_bound": float("nan") if np.isnan(axes.k_s_limit).all() else float(axes.law.k_s_max.max()),
+        "k_s_bound": float("nan")
+        if np.isnan(axes.k_s_limit).all()
+        else float(axes.law.k_s_max.max()),
         "k_s_limit": float(axes.k_s_limit.min()),
         "sample_time_limit": float(axes.sample_time_limit.min()),
         "eta": (float(eta.min()), float(eta.max())),  # met along the motion
-        "eta_tolerated": (float(axes.eta_tolerated[:, 0].max()), float(axes.eta_tolerated[:, 1].min())),
+        "eta_tolerated": (
+            float(axes.eta_tolerated[:, 0].max()),
+            float(axes.eta_tolerated[:, 1].min()),
+        ),
     }
 
 
 def _is_comfortable(margins: Mapping[str, Any]) -> bool:
     enough_k_s = not margins["k_s_limit"] < _MARGIN * margins["k_s_bound"]
-    return margins["verdict"] == "stable" and enough_k_s and margins["sample_time_limit"] >= _MARGIN * _SAMPLE_TIME
+    return (
+        margins["verdict"] == "stable"
+        and enough_k_s
+        and margins["sample_time_limit"] >= _MARGIN * _SAMPLE_TIME
+    )
 
 
 def _relative(path: Path) -> Path:

@@ -1,13 +1,15 @@
-"""What no linear controller can do better: the LQG front of error against effort, and how far a controller is from it.
+"""What no linear controller can do better: the LQG front of error against effort, and how far a
+controller is from it.
 
-The model is that of the closed loop at the middle of the planned motion: the true plant, sampled; the scenario's sensor
-noise, white, correlated and of biases that walk at random; and in place of all that the controller does not know an
-acceleration d that walks at random, as fast as the planned motion and the disturbance ask for. Under it the linear
-quadratic Gaussian controller has the least mean square error for its effort, which counts beyond the force -H d that
-keeps d from acting (H: mass matrix). Its filter knows how the noise is made: every process with memory is a state of
-its own. Delays and slow sensors are left out of the limit, which they only raise, and constant biases of limit and
-controller alike. Kalman filter, shaping filters and regulator: Franklin, Powell and Workman, Digital Control of Dynamic
-Systems, chapter 9.
+The model is that of the closed loop at the middle of the planned motion: the true plant, sampled;
+the scenario's sensor noise, white, correlated and of biases that walk at random; and in place of
+all that the controller does not know an acceleration d that walks at random, as fast as the planned
+motion and the disturbance ask for. Under it the linear quadratic Gaussian controller has the least
+mean square error for its effort, which counts beyond the force -H d that keeps d from acting (H:
+mass matrix). Its filter knows how the noise is made: every process with memory is a state of its
+own. Delays and slow sensors are left out of the limit, which they only raise, and constant biases
+of limit and controller alike. Kalman filter, shaping filters and regulator: Franklin, Powell and
+Workman, Digital Control of Dynamic Systems, chapter 9.
 """
 
 import contextlib
@@ -44,16 +46,20 @@ class Limit:
 
     @property
     def distance(self) -> float:
-        """Its error over the least possible at its effort (at least 1); errors weighed by the controller's own.
+        """Its error over the least possible at its effort (at least 1); errors weighed by the
+        controller's own.
 
-        Infinite where it is unstable, NaN where a user-supplied block senses, whose noise has no model.
+        Infinite where it is unstable, NaN where a user-supplied block senses, whose noise has no
+        model.
         """
         if not len(self.front_excess):
             return float("nan")
         if not np.isfinite(self.error).all() or self.excess <= 0.0:
             return float("inf")
         relative = np.sqrt(np.mean((self.front_error / self.error) ** 2, axis=1))
-        possible = np.exp(np.interp(np.log(self.excess), np.log(self.front_excess), np.log(relative)))
+        possible = np.exp(
+            np.interp(np.log(self.excess), np.log(self.front_excess), np.log(relative))
+        )
         return float(1.0 / possible)
 
 
@@ -64,26 +70,36 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
       scenario: what is looked at.
       demand: that of the scenario, if it is known already.
 
-    Raises: as ``Linearizer`` and ``Linearizer.at``; BlockError for a controller that tracks a frame.
+    Raises: as ``Linearizer`` and ``Linearizer.at``; BlockError for a controller that tracks a
+    frame.
     """
     scenario = from_grasp(scenario)
     demand = make_demand(scenario) if demand is None else demand
-    motion, step, count = make_motion(scenario, demand.coordinates), scenario.sample_time, scenario.num_control_periods
+    motion, step, count = (
+        make_motion(scenario, demand.coordinates),
+        scenario.sample_time,
+        scenario.num_control_periods,
+    )
     time = motion.part(0.5)
     q, _, _ = motion.evaluate(time)
     mass = driven_model(make_true_plant(scenario)).calc_mass_matrix(q)
     walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
     with Linearizer(scenario) as linearizer:
         if linearizer.loop.tracks_frame:
-            raise BlockError(f"{scenario.controller} tracks a frame; the limit is one of coordinates")
+            raise BlockError(
+                f"{scenario.controller} tracks a frame; the limit is one of coordinates"
+            )
         loop = linearizer.at(time, held=expected_gains(linearizer))
     response = loop.with_random_walk(walk, mass).noise_response(count)
     noise = _sensor_noise(scenario, demand.coordinates)
     before, after = _filter(noise, walk, samples=count, sample_time=step)
-    scale = np.where(np.isfinite(response["error"]), response["error"], np.sqrt(before[:, 0, 0]) * step**2)
+    scale = np.where(
+        np.isfinite(response["error"]), response["error"], np.sqrt(before[:, 0, 0]) * step**2
+    )
     front = list[tuple[np.ndarray, float]]()
     for price in _PRICES if scenario.blocks.sensing is None else ():
-        with contextlib.suppress(ValueError, np.linalg.LinAlgError):  # too badly scaled to be solved
+        # too badly scaled to be solved
+        with contextlib.suppress(ValueError, np.linalg.LinAlgError):
             front.append(_regulator(mass, before, after, scale / step**2, price))
     return Limit(
         error=response["error"],

@@ -1,7 +1,8 @@
 """The momentum of a captured target: where it can go after the grasp, and how long that lasts.
 
-What nothing takes out stays in the stack. Wheels hold angular momentum until one is at its speed limit, an arm as long
-as its joints can go on turning; what neither holds turns the stack, and linear momentum moves it on.
+What nothing takes out stays in the stack. Wheels hold angular momentum until one is at its speed
+limit, an arm as long as its joints can go on turning; what neither holds turns the stack, and
+linear momentum moves it on.
 """
 
 import dataclasses
@@ -17,7 +18,11 @@ from ffsm_drake.common.memo import memoized
 from ffsm_drake.scenario import Capture, Scenario, planned_part
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.clearance import Clearance
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_errors
+from ffsm_drake.spacecraft.coordinates import (
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    position_errors,
+)
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.joint_limits import joint_limits, rate_limits
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
@@ -38,7 +43,9 @@ _TURN = 2.0 * math.pi  # what a joint without limits counts as having left
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class WheelBudget:
-    """What wheels take of the momentum while they hold the attitude; shares are of a wheel's speed limit."""
+    """What wheels take of the momentum while they hold the attitude; shares are of a wheel's speed
+    limit.
+    """
 
     capacity: float  # N m s; along the momentum, at the end of the planned motion
     least_capacity: float  # N m s; along the worst direction
@@ -50,9 +57,12 @@ class WheelBudget:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ArmBudget:
-    """What the arm takes by turning its joints while the base's attitude stays as it is at the grasp."""
+    """What the arm takes by turning its joints while the base's attitude stays as it is at the
+    grasp.
+    """
 
-    capacity: float | None  # N m s; along the momentum, within the joints' rate limits; None: there are none
+    # N m s; along the momentum, within the joints' rate limits; None: there are none
+    capacity: float | None
     time: float | None  # s for which a motion was found that holds it all; None: beyond ``LONGEST``
     ended_by: str  # what is in the way then; "" for nothing
 
@@ -64,24 +74,26 @@ class MomentumBudget:
     linear: list[float]  # N s
     angular: list[float]  # N m s; about the centre of mass, that of wheels included
     mass: float  # kg; of servicer and target
-    # s; by driven group of the base, the least in which its force or torque takes the momentum out; 0: no limit
+    # s; by driven group of the base, the least in which its force or torque takes the momentum out;
+    # 0: no limit
     least_time: dict[str, float]
     wheels: WheelBudget | None  # where they alone hold the attitude
     arm: ArmBudget | None  # where nothing else does
     drift: float | None  # m/s; of the centre of mass; None: the base's position is driven
-    rate: float | None  # rad/s; of the stack with its joints at rest as planned; None: its attitude is held
+    # rad/s; of the stack with its joints at rest as planned; None: its attitude is held
+    rate: float | None
     accepted: dict[str, float]  # ``capture.accepted_drift``, rad and m, by group
-    # s after the grasp; by group, when the base has gone so far, as planned and then with its joints at rest; None: not
-    # within ``LONGEST``
+    # s after the grasp; by group, when the base has gone so far, as planned and then with its
+    # joints at rest; None: not within ``LONGEST``
     used_up: dict[str, float | None]
 
 
 def momentum_budget(scenario: Scenario) -> MomentumBudget | None:
     """Where the momentum of a scenario's target can go after the grasp; None without a capture.
 
-    The arm's time is that of a motion that holds all of the angular momentum at every instant, with the rates that
-    use up no joint's range sooner than they must; another may last longer. User-supplied references are not known
-    here: the posture is then that of the grasp.
+    The arm's time is that of a motion that holds all of the angular momentum at every instant, with
+    the rates that use up no joint's range sooner than they must; another may last longer.
+    User-supplied references are not known here: the posture is then that of the grasp.
 
     Raises:
       ModelError, ScenarioError: as ``make_motion``.
@@ -125,7 +137,11 @@ def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
     used_up: dict[str, float | None] = {}
     if accepted:
         path = np.vstack([q[:-1, :NUM_BASE_POSITIONS], _coast(end, q[-1], linear, turning)])
-        used_up = _used_up(path, np.r_[times[:-1], times[-1] + np.linspace(0.0, LONGEST, _INSTANTS_AFTER)], accepted)
+        used_up = _used_up(
+            path,
+            np.r_[times[:-1], times[-1] + np.linspace(0.0, LONGEST, _INSTANTS_AFTER)],
+            accepted,
+        )
     return MomentumBudget(
         linear=linear.tolist(),
         angular=angular.tolist(),
@@ -133,15 +149,22 @@ def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
         least_time=least,
         wheels=on_wheels,
         arm=on_arm,
-        drift=float(np.linalg.norm(linear)) / mass if "base_position" in scenario.undriven else None,
-        rate=float(np.linalg.norm(np.linalg.solve(end.spin_map[:, :3], turning))) if turning.any() else None,
+        drift=float(np.linalg.norm(linear)) / mass
+        if "base_position" in scenario.undriven
+        else None,
+        rate=float(np.linalg.norm(np.linalg.solve(end.spin_map[:, :3], turning)))
+        if turning.any()
+        else None,
         accepted=dict(accepted),
         used_up=used_up,
     )
 
 
-def _along(scenario: Scenario, model: PlantModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (n,), configurations (n, nq) and angular momentum of all but wheels (n, 3), to the end of motion and run.
+def _along(
+    scenario: Scenario, model: PlantModel, q: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,), configurations (n, nq) and angular momentum of all but wheels (n, 3), to the end
+    of motion and run.
 
     Where no motion is known, of the posture (nq) at the grasp.
     """
@@ -150,7 +173,9 @@ def _along(scenario: Scenario, model: PlantModel, q: np.ndarray) -> tuple[np.nda
     motion = make_motion(scenario, model.coordinates)
     parts = max(1.0, scenario.duration / motion.end)
     times = np.linspace(0.0, parts * motion.end, math.ceil(parts * _INSTANTS))
-    positions, v, _ = np.split(motion.rows(times), np.cumsum([q.size, len(model.coordinates.names)]), axis=1)
+    positions, v, _ = np.split(
+        motion.rows(times), np.cumsum([q.size, len(model.coordinates.names)]), axis=1
+    )
     return times, positions, (free_floating(model, positions).spin_map @ v[..., None])[..., 0]
 
 
@@ -158,8 +183,12 @@ def _attitude(q: np.ndarray) -> np.ndarray:
     return RotationMatrix(Quaternion(q[:4])).matrix()
 
 
-def _wheel_budget(wheels: WheelSet, q: np.ndarray, stored: np.ndarray, angular: np.ndarray) -> WheelBudget:
-    """Args: momentum (n, 3) in the wheels in configurations (n, nq), and what is left in them at the end (3)."""
+def _wheel_budget(
+    wheels: WheelSet, q: np.ndarray, stored: np.ndarray, angular: np.ndarray
+) -> WheelBudget:
+    """Args: momentum (n, 3) in the wheels in configurations (n, nq), and what is left in them at
+    the end (3).
+    """
     turn = np.array([_attitude(each) for each in q])  # R_WB
     shares = wheels.filled(np.einsum("nji,nj->ni", turn, stored))
     first, last = (turn[i].T @ angular for i in (0, -1))
@@ -175,8 +204,12 @@ def _wheel_budget(wheels: WheelSet, q: np.ndarray, stored: np.ndarray, angular: 
     )
 
 
-def _arm_budget(scenario: Scenario, model: PlantModel, q: np.ndarray, angular: np.ndarray) -> ArmBudget:
-    """Turn the joints from a posture (nq) on so that they hold all of an angular momentum (3), as long as they can."""
+def _arm_budget(
+    scenario: Scenario, model: PlantModel, q: np.ndarray, angular: np.ndarray
+) -> ArmBudget:
+    """Turn the joints from a posture (nq) on so that they hold all of an angular momentum (3), as
+    long as they can.
+    """
     limits, rate = joint_limits(scenario.model, model.plant), rate_limits(scenario, model.plant)
     capacity = _most(free_floating(model, q), angular, rate)
     try:
@@ -189,7 +222,9 @@ def _arm_budget(scenario: Scenario, model: PlantModel, q: np.ndarray, angular: n
     def found(q: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
         """Rates in a configuration, and the room of the joints there."""
         room = np.stack([limits.upper - q[arm], q[arm] - limits.lower])
-        return _evenest(free_floating(model, q), angular, np.where(np.isfinite(room), room, _TURN), most), room
+        return _evenest(
+            free_floating(model, q), angular, np.where(np.isfinite(room), room, _TURN), most
+        ), room
 
     while time < LONGEST:
         rates, room = found(q)
@@ -202,10 +237,18 @@ def _arm_budget(scenario: Scenario, model: PlantModel, q: np.ndarray, angular: n
             time += max(float(own[first]), 0.0)
             ended_by = f"{limits.names[first]} reaches its limit"
             break
-        if clearance is not None and (nearest := clearance.nearest(q)).distance < scenario.clearance:
-            ended_by = f"{nearest.first} and {nearest.second} come within {scenario.clearance:g} m of each other"
+        if (
+            clearance is not None
+            and (nearest := clearance.nearest(q)).distance < scenario.clearance
+        ):
+            ended_by = (
+                f"{nearest.first} and {nearest.second} come within {scenario.clearance:g} "
+                "m of each other"
+            )
             break
-        step = min(_STEP / max(float(np.abs(rates).max()), 1e-300), _SHARE * float(own[first]), LONGEST)
+        step = min(
+            _STEP / max(float(np.abs(rates).max()), 1e-300), _SHARE * float(own[first]), LONGEST
+        )
         middle = q.copy()
         middle[arm] += 0.5 * step * rates
         between = found(middle)[0]
@@ -215,7 +258,9 @@ def _arm_budget(scenario: Scenario, model: PlantModel, q: np.ndarray, angular: n
 
 
 def _most(stack: FreeFloating, angular: np.ndarray, rate: np.ndarray) -> float | None:
-    """The largest momentum along ``angular`` (3) that joints within their rates (n) hold, the base at rest; N m s."""
+    """The largest momentum along ``angular`` (3) that joints within their rates (n) hold, the base
+    at rest; N m s.
+    """
     from scipy.optimize import linprog
 
     size = float(np.linalg.norm(angular))
@@ -231,10 +276,14 @@ def _most(stack: FreeFloating, angular: np.ndarray, rate: np.ndarray) -> float |
     return None if found.x is None else float(found.x[-1])
 
 
-def _evenest(stack: FreeFloating, angular: np.ndarray, room: np.ndarray, most: np.ndarray) -> np.ndarray | None:
-    """Joint rates (n) that hold an angular momentum (3), the base at rest, and use up no range sooner than they must.
+def _evenest(
+    stack: FreeFloating, angular: np.ndarray, room: np.ndarray, most: np.ndarray
+) -> np.ndarray | None:
+    """Joint rates (n) that hold an angular momentum (3), the base at rest, and use up no range
+    sooner than they must.
 
-    Args: what each joint has left upwards and downwards (2, n), rad or m; the largest rates (n). None: there are none.
+    Args: what each joint has left upwards and downwards (2, n), rad or m; the largest rates (n).
+    None: there are none.
     """
     from scipy.optimize import linprog
 
@@ -250,22 +299,31 @@ def _evenest(stack: FreeFloating, angular: np.ndarray, room: np.ndarray, most: n
     return None if found.x is None else found.x[:-1]
 
 
-def _used_up(path: np.ndarray, times: np.ndarray, accepted: dict[str, float]) -> dict[str, float | None]:
-    """When the base, with poses (n, 7) at times (n,), has gone farther than accepted, s, by group."""
+def _used_up(
+    path: np.ndarray, times: np.ndarray, accepted: dict[str, float]
+) -> dict[str, float | None]:
+    """When the base, with poses (n, 7) at times (n,), has gone farther than accepted, s, by
+    group.
+    """
     moved = position_errors(path, np.broadcast_to(path[0], path.shape))
     found: dict[str, float | None] = {}
     for group, most in accepted.items():
         gone = np.linalg.norm(moved[:, :3] if group == "base_rotation" else moved[:, 3:], axis=1)
         after = int(np.argmax(gone > most))
         pair = slice(after - 1, after + 1)
-        found[group] = float(np.interp(most, gone[pair], times[pair])) if gone[after] > most else None
+        found[group] = (
+            float(np.interp(most, gone[pair], times[pair])) if gone[after] > most else None
+        )
     return found
 
 
-def _coast(stack: FreeFloating, q: np.ndarray, momentum: np.ndarray, turning: np.ndarray) -> np.ndarray:
+def _coast(
+    stack: FreeFloating, q: np.ndarray, momentum: np.ndarray, turning: np.ndarray
+) -> np.ndarray:
     """Poses (``_INSTANTS_AFTER``, 7) of the base over ``LONGEST`` with the joints at rest.
 
-    Args: the stack in its configuration (nq); linear momentum (3); the angular one that turns it (3).
+    Args: the stack in its configuration (nq); linear momentum (3); the angular one that turns it
+    (3).
     """
     from scipy.integrate import solve_ivp
 

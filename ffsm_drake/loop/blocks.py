@@ -1,11 +1,12 @@
 """The blocks of the closed loop: which there are, their ports, and what fills them.
 
-A block is a named place in the diagram. The scenario's own section fills it (``sensing``, ``actuation``, ...), unless
-``blocks`` in the scenario, or a factory given in Python, puts another system there.
+A block is a named place in the diagram. The scenario's own section fills it (``sensing``,
+``actuation``, ...), unless ``blocks`` in the scenario, or a factory given in Python, puts another
+system there.
 
-Any block may have methods ``set_initial_state(context, state)``, called before a run with the block's context and the
-plant's [q; v], and ``set_payload(context, properties)``, called with the true payload's ``MassProperties`` before that
-and whenever they change.
+Any block may have methods ``set_initial_state(context, state)``, called before a run with the
+block's context and the plant's [q; v], and ``set_payload(context, properties)``, called with the
+true payload's ``MassProperties`` before that and whenever they change.
 """
 
 import dataclasses
@@ -50,18 +51,24 @@ class Ports:
 BLOCKS: dict[str, Ports] = {
     "reference": Ports(
         outputs={"desired_state": STATE, "desired_acceleration": VELOCITY},
-        # Of the frame F that the motion prescribes: [quaternion of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF].
+        # Of the frame F that the motion prescribes: [quaternion of R_WF; p_WF; w_WF; v_WF;
+        # alpha_WF; a_WF].
         optional_outputs={"desired_frame": FRAME},
     ),
     "sensing": Ports(
         inputs={"state": STATE},
         outputs={"estimated_state": STATE},
-        # 1: this control sample brings a new measurement, 0: an earlier one is repeated. Without it all are new.
+        # 1: this control sample brings a new measurement, 0: an earlier one is repeated. Without it
+        # all are new.
         optional_outputs={"measurement_is_new": STATE},
     ),
     "controller": Ports(
         inputs={"estimated_state": STATE, "desired_state": STATE, "desired_acceleration": VELOCITY},
-        optional_inputs={"applied_force": VELOCITY, "measurement_is_new": STATE, "desired_frame": FRAME},
+        optional_inputs={
+            "applied_force": VELOCITY,
+            "measurement_is_new": STATE,
+            "desired_frame": FRAME,
+        },
         outputs={"generalized_force": VELOCITY},
         optional_outputs={**dict.fromkeys(OPTIONAL_OUTPUTS, VELOCITY), SMALLEST: NUMBER},
         held=True,
@@ -70,14 +77,17 @@ BLOCKS: dict[str, Ports] = {
         inputs={"commanded_force": VELOCITY},
         optional_inputs={"state": STATE},
         outputs={"applied_force": VELOCITY},
-        # What acts on the plant beside it and is not held over a sample, and friction's work for the record.
-        optional_outputs=dict.fromkeys(("gyroscopic_force", FRICTION_FORCE, FRICTION_WORK), VELOCITY),
+        # What acts on the plant beside it and is not held over a sample, and friction's work for
+        # the record.
+        optional_outputs=dict.fromkeys(
+            ("gyroscopic_force", FRICTION_FORCE, FRICTION_WORK), VELOCITY
+        ),
     ),
     "forces": Ports(
         outputs={"generalized_force": VELOCITY},
         optional_inputs={"state": STATE, "hidden_state": HIDDEN_STATE},
-        # The force at a control sample, for the record, which would read the one before its update. What acts on hidden
-        # coordinates comes with the force at a control sample.
+        # The force at a control sample, for the record, which would read the one before its update.
+        # What acts on hidden coordinates comes with the force at a control sample.
         optional_outputs={
             "next_generalized_force": VELOCITY,
             "hidden_force": HIDDEN,
@@ -89,7 +99,9 @@ DISTURBANCE, ENVIRONMENT = "forces.disturbance", "forces.environment"
 # What the scenario's own sections describe; an actuator that does nothing to the force is None.
 _SECTIONS: dict[str, Factory] = {
     "reference": lambda setup: make_reference(setup.scenario, setup.coordinates),
-    "sensing": lambda setup: make_sensing(setup.scenario.sensing, setup.coordinates, sample_time=setup.sample_time),
+    "sensing": lambda setup: make_sensing(
+        setup.scenario.sensing, setup.coordinates, sample_time=setup.sample_time
+    ),
     "actuation": lambda setup: make_actuation(
         setup.scenario.actuation, setup.coordinates, sample_time=setup.sample_time
     ),
@@ -128,8 +140,13 @@ def make_blocks(
     for name in given:
         valid = [*(block for block in BLOCKS if block != "forces"), "forces.<name>"]
         if name not in valid[:-1] and not (name.startswith("forces.") and name[7:].isidentifier()):
-            raise ScenarioError(f"blocks.{name}", f"is no block; choose {', '.join(valid)}{did_you_mean(name, valid)}")
-    forces = [name for name in (*_own_forces(scenario), *choices, *given) if name.startswith("forces.")]
+            raise ScenarioError(
+                f"blocks.{name}",
+                f"is no block; choose {', '.join(valid)}{did_you_mean(name, valid)}",
+            )
+    forces = [
+        name for name in (*_own_forces(scenario), *choices, *given) if name.startswith("forces.")
+    ]
     blocks: dict[str, System] = {}
     for name in ("reference", "sensing", "controller", "actuation", *dict.fromkeys(forces)):
         factory, choice = given.get(name), choices.get(name, Block())
@@ -138,7 +155,12 @@ def make_blocks(
             made = make_controller(scenario, nominal, factory)
         else:
             place = f"blocks.{name} '{getattr(factory, '__name__', choice.system)}'"
-            own = BlockSetup(name=name.rpartition(".")[2], scenario=scenario, nominal=nominal, settings=choice.settings)
+            own = BlockSetup(
+                name=name.rpartition(".")[2],
+                scenario=scenario,
+                nominal=nominal,
+                settings=choice.settings,
+            )
             made = call_factory(factory or block_factory(name, scenario), own, place=place)
             if made is None and name not in choices and name not in given:
                 continue  # an ideal actuator
@@ -150,7 +172,9 @@ def make_blocks(
 
 
 def _check_initialized(system: System, *, place: str) -> None:
-    """Raise BlockError for a system whose __init__ did not call Drake's, if building it did not raise already."""
+    """Raise BlockError for a system whose __init__ did not call Drake's, if building it did not
+    raise already.
+    """
     try:
         system.get_name()
     except TypeError:
@@ -164,18 +188,23 @@ def _own_forces(scenario: Scenario) -> tuple[str, ...]:
 
 
 def block_factory(name: str, scenario: Scenario) -> Factory:
-    """What builds a block that is not the controller: what ``blocks`` names, else the scenario's section of that name.
+    """What builds a block that is not the controller: what ``blocks`` names, else the scenario's
+    section of that name.
 
     Raises ScenarioError and BlockError as ``make_blocks`` does.
     """
     choice = block_choices(scenario).get(name)
     if choice is None:
         return _SECTIONS[name]
-    return find_factory(kind_of(name), choice.system, key=f"blocks.{name}", python_path=scenario.python_path)
+    return find_factory(
+        kind_of(name), choice.system, key=f"blocks.{name}", python_path=scenario.python_path
+    )
 
 
 def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
-    """Where each block comes from: block -> ``system``; of user-supplied ones and a plan, ``file`` and ``sha256``."""
+    """Where each block comes from: block -> ``system``; of user-supplied ones and a plan, ``file``
+    and ``sha256``.
+    """
     names = {name: f"scenario: {name}" for name in ("reference", "sensing", "actuation")}
     names |= {"controller": scenario.controller}
     names |= {name: f"scenario: {name.partition('.')[2]}" for name in _own_forces(scenario)}
@@ -184,10 +213,16 @@ def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
     for name, system in names.items():
         sources[name], file = {"system": system}, module_file(system)
         if file is not None:
-            sources[name] |= {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+            sources[name] |= {
+                "file": str(file),
+                "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+            }
     if scenario.reference.kind == "optimal" and scenario.blocks.reference is None:
         file = resolve_package(scenario.reference.plan or "")
-        sources["reference"] |= {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+        sources["reference"] |= {
+            "file": str(file),
+            "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+        }
     return sources
 
 
@@ -205,7 +240,12 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
         wanted = "a control law or a Drake system" if block == "controller" else "a Drake system"
         raise BlockError(f"{place} must be {wanted}, not {type(system).__name__}")
     _check_initialized(system, place=place)
-    size = {STATE: 2 * len(coordinates.names) + 1, VELOCITY: len(coordinates.names), FRAME: FRAME_SIZE, NUMBER: 1}
+    size = {
+        STATE: 2 * len(coordinates.names) + 1,
+        VELOCITY: len(coordinates.names),
+        FRAME: FRAME_SIZE,
+        NUMBER: 1,
+    }
     for kind, required, optional in (
         ("input", ports.inputs, ports.optional_inputs),
         ("output", ports.outputs, ports.optional_outputs),
@@ -221,14 +261,22 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
         for name, meaning in known.items():
             if name not in found:
                 if name in required:
-                    raise BlockError(f"{place}: needs an {kind} port '{name}' of size {size[meaning]}")
+                    raise BlockError(
+                        f"{place}: needs an {kind} port '{name}' of size {size[meaning]}"
+                    )
                 continue
             if meaning in size and found[name].size() != size[meaning]:
                 raise BlockError(
-                    f"{place}: {kind} port '{name}' must have size {size[meaning]}, not {found[name].size()}"
+                    f"{place}: {kind} port '{name}' must have size {size[meaning]}, not "
+                    f"{found[name].size()}"
                 )
-            if kind == "output" and ports.held and system.HasDirectFeedthrough(int(found[name].get_index())):
+            if (
+                kind == "output"
+                and ports.held
+                and system.HasDirectFeedthrough(int(found[name].get_index()))
+            ):
                 raise BlockError(
-                    f"{place}: output port '{name}' must not follow an input at once; declare it with "
+                    f"{place}: output port '{name}' must not follow an input at once; declare it "
+                    "with "
                     "DeclareStateOutputPort, or with prerequisites {self.all_state_ticket()}"
                 )

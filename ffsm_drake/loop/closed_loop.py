@@ -2,7 +2,8 @@
 
                +-----------+                                          forces (summed)
     reference->|           |   commanded   +-----------+   applied          |
-               | controller|-------------->| actuation |-----------------> (+) --> plant --+--> state
+               | controller|-------------->| actuation |-----------------> (+) --> plant --+-->
+               state
      estimated>|           |     force     +-----------+    force                          |
                +-----------+                                                               |
          ^------------------------------- sensing <----------------------------------------+
@@ -18,14 +19,26 @@ import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
-from pydrake.systems.primitives import Adder, Gain, MatrixGain, Selector, SelectorParams, ZeroOrderHold
+from pydrake.systems.primitives import (
+    Adder,
+    Gain,
+    MatrixGain,
+    Selector,
+    SelectorParams,
+    ZeroOrderHold,
+)
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.loop.blocks import kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, HiddenCoordinates
-from ffsm_drake.spacecraft.nominal import PlantModel, change_payload, make_nominal_plant, set_true_masses
+from ffsm_drake.spacecraft.nominal import (
+    PlantModel,
+    change_payload,
+    make_nominal_plant,
+    set_true_masses,
+)
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, hidden_of, make_plant
 from ffsm_drake.systems.actuation import HELD_OUTPUTS, STORED_MOMENTUM
 from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK, DriveSet
@@ -35,9 +48,9 @@ from ffsm_drake.systems.registry import Factory
 
 # Integration schemes that are stable at any step, however fast friction acts.
 IMPLICIT_SCHEMES = ("implicit_euler", "velocity_implicit_euler", "radau1", "radau3")
-# Signals of every closed loop. OPTIONAL_OUTPUTS come on top that the controller gives, those that the actuators
-# give, "hidden_state" where there are hidden coordinates, and "force_<name>" for each external force where there are
-# several.
+# Signals of every closed loop. OPTIONAL_OUTPUTS come on top that the controller gives, those that
+# the actuators give, "hidden_state" where there are hidden coordinates, and "force_<name>" for each
+# external force where there are several.
 SIGNALS = (
     "state",
     "estimated_state",
@@ -58,23 +71,30 @@ class ClosedLoop:
     plant: MultibodyPlant  # the true one, with hidden coordinates
     coordinates: Coordinates
     hidden: HiddenCoordinates
-    # "reference", "sensing", "controller", "forces.disturbance", other forces; "actuation" unless it is ideal
+    # "reference", "sensing", "controller", "forces.disturbance", other forces; "actuation" unless
+    # it is ideal
     blocks: Mapping[str, System]
-    sources: Mapping[str, tuple[System, str]]  # signal -> the system and the name of its output port
+    # signal -> the system and the name of its output port
+    sources: Mapping[str, tuple[System, str]]
     diagram: Any = None  # Diagram, of ``make_closed_loop``; its outputs are the signals
 
     @property
     def tracks_frame(self) -> bool:
-        """Whether the controller tracks the pose of a frame, and coordinates only as far as that leaves them free."""
+        """Whether the controller tracks the pose of a frame, and coordinates only as far as that
+        leaves them free.
+        """
         return bool(self.blocks["controller"].HasInputPort("desired_frame"))
 
     def output_port(self, signal: str) -> OutputPort:
-        """The port of a signal; see SIGNALS. ``disturbance_force`` is the sum of the external forces."""
+        """The port of a signal; see SIGNALS. ``disturbance_force`` is the sum of the external
+        forces.
+        """
         system, name = self.sources[signal]
         return system.GetOutputPort(name)
 
     def initialize(self, root: System, root_context: Context) -> None:
-        """Seed the noise, give the plant its payload and put it into the initial posture, at the initial velocity.
+        """Seed the noise, give the plant its payload and put it into the initial posture, at the
+        initial velocity.
 
         Args:
           root: the diagram that holds the loop.
@@ -88,7 +108,9 @@ class ClosedLoop:
         self._check_friction(context)
         self._tell_blocks(root_context, scenario.payload.truth)
         position = configuration(self.plant, scenario.initial_posture, key="initial_posture")
-        velocity = self.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
+        velocity = self.coordinates.vector(
+            scenario.initial_velocity, key="initial_velocity", default=0.0
+        )
         state = self.hidden.whole(np.concatenate([position, velocity]))
         if scenario.capture is not None:
             contact = planned_contact(scenario, self.model(context))
@@ -97,12 +119,23 @@ class ClosedLoop:
 
     def model(self, plant_context: Context) -> PlantModel:
         """The plant for computations, in one of its contexts."""
-        return PlantModel(plant=self.plant, context=plant_context, coordinates=self.coordinates, hidden=self.hidden)
+        return PlantModel(
+            plant=self.plant,
+            context=plant_context,
+            coordinates=self.coordinates,
+            hidden=self.hidden,
+        )
 
     def _check_friction(self, context: Context) -> None:
-        """Raise ScenarioError where a fixed step does not resolve how friction slows a joint near rest."""
+        """Raise ScenarioError where a fixed step does not resolve how friction slows a joint near
+        rest.
+        """
         scenario, config = self.scenario, self.scenario.simulator_config
-        if scenario.drives is None or config.use_error_control or config.integration_scheme in IMPLICIT_SCHEMES:
+        if (
+            scenario.drives is None
+            or config.use_error_control
+            or config.integration_scheme in IMPLICIT_SCHEMES
+        ):
             return
         drives = DriveSet(scenario.drives, scenario.actuation.limit, self.coordinates)
         if not drives.has_friction:
@@ -112,14 +145,18 @@ class ClosedLoop:
             joints = self.hidden.known[joints]
         for name, posture in scenario.postures.items():
             q = self.hidden.whole_positions(configuration(self.plant, posture, key=name))
-            mobility = np.linalg.inv(self.model(context).calc_mass_matrix(q))[np.ix_(joints, joints)]
+            mobility = np.linalg.inv(self.model(context).calc_mass_matrix(q))[
+                np.ix_(joints, joints)
+            ]
             constant, joint = drives.time_constant(mobility)
             if config.max_step_size > constant:
                 raise ScenarioError(
                     "simulator_config.max_step_size",
-                    f"{config.max_step_size:g} s does not resolve the friction of {joint}, which near rest acts within "
+                    f"{config.max_step_size:g} s does not resolve the friction of {joint}, which "
+                    "near rest acts within "
                     f"{constant:.2g} s ({name}): take at most {0.9 * constant:.2g} s, or "
-                    f"{1.1 * config.max_step_size / constant:.2g} times the actuation.drives.smoothing_rate",
+                    f"{1.1 * config.max_step_size / constant:.2g} times the "
+                    "actuation.drives.smoothing_rate",
                 )
 
     def set_payload(self, root_context: Context, properties: MassProperties) -> None:
@@ -134,12 +171,16 @@ class ClosedLoop:
                 block.set_payload(block.GetMyMutableContextFromRoot(root_context), properties)
 
     def set_state(self, root_context: Context, state: np.ndarray) -> None:
-        """Put the plant into a known state [q; v], and the blocks into one in which nothing else was before."""
+        """Put the plant into a known state [q; v], and the blocks into one in which nothing else
+        was before.
+        """
         self.set_whole_state(root_context, self.hidden.whole(state))
 
     def set_whole_state(self, root_context: Context, state: np.ndarray) -> None:
         """As ``set_state``, with the plant's own [q; v], which holds the hidden state too."""
-        self.plant.SetPositionsAndVelocities(self.plant.GetMyMutableContextFromRoot(root_context), state)
+        self.plant.SetPositionsAndVelocities(
+            self.plant.GetMyMutableContextFromRoot(root_context), state
+        )
         self.set_blocks(root_context, self.hidden.known_part(state))
 
     def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
@@ -149,9 +190,14 @@ class ClosedLoop:
                 block.set_initial_state(block.GetMyMutableContextFromRoot(root_context), state)
 
     def resume(
-        self, root_context: Context, before: "ClosedLoop", context_before: Context, reference: np.ndarray
+        self,
+        root_context: Context,
+        before: "ClosedLoop",
+        context_before: Context,
+        reference: np.ndarray,
     ) -> None:
-        """Let the blocks go on where those of another loop, of the same scenario but for its payload, have come to.
+        """Let the blocks go on where those of another loop, of the same scenario but for its
+        payload, have come to.
 
         Args:
           root_context: of this loop.
@@ -183,10 +229,10 @@ def add_closed_loop(
     Args:
       builder: of the diagram.
       scenario: what to build.
-      blocks: block -> factory (BlockSetup -> Drake system) in place of what the scenario says, such as
-        ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
-      plant: the plant, if it is part of the diagram already (``add_combined_plant``, to show it); one without geometry
-        is added otherwise.
+      blocks: block -> factory (BlockSetup -> Drake system) in place of what the scenario says, such
+        as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
+      plant: the plant, if it is part of the diagram already (``add_combined_plant``, to show it);
+        one without geometry is added otherwise.
 
     Raises:
       ModelError: the model does not load.
@@ -215,25 +261,40 @@ def add_closed_loop(
     measurement = ZeroOrderHold(scenario.sample_time, 2 * len(coordinates.names) + 1)
     builder.AddNamedSystem("measurement", measurement)
     builder.Connect(sensing.GetOutputPort("estimated_state"), measurement.get_input_port())
-    builder.Connect(sensing.GetOutputPort("estimated_state"), controller.GetInputPort("estimated_state"))
-    if sensing.HasOutputPort("measurement_is_new") and controller.HasInputPort("measurement_is_new"):
-        builder.Connect(sensing.GetOutputPort("measurement_is_new"), controller.GetInputPort("measurement_is_new"))
+    builder.Connect(
+        sensing.GetOutputPort("estimated_state"), controller.GetInputPort("estimated_state")
+    )
+    if sensing.HasOutputPort("measurement_is_new") and controller.HasInputPort(
+        "measurement_is_new"
+    ):
+        builder.Connect(
+            sensing.GetOutputPort("measurement_is_new"),
+            controller.GetInputPort("measurement_is_new"),
+        )
     for name in ("desired_state", "desired_acceleration"):
         builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
     if reference.HasOutputPort("desired_frame") and controller.HasInputPort("desired_frame"):
-        builder.Connect(reference.GetOutputPort("desired_frame"), controller.GetInputPort("desired_frame"))
+        builder.Connect(
+            reference.GetOutputPort("desired_frame"), controller.GetInputPort("desired_frame")
+        )
     applied = (controller, "generalized_force")
     if actuation is not None:
-        builder.Connect(controller.GetOutputPort("generalized_force"), actuation.GetInputPort("commanded_force"))
+        builder.Connect(
+            controller.GetOutputPort("generalized_force"), actuation.GetInputPort("commanded_force")
+        )
         if actuation.HasInputPort("state"):
             builder.Connect(state, actuation.GetInputPort("state"))
         applied = (actuation, "applied_force")
     if coordinates.undriven:  # where no force acts, whatever is commanded
-        only_driven = builder.AddNamedSystem("driven_force", Gain(coordinates.is_driven.astype(float)))
+        only_driven = builder.AddNamedSystem(
+            "driven_force", Gain(coordinates.is_driven.astype(float))
+        )
         builder.Connect(applied[0].GetOutputPort(applied[1]), only_driven.get_input_port())
         applied = (only_driven, only_driven.get_output_port().get_name())
     if controller.HasInputPort("applied_force"):
-        builder.Connect(applied[0].GetOutputPort(applied[1]), controller.GetInputPort("applied_force"))
+        builder.Connect(
+            applied[0].GetOutputPort(applied[1]), controller.GetInputPort("applied_force")
+        )
 
     # External forces act on the plant beside the control: H q'' + C = tau + tau_d.
     forces = {name: system for name, system in parts.items() if kind_of(name) == "forces"}
@@ -255,13 +316,19 @@ def add_closed_loop(
     total = _sum(builder, "total_force", [applied, *acting.values()])
     acts = total[0].GetOutputPort(total[1])
     if hidden.names:
-        on_known = builder.AddNamedSystem("known_force", MatrixGain(np.eye(plant.num_velocities())[:, hidden.known]))
+        on_known = builder.AddNamedSystem(
+            "known_force", MatrixGain(np.eye(plant.num_velocities())[:, hidden.known])
+        )
         builder.Connect(acts, on_known.get_input_port())
         acts = on_known.get_output_port()
     on_hidden = [system for system in forces.values() if system.HasOutputPort("hidden_force")]
     if on_hidden:
-        total = _sum(builder, "total_hidden_force", [(system, "hidden_force") for system in on_hidden])
-        gain = builder.AddNamedSystem("hidden_force", MatrixGain(np.eye(plant.num_velocities())[:, hidden.hidden]))
+        total = _sum(
+            builder, "total_hidden_force", [(system, "hidden_force") for system in on_hidden]
+        )
+        gain = builder.AddNamedSystem(
+            "hidden_force", MatrixGain(np.eye(plant.num_velocities())[:, hidden.hidden])
+        )
         builder.Connect(total[0].GetOutputPort(total[1]), gain.get_input_port())
         whole = _sum(builder, "whole_force", [(on_known, "y0"), (gain, "y0")])
         acts = whole[0].GetOutputPort(whole[1])
@@ -290,12 +357,21 @@ def add_closed_loop(
         further = (*HELD_OUTPUTS, STORED_MOMENTUM, FRICTION_FORCE, FRICTION_WORK)
         sources |= {name: (actuation, name) for name in further if actuation.HasOutputPort(name)}
     return ClosedLoop(
-        scenario=scenario, plant=plant, coordinates=coordinates, hidden=hidden, blocks=parts, sources=sources
+        scenario=scenario,
+        plant=plant,
+        coordinates=coordinates,
+        hidden=hidden,
+        blocks=parts,
+        sources=sources,
     )
 
 
-def make_closed_loop(scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None) -> ClosedLoop:
-    """The closed loop of a scenario as a diagram of its own; arguments and errors as for ``add_closed_loop``."""
+def make_closed_loop(
+    scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None
+) -> ClosedLoop:
+    """The closed loop of a scenario as a diagram of its own; arguments and errors as for
+    ``add_closed_loop``.
+    """
     builder = DiagramBuilder()
     return build_closed_loop(builder, add_closed_loop(builder, scenario, blocks=blocks))
 
@@ -314,11 +390,16 @@ def _add_states(
 ) -> dict[str, tuple[System, str]]:
     """The known and the hidden state, taken from the plant's."""
     params = SelectorParams()
-    params.inputs = [SelectorParams.InputPortParams(name="whole_state", size=plant.num_multibody_states())]
+    params.inputs = [
+        SelectorParams.InputPortParams(name="whole_state", size=plant.num_multibody_states())
+    ]
     params.outputs = [
         SelectorParams.OutputPortParams(
             name=name,
-            selections=[SelectorParams.OutputSelection(input_port_index=0, input_offset=int(i)) for i in entries],
+            selections=[
+                SelectorParams.OutputSelection(input_port_index=0, input_offset=int(i))
+                for i in entries
+            ],
         )
         for name, entries in (("state", hidden.known_state), ("hidden_state", hidden.hidden_state))
     ]

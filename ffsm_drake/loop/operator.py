@@ -6,7 +6,14 @@ from functools import partial
 
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
-from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, DiscreteValues, LeafSystem
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    DiscreteValues,
+    LeafSystem,
+)
 
 from ffsm_drake.common.lifetime import weak_callback
 from ffsm_drake.loop.blocks import DISTURBANCE, block_choices, block_factory
@@ -24,7 +31,8 @@ def make_operated_disturbance(
     Args:
       setup: of the force.
       initial: [scale, F (3; world frame, N)], acts until ``poll`` says otherwise.
-      poll: called with (time, q) at every control sample; returns what acts from the next sample on (4).
+      poll: called with (time, q) at every control sample; returns what acts from the next sample on
+        (4).
     """
     builder = DiagramBuilder()
     choice = block_choices(setup.scenario).get(DISTURBANCE, Block())
@@ -32,7 +40,9 @@ def make_operated_disturbance(
     factory = block_factory(DISTURBANCE, setup.scenario)
     disturbance = builder.AddSystem(call_factory(factory, original, place=f"blocks.{DISTURBANCE}"))
     operator = builder.AddNamedSystem("operator", OperatorInputs(setup, initial=initial, poll=poll))
-    builder.Connect(disturbance.GetOutputPort("generalized_force"), operator.GetInputPort("disturbance"))
+    builder.Connect(
+        disturbance.GetOutputPort("generalized_force"), operator.GetInputPort("disturbance")
+    )
     builder.ExportInput(operator.GetInputPort("state"), "state")
     if disturbance.HasInputPort("state"):
         builder.ConnectInput("state", disturbance.GetInputPort("state"))
@@ -48,20 +58,27 @@ class OperatorInputs(LeafSystem):
       disturbance: (nv).
       state: [q; v] (nq + nv).
     Outputs:
-      generalized_force: scale * disturbance + J^T F (nv), J being that of the payload's centre of mass.
-      next_generalized_force: the same just after the update of a control sample, for a logger, which sees the state
-        before the update of its instant.
-    State (discrete, period ``sample_time``): [scale, F (3; world frame, N)] that acts, and what will act from the next
-    sample on.
+      generalized_force: scale * disturbance + J^T F (nv), J being that of the payload's centre of
+        mass.
+      next_generalized_force: the same just after the update of a control sample, for a logger,
+        which sees the state before the update of its instant.
+    State (discrete, period ``sample_time``): [scale, F (3; world frame, N)] that acts, and what
+    will act from the next sample on.
     """
 
     def __init__(
-        self, setup: BlockSetup, *, initial: np.ndarray, poll: Callable[[float, np.ndarray], np.ndarray]
+        self,
+        setup: BlockSetup,
+        *,
+        initial: np.ndarray,
+        poll: Callable[[float, np.ndarray], np.ndarray],
     ) -> None:
         """Args: as for ``make_operated_disturbance``."""
         super().__init__()
         scenario, self._model = setup.scenario, setup.true
-        self._payload_frame = find_body(self._model.plant, scenario.payload.body, key="payload.body").body_frame()
+        self._payload_frame = find_body(
+            self._model.plant, scenario.payload.body, key="payload.body"
+        ).body_frame()
         self._center_of_mass = np.array(scenario.payload.truth.center_of_mass)
         self._poll = poll
         num_velocities = self._model.plant.num_velocities()
@@ -70,8 +87,13 @@ class OperatorInputs(LeafSystem):
         self._state = self.DeclareVectorInputPort("state", num_states)
         self._acting = self.DeclareDiscreteState(initial)
         self._next = self.DeclareDiscreteState(initial)
-        self.DeclarePeriodicDiscreteUpdateEvent(scenario.sample_time, 0.0, weak_callback(self._update))
-        for name, index in (("generalized_force", self._acting), ("next_generalized_force", self._next)):
+        self.DeclarePeriodicDiscreteUpdateEvent(
+            scenario.sample_time, 0.0, weak_callback(self._update)
+        )
+        for name, index in (
+            ("generalized_force", self._acting),
+            ("next_generalized_force", self._next),
+        ):
             self.DeclareVectorOutputPort(
                 name,
                 num_velocities,

@@ -31,16 +31,18 @@ def simulate(
 ) -> RunRecord:
     """Run a scenario to its end and return the record. ``Rollout`` is cheaper for many runs.
 
-    A run that diverges (a velocity beyond ``divergence_speed``, or not finite) or is interrupted from the keyboard ends
-    early with the record up to then; ``record.outcome`` says so.
+    A run that diverges (a velocity beyond ``divergence_speed``, or not finite) or is interrupted
+    from the keyboard ends early with the record up to then; ``record.outcome`` says so.
 
     Args:
       scenario: what to run.
-      blocks: block -> factory (BlockSetup -> Drake system, for the controller also a control law) in place of what the
-        scenario says, such as ``{"sensing": Vicon, "forces.friction": Friction}``. The record's scenario names what can
-        be imported by name, so that the run can be repeated from its record. The diagram is freed with the run: of a
-        system that a factory keeps, the attributes may be read afterwards, but not its place in the diagram.
-      meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate`` to pace it).
+      blocks: block -> factory (BlockSetup -> Drake system, for the controller also a control law)
+        in place of what the scenario says, such as ``{"sensing": Vicon, "forces.friction":
+        Friction}``. The record's scenario names what can be imported by name, so that the run can
+        be repeated from its record. The diagram is freed with the run: of a system that a factory
+        keeps, the attributes may be read afterwards, but not its place in the diagram.
+      meshcat: shows the motion while it is computed (set ``simulator_config.target_realtime_rate``
+        to pace it).
       progress: called with (simulated time, duration) in s, once per simulated second.
       check_stability: look ahead, as ``prepare`` does.
 
@@ -65,9 +67,10 @@ def prepare(
 ) -> Rollout | CaptureRollout:
     """All that ``simulate`` does before it runs; arguments and errors as there.
 
-    With ``check_stability`` it warns (StabilityWarning) when the sampled loop starts unstable or its adaptation may
-    become so, unless there are user-supplied blocks, which a check would have to run; and (LimitWarning) when a posture
-    or the plan leaves the joints' limits, or the scenario overrides the target's mass.
+    With ``check_stability`` it warns (StabilityWarning) when the sampled loop starts unstable or
+    its adaptation may become so, unless there are user-supplied blocks, which a check would have to
+    run; and (LimitWarning) when a posture or the plan leaves the joints' limits, or the scenario
+    overrides the target's mass.
     """
     with same_folder():
         if "reference" not in (blocks or {}) and scenario.blocks.reference is None:
@@ -76,15 +79,20 @@ def prepare(
             for remark in plan_remarks(scenario):
                 warnings.warn(remark, LimitWarning, stacklevel=3)
         if check_stability and not user_supplied(scenario, blocks):
-            from ffsm_drake.control_design.stability import StabilityWarning, stability_warning  # SciPy is slow
+            # SciPy is slow
+            from ffsm_drake.control_design.stability import StabilityWarning, stability_warning
 
             if remark := stability_warning(scenario):
                 warnings.warn(remark, StabilityWarning, stacklevel=3)
         return make_rollout(scenario, blocks=blocks, meshcat=meshcat)
 
 
-def make_record(log: RunLog, *, start: float, blocks: Mapping[str, Factory] | None = None) -> RunRecord:
-    """The record of a run that began at the wall time ``start`` (``time.perf_counter``), with the factories it had."""
+def make_record(
+    log: RunLog, *, start: float, blocks: Mapping[str, Factory] | None = None
+) -> RunRecord:
+    """The record of a run that began at the wall time ``start`` (``time.perf_counter``), with the
+    factories it had.
+    """
     scenario = repeatable_scenario(log.scenario, blocks or {})
     grasp = None if log.grasp is None else log.grasp.ledger(scenario.grasp_time, log.coordinates)
     if grasp is not None and (budget := momentum_budget(scenario)) is not None:
@@ -106,7 +114,8 @@ def compare(
     *,
     progress: Callable[[float, float], None] | None = None,
 ) -> list[RunRecord]:
-    """Run several controllers on the same scenario with the same noise; a record for each, in their order.
+    """Run several controllers on the same scenario with the same noise; a record for each, in their
+    order.
 
     Args:
       scenario: what to run; its own ``controller`` does not matter.
@@ -123,8 +132,8 @@ def compare(
 def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Scenario:
     """The scenario from which a run can be repeated.
 
-    All gains of its controller are written out, the factories given in Python are named (one without an address as it
-    is called), and ``python_path`` leads to their modules.
+    All gains of its controller are written out, the factories given in Python are named (one
+    without an address as it is called), and ``python_path`` leads to their modules.
     """
     if "controller" in blocks:
         scenario = dataclasses.replace(scenario, controller=address_of(blocks["controller"]))
@@ -140,4 +149,6 @@ def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Sc
     scenario = dataclasses.replace(scenario, blocks=named)
     addresses = [scenario.controller, *(block.system for block in block_choices(scenario).values())]
     folders = [str(folder) for folder in map(module_folder, addresses) if folder is not None]
-    return dataclasses.replace(scenario, python_path=list(dict.fromkeys([*scenario.python_path, *folders])))
+    return dataclasses.replace(
+        scenario, python_path=list(dict.fromkeys([*scenario.python_path, *folders]))
+    )

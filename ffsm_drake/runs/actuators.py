@@ -1,4 +1,6 @@
-"""What a run took out of its actuators: propellant and pulses of thrusters, momentum of wheels, margins of drives."""
+"""What a run took out of its actuators: propellant and pulses of thrusters, momentum of wheels,
+margins of drives.
+"""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -18,7 +20,8 @@ _WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 
 
 def add_thrusters(table: "Table", scenario: Scenario, series: Mapping[str, np.ndarray]) -> "Table":
-    """The table with what thrusters did, along ``thruster``: their names, with force and specific impulse.
+    """The table with what thrusters did, along ``thruster``: their names, with force and specific
+    impulse.
 
     Args:
       table: of a run.
@@ -32,7 +35,9 @@ def add_thrusters(table: "Table", scenario: Scenario, series: Mapping[str, np.nd
         ("thruster_force", "mean force of each thruster from this sample to the next", "N"),
         ("thruster_open", "share of the sample for which each thruster is open", "1"),
     ):
-        table = table.assign({name: (by_thruster, series[name], {"long_name": meaning, "units": unit})})
+        table = table.assign(
+            {name: (by_thruster, series[name], {"long_name": meaning, "units": unit})}
+        )
     meaning = "part of the wanted wrench that the last allocation to thrusters could give"
     given = ("time", series["thruster_given"][:, 0], {"long_name": meaning, "units": "1"})
     table = table.assign({"thruster_given": given})
@@ -45,7 +50,8 @@ def add_thrusters(table: "Table", scenario: Scenario, series: Mapping[str, np.nd
 
 
 def add_wheels(table: "Table", scenario: Scenario, series: Mapping[str, np.ndarray]) -> "Table":
-    """The table with what wheels did, along ``wheel``; ``angular_momentum`` becomes that of base, arm and wheels.
+    """The table with what wheels did, along ``wheel``; ``angular_momentum`` becomes that of base,
+    arm and wheels.
 
     Arguments as for ``add_thrusters``.
     """
@@ -54,9 +60,24 @@ def add_wheels(table: "Table", scenario: Scenario, series: Mapping[str, np.ndarr
     by_wheel, by_axis = ("time", "wheel"), ("time", "axis")
     for name, dims, meaning, unit in (
         ("wheel_momentum", by_wheel, "momentum of each wheel about its axis", "N m s"),
-        ("wheel_torque", by_wheel, "torque of each wheel's motor from this sample to the next", "N m"),
-        ("wheel_reaction", by_axis, "torque of the wheels on the base, part of applied_force, held likewise", "N m"),
-        ("stored_momentum", by_axis, "momentum of the wheels in the world frame, part of angular_momentum", "N m s"),
+        (
+            "wheel_torque",
+            by_wheel,
+            "torque of each wheel's motor from this sample to the next",
+            "N m",
+        ),
+        (
+            "wheel_reaction",
+            by_axis,
+            "torque of the wheels on the base, part of applied_force, held likewise",
+            "N m",
+        ),
+        (
+            "stored_momentum",
+            by_axis,
+            "momentum of the wheels in the world frame, part of angular_momentum",
+            "N m s",
+        ),
     ):
         table = table.assign({name: (dims, series[name], {"long_name": meaning, "units": unit})})
     unloads = {"long_name": "1 while thrusters unload the wheels", "units": "1"}
@@ -69,7 +90,9 @@ def add_wheels(table: "Table", scenario: Scenario, series: Mapping[str, np.ndarr
     table = table.assign_coords({"wheel": ("wheel", names)})
     if not units:
         return table
-    speed = _speed(units, momentum, table["position"].values[:, :4], table["velocity"].values[:, :3])
+    speed = _speed(
+        units, momentum, table["position"].values[:, :4], table["velocity"].values[:, :3]
+    )
     of_speed = {"long_name": "speed of each wheel in the base", "units": "rad/s"}
     table = table.assign({"wheel_speed": (by_wheel, speed, of_speed)})
     limits = {
@@ -82,7 +105,8 @@ def add_wheels(table: "Table", scenario: Scenario, series: Mapping[str, np.ndarr
 def add_drives(
     table: "Table", scenario: Scenario, coordinates: Coordinates, series: Mapping[str, np.ndarray]
 ) -> "Table":
-    """The table with friction of the joints' drives and, along ``coordinate``, the limits of the drives.
+    """The table with friction of the joints' drives and, along ``coordinate``, the limits of the
+    drives.
 
     Arguments as for ``add_thrusters``, and the coordinates.
     """
@@ -99,11 +123,21 @@ def add_drives(
     rates = np.abs(table["velocity"].values)
     base = np.full(NUM_BASE_VELOCITIES, np.inf)
     knee = np.r_[np.zeros(NUM_BASE_VELOCITIES), drives.knee]
-    table = table.assign_coords({
-        "drive_force_limit": ("coordinate", np.r_[base, drives.force_limit], {"units": "N m or N"}),
-        "drive_rate_limit": ("coordinate", np.r_[base, drives.rate_limit], {"units": "rad/s or m/s"}),
-        "drive_knee": ("coordinate", knee, {"units": "1"}),
-    })  # fmt: skip
+    table = table.assign_coords(
+        {
+            "drive_force_limit": (
+                "coordinate",
+                np.r_[base, drives.force_limit],
+                {"units": "N m or N"},
+            ),
+            "drive_rate_limit": (
+                "coordinate",
+                np.r_[base, drives.rate_limit],
+                {"units": "rad/s or m/s"},
+            ),
+            "drive_knee": ("coordinate", knee, {"units": "1"}),
+        }
+    )
     if drives.has_rate_limit:
         shares = rates / table["drive_rate_limit"].values
         of_share = {"long_name": "rate as a share of the drive's limit", "units": "1"}
@@ -139,16 +173,21 @@ def drive_metrics(dataset: "Labelled") -> dict[str, Any]:
             most = of_joints(limit)
             shares = (np.abs(of_joints(name)).max(axis=0) / most).tolist()
             result[key] = {
-                name: share for name, share, one in zip(names, shares, most, strict=True) if np.isfinite(one)
+                name: share
+                for name, share, one in zip(names, shares, most, strict=True)
+                if np.isfinite(one)
             }
     if "rate_share" in dataset:
         share, knee = of_joints("rate_share"), of_joints("drive_knee")
-        left = np.clip((1.0 - share) / (1.0 - knee), 0.0, 1.0)  # of the force; see DriveSet.available
+        # of the force; see DriveSet.available
+        left = np.clip((1.0 - share) / (1.0 - knee), 0.0, 1.0)
         with np.errstate(invalid="ignore"):
             most = left * of_joints("drive_force_limit")
         beyond = (np.abs(of_joints("generalized_force")) > most) & (left < 1.0)
         result["rate_limited"] = float(
-            (beyond & (of_joints("generalized_force") * of_joints("velocity") > 0.0)).any(axis=1).mean()
+            (beyond & (of_joints("generalized_force") * of_joints("velocity") > 0.0))
+            .any(axis=1)
+            .mean()
         )
     if FRICTION_FORCE in dataset:
         peak, work = np.abs(of_joints(FRICTION_FORCE)).max(axis=0), of_joints(FRICTION_WORK)
@@ -157,10 +196,17 @@ def drive_metrics(dataset: "Labelled") -> dict[str, Any]:
     return result
 
 
-def _speed(units: Mapping[str, Wheel], momentum: np.ndarray, quaternion: np.ndarray, w_WB: np.ndarray) -> np.ndarray:
+def _speed(
+    units: Mapping[str, Wheel], momentum: np.ndarray, quaternion: np.ndarray, w_WB: np.ndarray
+) -> np.ndarray:
     """Speeds of wheels in the base (n, wheels), rad/s, with w_WB (n, 3) in world axes."""
-    axes = np.array([np.array(unit.axis, dtype=float) / np.linalg.norm(unit.axis) for unit in units.values()])
-    return momentum / np.array([unit.inertia for unit in units.values()]) - _in_the_base(quaternion, w_WB) @ axes.T
+    axes = np.array(
+        [np.array(unit.axis, dtype=float) / np.linalg.norm(unit.axis) for unit in units.values()]
+    )
+    return (
+        momentum / np.array([unit.inertia for unit in units.values()])
+        - _in_the_base(quaternion, w_WB) @ axes.T
+    )
 
 
 def _in_the_base(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:
@@ -171,7 +217,8 @@ def _in_the_base(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 def wheel_metrics(dataset: "Labelled") -> dict[str, Any]:
-    """What a run asked of its wheels, as plain numbers; empty for one without, or of a user-supplied block.
+    """What a run asked of its wheels, as plain numbers; empty for one without, or of a
+    user-supplied block.
 
     Keys:
       peak_momentum, peak_speed, peak_torque: N m s, rad/s and N m, of each wheel.
@@ -191,7 +238,9 @@ def wheel_metrics(dataset: "Labelled") -> dict[str, Any]:
         "peak_momentum": peak("wheel_momentum"),
         "peak_speed": peak("wheel_speed"),
         "peak_torque": peak("wheel_torque"),
-        "speed_used": float((np.abs(dataset["wheel_speed"].values) / dataset["speed_limit"].values).max()),
+        "speed_used": float(
+            (np.abs(dataset["wheel_speed"].values) / dataset["speed_limit"].values).max()
+        ),
         "torque_used": float(torque_used.max()),
         "torque_limited": float((torque_used > 1.0 - 1e-9).any(axis=1).mean()),
         "unloading": float(dataset["wheel_unloads"].values.mean()),
@@ -199,16 +248,22 @@ def wheel_metrics(dataset: "Labelled") -> dict[str, Any]:
 
 
 def thrusters_used(log: "RunLog") -> dict[str, float]:
-    """Of a run with thrusters of its scenario: propellant (kg), impulse (N s) and pulses of all, share saturated."""
+    """Of a run with thrusters of its scenario: propellant (kg), impulse (N s) and pulses of all,
+    share saturated.
+    """
     force, opened = log.series["thruster_force"][:-1], log.series["thruster_open"][:-1]
     period = log.scenario.sample_time
-    exhaust = STANDARD_GRAVITY * np.array([unit.specific_impulse for unit in own_thrusters(log.scenario).values()])
+    exhaust = STANDARD_GRAVITY * np.array(
+        [unit.specific_impulse for unit in own_thrusters(log.scenario).values()]
+    )
     impulse = force.sum(axis=0) * period
     return {
         "propellant": float((impulse / exhaust).sum()),
         "thruster_impulse": float(impulse.sum()),
         "thruster_pulses": float(sum(pulses_of(column, period)[0].size for column in opened.T)),
-        "thrusters_saturated": float((log.series["thruster_given"][:-1] < _WHOLE).mean()) if len(force) else 0.0,
+        "thrusters_saturated": float((log.series["thruster_given"][:-1] < _WHOLE).mean())
+        if len(force)
+        else 0.0,
     }
 
 
@@ -233,8 +288,9 @@ def thruster_metrics(dataset: "Labelled") -> dict[str, Any]:
 
     Keys:
       propellant: kg; left out where no specific impulse is known.
-      propellant_of_force: kg; what the commanded base force alone would take of thrusters that push exactly its way,
-        the integral of its size over the largest specific impulse: no layout takes less for it.
+      propellant_of_force: kg; what the commanded base force alone would take of thrusters that push
+        exactly its way, the integral of its size over the largest specific impulse: no layout takes
+        less for it.
       impulse: N s, of each thruster.
       pulses: number, of each.
       on_time: s, of each; opened in all.
@@ -243,17 +299,25 @@ def thruster_metrics(dataset: "Labelled") -> dict[str, Any]:
     """
     if "thruster_force" not in dataset:
         return {}
-    period, names = float(dataset.attrs["sample_time"]), dataset["thruster"].values.astype(str).tolist()
+    period, names = (
+        float(dataset.attrs["sample_time"]),
+        dataset["thruster"].values.astype(str).tolist(),
+    )
     impulse = dataset["thruster_force"].values[:-1].sum(axis=0) * period
     opened = dataset["thruster_open"].values[:-1]
     pulses = [pulses_of(column, period)[1] for column in opened.T]
     # The last pulse of a valve that is open at the end is cut off there.
-    ended = [each[: each.size - int(column[-1:].sum() == 1.0)] for each, column in zip(pulses, opened.T, strict=True)]
+    ended = [
+        each[: each.size - int(column[-1:].sum() == 1.0)]
+        for each, column in zip(pulses, opened.T, strict=True)
+    ]
     shortest = min((float(each.min()) for each in ended if each.size), default=None)
     result: dict[str, Any] = {}
     if "specific_impulse" in dataset.coords:
         exhaust = STANDARD_GRAVITY * dataset["specific_impulse"].values
-        force = dataset["generalized_force"].values[:-1, dataset["group"].values.astype(str) == "base_position"]
+        force = dataset["generalized_force"].values[
+            :-1, dataset["group"].values.astype(str) == "base_position"
+        ]
         wanted = float(np.linalg.norm(force, axis=1).sum() * period)
         result = {
             "propellant": float((impulse / exhaust).sum()),
@@ -264,12 +328,15 @@ def thruster_metrics(dataset: "Labelled") -> dict[str, Any]:
         "pulses": {name: int(each.size) for name, each in zip(names, pulses, strict=True)},
         "on_time": dict(zip(names, (opened.sum(axis=0) * period).tolist(), strict=True)),
         "shortest_pulse": shortest,
-        "saturated": float((dataset["thruster_given"].values[:-1] < _WHOLE).mean()) if len(opened) else 0.0,
+        "saturated": float((dataset["thruster_given"].values[:-1] < _WHOLE).mean())
+        if len(opened)
+        else 0.0,
     }
 
 
 def pulses_of(opened: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """The pulses of a valve that is open for a share (n) of each sample, from the sample's start on.
+    """The pulses of a valve that is open for a share (n) of each sample, from the sample's start
+    on.
 
     Returns: the samples in which they start, and their lengths, s.
     """

@@ -1,8 +1,10 @@
-"""Runs with a capture: the servicer without the target up to the grasp, then both as one, with the same controller.
+"""Runs with a capture: the servicer without the target up to the grasp, then both as one, with the
+same controller.
 
-Each side of the grasp is a closed loop of its own, with its own nominal model. At the grasp sensors, actuators and
-forces go on as they are, the controller as its law says (``ControlLaw.resume``), and the servicer's velocity jumps. The
-target is held where the gripper meets it: what the arm misses it by is part of the payload from then on.
+Each side of the grasp is a closed loop of its own, with its own nominal model. At the grasp
+sensors, actuators and forces go on as they are, the controller as its law says
+(``ControlLaw.resume``), and the servicer's velocity jumps. The target is held where the gripper
+meets it: what the arm misses it by is part of the payload from then on.
 """
 
 import dataclasses
@@ -38,13 +40,16 @@ class GraspLog:
 
     sample: int  # index of the first sample of the run at which the target is held
     contact: Contact | None  # None: the run ended before
-    payload: MassProperties  # the target's, in the frame P of the payload body where the model welds it
-    target: np.ndarray  # (sample, 13) [quaternion, p_WP; w_WP, v_WP] of the target at the samples before
+    # the target's, in the frame P of the payload body where the model welds it
+    payload: MassProperties
+    # (sample, 13) [quaternion, p_WP; w_WP, v_WP] of the target at the samples before
+    target: np.ndarray
     # (6) where P was at the grasp, from where the model welds it: rotation vector, position
     offset: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
     # (6) of the target from the end effector, at its origin: angular velocity, velocity
     mismatch: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    # (3) momentum of wheels in the base, world axes, N m s: no torque acts on them about their axes at the grasp
+    # (3) momentum of wheels in the base, world axes, N m s: no torque acts on them about their axes
+    # at the grasp
     stored: np.ndarray | None = None
 
     def ledger(self, time: float, coordinates: Coordinates) -> dict[str, Any] | None:
@@ -54,12 +59,24 @@ class GraspLog:
         contact, grasp, hidden = self.contact, self.contact.grasp, self.contact.hidden
         brakes = {
             name: float(impulse)
-            for name, impulse in zip(coordinates.names, hidden.known_velocities(grasp.brake_impulse), strict=True)
+            for name, impulse in zip(
+                coordinates.names, hidden.known_velocities(grasp.brake_impulse), strict=True
+            )
             if impulse != 0.0
         }
         sides = {
-            "before": (contact.momentum_before, contact.spin_before, grasp.energy_before, contact.velocity),
-            "after": (contact.momentum_after, contact.spin_after, grasp.energy_after, grasp.velocity),
+            "before": (
+                contact.momentum_before,
+                contact.spin_before,
+                grasp.energy_before,
+                contact.velocity,
+            ),
+            "after": (
+                contact.momentum_after,
+                contact.spin_after,
+                grasp.energy_after,
+                grasp.velocity,
+            ),
         }
         stored = np.zeros(3) if self.stored is None else self.stored
         compliant = contact.compliant
@@ -77,14 +94,22 @@ class GraspLog:
             **{
                 side: {
                     "linear_momentum": momentum[3:].tolist(),  # N s
-                    "angular_momentum": (momentum[:3] + stored).tolist(),  # about the world's origin, N m s
+                    # about the world's origin, N m s
+                    "angular_momentum": (momentum[:3] + stored).tolist(),
                     "spin": (spin + stored).tolist(),  # about the centre of mass, N m s
                     "kinetic_energy": energy,  # J
-                    "velocity": dict(zip(coordinates.names, hidden.known_velocities(velocity).tolist(), strict=True)),
+                    "velocity": dict(
+                        zip(
+                            coordinates.names,
+                            hidden.known_velocities(velocity).tolist(),
+                            strict=True,
+                        )
+                    ),
                 }
                 for side, (momentum, spin, energy, velocity) in sides.items()
             },
-            **({} if self.stored is None else {"stored_momentum": stored.tolist()}),  # of the wheels, N m s
+            # of the wheels, N m s
+            **({} if self.stored is None else {"stored_momentum": stored.tolist()}),
             "compliant": found,
             "miss": {
                 "position": float(np.linalg.norm(self.offset[3:])),  # m
@@ -99,7 +124,11 @@ class CaptureRollout:
     """As ``Rollout``, for a scenario with a capture."""
 
     def __init__(
-        self, scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None, meshcat: Meshcat | None = None
+        self,
+        scenario: Scenario,
+        *,
+        blocks: Mapping[str, Factory] | None = None,
+        meshcat: Meshcat | None = None,
     ) -> None:
         """Args and errors as for ``Rollout``."""
         self._stop = Rollout(scenario, blocks=blocks, meshcat=meshcat)
@@ -109,7 +138,9 @@ class CaptureRollout:
             if meshcat is not None:
                 model = make_nominal_plant(scenario)
                 target = target_path(scenario, model, planned_contact(scenario, model))[1][:, :7]
-            self._approach = Rollout(_without_target(scenario), blocks=blocks, meshcat=meshcat, target=target)
+            self._approach = Rollout(
+                _without_target(scenario), blocks=blocks, meshcat=meshcat, target=target
+            )
 
     @property
     def loop(self) -> ClosedLoop:
@@ -123,8 +154,12 @@ class CaptureRollout:
                 rollout.release()
 
     def accepts(self, scenario: Scenario) -> bool:
-        """As ``Rollout.accepts``; how the target moves where it is grasped follows from its centre of mass."""
-        centers = [each.payload.truth.center_of_mass for each in (scenario, self._stop.loop.scenario)]
+        """As ``Rollout.accepts``; how the target moves where it is grasped follows from its centre
+        of mass.
+        """
+        centers = [
+            each.payload.truth.center_of_mass for each in (scenario, self._stop.loop.scenario)
+        ]
         return self._stop.accepts(scenario) and centers[0] == centers[1]
 
     def check(self) -> None:
@@ -134,16 +169,23 @@ class CaptureRollout:
                 rollout.check()
 
     def run(
-        self, scenario: Scenario | None = None, *, progress: Callable[[float, float], None] | None = None
+        self,
+        scenario: Scenario | None = None,
+        *,
+        progress: Callable[[float, float], None] | None = None,
     ) -> RunLog:
-        """As ``Rollout.run``; the log goes through the grasp, whose sample it shows with the velocity after it."""
+        """As ``Rollout.run``; the log goes through the grasp, whose sample it shows with the
+        velocity after it.
+        """
         start = time.perf_counter()
         chosen = scenario or self._stop.loop.scenario
         if self._approach is None:
             log = self._stop.run(scenario, progress=progress)
             model = make_flexible_plant(chosen)
             contact = planned_contact(chosen, model)
-            mismatch = _mismatch(chosen, model, contact.q, contact.velocity, contact.target_velocity)
+            mismatch = _mismatch(
+                chosen, model, contact.q, contact.velocity, contact.target_velocity
+            )
             grasp = GraspLog(
                 sample=0,
                 contact=contact,
@@ -161,13 +203,20 @@ class CaptureRollout:
             leg=Leg(last=sample, begin=handover.start, end=handover.keep),
         )
         if not approach.outcome.completed:
-            return dataclasses.replace(approach, scenario=chosen, grasp=handover.ungrasped(approach.time.size))
-        log = self._stop.run(scenario, progress=progress, leg=Leg(first=sample, begin=handover.grasp))
+            return dataclasses.replace(
+                approach, scenario=chosen, grasp=handover.ungrasped(approach.time.size)
+            )
+        log = self._stop.run(
+            scenario, progress=progress, leg=Leg(first=sample, begin=handover.grasp)
+        )
         grasp = dataclasses.replace(handover.log, stored=_stored(log))
         return dataclasses.replace(
             log,
             time=np.concatenate([approach.time, log.time]),
-            series={name: np.concatenate([approach.series[name], values]) for name, values in log.series.items()},
+            series={
+                name: np.concatenate([approach.series[name], values])
+                for name, values in log.series.items()
+            },
             wall_time={
                 "build": approach.wall_time["build"] + log.wall_time["build"],
                 "advance_to": approach.wall_time["advance_to"] + log.wall_time["advance_to"],
@@ -178,7 +227,10 @@ class CaptureRollout:
 
 
 def make_rollout(
-    scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None, meshcat: Meshcat | None = None
+    scenario: Scenario,
+    *,
+    blocks: Mapping[str, Factory] | None = None,
+    meshcat: Meshcat | None = None,
 ) -> Rollout | CaptureRollout:
     """The rollout of a scenario; arguments and errors as for ``Rollout``."""
     kind = Rollout if scenario.capture is None else CaptureRollout
@@ -205,8 +257,12 @@ class _Handover:
         capture = self._scenario.capture
         if capture is None or capture.approach is None:
             raise ValueError("capture.approach: there is none")
-        position = configuration(loop.plant, capture.approach.posture, key="capture.approach.posture")
-        velocity = loop.coordinates.vector(self._scenario.initial_velocity, key="initial_velocity", default=0.0)
+        position = configuration(
+            loop.plant, capture.approach.posture, key="capture.approach.posture"
+        )
+        velocity = loop.coordinates.vector(
+            self._scenario.initial_velocity, key="initial_velocity", default=0.0
+        )
         loop.set_state(root_context, np.concatenate([position, velocity]))
 
     def ungrasped(self, samples: int) -> GraspLog:
@@ -248,24 +304,38 @@ class _Handover:
         )
         loop.set_whole_state(root_context, np.concatenate([q, contact.grasp.velocity]))
         loop.resume(root_context, self._before, self._context_before, self._reference)
-        loop.set_payload(root_context, payload)  # to the blocks, which resume with nothing in the gripper
+        # to the blocks, which resume with nothing in the gripper
+        loop.set_payload(root_context, payload)
 
 
-def target_path(scenario: Scenario, model: PlantModel, planned: Contact) -> tuple[RigidTransform, np.ndarray]:
-    """X_WP of the target where it is to be met, and its motion up to there, at the samples before; see ``coast``."""
+def target_path(
+    scenario: Scenario, model: PlantModel, planned: Contact
+) -> tuple[RigidTransform, np.ndarray]:
+    """X_WP of the target where it is to be met, and its motion up to there, at the samples before;
+    see ``coast``.
+    """
     model.plant.SetPositions(model.context, planned.q)
     X_WP = RigidTransform(target_body(scenario, model).EvalPoseInWorld(model.context))
     samples = round(scenario.grasp_time / scenario.sample_time)
     twist, sample_time = planned.target_velocity, scenario.sample_time
-    return X_WP, coast(scenario.payload.truth, X_WP, twist, samples=samples, sample_time=sample_time)
+    return X_WP, coast(
+        scenario.payload.truth, X_WP, twist, samples=samples, sample_time=sample_time
+    )
 
 
 def coast(
-    properties: MassProperties, X_WP: RigidTransform, twist: np.ndarray, *, samples: int, sample_time: float
+    properties: MassProperties,
+    X_WP: RigidTransform,
+    twist: np.ndarray,
+    *,
+    samples: int,
+    sample_time: float,
 ) -> np.ndarray:
-    """The motion (samples, 13; quaternion, p_WP, w_WP, v_WP) that brings a free target to a pose with a velocity.
+    """The motion (samples, 13; quaternion, p_WP, w_WP, v_WP) that brings a free target to a pose
+    with a velocity.
 
-    It is found backwards, from the pose with the velocity reversed: without forces time has no direction.
+    It is found backwards, from the pose with the velocity reversed: without forces time has no
+    direction.
 
     Args:
       properties: the target's, in its frame P.
@@ -280,7 +350,9 @@ def coast(
     logger = LogVectorOutput(plant.get_state_output_port(), builder, sample_time)
     diagram = builder.Build()
     simulator = Simulator(diagram)
-    config = SimulatorConfig(integration_scheme="runge_kutta3", max_step_size=sample_time, use_error_control=False)
+    config = SimulatorConfig(
+        integration_scheme="runge_kutta3", max_step_size=sample_time, use_error_control=False
+    )
     ApplySimulatorConfig(config, simulator)
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
     plant.SetFreeBodyPose(context, body, X_WP)
@@ -309,9 +381,13 @@ def _stored(log: RunLog) -> np.ndarray | None:
 
 
 def _without_target(scenario: Scenario) -> Scenario:
-    """The scenario with nothing in the gripper, of which only the part before the grasp means anything."""
+    """The scenario with nothing in the gripper, of which only the part before the grasp means
+    anything.
+    """
     some = 1.0 + make_impulses(scenario.reference.shaper).length  # s
-    capture = None if scenario.capture is None else dataclasses.replace(scenario.capture, compliance=None)
+    capture = (
+        None if scenario.capture is None else dataclasses.replace(scenario.capture, compliance=None)
+    )
     return dataclasses.replace(
         scenario,
         capture=capture,
@@ -320,8 +396,12 @@ def _without_target(scenario: Scenario) -> Scenario:
     )
 
 
-def _mismatch(scenario: Scenario, model: PlantModel, q: np.ndarray, v: np.ndarray, twist: np.ndarray) -> np.ndarray:
-    """[w; v] (6) of the target from the end effector, at its origin; ``twist`` is that of the payload body's frame."""
+def _mismatch(
+    scenario: Scenario, model: PlantModel, q: np.ndarray, v: np.ndarray, twist: np.ndarray
+) -> np.ndarray:
+    """[w; v] (6) of the target from the end effector, at its origin; ``twist`` is that of the
+    payload body's frame.
+    """
     model.plant.SetPositionsAndVelocities(model.context, np.concatenate([q, v]))
     effector = find_frame(model.plant, scenario.model.end_effector, key="model.end_effector")
     p_WP = target_body(scenario, model).EvalPoseInWorld(model.context).translation()

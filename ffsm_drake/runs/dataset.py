@@ -1,4 +1,6 @@
-"""The labelled time series of a run: its log and, for what follows from the state, the true plant."""
+"""The labelled time series of a run: its log and, for what follows from the state, the true
+plant.
+"""
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -19,7 +21,9 @@ from ffsm_drake.systems.controllers import SMALLEST
 
 
 def make_table(log: RunLog) -> Table:
-    """The labelled time series of a run: its log and, for what follows from the state, the true plant."""
+    """The labelled time series of a run: its log and, for what follows from the state, the true
+    plant.
+    """
     scenario, coordinates, series = log.scenario, log.coordinates, log.series
     num_positions = len(coordinates.position_names)
     position, velocity = np.split(series["state"], [num_positions], axis=1)
@@ -37,30 +41,68 @@ def make_table(log: RunLog) -> Table:
     )
     unit = "rad (rotations) or m (translations)"
     force = "N m (rotations) or N (translations)"
-    by_coordinate, by_position, by_axis = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
+    by_coordinate, by_position, by_axis = (
+        ("time", "coordinate"),
+        ("time", "position_name"),
+        ("time", "axis"),
+    )
     variables = {
         "position": (by_position, position, "generalized positions q", f"1 (quaternion), {unit}"),
         "velocity": (by_coordinate, velocity, "generalized velocities v", f"{unit} per s"),
-        "measured_position": (by_position, measured_position, "q as the controller reads it", f"1, {unit}"),
-        "measured_velocity": (by_coordinate, measured_velocity, "v as the controller reads it", f"{unit} per s"),
-        "desired_position": (by_position, desired_position, "reference q_d", f"1 (quaternion), {unit}"),
+        "measured_position": (
+            by_position,
+            measured_position,
+            "q as the controller reads it",
+            f"1, {unit}",
+        ),
+        "measured_velocity": (
+            by_coordinate,
+            measured_velocity,
+            "v as the controller reads it",
+            f"{unit} per s",
+        ),
+        "desired_position": (
+            by_position,
+            desired_position,
+            "reference q_d",
+            f"1 (quaternion), {unit}",
+        ),
         "desired_velocity": (by_coordinate, desired_velocity, "reference v_d", f"{unit} per s"),
         "desired_acceleration": (
-            by_coordinate, series["desired_acceleration"], "reference acceleration", f"{unit} per s^2",
+            by_coordinate,
+            series["desired_acceleration"],
+            "reference acceleration",
+            f"{unit} per s^2",
         ),
-        "error": (by_coordinate, log.error, "true tracking error e = q_d - q (rotation vector in world)", unit),
+        "error": (
+            by_coordinate,
+            log.error,
+            "true tracking error e = q_d - q (rotation vector in world)",
+            unit,
+        ),
         "error_rate": (
-            by_coordinate, np.array(list(map(error_rate, log.error, desired_velocity, velocity))), "true error rate",
+            by_coordinate,
+            np.array(list(map(error_rate, log.error, desired_velocity, velocity))),
+            "true error rate",
             f"{unit} per s",
         ),
         "generalized_force": (
-            by_coordinate, series["generalized_force"], "control tau, held from this sample to the next", force,
+            by_coordinate,
+            series["generalized_force"],
+            "control tau, held from this sample to the next",
+            force,
         ),
         "applied_force": (
-            by_coordinate, series["applied_force"], "what the actuators make of tau, held likewise", force,
+            by_coordinate,
+            series["applied_force"],
+            "what the actuators make of tau, held likewise",
+            force,
         ),
         "disturbance_force": (
-            by_coordinate, series["disturbance_force"], "external forces tau_d at this instant, summed", force,
+            by_coordinate,
+            series["disturbance_force"],
+            "external forces tau_d at this instant, summed",
+            force,
         ),
         "end_effector_position": (by_axis, end_effector, "end effector in the world frame", "m"),
         "desired_end_effector_position": (by_axis, desired_end_effector, "its reference", "m"),
@@ -68,20 +110,34 @@ def make_table(log: RunLog) -> Table:
         "desired_base_rpy": (by_axis, _base_rpy(desired_position), "their reference", "rad"),
         "linear_momentum": (by_axis, momentum[:, 3:], "total linear momentum", "N s"),
         "angular_momentum": (
-            by_axis, momentum[:, :3], "total angular momentum about the world's origin", "N m s",
+            by_axis,
+            momentum[:, :3],
+            "total angular momentum about the world's origin",
+            "N m s",
         ),
         "kinetic_energy": (("time",), energy, "total kinetic energy", "J"),
-    }  # fmt: skip
+    }
     for name, meaning in (
         ("sliding_variable", "sliding variable s of this sample"),
         ("reaching_gain", "K_s used by this sample, 1/s"),
         ("switching_gain", "G used by this sample"),
     ):
         if name in series:
-            variables[name] = (by_coordinate, series[name], meaning, "1/s" if name == "reaching_gain" else unit)
+            variables[name] = (
+                by_coordinate,
+                series[name],
+                meaning,
+                "1/s" if name == "reaching_gain" else unit,
+            )
     for name in series:
-        if name.startswith("force_"):  # several external forces act, and disturbance_force is their sum
-            variables[name] = (by_coordinate, series[name], f"external force '{name[6:]}' at this instant", force)
+        # several external forces act, and disturbance_force is their sum
+        if name.startswith("force_"):
+            variables[name] = (
+                by_coordinate,
+                series[name],
+                f"external force '{name[6:]}' at this instant",
+                force,
+            )
     table = Table(
         attrs={
             "title": scenario.description,
@@ -113,15 +169,23 @@ def make_table(log: RunLog) -> Table:
     table = add_drives(table, scenario, coordinates, series)
     if model.hidden.names:
         table = _with_hidden(table, model, states, series.get("hidden_force"))
-    return table if log.grasp is None else _with_phases(table, log.grasp, log.scenario, model, states)
+    return (
+        table if log.grasp is None else _with_phases(table, log.grasp, log.scenario, model, states)
+    )
 
 
 def _with_frame(table: Table, log: RunLog, error: np.ndarray) -> Table:
     """The table with the pose error of the frame that has a reference."""
-    meaning = {"long_name": "true pose error of the frame (rotation vector, position; world)", "units": "rad, m"}
+    meaning = {
+        "long_name": "true pose error of the frame (rotation vector, position; world)",
+        "units": "rad, m",
+    }
     table = table.assign({"frame_error": (("time", "frame_coordinate"), error, meaning)})
     if SMALLEST in log.series:
-        meaning = {"long_name": "smallest singular value of the joints' J*, rad counted as m", "units": "1"}
+        meaning = {
+            "long_name": "smallest singular value of the joints' J*, rad counted as m",
+            "units": "1",
+        }
         table = table.assign({SMALLEST: ("time", log.series[SMALLEST][:, 0], meaning)})
     along = "frame_coordinate"
     return table.assign_coords({
@@ -133,7 +197,9 @@ def _with_frame(table: Table, log: RunLog, error: np.ndarray) -> Table:
 
 
 def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Momentum about the world's origin (n, 6; angular, then linear) and kinetic energy (n) of states (n, nq + nv)."""
+    """Momentum about the world's origin (n, 6; angular, then linear) and kinetic energy (n) of
+    states (n, nq + nv).
+    """
     plant, context = model.plant, model.context
     origin = np.zeros(3)
     momentum, energy = np.empty((len(states), 6)), np.empty(len(states))
@@ -159,14 +225,18 @@ def _through_the_grasp(
     of_both, energy_of_both = _momentum_and_energy(model, states[grasp.sample :])
     M_PPo_P = spatial_inertia(log.scenario.payload.truth)
     for i, state in enumerate(grasp.target):
-        M_PPo_W = M_PPo_P.ReExpress(RotationMatrix(Quaternion(state[:4] / np.linalg.norm(state[:4]))))
+        M_PPo_W = M_PPo_P.ReExpress(
+            RotationMatrix(Quaternion(state[:4] / np.linalg.norm(state[:4])))
+        )
         of_target = M_PPo_W.CopyToFullMatrix6() @ state[7:]
         energy[i] += 0.5 * state[7:] @ of_target
         momentum[i] += shift_moment(of_target, -state[4:7])
     return np.concatenate([momentum, of_both]), np.concatenate([energy, energy_of_both])
 
 
-def _with_hidden(table: Table, model: PlantModel, states: np.ndarray, force: np.ndarray | None) -> Table:
+def _with_hidden(
+    table: Table, model: PlantModel, states: np.ndarray, force: np.ndarray | None
+) -> Table:
     """The table with the hidden coordinates, the energy of their springs and what dampers took."""
     plant, context, hidden = model.plant, model.context, model.hidden
     position, velocity = np.split(hidden.hidden_part(states), 2, axis=1)
@@ -175,15 +245,22 @@ def _with_hidden(table: Table, model: PlantModel, states: np.ndarray, force: np.
         if np.isfinite(state).all():
             plant.SetPositionsAndVelocities(context, state)
             elastic[i] = plant.CalcPotentialEnergy(context)
-    joints = [joint for joint in map(plant.get_joint, plant.GetJointIndices()) if joint.num_velocities() == 1]
+    joints = [
+        joint
+        for joint in map(plant.get_joint, plant.GetJointIndices())
+        if joint.num_velocities() == 1
+    ]
     damping = np.array([joint.GetDampingVector(context)[0] for joint in joints])
     angle = states[:, [joint.position_start() for joint in joints]]
     rate = states[:, [plant.num_positions() + joint.velocity_start() for joint in joints]]
-    # The mean square of a rate that is quadratic within a sample, from its ends and from how far it went.
+    # The mean square of a rate that is quadratic within a sample, from its ends and from how far it
+    # went.
     period = float(table.attrs["sample_time"])
     before, after = rate[:-1], rate[1:]
     bow = 6.0 * np.diff(angle, axis=0) / period - 3.0 * (before + after)
-    square = (before**2 + before * after + after**2) / 3.0 + bow * (before + after) / 6.0 + bow**2 / 30.0
+    square = (
+        (before**2 + before * after + after**2) / 3.0 + bow * (before + after) / 6.0 + bow**2 / 30.0
+    )
     lost = np.concatenate([np.zeros(1), np.cumsum(period * square @ damping)])
     along, unit = ("time", "hidden_coordinate"), "rad or m"
     table = table.assign({
@@ -197,7 +274,10 @@ def _with_hidden(table: Table, model: PlantModel, states: np.ndarray, force: np.
         ),
     })  # fmt: skip
     if force is not None:
-        meaning = {"long_name": "external forces on them at this instant, summed", "units": "N m or N"}
+        meaning = {
+            "long_name": "external forces on them at this instant, summed",
+            "units": "N m or N",
+        }
         table = table.assign({"hidden_force": (along, force, meaning)})
     return table.assign_coords({
         "hidden_coordinate": ("hidden_coordinate", hidden.names),
@@ -205,7 +285,9 @@ def _with_hidden(table: Table, model: PlantModel, states: np.ndarray, force: np.
     })  # fmt: skip
 
 
-def _with_phases(table: Table, grasp: GraspLog, scenario: Scenario, model: PlantModel, states: np.ndarray) -> Table:
+def _with_phases(
+    table: Table, grasp: GraspLog, scenario: Scenario, model: PlantModel, states: np.ndarray
+) -> Table:
     """The table with the coordinate ``phase`` along time and the target's pose, held or not."""
     count = grasp.sample
     body = find_body(model.plant, scenario.payload.body, key="payload.body")
@@ -217,7 +299,8 @@ def _with_phases(table: Table, grasp: GraspLog, scenario: Scenario, model: Plant
             model.plant.SetPositionsAndVelocities(model.context, state)
             X_WP = body.EvalPoseInWorld(model.context)
             pose[i] = *X_WP.rotation().ToQuaternion().wxyz(), *X_WP.translation()
-    pose[:, :4] *= np.sign(pose[:, :1]) + (pose[:, :1] == 0.0)  # one of the two quaternions of a rotation
+    # one of the two quaternions of a rotation
+    pose[:, :4] *= np.sign(pose[:, :1]) + (pose[:, :1] == 0.0)
     place = {"long_name": "origin of the target's frame in the world frame", "units": "m"}
     attitude = {"long_name": "attitude of the target's frame in the world", "units": "1"}
     table = table.assign({
@@ -244,7 +327,9 @@ def _end_effector(model: PlantModel, scenario: Scenario, positions: np.ndarray) 
 
 
 def _base_rpy(positions: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw (n, 3) of the base in configurations q (n, nq), rad; as ``plant.base_rpy``."""
+    """Roll, pitch, yaw (n, 3) of the base in configurations q (n, nq), rad; as
+    ``plant.base_rpy``.
+    """
     w, x, y, z = positions[:, :4].T / np.linalg.norm(positions[:, :4], axis=1)
     cosines = np.hypot(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z))  # of the pitch
     return np.stack(

@@ -1,4 +1,6 @@
-"""How far the hidden coordinates of a run move, and what is left of it once the planned motion is over."""
+"""How far the hidden coordinates of a run move, and what is left of it once the planned motion is
+over.
+"""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -17,9 +19,11 @@ def deflection_metrics(dataset: "Labelled") -> dict[str, Any]:
 
     Keys:
       peak: the largest deflection of each, rad or m.
-      residual_since: s; when the reference comes to rest, None where it does not before the run's last sample.
-      residual_rms, residual_amplitude: of each from then on, rad or m: the root of the mean square about the mean, and
-        half the distance from the least to the largest; None where the reference does not come to rest.
+      residual_since: s; when the reference comes to rest, None where it does not before the run's
+        last sample.
+      residual_rms, residual_amplitude: of each from then on, rad or m: the root of the mean square
+        about the mean, and half the distance from the least to the largest; None where the
+        reference does not come to rest.
     """
     if "hidden_position" not in dataset:
         return {}
@@ -40,9 +44,11 @@ def deflection_metrics(dataset: "Labelled") -> dict[str, Any]:
 
 
 def largest_deflections(log: "RunLog", unit: str) -> tuple[float, float]:
-    """Of a run's hidden coordinates with a unit: the largest deflection, and the largest residual amplitude.
+    """Of a run's hidden coordinates with a unit: the largest deflection, and the largest residual
+    amplitude.
 
-    NaN where there is none: of the second where the reference does not come to rest before the last sample.
+    NaN where there is none: of the second where the reference does not come to rest before the last
+    sample.
     """
     members = [i for i, other in enumerate(log.hidden.units) if other == unit]
     if not members:

@@ -47,7 +47,9 @@ def run_remarks(record: "RunRecord") -> list[str]:
     remarks = list(position_remarks(limits, q, "the run", at))
     remarks += size_remarks(limits, v, limits.velocity, "the run", "/s", at)
     remarks += size_remarks(limits, tau, limits.effort, "the run applies", " force", at)
-    remarks += clearance_remarks(lambda: run_clearance(record), record.scenario.clearance, "the run")
+    remarks += clearance_remarks(
+        lambda: run_clearance(record), record.scenario.clearance, "the run"
+    )
     shares = [f"{name} in {100.0 * share:.3g} %" for name, share in saturation(record).items()]
     if shares:
         remarks.append(f"saturated at actuation.limit: {', '.join(shares)} of the samples")
@@ -66,7 +68,10 @@ class Closest:
 
     def __str__(self) -> str:
         before = ", before the grasp" if self.before_grasp else ""
-        return f"{self.first} and {self.second} {self.distance:.3g} m apart at t = {self.time:.3g} s{before}"
+        return (
+            f"{self.first} and {self.second} {self.distance:.3g} m apart at t = "
+            f"{self.time:.3g} s{before}"
+        )
 
 
 def run_clearance(record: "RunRecord") -> list[Closest]:
@@ -81,18 +86,24 @@ def run_clearance(record: "RunRecord") -> list[Closest]:
         samples = np.flatnonzero(phases == phase)
         if samples.size == 0:
             continue
-        chosen = samples[np.unique(np.linspace(0, samples.size - 1, 2 * INSTANTS - 1).round().astype(int))]
+        chosen = samples[
+            np.unique(np.linspace(0, samples.size - 1, 2 * INSTANTS - 1).round().astype(int))
+        ]
         part, target = data.isel(time=chosen), None
         if phase == "approach":
             target = np.hstack([part["target_quaternion"].values, part["target_position"].values])
-        found += closest_of(record.scenario, part["time"].values, part["position"].values, target=target)
+        found += closest_of(
+            record.scenario, part["time"].values, part["position"].values, target=target
+        )
     return found
 
 
 def closest_of(
     scenario: Scenario, times: np.ndarray, q: np.ndarray, *, target: np.ndarray | None = None
 ) -> Iterator[Closest]:
-    """Where configurations (n, nq) come nearest to themselves or, before a grasp, the target with poses (n, 7)."""
+    """Where configurations (n, nq) come nearest to themselves or, before a grasp, the target with
+    poses (n, 7).
+    """
     clearance = _shapes(scenario, apart=None if target is None else scenario.payload.body)
     if target is not None:
         q = np.hstack([q, target])
@@ -116,7 +127,9 @@ def _loaded(model: Model, files: tuple[Path, ...], apart: str | None) -> Clearan
     return Clearance(model) if apart is None else ApproachClearance(model, apart)
 
 
-def clearance_remarks(find: Callable[[], list[Closest]], threshold: float, what: str) -> Iterator[str]:
+def clearance_remarks(
+    find: Callable[[], list[Closest]], threshold: float, what: str
+) -> Iterator[str]:
     """Says so when parts come nearer to each other than a threshold, m."""
     try:
         found = find()
@@ -128,24 +141,40 @@ def clearance_remarks(find: Callable[[], list[Closest]], threshold: float, what:
             continue
         pair = f"{closest.first} and {closest.second}"
         size = f"{abs(closest.distance):.3g} m"
-        state = f"overlap by {size}" if closest.distance < 0.0 else f"come within {size} of each other"
+        state = (
+            f"overlap by {size}"
+            if closest.distance < 0.0
+            else (f"come within {size} of each other")
+        )
         yield f"{what}: {pair} {state} at t = {closest.time:.3g} s (clearance {threshold:g} m)"
 
 
 def saturation(record: "RunRecord") -> dict[str, float]:
-    """Share of the samples in which what was commanded of a coordinate was beyond ``actuation.limit``, where any."""
+    """Share of the samples in which what was commanded of a coordinate was beyond
+    ``actuation.limit``, where any.
+    """
     scenario, data = record.scenario, record.dataset
-    if data.sizes["time"] == 0 or scenario.actuation.limit is None or scenario.blocks.actuation is not None:
+    if (
+        data.sizes["time"] == 0
+        or scenario.actuation.limit is None
+        or scenario.blocks.actuation is not None
+    ):
         return {}
     names, groups = (data[name].values.astype(str).tolist() for name in ("coordinate", "group"))
     given = scenario.actuation.limit
-    limit = np.array([given.get(n, given.get(g, given.get("all", np.inf))) for n, g in zip(names, groups, strict=True)])
+    limit = np.array(
+        [
+            given.get(n, given.get(g, given.get("all", np.inf)))
+            for n, g in zip(names, groups, strict=True)
+        ]
+    )
     shares = (np.abs(data["generalized_force"].values) > limit).mean(axis=0)
     return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0.0}
 
 
 def limits_left(log: "RunLog") -> dict[str, float]:
-    """When a run first left each of its limits, s: forces commanded, velocities and positions of joints, clearance.
+    """When a run first left each of its limits, s: forces commanded, velocities and positions of
+    joints, clearance.
 
     Of a run with a capture clearance is looked at from the grasp on, as in ``run_clearance``.
     """
@@ -158,7 +187,10 @@ def limits_left(log: "RunLog") -> dict[str, float]:
     reach = 1.0 + SLACK
     with np.errstate(invalid="ignore"):
         beyond = {
-            "force on": (coordinates.names, np.abs(log.generalized_force) > reach * force_limits(scenario, plant)),
+            "force on": (
+                coordinates.names,
+                np.abs(log.generalized_force) > reach * force_limits(scenario, plant),
+            ),
             "velocity of": (joints.names, np.abs(v) > reach * rate_limits(scenario, plant)),
             "position of": (joints.names, (q > joints.upper + SLACK) | (q < joints.lower - SLACK)),
         }
@@ -170,7 +202,9 @@ def limits_left(log: "RunLog") -> dict[str, float]:
     }
     first = 0 if log.grasp is None else log.grasp.sample
     if clearance.pairs and log.time.size > first:
-        for sample in np.unique(np.linspace(first, log.time.size - 1, INSTANTS).round().astype(int)):
+        for sample in np.unique(
+            np.linspace(first, log.time.size - 1, INSTANTS).round().astype(int)
+        ):
             if np.isfinite(state[sample]).all() and (
                 clearance.nearest(state[sample, :nq]).distance < scenario.clearance
             ):
@@ -178,7 +212,9 @@ def limits_left(log: "RunLog") -> dict[str, float]:
     return found
 
 
-def position_remarks(limits: JointLimits, q: np.ndarray, what: str, at: Callable[[int], str]) -> Iterator[str]:
+def position_remarks(
+    limits: JointLimits, q: np.ndarray, what: str, at: Callable[[int], str]
+) -> Iterator[str]:
     """A line with the joints whose positions (n, joints) leave their limits."""
     reach = np.where(np.isfinite(limits.upper - limits.lower), limits.upper - limits.lower, 1.0)
     with np.errstate(invalid="ignore"):
@@ -194,7 +230,12 @@ def position_remarks(limits: JointLimits, q: np.ndarray, what: str, at: Callable
 
 
 def size_remarks(
-    limits: JointLimits, values: np.ndarray, largest: np.ndarray, what: str, kind: str, at: Callable[[int], str]
+    limits: JointLimits,
+    values: np.ndarray,
+    largest: np.ndarray,
+    what: str,
+    kind: str,
+    at: Callable[[int], str],
 ) -> Iterator[str]:
     """A line with the joints whose values (n, joints) are larger than their limit."""
     parts = []
@@ -202,7 +243,11 @@ def size_remarks(
         size = np.nan_to_num(np.abs(values[:, i]), nan=0.0)
         worst = int(np.argmax(size))
         if size[worst] > largest[i] * (1.0 + SLACK):
-            unit = {"rad": "N m", "m": "N"}[limits.units[i]] if kind == " force" else f"{limits.units[i]}{kind}"
+            unit = (
+                {"rad": "N m", "m": "N"}[limits.units[i]]
+                if kind == " force"
+                else f"{limits.units[i]}{kind}"
+            )
             parts.append(f"{name} {size[worst]:.4g} {unit}{at(worst)} (limit {largest[i]:.4g})")
     if parts:
         named = "effort" if kind == " force" else "velocity"

@@ -1,6 +1,7 @@
 """Figures of merit of a run, computed from its recorded time series.
 
-Sums run over the control samples t_k = k L that begin a recorded period, with tau_k the value held over [t_k, t_{k+1}).
+Sums run over the control samples t_k = k L that begin a recorded period, with tau_k the value held
+over [t_k, t_{k+1}).
 """
 
 from collections.abc import Sequence
@@ -26,16 +27,16 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
     """All metrics of a run's dataset (see RunRecord.dataset), as plain numbers.
 
     Keys: those of ``tracking_metrics``, and
-      momentum_residual: largest norm, over the run or its phases, of the momentum's change minus the impulse of the
-        external forces, ``linear`` (N s) and ``angular`` (N m s, about the world's origin): what the integrator got
-        wrong.
+      momentum_residual: largest norm, over the run or its phases, of the momentum's change minus
+        the impulse of the external forces, ``linear`` (N s) and ``angular`` (N m s, about the
+        world's origin): what the integrator got wrong.
       phases: of a run with a capture, by phase,
         those of ``tracking_metrics``, each with its own time.
       drift: of a run with undriven coordinates,
         those of ``drift_metrics``.
       frame: of a run with a reference for a frame's pose,
-        those of ``tracking.frame_metrics``, and where the controller tracks it ``smallest_singular_value``, the
-        smallest of the run.
+        those of ``tracking.frame_metrics``, and where the controller tracks it
+        ``smallest_singular_value``, the smallest of the run.
       thrusters, wheels, drives: of a run with them,
         those of ``actuators.thruster_metrics``, ``wheel_metrics`` and ``drive_metrics``.
       hidden: of a run with hidden coordinates,
@@ -50,7 +51,9 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
         counted=tracked_of(dataset).error,
     )
     phases = phases_of(dataset)
-    residuals = [momentum_residual(part) for part in phases.values()] or [momentum_residual(dataset)]
+    residuals = [momentum_residual(part) for part in phases.values()] or [
+        momentum_residual(dataset)
+    ]
     sizes = {
         name: max(float(np.linalg.norm(residual[name], axis=1).max()) for residual in residuals)
         for name in residuals[0]
@@ -81,10 +84,14 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
 
 
 def frame_figures(dataset: "Labelled") -> dict[str, Any]:
-    """``frame_metrics`` of a run's dataset and its smallest singular value; empty where no frame has a reference."""
+    """``frame_metrics`` of a run's dataset and its smallest singular value; empty where no frame
+    has a reference.
+    """
     if "frame_error" not in dataset or not dataset.sizes["time"]:
         return {}
-    figures: dict[str, Any] = {**frame_metrics(dataset["frame_error"].values, dataset["frame_prescribed"].values)}
+    figures: dict[str, Any] = {
+        **frame_metrics(dataset["frame_error"].values, dataset["frame_prescribed"].values)
+    }
     if "smallest_singular_value" in dataset:
         figures["smallest_singular_value"] = float(dataset["smallest_singular_value"].values.min())
     return figures
@@ -104,14 +111,17 @@ def drift_metrics(dataset: "Labelled") -> dict[str, dict[str, float]]:
 
 
 def base_drift(positions: np.ndarray, undriven: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Where the base goes through configurations (n, nq): ``largest`` and ``final`` distance from its start.
+    """Where the base goes through configurations (n, nq): ``largest`` and ``final`` distance from
+    its start.
 
     By group of ``undriven``: an angle, rad, and a distance, m.
     """
     base = positions[:, :NUM_BASE_POSITIONS]
     moved = position_errors(base, np.broadcast_to(base[0], base.shape))
     parts = {"base_rotation": moved[:, :3], "base_position": moved[:, 3:]}
-    sizes = {group: np.linalg.norm(part, axis=1) for group, part in parts.items() if group in undriven}
+    sizes = {
+        group: np.linalg.norm(part, axis=1) for group, part in parts.items() if group in undriven
+    }
     return {
         "largest": {group: float(size.max()) for group, size in sizes.items()},
         "final": {group: float(size[-1]) for group, size in sizes.items()},
@@ -152,11 +162,14 @@ def tracking_metrics(
     Keys:
       itae: sum of t |e|_1 L (equation (22)), e of what is tracked.
       isv: sum of |tau|_2^2 L (equation (23)).
-      peak_error, final_error, peak_effort: by group, the largest |e| of the run, the largest |e| of the last sample
-        (rad or m), the largest |tau| (N m or N), each over the group's coordinates; e of an undriven group, and
-        of joints that serve a frame, is how far they are from where the nominal payload would have taken them.
+      peak_error, final_error, peak_effort: by group, the largest |e| of the run, the largest |e| of
+        the last sample (rad or m), the largest |tau| (N m or N), each over the group's coordinates;
+        e of an undriven group, and of joints that serve a frame, is how far they are from where the
+        nominal payload would have taken them.
     """
-    members = {name: [i for i, other in enumerate(group) if other == name] for name in dict.fromkeys(group)}
+    members = {
+        name: [i for i, other in enumerate(group) if other == name] for name in dict.fromkeys(group)
+    }
 
     def by_group(peak: np.ndarray) -> dict[str, float]:
         return {name: float(peak[indices].max()) for name, indices in members.items()}
@@ -181,16 +194,27 @@ def isv(effort: np.ndarray, period: float) -> float:
 
 
 def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
-    """Change of ``linear`` and ``angular`` momentum minus the impulse of the external forces, each (n, 3), world frame.
+    """Change of ``linear`` and ``angular`` momentum minus the impulse of the external forces, each
+    (n, 3), world frame.
 
-    Only the base's force and torque are external; joint torques act between bodies. The control force is constant over
-    each period, the disturbance smooth over all of them, and the base's path is a cubic through recorded positions and
-    velocities, so that for an exact integrator the residual is small against every force's impulse. It ends before the
-    first sample that is not finite, the last of some diverged runs.
+    Only the base's force and torque are external; joint torques act between bodies. The control
+    force is constant over each period, the disturbance smooth over all of them, and the base's path
+    is a cubic through recorded positions and velocities, so that for an exact integrator the
+    residual is small against every force's impulse. It ends before the first sample that is not
+    finite, the last of some diverged runs.
     """
-    used = ("position", "velocity", "applied_force", "disturbance_force", "linear_momentum", "angular_momentum")
+    used = (
+        "position",
+        "velocity",
+        "applied_force",
+        "disturbance_force",
+        "linear_momentum",
+        "angular_momentum",
+    )
     finite = np.logical_and.reduce([np.isfinite(dataset[name].values).all(axis=1) for name in used])
-    dataset = dataset.isel(time=slice(0, dataset.sizes["time"] if finite.all() else max(1, int(np.argmin(finite)))))
+    dataset = dataset.isel(
+        time=slice(0, dataset.sizes["time"] if finite.all() else max(1, int(np.argmin(finite))))
+    )
     time = dataset["time"].values
     names = {part: [f"base_{part}_{axis}" for axis in "xyz"] for part in ("rotation", "position")}
     change = {
@@ -209,13 +233,17 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
     held, held_torque = (of_base("applied_force", part)[:-1] for part in ("position", "rotation"))
     if "wheel_reaction" in dataset:  # which is not external
         held_torque = held_torque - dataset["wheel_reaction"].values[:-1]
-    smooth, smooth_torque = (of_base("disturbance_force", part) for part in ("position", "rotation"))
+    smooth, smooth_torque = (
+        of_base("disturbance_force", part) for part in ("position", "rotation")
+    )
     place = dataset["position_name"].values.astype(str).tolist()
     position = dataset["position"].values[:, [place.index(name) for name in names["position"]]]
     period = np.diff(time)[:, None]
 
     def impulse(of_held: np.ndarray, of_smooth: np.ndarray) -> np.ndarray:
-        accumulated = np.cumsum(of_held + _integrals(of_smooth, _rates(of_smooth, period), period), axis=0)
+        accumulated = np.cumsum(
+            of_held + _integrals(of_smooth, _rates(of_smooth, period), period), axis=0
+        )
         return np.vstack([np.zeros(3), accumulated])
 
     path = _integrals(position, of_base("velocity", "position"), period)
@@ -230,7 +258,9 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
 
 
 def _integrals(values: np.ndarray, rates: np.ndarray, period: np.ndarray) -> np.ndarray:
-    """Integrals (n - 1, 3) from each sample to the next, of the cubic through values and rates (n, 3)."""
+    """Integrals (n - 1, 3) from each sample to the next, of the cubic through values and rates (n,
+    3).
+    """
     mean = 0.5 * (values[:-1] + values[1:])
     return period * (mean + period / 12.0 * (rates[:-1] - rates[1:]))
 

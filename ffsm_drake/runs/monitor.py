@@ -11,7 +11,9 @@ from ffsm_drake.loop.closed_loop import ClosedLoop
 
 @dataclasses.dataclass
 class Monitor:
-    """Detects divergence and reports progress; as a simulator's monitor, it stops a run that diverges."""
+    """Detects divergence and reports progress; as a simulator's monitor, it stops a run that
+    diverges.
+    """
 
     loop: ClosedLoop
     progress: Callable[[float, float], None] | None
@@ -40,10 +42,13 @@ class Monitor:
 
     def bounds(self, states: np.ndarray) -> bool:
         """Whether every velocity in known states [q; v] is within the bound."""
-        return bool(np.abs(states[..., self._first_velocity :]).max() <= self._bound)  # false for NaN too
+        # false for NaN too
+        return bool(np.abs(states[..., self._first_velocity :]).max() <= self._bound)
 
     def check(self, context: Context) -> bool:
-        """Whether every velocity is within the bound; otherwise ``message`` and ``coordinate`` say which is not."""
+        """Whether every velocity is within the bound; otherwise ``message`` and ``coordinate`` say
+        which is not.
+        """
         plant = self.loop.plant  # whose state is not all of the diagram's
         whole = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(context))
         state = self.loop.hidden.known_part(whole)
@@ -56,7 +61,8 @@ class Monitor:
         self._note(
             context,
             worst,
-            f"{coordinates.names[worst]} moves at {velocity[worst]:.3g} {coordinates.units[worst]}/s, "
+            f"{coordinates.names[worst]} moves at {velocity[worst]:.3g} "
+            f"{coordinates.units[worst]}/s, "
             f"beyond divergence_speed = {self._bound:g}",
         )
         return False
@@ -68,9 +74,13 @@ class Monitor:
         if np.isfinite(force).all():
             return True
         worst = int(np.argmin(np.isfinite(force)))
-        self._note(context, worst, f"the force on {self.loop.coordinates.names[worst]} is {force[worst]:g}")
+        self._note(
+            context, worst, f"the force on {self.loop.coordinates.names[worst]} is {force[worst]:g}"
+        )
         return False
 
     def _note(self, context: Context, worst: int, what: str) -> None:
         self.coordinate = self.loop.coordinates.names[worst]
-        self.message = f"{self.loop.scenario.controller} diverged at t = {context.get_time():.2f} s: {what}"
+        self.message = (
+            f"{self.loop.scenario.controller} diverged at t = {context.get_time():.2f} s: {what}"
+        )

@@ -28,7 +28,8 @@ DATASET_FILE = "record.nc"
 METRICS_FILE = "metrics.json"
 REPORT_FILE = "report.html"
 FORMAT = 3
-IDENTIFIER = "record_sha256"  # of record.nc, in the files that go with it; in reports an attribute of their head
+# of record.nc, in the files that go with it; in reports an attribute of their head
+IDENTIFIER = "record_sha256"
 _HEAD = 100_000  # bytes of a report within which that is
 _MAX_TEXT = 10_000_000  # bytes, of manifest and metrics
 _MAX_RECORD = 100_000_000_000  # bytes
@@ -38,7 +39,11 @@ OUTPUTS = (
     REPORT_FILE, "recording.html", "analysis.json", "analysis.png",
     *(f"{name}.png" for name in ("trajectories", "errors", "efforts", "gains")),
 )  # fmt: skip
-_BY_COORDINATE, _BY_POSITION, _BY_AXIS = ("time", "coordinate"), ("time", "position_name"), ("time", "axis")
+_BY_COORDINATE, _BY_POSITION, _BY_AXIS = (
+    ("time", "coordinate"),
+    ("time", "position_name"),
+    ("time", "axis"),
+)
 # What every record holds, by dimension; sliding variable and gains are added where there are any.
 VARIABLES = {
     "position": _BY_POSITION,
@@ -84,7 +89,9 @@ class Outcome:
 
 
 class _Dataset:
-    """A field that is given as a dataset, or as a table of which one is made when it is asked for."""
+    """A field that is given as a dataset, or as a table of which one is made when it is asked
+    for.
+    """
 
     def __get__(self, record: Any, owner: type) -> "xr.Dataset":
         if record is None:
@@ -102,9 +109,10 @@ class _Dataset:
 class RunRecord:
     """The results of a run.
 
-    ``dataset`` is an xarray Dataset along ``time`` (control samples t_k, s), ``coordinate`` (generalized velocities by
-    name, with ``group`` and ``unit``), ``position_name`` (generalized positions by name) and ``axis`` (x, y, z; world
-    frame). Its variables carry their units and meaning as attributes; ``list(record.dataset)`` names them.
+    ``dataset`` is an xarray Dataset along ``time`` (control samples t_k, s), ``coordinate``
+    (generalized velocities by name, with ``group`` and ``unit``), ``position_name`` (generalized
+    positions by name) and ``axis`` (x, y, z; world frame). Its variables carry their units and
+    meaning as attributes; ``list(record.dataset)`` names them.
     """
 
     scenario: Scenario
@@ -114,8 +122,10 @@ class RunRecord:
     software: dict[str, str]
     # block -> where it comes from: ``system``; for a user-supplied one ``file`` and its ``sha256``
     blocks: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
-    grasp: dict[str, Any] | None = None  # of a run with a capture; ``GraspLog.ledger``, ``momentum_budget``
-    # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and reports carry
+    # of a run with a capture; ``GraspLog.ledger``, ``momentum_budget``
+    grasp: dict[str, Any] | None = None
+    # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and
+    # reports carry
     identifier: str = dataclasses.field(default="", init=False)
 
     @functools.cached_property
@@ -126,10 +136,15 @@ class RunRecord:
     @property
     def realtime_factor(self) -> float:
         """Simulated seconds per second of wall time inside ``Simulator.AdvanceTo``."""
-        return self.outcome.time / self.wall_time["advance_to"] if self.wall_time["advance_to"] > 0 else math.inf
+        return (
+            self.outcome.time / self.wall_time["advance_to"]
+            if self.wall_time["advance_to"] > 0
+            else math.inf
+        )
 
     def save(self, directory: str | Path) -> Path:
-        """Write record.nc (netCDF-4), metrics.json and manifest.json, all or none. Returns the directory.
+        """Write record.nc (netCDF-4), metrics.json and manifest.json, all or none. Returns the
+        directory.
 
         What a report or an analysis has left there of an earlier run (``OUTPUTS``) goes.
 
@@ -139,7 +154,9 @@ class RunRecord:
         directory = Path(directory)
         # Character arrays rather than netCDF strings: every MATLAB reads them.
         encoding: dict[str, dict[str, Any]] = {
-            str(name): {"dtype": "S1"} for name, array in self.dataset.coords.items() if array.dtype.kind in "UO"
+            str(name): {"dtype": "S1"}
+            for name, array in self.dataset.coords.items()
+            if array.dtype.kind in "UO"
         }
         encoding |= {str(name): {"zlib": True, "complevel": 1} for name in self.dataset.data_vars}
         metrics = self.metrics
@@ -163,12 +180,16 @@ class RunRecord:
             manifest["grasp"] = self.grasp
         with published(directory, outdated=OUTPUTS) as folder:
             try:
-                self.dataset.to_netcdf(folder / DATASET_FILE, engine="netcdf4", format="NETCDF4", encoding=encoding)
+                self.dataset.to_netcdf(
+                    folder / DATASET_FILE, engine="netcdf4", format="NETCDF4", encoding=encoding
+                )
             except RuntimeError as error:  # the netCDF library's error for a full disk
                 raise OSError(one_line(error)) from error
             identifier = _digest(folder / DATASET_FILE)
             for name, data in ((METRICS_FILE, metrics), (MANIFEST_FILE, manifest)):
-                (folder / name).write_text(to_json(data | {IDENTIFIER: identifier}), encoding="utf-8")
+                (folder / name).write_text(
+                    to_json(data | {IDENTIFIER: identifier}), encoding="utf-8"
+                )
         object.__setattr__(self, "identifier", identifier)
         return directory
 
@@ -176,7 +197,8 @@ class RunRecord:
     def load(cls, directory: str | Path) -> "RunRecord":
         """Read back what ``save`` wrote.
 
-        Warns (StaleReportWarning) of a report of another run in the folder, or of another comparison above it.
+        Warns (StaleReportWarning) of a report of another run in the folder, or of another
+        comparison above it.
 
         Raises:
           RecordError: a file is missing or cannot be used.
@@ -188,12 +210,19 @@ class RunRecord:
         try:
             manifest = _read_json(path)
             if not isinstance(manifest, dict):
-                raise RecordError(f"is not a run's manifest: must be an object, not {type(manifest).__name__}")
+                raise RecordError(
+                    f"is not a run's manifest: must be an object, not {type(manifest).__name__}"
+                )
             if manifest["format"] != FORMAT:
-                raise RecordError(f"format {manifest['format']!r:.40} is not the supported {FORMAT}; run it again")
+                raise RecordError(
+                    f"format {manifest['format']!r:.40} is not the supported {FORMAT}; run it again"
+                )
             scenario = scenario_from_dict(manifest["scenario"], source=str(path))
             outcome = _checked_outcome(manifest["outcome"])
-            wall_time = {name: float(manifest["wall_time"][name]) for name in ("build", "advance_to", "total")}
+            wall_time = {
+                name: float(manifest["wall_time"][name])
+                for name in ("build", "advance_to", "total")
+            }
             software = {str(name): str(text) for name, text in dict(manifest["software"]).items()}
             blocks = {
                 str(name): {str(key): str(text) for key, text in dict(source).items()}
@@ -205,17 +234,25 @@ class RunRecord:
         except FfsmError as error:
             raise RecordError(f"{path}: {one_line(error).removeprefix(f'{path}: ')}") from error
         except OSError as error:
-            raise RecordError(f"{path}: cannot be read: {one_line(error)}; give the folder of a run") from error
+            raise RecordError(
+                f"{path}: cannot be read: {one_line(error)}; give the folder of a run"
+            ) from error
         except KeyError as error:
-            raise RecordError(f"{path}: is not a run's manifest: lacks {one_line(error)}") from error
+            raise RecordError(
+                f"{path}: is not a run's manifest: lacks {one_line(error)}"
+            ) from error
         except (ValueError, TypeError, RecursionError) as error:
-            raise RecordError(f"{path}: is not a run's manifest: {type(error).__name__} {one_line(error)}") from error
+            raise RecordError(
+                f"{path}: is not a run's manifest: {type(error).__name__} {one_line(error)}"
+            ) from error
         path = directory / DATASET_FILE
         try:
             check_regular(path, limit=_MAX_RECORD)
             with xr.open_dataset(path, engine="netcdf4") as stored:
                 if stored.nbytes > _MAX_PER_SAMPLE * (scenario.num_control_periods + 1):
-                    raise OSError(f"holds {stored.nbytes:.3g} bytes, more than a run of its scenario")
+                    raise OSError(
+                        f"holds {stored.nbytes:.3g} bytes, more than a run of its scenario"
+                    )
                 dataset = stored.load()
             digest = _digest(path)
         except FileNotFoundError as error:
@@ -224,7 +261,10 @@ class RunRecord:
             raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
         _check_dataset(dataset, path)
         if manifest.get(IDENTIFIER) != digest:
-            raise RecordError(f"{path}: is not the record that {MANIFEST_FILE} goes with, or was changed; run it again")
+            raise RecordError(
+                f"{path}: is not the record that {MANIFEST_FILE} goes with, or was "
+                "changed; run it again"
+            )
         _check_metrics(directory / METRICS_FILE, digest)
         _check_reports(directory, digest)
         for source in blocks.values():
@@ -247,7 +287,9 @@ def _checked_outcome(data: Any) -> Outcome:
     """The outcome of a manifest. Raises TypeError or ValueError for one that no run writes."""
     outcome = Outcome(**data)
     if outcome.status not in _STATUSES:
-        raise ValueError(f"outcome.status must be one of {', '.join(_STATUSES)}, not {outcome.status!r:.40}")
+        raise ValueError(
+            f"outcome.status must be one of {', '.join(_STATUSES)}, not {outcome.status!r:.40}"
+        )
     if not isinstance(outcome.time, (int, float)) or isinstance(outcome.time, bool):
         raise TypeError(f"outcome.time must be a number, not {outcome.time!r:.40}")
     if not isinstance(outcome.message, str) or not isinstance(outcome.coordinate, str):
@@ -278,8 +320,13 @@ def _check_metrics(path: Path, digest: str) -> None:
 
 
 def _check_reports(directory: Path, digest: str) -> None:
-    """Warn of a report in a run's folder, or of a comparison one above it, that shows another run in its place."""
-    for page, folder in ((directory / REPORT_FILE, ""), (directory.absolute().parent / REPORT_FILE, directory.name)):
+    """Warn of a report in a run's folder, or of a comparison one above it, that shows another run
+    in its place.
+    """
+    for page, folder in (
+        (directory / REPORT_FILE, ""),
+        (directory.absolute().parent / REPORT_FILE, directory.name),
+    ):
         try:
             check_regular(page, limit=_MAX_RECORD)
             with page.open("rb") as file:
@@ -288,7 +335,9 @@ def _check_reports(directory: Path, digest: str) -> None:
             continue
         found = re.search(f'<meta name="{IDENTIFIER}" content="([^"]*)">', head)
         shown = [word.rpartition("=") for word in found[1].split()] if found else []
-        digests = [shown_digest for controller, _, shown_digest in shown if folder in ("", controller)]
+        digests = [
+            shown_digest for controller, _, shown_digest in shown if folder in ("", controller)
+        ]
         if digests and digest not in digests:
             warnings.warn(
                 f"{page} shows another run than the {DATASET_FILE} of {directory}; make it anew",
@@ -301,12 +350,17 @@ def _check_dataset(dataset: "xr.Dataset", path: Path) -> None:
     """Raise RecordError unless a dataset holds what every record does."""
     missing = [name for name in (*_COORDINATES, *VARIABLES) if name not in dataset.variables]
     if missing:
-        raise RecordError(f"{path}: lacks {', '.join(missing)}; it comes from another version or program, run it again")
+        raise RecordError(
+            f"{path}: lacks {', '.join(missing)}; it comes from another version or "
+            "program, run it again"
+        )
     if "sample_time" not in dataset.attrs:
         raise RecordError(f"{path}: lacks the attribute sample_time; run it again")
     for name, dims in VARIABLES.items():
         if dataset[name].dims != dims or dataset[name].dtype.kind not in "fiu":
-            raise RecordError(f"{path}: {name} must hold numbers along {', '.join(dims)}; run it again")
+            raise RecordError(
+                f"{path}: {name} must hold numbers along {', '.join(dims)}; run it again"
+            )
     if dataset.sizes["time"] == 0:
         raise RecordError(f"{path}: holds no samples; run it again")
 
@@ -314,7 +368,10 @@ def _check_dataset(dataset: "xr.Dataset", path: Path) -> None:
 def software_versions() -> dict[str, str]:
     """Versions of everything that affects a result."""
     versions = {"python": platform.python_version(), "platform": platform.platform()}
-    return versions | {package: _version(package) for package in ("ffsm-drake", "drake", "numpy", "scipy", "xarray")}
+    return versions | {
+        package: _version(package)
+        for package in ("ffsm-drake", "drake", "numpy", "scipy", "xarray")
+    }
 
 
 @functools.cache  # reads a file each time

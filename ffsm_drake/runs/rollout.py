@@ -1,4 +1,6 @@
-"""Rollout: a closed loop that is built once and run many times; RunLog: the time series of a run."""
+"""Rollout: a closed loop that is built once and run many times; RunLog: the time series of a
+run.
+"""
 
 import contextlib
 import dataclasses
@@ -12,7 +14,13 @@ import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
-from pydrake.systems.primitives import Demultiplexer, LogVectorOutput, Multiplexer, TrajectorySource, VectorLogSink
+from pydrake.systems.primitives import (
+    Demultiplexer,
+    LogVectorOutput,
+    Multiplexer,
+    TrajectorySource,
+    VectorLogSink,
+)
 from pydrake.trajectories import PiecewisePolynomial
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, one_line
@@ -36,8 +44,16 @@ from ffsm_drake.systems.registry import Factory, is_shipped
 if TYPE_CHECKING:
     from ffsm_drake.runs.capture import GraspLog
 
-# A logger sees the state before the update of its instant. So at t_k these still show sample k - 1 ...
-_HELD = ("measurement", "generalized_force", "applied_force", "sliding_variable", SMALLEST, *HELD_OUTPUTS)
+# A logger sees the state before the update of its instant. So at t_k these still show sample k - 1
+# ...
+_HELD = (
+    "measurement",
+    "generalized_force",
+    "applied_force",
+    "sliding_variable",
+    SMALLEST,
+    *HELD_OUTPUTS,
+)
 # Besides the payload's true mass properties, what can change without a new build.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
 
@@ -46,9 +62,9 @@ _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed",
 class RunLog:
     """The aligned time series of a run; of derived quantities, only the error.
 
-    ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, the controller's optional outputs
-    and, where there are hidden coordinates, ``hidden_state``, each (n, its width): a signal of sample k is the one that
-    sample k used or produced.
+    ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, the controller's
+    optional outputs and, where there are hidden coordinates, ``hidden_state``, each (n, its width):
+    a signal of sample k is the one that sample k used or produced.
     """
 
     scenario: Scenario
@@ -59,7 +75,8 @@ class RunLog:
     wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
     hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)
     grasp: "GraspLog | None" = None  # of a run with a capture, unless it ended before
-    tracks_frame: bool = False  # whether the controller does, and coordinates only as far as that leaves them free
+    # whether the controller does, and coordinates only as far as that leaves them free
+    tracks_frame: bool = False
 
     @property
     def generalized_force(self) -> np.ndarray:
@@ -68,18 +85,29 @@ class RunLog:
 
     @functools.cached_property
     def error(self) -> np.ndarray:
-        """True tracking error e = q_d - q (n, nv), base rotation as a rotation vector in the world frame."""
+        """True tracking error e = q_d - q (n, nv), base rotation as a rotation vector in the world
+        frame.
+        """
         num_positions = len(self.coordinates.position_names)
-        return position_errors(self.series["desired_state"][:, :num_positions], self.series["state"][:, :num_positions])
+        return position_errors(
+            self.series["desired_state"][:, :num_positions], self.series["state"][:, :num_positions]
+        )
 
     @functools.cached_property
     def frame_error(self) -> np.ndarray | None:
-        """True pose error (n, 6; rotation vector, position; world) of the frame; None where none has a reference."""
+        """True pose error (n, 6; rotation vector, position; world) of the frame; None where none
+        has a reference.
+        """
         desired = self.series.get("desired_frame")
         if desired is None and not self.tracks_frame:
             return None
-        model, num_positions = make_flexible_plant(self.scenario), len(self.coordinates.position_names)
-        q = self.hidden.whole(self.series["state"], self.series.get("hidden_state"))[:, : model.plant.num_positions()]
+        model, num_positions = (
+            make_flexible_plant(self.scenario),
+            len(self.coordinates.position_names),
+        )
+        q = self.hidden.whole(self.series["state"], self.series.get("hidden_state"))[
+            :, : model.plant.num_positions()
+        ]
         q_d = self.series["desired_state"][:, :num_positions]
         if self.hidden.names:
             q_d = np.array([self.hidden.whole_positions(each) for each in q_d])
@@ -119,29 +147,38 @@ class RunLog:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Leg:
-    """The part of a run that a rollout makes: the control samples between which it lies, and what happens at its ends.
+    """The part of a run that a rollout makes: the control samples between which it lies, and what
+    happens at its ends.
 
-    The update of the last sample belongs to the leg that follows; without ``last`` the run ends as ever.
+    The update of the last sample belongs to the leg that follows; without ``last`` the run ends as
+    ever.
     """
 
     first: int = 0
     last: int | None = None
-    begin: Callable[[ClosedLoop, Context], None] | None = None  # with the loop, initialized, and its context
+    # with the loop, initialized, and its context
+    begin: Callable[[ClosedLoop, Context], None] | None = None
     end: Callable[[ClosedLoop, Context], None] | None = None
 
 
 class Rollout:
-    """A closed loop that is built once and run many times; every run equals that of a new build, bit for bit.
+    """A closed loop that is built once and run many times; every run equals that of a new build,
+    bit for bit.
 
     Raises ModelError, ScenarioError and BlockError as ``add_closed_loop`` does.
     """
 
     def __init__(
-        self, scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None, meshcat: Meshcat | None = None,
+        self,
+        scenario: Scenario,
+        *,
+        blocks: Mapping[str, Factory] | None = None,
+        meshcat: Meshcat | None = None,
         target: np.ndarray | None = None,
-    ) -> None:  # fmt: skip
-        """Args: what to build; factories in place of its blocks, see ``add_closed_loop``; where to show the motion, and
-        how the target moves on its own there: its pose (n, 7; quaternion, position) at the control samples.
+    ) -> None:
+        """Args: what to build; factories in place of its blocks, see ``add_closed_loop``; where to
+        show the motion, and how the target moves on its own there: its pose (n, 7; quaternion,
+        position) at the control samples.
         """
         start = time.perf_counter()
         builder = DiagramBuilder()
@@ -155,13 +192,17 @@ class Rollout:
             _show_apart(builder, loop, target)
         self._logger, self._logged = _add_logger(builder, loop)
         if meshcat is not None:
-            visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), meshcat)
+            visualizer = MeshcatVisualizer.AddToBuilder(
+                builder, builder.GetSubsystemByName("scene_graph"), meshcat
+            )
             visualizer.set_name("meshcat_visualizer")
         self.loop = build_closed_loop(builder, loop)
         self._simulator = Simulator(self.loop.diagram)
         ApplySimulatorConfig(scenario.simulator_config, self._simulator)
         config = scenario.simulator_config
-        logs_every_step = not config.use_error_control and config.max_step_size >= scenario.sample_time
+        logs_every_step = (
+            not config.use_error_control and config.max_step_size >= scenario.sample_time
+        )
         self._user_supplied = user_supplied(scenario, blocks)
         # With user-supplied blocks or a viewer, a run is not repeated with the monitor.
         self._checked_in_log = logs_every_step and meshcat is None and not self._user_supplied
@@ -169,14 +210,17 @@ class Rollout:
         self._build_time = time.perf_counter() - start
 
     def release(self) -> None:
-        """Free the closed loop, which Drake would otherwise keep. Do not use any part of it afterwards."""
+        """Free the closed loop, which Drake would otherwise keep. Do not use any part of it
+        afterwards.
+        """
         untie(self.loop.diagram)
 
     def accepts(self, scenario: Scenario) -> bool:
-        """Whether ``run`` takes the scenario: it differs from the built one only in what a context can change.
+        """Whether ``run`` takes the scenario: it differs from the built one only in what a context
+        can change.
 
-        That is the description, the seed, the duration, the divergence speed, the initial velocity and the payload's
-        true mass properties.
+        That is the description, the seed, the duration, the divergence speed, the initial velocity
+        and the payload's true mass properties.
         """
         return _built_from(scenario) == self._built_for
 
@@ -189,8 +233,8 @@ class Rollout:
     ) -> RunLog:
         """Run from the start, with the built scenario or one that ``accepts`` takes.
 
-        A run that diverges (a velocity beyond ``divergence_speed``, or not finite) or is interrupted from the keyboard
-        ends early with the log up to then; its outcome says so.
+        A run that diverges (a velocity beyond ``divergence_speed``, or not finite) or is
+        interrupted from the keyboard ends early with the log up to then; its outcome says so.
 
         Args:
           scenario: what to run; None for the built one.
@@ -205,26 +249,34 @@ class Rollout:
         if scenario is not None:
             if not self.accepts(scenario):
                 raise ScenarioError(
-                    "scenario", "differs from the built one in more than a run can change; build another"
+                    "scenario",
+                    "differs from the built one in more than a run can change; build another",
                 )
             loop = dataclasses.replace(loop, scenario=scenario)
         scenario = loop.scenario
         monitor = Monitor(loop, progress)
-        # A monitor calls Python in every step. Where all steps are in the log, that shows afterwards whether a monitor
-        # would have stopped the run; if so, it is run again with the monitor.
+        # A monitor calls Python in every step. Where all steps are in the log, that shows
+        # afterwards whether a monitor would have stopped the run; if so, it is run again with the
+        # monitor.
         watched = not self._checked_in_log
         interrupted, advance_time = self._advance(monitor, leg, watched=watched)
         times, series = self._read_log(unfinished=interrupted or leg.last is not None)
-        if not (watched or interrupted) and (monitor.message or not monitor.bounds(series["state"])):
+        if not (watched or interrupted) and (
+            monitor.message or not monitor.bounds(series["state"])
+        ):
             monitor.forget()
             interrupted, more_time = self._advance(monitor, leg, watched=True)
             advance_time += more_time
             times, series = self._read_log(unfinished=interrupted or leg.last is not None)
         last = float(times[-1])
         if monitor.coordinate:
-            outcome = Outcome(status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message)
+            outcome = Outcome(
+                status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message
+            )
         elif interrupted:
-            outcome = Outcome(status="interrupted", time=last, message=f"interrupted at t = {last:.2f} s")
+            outcome = Outcome(
+                status="interrupted", time=last, message=f"interrupted at t = {last:.2f} s"
+            )
         else:
             outcome = Outcome(status="completed", time=last, message=f"completed {last:g} s")
         return RunLog(
@@ -243,7 +295,9 @@ class Rollout:
         )
 
     def check(self) -> None:
-        """Set a run up and evaluate it at its start, without a step. Raises what ``run`` would raise by then."""
+        """Set a run up and evaluate it at its start, without a step. Raises what ``run`` would
+        raise by then.
+        """
         loop = self.loop
         context = loop.diagram.CreateDefaultContext()
         loop.initialize(loop.diagram, context)
@@ -279,7 +333,9 @@ class Rollout:
         start = time.perf_counter()
         interrupted = False
         # The run beyond the point of divergence is discarded.
-        unremarked = contextlib.nullcontext() if watched else np.errstate(over="ignore", invalid="ignore")
+        unremarked = (
+            contextlib.nullcontext() if watched else np.errstate(over="ignore", invalid="ignore")
+        )
         signals = 0
         try:
             with interruptible() as interruption, same_folder(), unremarked:
@@ -300,9 +356,11 @@ class Rollout:
             interrupted = True
         except FfsmError:
             raise
-        except (Exception, GeneratorExit, SystemExit) as error:  # a user-supplied block may raise anything
+        except (Exception, GeneratorExit, SystemExit) as error:
+            # a user-supplied block may raise anything
             # Drake refuses numbers that are not finite; any other exception is raised.
-            if interruption.number != signals:  # which an import, say, has turned into another exception
+            # which an import, say, has turned into another exception
+            if interruption.number != signals:
                 interrupted = True
             elif monitor.check(context) and monitor.check_force(context):
                 _raise_for(error, self._user_supplied, context.get_time())
@@ -317,7 +375,10 @@ class Rollout:
             raise KeyboardInterrupt
         if unfinished and times.size > 1:
             # Perhaps before the update of the last sample, which is therefore left out.
-            parts = {name: rows[part, 1:] if name in _HELD else rows[part, :-1] for name, part in self._logged.items()}
+            parts = {
+                name: rows[part, 1:] if name in _HELD else rows[part, :-1]
+                for name, part in self._logged.items()
+            }
             return times[:-1], {name: part.T.copy() for name, part in parts.items()}
         series = {}
         for name, part in self._logged.items():
@@ -334,9 +395,13 @@ def _show_apart(builder: DiagramBuilder, loop: ClosedLoop, target: np.ndarray) -
     """Show the spacecraft as it moves and the target (n, 7) on its own."""
     scenario, plant = loop.scenario, loop.plant
     poses = add_pictures_apart(builder, scenario.model, scenario.payload.body)
-    parts = builder.AddNamedSystem("shown_state", Demultiplexer([plant.num_positions(), plant.num_velocities()]))
+    parts = builder.AddNamedSystem(
+        "shown_state", Demultiplexer([plant.num_positions(), plant.num_velocities()])
+    )
     times = scenario.sample_time * np.arange(len(target))
-    path = builder.AddNamedSystem("shown_target", TrajectorySource(PiecewisePolynomial.FirstOrderHold(times, target.T)))
+    path = builder.AddNamedSystem(
+        "shown_target", TrajectorySource(PiecewisePolynomial.FirstOrderHold(times, target.T))
+    )
     both = builder.AddNamedSystem("shown", Multiplexer([plant.num_positions(), target.shape[1]]))
     builder.Connect(plant.get_state_output_port(), parts.get_input_port())
     builder.Connect(parts.get_output_port(0), both.get_input_port(0))
@@ -349,17 +414,24 @@ def user_supplied(scenario: Scenario, blocks: Mapping[str, Factory] | None = Non
     names = {name: choice.system for name, choice in block_choices(scenario).items()}
     if not is_shipped("controller", scenario.controller):
         names["controller"] = scenario.controller
-    names |= {name: getattr(factory, "__name__", type(factory).__name__) for name, factory in (blocks or {}).items()}
+    names |= {
+        name: getattr(factory, "__name__", type(factory).__name__)
+        for name, factory in (blocks or {}).items()
+    }
     return [f"{name} '{system}'" for name, system in names.items()]
 
 
-def _add_logger(builder: DiagramBuilder, loop: ClosedLoop) -> tuple[VectorLogSink, dict[str, slice]]:
+def _add_logger(
+    builder: DiagramBuilder, loop: ClosedLoop
+) -> tuple[VectorLogSink, dict[str, slice]]:
     """A logger of the loop's signals at every control sample, and each one's rows in its log.
 
     One logger behind a multiplexer costs less than one for each.
     """
-    sources = {name: source for name, source in loop.sources.items() if name != "estimated_state"}  # the measurement
-    ports = {source: loop.output_port(name) for name, source in sources.items()}  # some signals share a port
+    # the measurement
+    sources = {name: source for name, source in loop.sources.items() if name != "estimated_state"}
+    # some signals share a port
+    ports = {source: loop.output_port(name) for name, source in sources.items()}
     sizes = [port.size() for port in ports.values()]
     stacked = builder.AddNamedSystem("signals", Multiplexer(sizes))
     for index, port in enumerate(ports.values()):
@@ -367,7 +439,9 @@ def _add_logger(builder: DiagramBuilder, loop: ClosedLoop) -> tuple[VectorLogSin
     logger = LogVectorOutput(stacked.get_output_port(), builder, loop.scenario.sample_time)
     logger.set_name("log")
     ends = np.cumsum(sizes).tolist()
-    rows = {source: slice(end - size, end) for source, size, end in zip(ports, sizes, ends, strict=True)}
+    rows = {
+        source: slice(end - size, end) for source, size, end in zip(ports, sizes, ends, strict=True)
+    }
     return logger, {name: rows[source] for name, source in sources.items()}
 
 
@@ -378,18 +452,22 @@ def _raise_for(error: BaseException, suspects: Sequence[str], time: float) -> No
             raise error
         raise ScenarioError(
             "simulator_config",
-            f"the simulation cannot go on at t = {time:.2f} s: {cause_of(error)} Take another integration_scheme or "
+            f"the simulation cannot go on at t = {time:.2f} s: {cause_of(error)} Take another "
+            "integration_scheme or "
             "accuracy",
         ) from error
     place = traceback.extract_tb(error.__traceback__)[-1]
     raise BlockError(
-        f"{' or '.join(suspects)} failed at t = {time:.2f} s: {type(error).__name__}: {one_line(error)} "
+        f"{' or '.join(suspects)} failed at t = {time:.2f} s: {type(error).__name__}: "
+        f"{one_line(error)} "
         f"({place.filename}, line {place.lineno})"
     ) from error
 
 
 def _built_from(scenario: Scenario) -> dict[str, Any]:
-    """The part of a scenario that goes into the build, as plain data; the rest is set in a run's context."""
+    """The part of a scenario that goes into the build, as plain data; the rest is set in a run's
+    context.
+    """
     neutral = Scenario()
     return scenario_to_dict(
         dataclasses.replace(

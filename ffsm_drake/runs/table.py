@@ -25,7 +25,9 @@ class Column(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Table:
-    """What of an ``xarray.Dataset`` a run's metrics are computed from; names and meaning as there."""
+    """What of an ``xarray.Dataset`` a run's metrics are computed from; names and meaning as
+    there.
+    """
 
     variables: Mapping[str, Column] = dataclasses.field(default_factory=dict)
     coords: Mapping[str, Column] = dataclasses.field(default_factory=dict)
@@ -41,7 +43,11 @@ class Table:
     def sizes(self) -> dict[str, int]:
         """Length of every dimension."""
         columns = (*self.coords.values(), *self.variables.values())
-        return {dim: size for column in columns for dim, size in zip(column.dims, column.values.shape, strict=True)}
+        return {
+            dim: size
+            for column in columns
+            for dim, size in zip(column.dims, column.values.shape, strict=True)
+        }
 
     def assign(self, variables: Mapping[str, Given]) -> "Table":
         """The table with further variables, or others in their place."""
@@ -77,5 +83,7 @@ def _columns(given: Mapping[str, Given]) -> dict[str, Column]:
     return {name: _column(*column) for name, column in given.items()}
 
 
-def _column(dims: str | tuple[str, ...], values: Any, attrs: Mapping[str, str] | None = None) -> Column:
+def _column(
+    dims: str | tuple[str, ...], values: Any, attrs: Mapping[str, str] | None = None
+) -> Column:
     return Column((dims,) if isinstance(dims, str) else dims, np.asarray(values), attrs or {})

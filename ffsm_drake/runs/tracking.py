@@ -15,14 +15,18 @@ if TYPE_CHECKING:
     from ffsm_drake.runs.table import Labelled
 
 # Rotation vector from R_WF to its reference, then the position's difference; world axes.
-FRAME_COORDINATES = tuple(name.replace("base", "frame") for name in (*BASE_ROTATION, *BASE_POSITION))
+FRAME_COORDINATES = tuple(
+    name.replace("base", "frame") for name in (*BASE_ROTATION, *BASE_POSITION)
+)
 FRAME_UNITS = ("rad", "rad", "rad", "m", "m", "m")
 _FRAME_GROUPS = ("base_rotation",) * 3 + ("base_position",) * 3  # whose tolerance holds for a frame
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Tracked:
-    """The errors (n, k) that count, rad and m; of each its name, the group whose tolerance it has, and its unit."""
+    """The errors (n, k) that count, rad and m; of each its name, the group whose tolerance it has,
+    and its unit.
+    """
 
     error: np.ndarray
     names: tuple[str, ...]
@@ -31,16 +35,24 @@ class Tracked:
 
 
 def frame_rows(scenario: Scenario) -> np.ndarray:
-    """Which of FRAME_COORDINATES (6) are prescribed; of a frame that follows the plan of the coordinates, all."""
+    """Which of FRAME_COORDINATES (6) are prescribed; of a frame that follows the plan of the
+    coordinates, all.
+    """
     goal, rows = scenario.reference.frame, np.zeros(6, dtype=bool)
     rows[TASK_ROWS["pose" if goal is None or goal.task == "none" else goal.task]] = True
     return rows
 
 
 def frame_error(
-    scenario: Scenario, model: PlantModel, q: np.ndarray, *, q_d: np.ndarray, desired: np.ndarray | None
+    scenario: Scenario,
+    model: PlantModel,
+    q: np.ndarray,
+    *,
+    q_d: np.ndarray,
+    desired: np.ndarray | None,
 ) -> np.ndarray:
-    """The pose error (n, 6) of the scenario's frame, of FRAME_COORDINATES; NaN where q is not finite.
+    """The pose error (n, 6) of the scenario's frame, of FRAME_COORDINATES; NaN where q is not
+    finite.
 
     Args:
       scenario: whose frame it is.
@@ -71,7 +83,8 @@ def tracked(
     frame: np.ndarray | None,
     rows: np.ndarray,
 ) -> Tracked:
-    """What counts: the driven coordinates; where a frame is tracked, in the place of the joints, the frame.
+    """What counts: the driven coordinates; where a frame is tracked, in the place of the joints,
+    the frame.
 
     Args:
       error: e of all coordinates (n, nv).
@@ -87,7 +100,9 @@ def tracked(
         counted &= np.array([group != "joints" for group in groups])
 
     def of(coordinates: tuple[str, ...], others: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(str(each) for each in (*np.array(coordinates)[counted], *np.array(others)[rows]))
+        return tuple(
+            str(each) for each in (*np.array(coordinates)[counted], *np.array(others)[rows])
+        )
 
     return Tracked(
         error=np.hstack([error[:, counted], frame[:, rows]]) if rows.any() else error[:, counted],
@@ -100,7 +115,9 @@ def tracked(
 def tracked_of(dataset: "Labelled") -> Tracked:
     """What counts of a recorded run."""
     has_frame = "frame_error" in dataset
-    names, groups, units = (tuple(map(str, dataset[name].values)) for name in ("coordinate", "group", "unit"))
+    names, groups, units = (
+        tuple(map(str, dataset[name].values)) for name in ("coordinate", "group", "unit")
+    )
     everything: np.ndarray = np.ones(len(names), dtype=bool)
     return tracked(
         error=dataset["error"].values,
@@ -114,12 +131,17 @@ def tracked_of(dataset: "Labelled") -> Tracked:
 
 
 def frame_metrics(error: np.ndarray, rows: np.ndarray) -> dict[str, dict[str, float]]:
-    """``largest`` and ``final`` size of a frame's pose error (n, 6): ``rotation`` (angle, rad), ``position`` (m).
+    """``largest`` and ``final`` size of a frame's pose error (n, 6): ``rotation`` (angle, rad),
+    ``position`` (m).
 
     Of what is prescribed, which ``rows`` (6) says.
     """
     parts = {"rotation": slice(0, 3), "position": slice(3, 6)}
-    sizes = {name: np.linalg.norm(error[:, part], axis=1) for name, part in parts.items() if rows[part].any()}
+    sizes = {
+        name: np.linalg.norm(error[:, part], axis=1)
+        for name, part in parts.items()
+        if rows[part].any()
+    }
     return {
         "largest": {name: float(size.max()) for name, size in sizes.items()},
         "final": {name: float(size[-1]) for name, size in sizes.items()},

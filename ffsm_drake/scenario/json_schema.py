@@ -1,4 +1,6 @@
-"""The scenario as a JSON Schema: types and defaults from the dataclasses, units and meanings from their comments."""
+"""The scenario as a JSON Schema: types and defaults from the dataclasses, units and meanings from
+their comments.
+"""
 
 import dataclasses
 import inspect
@@ -14,7 +16,8 @@ from ffsm_drake.scenario import PerCoordinate, Scenario, scenario_to_dict, schem
 
 # Drake's parameter structs carry no comments.
 _SIMULATOR_COMMENTS = {
-    "integration_scheme": "Drake's name of the integrator; the paper's: explicit_euler at max_step_size = sample_time",
+    "integration_scheme": "Drake's name of the integrator; the paper's: explicit_euler at "
+    "max_step_size = sample_time",
     "max_step_size": "s; step of a fixed-step integrator, largest step of one with error control",
     "accuracy": "relative accuracy asked of an integrator with error control",
     "use_error_control": "let the integrator choose its steps",
@@ -28,11 +31,17 @@ _LEAVES = {float: "number", int: "integer", bool: "boolean", str: "string"}
 def scenario_schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of a scenario file."""
     schema = _schema(Scenario, scenario_to_dict(Scenario()))
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "ffsm_drake scenario", **schema}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "ffsm_drake scenario",
+        **schema,
+    }
 
 
 def field_comments(schema: type) -> dict[str, str]:
-    """Field name -> the comment behind or above it in the source of a dataclass: "unit; meaning", or the meaning."""
+    """Field name -> the comment behind or above it in the source of a dataclass: "unit; meaning",
+    or the meaning.
+    """
     if schema is SimulatorConfig:
         return dict(_SIMULATOR_COMMENTS)
     if not dataclasses.is_dataclass(schema):
@@ -46,7 +55,12 @@ def field_comments(schema: type) -> dict[str, str]:
             text = token.string
             if token.type == tokenize.OP:
                 depth += (text in "([{") - (text in ")]}")
-            if token.type == tokenize.NAME and token.start[1] == 4 and depth == 0 and text != "class":
+            if (
+                token.type == tokenize.NAME
+                and token.start[1] == 4
+                and depth == 0
+                and text != "class"
+            ):
                 field = text
                 if above:
                     comments[field] = " ".join(above)
@@ -74,7 +88,11 @@ def _schema(kind: Any, default: Any) -> dict[str, Any]:
                 properties[name]["description"] = described[name]
             if value is not None and not isinstance(value, dict) and value != []:
                 properties[name]["default"] = value
-        meaning = (inspect.getdoc(kind) or "").partition("\n")[0] if dataclasses.is_dataclass(kind) else ""
+        meaning = (
+            (inspect.getdoc(kind) or "").partition("\n")[0]
+            if dataclasses.is_dataclass(kind)
+            else ""
+        )
         result = {"type": "object", "properties": properties, "additionalProperties": False}
         if hasattr(kind, "SHORTHAND"):
             result = {"anyOf": [{"type": "string"}, result]}

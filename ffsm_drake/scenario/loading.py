@@ -1,4 +1,6 @@
-"""Loading a scenario in layers, later ones winning: the defaults, the YAML file, the overrides (``key=value``)."""
+"""Loading a scenario in layers, later ones winning: the defaults, the YAML file, the overrides
+(``key=value``).
+"""
 
 import os
 import typing
@@ -26,29 +28,37 @@ def load_scenario(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Sc
     """Load a scenario by shipped name or file path, apply overrides, validate.
 
     Args:
-      name_or_path: a name of ``shipped_scenarios()``, the path of a YAML file, or a run's folder or manifest.json: the
-        scenario of that run.
-      overrides: ``key=value`` strings; the key is dotted, the value is YAML (``controllers.tdc.k_d.joint_1=50``).
+      name_or_path: a name of ``shipped_scenarios()``, the path of a YAML file, or a run's folder or
+        manifest.json: the scenario of that run.
+      overrides: ``key=value`` strings; the key is dotted, the value is YAML
+        (``controllers.tdc.k_d.joint_1=50``).
 
     Raises:
-      ScenarioError: the file, a key or a value cannot be used; the message says where and what would be right.
+      ScenarioError: the file, a key or a value cannot be used; the message says where and what
+        would be right.
     """
     path = _find(str(name_or_path))
     try:
         if path.stat().st_size > MAX_FILE_SIZE:
             raise ScenarioError(
-                "", f"larger than {MAX_FILE_SIZE} bytes: not a scenario; give a YAML file", source=str(path)
+                "",
+                f"larger than {MAX_FILE_SIZE} bytes: not a scenario; give a YAML file",
+                source=str(path),
             )
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise ScenarioError("", f"is not UTF-8 text ({one_line(error)})", source=str(path)) from error
+        raise ScenarioError(
+            "", f"is not UTF-8 text ({one_line(error)})", source=str(path)
+        ) from error
     except OSError as error:
         raise ScenarioError("", f"cannot be read: {one_line(error)}", source=str(path)) from error
     return scenario_from_yaml(text, overrides, source=str(path))
 
 
 def scenario_from_yaml(text: str, overrides: Iterable[str] = (), *, source: str = "") -> Scenario:
-    """Build a scenario from YAML text; ``source`` is the file name used in errors and for relative model paths."""
+    """Build a scenario from YAML text; ``source`` is the file name used in errors and for relative
+    model paths.
+    """
     try:
         data = read_yaml(text)
     except StrictYamlError as error:
@@ -56,11 +66,17 @@ def scenario_from_yaml(text: str, overrides: Iterable[str] = (), *, source: str 
     if isinstance(data, dict) and Path(source).name == MANIFEST_FILE:
         data = data.get("scenario", {})
     if isinstance(data, dict):  # at the top, names with an underscore hold what aliases refer to
-        data = {key: value for key, value in data.items() if not (isinstance(key, str) and key.startswith("_"))}
+        data = {
+            key: value
+            for key, value in data.items()
+            if not (isinstance(key, str) and key.startswith("_"))
+        }
     return scenario_from_dict({} if data is None else data, overrides, source=source)
 
 
-def scenario_from_dict(data: Mapping[str, typing.Any], overrides: Iterable[str] = (), *, source: str = "") -> Scenario:
+def scenario_from_dict(
+    data: Mapping[str, typing.Any], overrides: Iterable[str] = (), *, source: str = ""
+) -> Scenario:
     """Build a scenario from plain data (as read from YAML or JSON)."""
     try:
         resolved = resolve(Scenario, as_dict(Scenario()), data, "")
@@ -79,7 +95,9 @@ def scenario_from_dict(data: Mapping[str, typing.Any], overrides: Iterable[str] 
     try:
         validate(scenario)
     except ScenarioError as error:
-        raise error.located("override" if is_overridden(error.key, overridden) else source) from None
+        raise error.located(
+            "override" if is_overridden(error.key, overridden) else source
+        ) from None
     return scenario
 
 
@@ -130,7 +148,9 @@ def portable_scenario(scenario: Scenario, folder: Path) -> dict[str, typing.Any]
 
 
 def relate_paths(data: dict[str, typing.Any], folder: Path) -> None:
-    """Make the paths of a scenario in plain data relative to a folder; package:// addresses stay."""
+    """Make the paths of a scenario in plain data relative to a folder; package:// addresses
+    stay.
+    """
     _map_paths(data, lambda path: os.path.relpath(path, folder.resolve()))
 
 
@@ -160,10 +180,15 @@ def _find(name: str) -> Path:
     if kind and name:
         raise ScenarioError("", f"is {kind}; give a YAML file", source=name)
     if path.suffix in (".yaml", ".yml") or (name and path.name != name):
-        raise ScenarioError("", f"no such scenario file; give a YAML file or one of {', '.join(shipped)}", source=name)
+        raise ScenarioError(
+            "",
+            f"no such scenario file; give a YAML file or one of {', '.join(shipped)}",
+            source=name,
+        )
     raise ScenarioError(
         "",
-        f"no such scenario; choose one of {', '.join(shipped)}, or give a YAML file{did_you_mean(name, shipped)}",
+        f"no such scenario; choose one of {', '.join(shipped)}, or give a YAML "
+        f"file{did_you_mean(name, shipped)}",
         source=name or "''",
     )
 
@@ -180,7 +205,9 @@ def _choose_model_source(model: dict[str, typing.Any], given: Mapping[str, typin
 
 
 def _map_paths(data: dict[str, typing.Any], changed: Callable[[str], str]) -> None:
-    """Apply a function to every path of a scenario in plain data that is not a package:// address."""
+    """Apply a function to every path of a scenario in plain data that is not a package://
+    address.
+    """
 
     def path(value: str | None) -> str | None:
         return value if value is None or "://" in value else changed(value)

@@ -1,4 +1,6 @@
-"""Plain data against the schema: defaults overlaid with what is given, every leaf checked, overrides applied."""
+"""Plain data against the schema: defaults overlaid with what is given, every leaf checked,
+overrides applied.
+"""
 
 import dataclasses
 import functools
@@ -16,7 +18,9 @@ MAX_NUMBER = 1e20  # so that what is computed from a few values stays finite
 
 
 def as_dict(value: typing.Any) -> typing.Any:
-    """Plain data (mappings, lists, leaves) of a dataclass, one of Drake's parameter structs, or a container of them."""
+    """Plain data (mappings, lists, leaves) of a dataclass, one of Drake's parameter structs, or a
+    container of them.
+    """
     kind: typing.Any = type(value)
     fields = schema_fields(kind)
     if fields is not None:
@@ -30,7 +34,9 @@ def as_dict(value: typing.Any) -> typing.Any:
 
 @functools.cache
 def schema_fields(schema: typing.Any) -> dict[str, typing.Any] | None:
-    """Field name -> type of a dataclass or of one of Drake's parameter structs; None for anything else."""
+    """Field name -> type of a dataclass or of one of Drake's parameter structs; None for anything
+    else.
+    """
     if dataclasses.is_dataclass(schema):
         return {field.name: field.type for field in dataclasses.fields(schema)}
     fields = getattr(schema, "__fields__", None)
@@ -51,7 +57,9 @@ def build(schema: typing.Any, data: typing.Any) -> typing.Any:
 
 
 def resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: str) -> typing.Any:
-    """Plain data for ``schema``: ``default`` (plain data, complete) overlaid with ``data``, each leaf checked."""
+    """Plain data for ``schema``: ``default`` (plain data, complete) overlaid with ``data``, each
+    leaf checked.
+    """
     if schema is typing.Any:
         return _plain(data, path)
     fields = schema_fields(schema)
@@ -59,24 +67,34 @@ def resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: str
         if isinstance(data, str) and hasattr(schema, "SHORTHAND"):
             data = {schema.SHORTHAND: data}
         if not isinstance(data, Mapping):
-            raise ScenarioError(path, f"must be a mapping with keys {', '.join(fields)}, not {shown(data)}")
+            raise ScenarioError(
+                path, f"must be a mapping with keys {', '.join(fields)}, not {shown(data)}"
+            )
         for key in data:
             if key not in fields:
                 raise _unknown_key(path, key, fields)
         return {
-            key: resolve(kind, default[key], data[key], join(path, key)) if key in data else default[key]
+            key: resolve(kind, default[key], data[key], join(path, key))
+            if key in data
+            else default[key]
             for key, kind in fields.items()
         }
     origin, args = typing.get_origin(schema), typing.get_args(schema)
-    if origin in (typing.Union, types.UnionType):  # the only unions of the schema are optional values
+    # the only unions of the schema are optional values
+    if origin in (typing.Union, types.UnionType):
         if default is None and schema_fields(args[0]) is not None:
             default = as_dict(args[0]())
-        return None if data is None or (data == "auto" and args[0] is float) else resolve(args[0], default, data, path)
+        return (
+            None
+            if data is None or (data == "auto" and args[0] is float)
+            else resolve(args[0], default, data, path)
+        )
     if origin is dict:
         if args[1] is float and isinstance(data, (list, tuple)):
             raise ScenarioError(
                 join(path, "all"),
-                f"must be a number, not {shown(data)}; several go by name, as in {{all: 1, joints: 2}}",
+                f"must be a number, not {shown(data)}; several go by name, as in "
+                f"{{all: 1, joints: 2}}",
             )
         if args[1] is float and not isinstance(data, Mapping):
             data = {"all": data}
@@ -99,7 +117,8 @@ def _plain(data: typing.Any, path: str) -> typing.Any:
     """Settings of a user-supplied block: mappings, lists and leaves that a file can hold."""
     if isinstance(data, Mapping):
         return {
-            _convert_leaf(str, key, join(path, shown(key))): _plain(item, join(path, key)) for key, item in data.items()
+            _convert_leaf(str, key, join(path, shown(key))): _plain(item, join(path, key))
+            for key, item in data.items()
         }
     if isinstance(data, (list, tuple)):
         return [_plain(item, f"{path}[{i}]") for i, item in enumerate(data)]
@@ -116,7 +135,8 @@ def _convert_leaf(schema: type, data: typing.Any, path: str) -> typing.Any:
     if schema is float and isinstance(data, (int, float, str)) and not isinstance(data, bool):
         try:
             number = float(data)
-            if isinstance(data, str) and re.fullmatch(r"[-+]?0[0-9]+", data):  # some take it for octal
+            # some take it for octal
+            if isinstance(data, str) and re.fullmatch(r"[-+]?0[0-9]+", data):
                 raise ValueError
         except ValueError:
             raise ScenarioError(path, f"must be {wanted}, not {shown(data)}") from None

@@ -1,4 +1,6 @@
-"""YAML for settings, read strictly: what PyYAML would silently ignore, or expand without limit, is refused."""
+"""YAML for settings, read strictly: what PyYAML would silently ignore, or expand without limit, is
+refused.
+"""
 
 import re
 from typing import Any
@@ -12,18 +14,24 @@ MAX_NODES = 100_000  # with every alias written out
 
 
 class StrictYamlError(ValueError):
-    """Text that is not YAML, or not YAML for settings; its text is one line that starts with the place."""
+    """Text that is not YAML, or not YAML for settings; its text is one line that starts with the
+    place.
+    """
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Safe YAML without keys given twice, without tags of its own, and no deeper than settings can be."""
+    """Safe YAML without keys given twice, without tags of its own, and no deeper than settings can
+    be.
+    """
 
     _depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         self._depth += 1
         if self._depth > MAX_DEPTH:
-            raise StrictYamlError(f"{_place(self.get_mark())}: nested deeper than {MAX_DEPTH} levels")
+            raise StrictYamlError(
+                f"{_place(self.get_mark())}: nested deeper than {MAX_DEPTH} levels"
+            )
         node = super().compose_node(parent, index)
         self._depth -= 1
         return node
@@ -48,12 +56,14 @@ class _StrictLoader(yaml.SafeLoader):
         except (yaml.YAMLError, StrictYamlError):
             raise
         except (ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
-            # PyYAML builds dates and numbers without looking: what Python objects to comes through as it is.
+            # PyYAML builds dates and numbers without looking: what Python objects to comes through
+            # as it is.
             text = " ".join(str(error).split()) or type(error).__name__
             raise StrictYamlError(f"{_place(node.start_mark)}: {text}") from error
 
 
-# YAML 1.1, which PyYAML reads, takes 1:30 for 90, 017 for 15, and 1e-5 for text. YAML 1.2 and JSON do not.
+# YAML 1.1, which PyYAML reads, takes 1:30 for 90, 017 for 15, and 1e-5 for text. YAML 1.2 and JSON
+# do not.
 _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 _StrictLoader.yaml_implicit_resolvers = {
     first: [(tag, form) for tag, form in forms if tag not in _NUMBERS]
@@ -74,7 +84,8 @@ for _tag, _form in zip(
 def read_yaml(text: str) -> Any:
     """Plain data (mappings, lists, leaves) of one YAML document; None for an empty one.
 
-    Raises StrictYamlError: not YAML, a key given twice, a tag, aliases that multiply or are circular, deep nesting.
+    Raises StrictYamlError: not YAML, a key given twice, a tag, aliases that multiply or are
+    circular, deep nesting.
     """
     try:
         loader = _StrictLoader(text)
@@ -83,7 +94,9 @@ def read_yaml(text: str) -> Any:
             if node is None:
                 return None
             if _expanded_size(node, {}) > MAX_NODES:
-                raise StrictYamlError(f"aliases (*name) expand to more than {MAX_NODES} values; write less")
+                raise StrictYamlError(
+                    f"aliases (*name) expand to more than {MAX_NODES} values; write less"
+                )
             return loader.construct_document(node)
         finally:
             loader.dispose()
@@ -102,7 +115,10 @@ def _described(error: yaml.MarkedYAMLError) -> str:
     if "\\t" in problem:
         problem += "; indent with spaces, not tabs"
     if "could not determine a constructor" in problem:
-        problem = f"{problem.removeprefix('could not determine a constructor for the ')} is not accepted; leave it out"
+        problem = (
+            f"{problem.removeprefix('could not determine a constructor for the ')} is not "
+            "accepted; leave it out"
+        )
     mark = error.problem_mark or error.context_mark
     return f"{_place(mark)}: {problem}" if mark is not None else problem
 
@@ -112,11 +128,15 @@ def _place(mark: Any) -> str:
 
 
 def _expanded_size(node: yaml.Node, known: dict[int, int | None]) -> int:
-    """Number of nodes with every alias written out; ``known`` holds None while a node's own size is being found."""
+    """Number of nodes with every alias written out; ``known`` holds None while a node's own size is
+    being found.
+    """
     if id(node) in known:
         size = known[id(node)]
         if size is None:
-            raise StrictYamlError(f"{_place(node.start_mark)}: contains itself through an alias (*name)")
+            raise StrictYamlError(
+                f"{_place(node.start_mark)}: contains itself through an alias (*name)"
+            )
         return size
     known[id(node)] = None
     size = 1

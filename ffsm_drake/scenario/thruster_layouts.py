@@ -24,6 +24,10 @@ def thrusters_of(settings: Thrusters) -> dict[str, Thruster]:
 
 
 def own_thrusters(scenario: Scenario) -> dict[str, Thruster]:
-    """The thrusters of a scenario's own actuators, by name; empty where it has none, or a user-supplied block."""
+    """The thrusters of a scenario's own actuators, by name; empty where it has none, or a
+    user-supplied block.
+    """
     settings = scenario.actuation.thrusters
-    return {} if settings is None or scenario.blocks.actuation is not None else thrusters_of(settings)
+    return (
+        {} if settings is None or scenario.blocks.actuation is not None else thrusters_of(settings)
+    )

@@ -1,4 +1,6 @@
-"""Graphviz pictures of the wiring; ``python -m ffsm_drake.show.block_diagram`` writes those kept in ``diagrams/``."""
+"""Graphviz pictures of the wiring; ``python -m ffsm_drake.show.block_diagram`` writes those kept in
+``diagrams/``.
+"""
 
 import re
 import shutil
@@ -17,20 +19,26 @@ from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
 from ffsm_drake.spacecraft.plant import add_combined_plant
 
-NO_GRAPHVIZ = "Graphviz's 'dot' is not installed: no SVG (install the package 'graphviz', or render the .dot elsewhere)"
+NO_GRAPHVIZ = (
+    "Graphviz's 'dot' is not installed: no SVG (install the package 'graphviz', or "
+    "render the .dot elsewhere)"
+)
 
 
 def closed_loop_dot(scenario: Scenario) -> str:
-    """The closed loop, visualizer included, as Graphviz text; the same wiring always gives the same text.
+    """The closed loop, visualizer included, as Graphviz text; the same wiring always gives the same
+    text.
 
-    Of the plant's many ports, and of the visualizer's, only the connected ones are drawn: which others there are
-    depends on Drake's release.
+    Of the plant's many ports, and of the visualizer's, only the connected ones are drawn: which
+    others there are depends on Drake's release.
     """
     with quiet_drake():  # the server is there for the wiring only
         builder = DiagramBuilder()
         plant = add_combined_plant(builder, scenario.model, flexible=True)
         loop = add_closed_loop(builder, scenario, plant=plant)
-        visualizer = MeshcatVisualizer.AddToBuilder(builder, builder.GetSubsystemByName("scene_graph"), start_meshcat())
+        visualizer = MeshcatVisualizer.AddToBuilder(
+            builder, builder.GetSubsystemByName("scene_graph"), start_meshcat()
+        )
         visualizer.set_name("meshcat_visualizer")
         diagram = build_closed_loop(builder, loop).diagram
     dot = system_dot(diagram, max_depth=1)
@@ -57,7 +65,9 @@ def system_dot(system: System, *, max_depth: int | None = None) -> str:
     def renumber(found: re.Match[str]) -> str:
         return f"{found[1]}{numbers.setdefault(found[2], len(numbers))}"
 
-    text = re.sub(r"\b(_|s|cluster|clusters)(\d+)(?=in\b|out\b|diagram\b|subsystems\b|\b)", renumber, text)
+    text = re.sub(
+        r"\b(_|s|cluster|clusters)(\d+)(?=in\b|out\b|diagram\b|subsystems\b|\b)", renumber, text
+    )
     # Drake lists the connections by memory address.
     edges = re.compile(r"(?:^s\d+\w*:\w+:\w+ -> .*\n)+", re.MULTILINE)
     return edges.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), text)
@@ -70,8 +80,12 @@ def _without_idle_ports(dot: str, name: str) -> str:
         return dot
     used = set(re.findall(rf"\b{block[1]}:([uy]\d+):", dot))
     cells = dict(re.findall(r'(<TD PORT="([uy]\d+)".*?</TD>)\n', block[2]))
-    sides = [[cell for cell, port in cells.items() if port in used and port[0] == side] for side in "uy"]
-    rows = "".join(f"<TR>\n{a or '<TD></TD>'}\n{b or '<TD></TD>'}\n</TR>\n" for a, b in zip_longest(*sides))
+    sides = [
+        [cell for cell, port in cells.items() if port in used and port[0] == side] for side in "uy"
+    ]
+    rows = "".join(
+        f"<TR>\n{a or '<TD></TD>'}\n{b or '<TD></TD>'}\n</TR>\n" for a, b in zip_longest(*sides)
+    )
     rows += '<TR><TD BORDER="0" COLSPAN="2">(connected ports)</TD></TR>\n'
     return dot[: block.start(2)] + rows + dot[block.end(2) :]
 
@@ -88,11 +102,15 @@ def write_diagram(dot: str, path: Path) -> str:
     if shutil.which("dot") is None:
         return NO_GRAPHVIZ
     with written_whole(path.with_suffix(".svg")) as temporary:
-        drawn = subprocess.run(["dot", "-Tsvg", "-o", temporary, path], capture_output=True, text=True, check=False)
+        drawn = subprocess.run(
+            ["dot", "-Tsvg", "-o", temporary, path], capture_output=True, text=True, check=False
+        )
         if drawn.returncode != 0:
             temporary.unlink(missing_ok=True)
             temporary.touch()
-    return "" if drawn.returncode == 0 else f"{path}: 'dot' failed: {' '.join(drawn.stderr.split())}"
+    return (
+        "" if drawn.returncode == 0 else (f"{path}: 'dot' failed: {' '.join(drawn.stderr.split())}")
+    )
 
 
 def shipped_diagrams() -> dict[str, str]:

@@ -8,7 +8,9 @@ RMS_WINDOW = 1.0  # s
 
 
 def thinned(values: np.ndarray, points: int) -> np.ndarray:
-    """Indices of at most ``points`` values (n,) that keep the first, the last and every interval's extremes."""
+    """Indices of at most ``points`` values (n,) that keep the first, the last and every interval's
+    extremes.
+    """
     if values.size <= points:
         return np.arange(values.size)
     width = -(-values.size // ((points - 2) // 2))
@@ -23,9 +25,11 @@ def thinned(values: np.ndarray, points: int) -> np.ndarray:
 
 
 def moving_rms(values: np.ndarray, sample_time: float) -> np.ndarray:
-    """Root of the mean square over one second around each row of values (n, ...); rows that are not finite spoil none.
+    """Root of the mean square over one second around each row of values (n, ...); rows that are not
+    finite spoil none.
 
-    Returns as many rows as there are before the first one that is not finite; a zero, which has no logarithm, is NaN.
+    Returns as many rows as there are before the first one that is not finite; a zero, which has no
+    logarithm, is NaN.
     """
     from scipy.ndimage import uniform_filter1d
 
@@ -40,7 +44,9 @@ def moving_rms(values: np.ndarray, sample_time: float) -> np.ndarray:
 
 
 def completed_range(curves: Sequence[tuple[bool, np.ndarray]]) -> list[float] | None:
-    """The range of the curves of completed runs, where there are others that diverged and would flatten them."""
+    """The range of the curves of completed runs, where there are others that diverged and would
+    flatten them.
+    """
     completed = [values for done, values in curves if done]
     if not completed or len(completed) == len(curves):
         return None

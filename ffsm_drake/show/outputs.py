@@ -17,7 +17,8 @@ def write_outputs(
     recording: bool = True,
     distances: Sequence[float] | None = None,
 ) -> list[Path]:
-    """Write report.html of one run or several overlaid; with it figures (PNG, SVG) and recording.html.
+    """Write report.html of one run or several overlaid; with it figures (PNG, SVG) and
+    recording.html.
 
     The recording shows the first run. Returns the files.
 
@@ -25,7 +26,8 @@ def write_outputs(
       records: the runs.
       directory: where the files go.
       figures, recording: whether to write these, too.
-      distances: each run's controller's distance to the LQG limit (``control_design.limit``), to be shown.
+      distances: each run's controller's distance to the LQG limit (``control_design.limit``), to be
+        shown.
 
     Raises:
       RecordError: a file cannot be written.

@@ -1,4 +1,6 @@
-"""Self-contained HTML pages: one Jinja environment, one stylesheet, and Plotly figures embedded as data."""
+"""Self-contained HTML pages: one Jinja environment, one stylesheet, and Plotly figures embedded as
+data.
+"""
 
 import functools
 import json
@@ -20,8 +22,8 @@ _SYMBOL = re.compile(r"(?<![\w.])(K|G|s|q|τ|β|beta|N\*)_(si|s|d\d|[iDPd])\b")
 def render(template: str, content: Mapping[str, Any], *, package: str = "ffsm_drake.show") -> str:
     """A page as text; nothing that it needs is outside it.
 
-    ``template`` is a file in the package's folder ``templates`` (or the show room's), ``content`` what it names;
-    ``plots``, from ``embedded``, brings plotly.js with it.
+    ``template`` is a file in the package's folder ``templates`` (or the show room's), ``content``
+    what it names; ``plots``, from ``embedded``, brings plotly.js with it.
     """
     return _environment(package).get_template(template).render(content)
 
@@ -47,7 +49,9 @@ def plotly_script() -> Markup:
 
 
 def embedded(sections: Mapping[str, Iterable[View]]) -> Markup:
-    """The figures of a page's sections as JSON; the page names each by section, view and place (``error-0-3``)."""
+    """The figures of a page's sections as JSON; the page names each by section, view and place
+    (``error-0-3``).
+    """
     figures = {
         f"{key}-{i}-{k}": panel.figure.to_plotly_json()
         for key, views in sections.items()
@@ -68,7 +72,8 @@ def _finite(value: Any) -> Any:
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_finite(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):  # what Plotly has left as it is, such as an array without elements
+    # what Plotly has left as it is, such as an array without elements
+    if isinstance(value, np.ndarray | np.generic):
         return _finite(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value
 

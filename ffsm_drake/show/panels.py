@@ -11,16 +11,31 @@ import plotly.graph_objects as go  # type: ignore[import-untyped]
 from ffsm_drake.show.curves import thinned
 from ffsm_drake.show.style import NEUTRAL, Style
 
-FONT = {"family": "system-ui, -apple-system, Segoe UI, Roboto, Helvetica Neue, DejaVu Sans, sans-serif", "size": 11.5}
+FONT = {
+    "family": "system-ui, -apple-system, Segoe UI, Roboto, Helvetica Neue, DejaVu Sans, sans-serif",
+    "size": 11.5,
+}
 _AXIS = {
-    "gridcolor": "rgba(128, 136, 146, 0.25)", "linecolor": "rgba(128, 136, 146, 0.5)",
-    "zerolinecolor": "rgba(128, 136, 146, 0.4)", "zerolinewidth": 1, "automargin": True, "ticks": "",
-    "title": {"standoff": 6}, "hoverformat": ".4~g", "exponentformat": "power", "showexponent": "all", "nticks": 6,
-}  # fmt: skip
+    "gridcolor": "rgba(128, 136, 146, 0.25)",
+    "linecolor": "rgba(128, 136, 146, 0.5)",
+    "zerolinecolor": "rgba(128, 136, 146, 0.4)",
+    "zerolinewidth": 1,
+    "automargin": True,
+    "ticks": "",
+    "title": {"standoff": 6},
+    "hoverformat": ".4~g",
+    "exponentformat": "power",
+    "showexponent": "all",
+    "nticks": 6,
+}
 _SPACE_AXIS = {
-    "color": NEUTRAL, "gridcolor": "rgba(128, 136, 146, 0.35)", "zerolinecolor": "rgba(128, 136, 146, 0.5)",
-    "showbackground": False, "showspikes": False, "nticks": 5,
-}  # fmt: skip
+    "color": NEUTRAL,
+    "gridcolor": "rgba(128, 136, 146, 0.35)",
+    "zerolinecolor": "rgba(128, 136, 146, 0.5)",
+    "showbackground": False,
+    "showspikes": False,
+    "nticks": 5,
+}
 # What all figures of a page share; legible on light and dark ground.
 TEMPLATE: dict[str, Any] = {
     "layout": {
@@ -28,12 +43,18 @@ TEMPLATE: dict[str, Any] = {
         "paper_bgcolor": "rgba(0, 0, 0, 0)",
         "plot_bgcolor": "rgba(0, 0, 0, 0)",
         "margin": {"l": 48, "r": 10, "t": 8, "b": 36},
-        "hoverlabel": {"bgcolor": "#ffffff", "bordercolor": "#c9ced6", "font": FONT | {"color": "#1b1f24"}},
+        "hoverlabel": {
+            "bgcolor": "#ffffff",
+            "bordercolor": "#c9ced6",
+            "font": FONT | {"color": "#1b1f24"},
+        },
         "modebar": {"bgcolor": "rgba(0, 0, 0, 0)", "color": NEUTRAL, "activecolor": NEUTRAL},
         "legend": {"orientation": "h", "x": 0, "yref": "container", "y": 0.01, "yanchor": "bottom"},
         "xaxis": _AXIS,
         "yaxis": _AXIS,
-        "scene": {f"{name}axis": {**_SPACE_AXIS, "title": {"text": f"{name} [m]"}} for name in "xyz"},
+        "scene": {
+            f"{name}axis": {**_SPACE_AXIS, "title": {"text": f"{name} [m]"}} for name in "xyz"
+        },
     }
 }
 
@@ -44,7 +65,8 @@ class Panel:
 
     title: str
     figure: go.Figure
-    kind: str = "time"  # "time" panels share their time axis; the stylesheet knows also "map", "space" and "chart"
+    # "time" panels share their time axis; the stylesheet knows also "map", "space" and "chart"
+    kind: str = "time"
     group: str = ""  # a heading above the first panel of it
     height: int = 0  # px; 0: the stylesheet's
 
@@ -80,45 +102,107 @@ class Thinning:
 Trace = dict[str, Any]  # of plotly; a Figure checks it once, when it takes it in
 
 
-def curve(xy: tuple[np.ndarray, np.ndarray], style: Style, *, name: str = "", width: float = 1.4, **rest: Any) -> Trace:
+def curve(
+    xy: tuple[np.ndarray, np.ndarray],
+    style: Style,
+    *,
+    name: str = "",
+    width: float = 1.4,
+    **rest: Any,
+) -> Trace:
     """A line; one that has a single point is drawn as such."""
-    line = {"color": style.color, "dash": style.dash, "width": width, "shape": rest.pop("shape", "linear")}
+    line = {
+        "color": style.color,
+        "dash": style.dash,
+        "width": width,
+        "shape": rest.pop("shape", "linear"),
+    }
     mode = "markers" if len(xy[0]) == 1 else "lines"
-    return {"type": "scatter", "x": xy[0], "y": xy[1], "name": escape(name), "line": line, "mode": mode, **rest}
+    return {
+        "type": "scatter",
+        "x": xy[0],
+        "y": xy[1],
+        "name": escape(name),
+        "line": line,
+        "mode": mode,
+        **rest,
+    }
 
 
 def escape(text: str) -> str:
-    """Text for a label of Plotly's, which reads a few tags: none of them may come from a scenario."""
+    """Text for a label of Plotly's, which reads a few tags: none of them may come from a
+    scenario.
+    """
     return html.escape(text, quote=False)
 
 
 def figure(traces: Sequence[Trace], *, x: str, y: str, **layout: Any) -> go.Figure:
-    """A figure without a template: the page has one for all. ``xaxis`` and ``yaxis`` add to the axes' titles."""
+    """A figure without a template: the page has one for all. ``xaxis`` and ``yaxis`` add to the
+    axes' titles.
+    """
     axes = {
-        name: {"title": {"text": escape(title)}, **layout.pop(name, {})} for name, title in (("xaxis", x), ("yaxis", y))
+        name: {"title": {"text": escape(title)}, **layout.pop(name, {})}
+        for name, title in (("xaxis", x), ("yaxis", y))
     }
-    return go.Figure(list(traces), {"template": "none", "showlegend": False, "hovermode": "closest", **axes, **layout})
+    return go.Figure(
+        list(traces),
+        {"template": "none", "showlegend": False, "hovermode": "closest", **axes, **layout},
+    )
 
 
 def time_panel(
-    title: str, unit: str, traces: Sequence[Trace], *, group: str = "", log: bool = False,
-    range: Sequence[float] | None = None, level: tuple[float, str] | None = None, legend: bool = False,
-) -> Panel:  # fmt: skip
-    """Curves over time; ``range`` in decades where ``log``; ``level`` is a horizontal line with its text."""
+    title: str,
+    unit: str,
+    traces: Sequence[Trace],
+    *,
+    group: str = "",
+    log: bool = False,
+    range: Sequence[float] | None = None,
+    level: tuple[float, str] | None = None,
+    legend: bool = False,
+) -> Panel:
+    """Curves over time; ``range`` in decades where ``log``; ``level`` is a horizontal line with its
+    text.
+    """
     yaxis: dict[str, Any] = {} if range is None else {"range": list(range)}
     if log:
         yaxis |= log_axis()
     xaxis = {"showgrid": False, "unifiedhovertitle": {"text": "%{x} s"}}
-    layout: dict[str, Any] = {"xaxis": xaxis, "yaxis": yaxis, "showlegend": legend, "hovermode": "x unified"}
+    layout: dict[str, Any] = {
+        "xaxis": xaxis,
+        "yaxis": yaxis,
+        "showlegend": legend,
+        "hovermode": "x unified",
+    }
     if level is not None:
-        layout["shapes"] = [{"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": level[0], "y1": level[0],
-                             "line": {"color": NEUTRAL, "width": 1.2}}]  # fmt: skip
-        layout["annotations"] = [{"xref": "paper", "x": 1, "xanchor": "right", "y": level[0], "yanchor": "bottom",
-                                  "text": level[1], "showarrow": False}]  # fmt: skip
+        layout["shapes"] = [
+            {
+                "type": "line",
+                "xref": "paper",
+                "x0": 0,
+                "x1": 1,
+                "y0": level[0],
+                "y1": level[0],
+                "line": {"color": NEUTRAL, "width": 1.2},
+            }
+        ]
+        layout["annotations"] = [
+            {
+                "xref": "paper",
+                "x": 1,
+                "xanchor": "right",
+                "y": level[0],
+                "yanchor": "bottom",
+                "text": level[1],
+                "showarrow": False,
+            }
+        ]
     shown = figure(traces, x="time [s]", y="" if unit == "1" else unit, **layout)
     return Panel(title=title, group=group, figure=shown)
 
 
 def log_axis(form: str = "~e", *, ticks: int = 4) -> dict[str, Any]:
-    """A logarithmic axis; the format writes every label in full, so that none of them is there twice."""
+    """A logarithmic axis; the format writes every label in full, so that none of them is there
+    twice.
+    """
     return {"type": "log", "tickformat": form, "nticks": ticks}

@@ -1,4 +1,6 @@
-"""How runs, groups and pages look: one palette, and a name, colour and line style for every controller."""
+"""How runs, groups and pages look: one palette, and a name, colour and line style for every
+controller.
+"""
 
 import dataclasses
 import itertools
@@ -9,7 +11,8 @@ from typing import Any
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import differing_keys, flatten, scenario_to_dict
 
-# Okabe and Ito's palette: told apart by the colour-blind, and with the line styles also in grey print.
+# Okabe and Ito's palette: told apart by the colour-blind, and with the line styles also in grey
+# print.
 VERMILION, BLUE, GREEN, PURPLE = "#D55E00", "#0072B2", "#009E73", "#CC79A7"
 SKY, ORANGE, GREY, BLACK = "#56B4E9", "#E69F00", "#7A7A7A", "#000000"
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)  # coordinates of one panel
@@ -60,8 +63,16 @@ class Style:
         return {"solid": "solid", "dot": "dotted"}.get(self.dash, "dashed")
 
 
-GROUP_TITLES = {"base_rotation": "Base attitude", "base_position": "Base position", "joints": "Joints"}
-GROUP_STYLES = {"base_rotation": Style(BLUE), "base_position": Style(VERMILION, "longdash"), "joints": Style(GREEN)}
+GROUP_TITLES = {
+    "base_rotation": "Base attitude",
+    "base_position": "Base position",
+    "joints": "Joints",
+}
+GROUP_STYLES = {
+    "base_rotation": Style(BLUE),
+    "base_position": Style(VERMILION, "longdash"),
+    "joints": Style(GREEN),
+}
 EFFORT_UNITS = {"rad": "N m", "m": "N"}  # unit of a coordinate -> unit of its force or torque
 
 _CONTROLLERS = {
@@ -76,14 +87,20 @@ _CONTROLLERS = {
 }
 # For every other controller, and for a run whose controller's style is taken.
 _SPARE = (
-    Style(PURPLE), Style("#8C6BB1", "dash"), Style("#B8A800", "dashdot"), Style("#8C510A", "longdash"),
-    Style("#117733", "dot"), Style("#882255", "longdashdot"),
-)  # fmt: skip
+    Style(PURPLE),
+    Style("#8C6BB1", "dash"),
+    Style("#B8A800", "dashdot"),
+    Style("#8C510A", "longdash"),
+    Style("#117733", "dot"),
+    Style("#882255", "longdashdot"),
+)
 
 
 def label_of(controller: str) -> str:
     """A controller's name for people; of ``module:Class`` the class."""
-    return _CONTROLLERS[controller][0] if controller in _CONTROLLERS else controller.rpartition(":")[2]
+    return (
+        _CONTROLLERS[controller][0] if controller in _CONTROLLERS else controller.rpartition(":")[2]
+    )
 
 
 def styles_of(controllers: Sequence[str]) -> list[Style]:
@@ -101,7 +118,11 @@ def labels_of(records: Sequence[RunRecord]) -> list[str]:
     labels = [label_of(record.scenario.controller) for record in records]
     if len(set(labels)) < len(labels):
         flat = [flatten(scenario_to_dict(record.scenario)) for record in records]
-        varying = [key for key in differing_keys(*(record.scenario for record in records)) if key != "controller"]
+        varying = [
+            key
+            for key in differing_keys(*(record.scenario for record in records))
+            if key != "controller"
+        ]
         if 1 <= len(varying) <= 2:
             labels = [
                 ", ".join([label, *(f"{_short(key)} = {_shown(one.get(key))}" for key in varying)])

@@ -53,27 +53,44 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
 
     def line(first: str, *rest: str) -> str:
-        cells = [first.ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(rest, widths[1:], strict=True))]
+        cells = [
+            first.ljust(widths[0]),
+            *(cell.rjust(w) for cell, w in zip(rest, widths[1:], strict=True)),
+        ]
         return "  ".join(cells).rstrip()
 
     return [line(*row) for row in rows]
 
 
 def results_table(records: Sequence[RunRecord], distances: Sequence[float] | None = None) -> str:
-    """The figures of merit as plain text, a line per run; ``distances`` to the LQG limit, if known."""
+    """The figures of merit as plain text, a line per run; ``distances`` to the LQG limit, if
+    known.
+    """
     rows = [
-        ["controller", "ITAE", "ISV", *["peak error"] * 2, *["final error"] * 2, "peak force", *["peak torque"] * 2],
+        [
+            "controller",
+            "ITAE",
+            "ISV",
+            *["peak error"] * 2,
+            *["final error"] * 2,
+            "peak force",
+            *["peak torque"] * 2,
+        ],
         ["", "", "", "rad", "m", "rad", "m", "base, N", "base, N m", "joints"],
     ]
     for record in records:
         m, tracked = record.metrics, tracked_of(record.dataset)
         size, units = np.abs(tracked.error), np.array(tracked.units)
         figures = [
-            float(errors[units == unit].max(initial=-math.inf)) if unit in tracked.units else math.nan
+            float(errors[units == unit].max(initial=-math.inf))
+            if unit in tracked.units
+            else math.nan
             for errors in (size.max(axis=0), size[-1])
             for unit in ("rad", "m")
         ]
-        figures += [m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")]
+        figures += [
+            m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")
+        ]
         cells = [NONE if math.isnan(x) else f"{x:.3g}" for x in figures]
         rows.append([record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *cells])
     taken = [record.metrics.get("thrusters", {}).get("propellant") for record in records]
@@ -82,17 +99,24 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
         for row, cell in zip(rows, ("propellant", "g", *cells), strict=True):
             row.append(cell)
     if distances is not None:
-        for row, cell in zip(rows, ("over LQG", "", *(number(distance, 3) for distance in distances)), strict=True):
+        for row, cell in zip(
+            rows, ("over LQG", "", *(number(distance, 3) for distance in distances)), strict=True
+        ):
             row.append(cell)
     lines = aligned(rows)
-    held = [(record.dataset["generalized_force"], record.dataset["applied_force"]) for record in records]
+    held = [
+        (record.dataset["generalized_force"], record.dataset["applied_force"]) for record in records
+    ]
     if not all(commanded.equals(applied) for commanded, applied in held):
-        lines.append("forces and ISV as commanded; the actuators apply something else, see the report")
+        lines.append(
+            "forces and ISV as commanded; the actuators apply something else, see the report"
+        )
     for k, record in enumerate(records, start=2):
         if not record.outcome.completed:
             lines[k] += f"  ({record.outcome.status} at {record.outcome.time:.2f} s)"
     lines += [grasp_line(record.grasp) for record in records if record.grasp is not None]
-    lines += momentum_lines((records[0].grasp or {}).get("momentum_budget"))  # of the plan, which all have
+    # of the plan, which all have
+    lines += momentum_lines((records[0].grasp or {}).get("momentum_budget"))
     for record in records:
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
         lines += [
@@ -108,7 +132,9 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
 
 
 def frame_lines(record: RunRecord) -> list[str]:
-    """How far the frame was from a reference for its pose, and whether it came near a singularity, a line each."""
+    """How far the frame was from a reference for its pose, and whether it came near a singularity,
+    a line each.
+    """
     figures, goal = record.metrics.get("frame"), record.scenario.reference.frame
     if not figures:
         return []
@@ -116,18 +142,25 @@ def frame_lines(record: RunRecord) -> list[str]:
     units = {"position": (1e3, "mm"), "rotation": (180.0 / math.pi, "deg")}
     final, largest = (
         " and ".join(
-            f"{units[part][0] * figures[kind][part]:.4g} {units[part][1]}" for part in units if part in figures[kind]
+            f"{units[part][0] * figures[kind][part]:.4g} {units[part][1]}"
+            for part in units
+            if part in figures[kind]
         )
         for kind in ("final", "largest")
     )
     lines = [f"the frame {name} ends {final} from its reference (at most {largest})"]
     gains = record.scenario.controllers.get(controller_key(record.scenario.controller), {})
-    smallest, damping = figures.get("smallest_singular_value"), (gains.get("damping") or {}).get("all", 0.0)
+    smallest, damping = (
+        figures.get("smallest_singular_value"),
+        (gains.get("damping") or {}).get("all", 0.0),
+    )
     if smallest is not None and smallest < damping:
         near = record.dataset["smallest_singular_value"].values < damping
         lines.append(
-            f"near a dynamic singularity for {near.sum() * record.scenario.sample_time:.3g} s: the smallest singular "
-            f"value falls to {smallest:.2g}; below {damping:g} joint rates are damped, and the frame is left behind"
+            f"near a dynamic singularity for {near.sum() * record.scenario.sample_time:.3g} s: "
+            "the smallest singular "
+            f"value falls to {smallest:.2g}; below {damping:g} joint rates are damped, and the "
+            "frame is left behind"
         )
     return lines
 
@@ -139,10 +172,14 @@ def drift_lines(record: RunRecord) -> list[str]:
         return []
     units = {"base_rotation": (180.0 / math.pi, "deg"), "base_position": (1e3, "mm")}
     final, largest = (
-        " and ".join(f"{units[group][0] * size:.4g} {units[group][1]}" for group, size in drift[kind].items())
+        " and ".join(
+            f"{units[group][0] * size:.4g} {units[group][1]}" for group, size in drift[kind].items()
+        )
         for kind in ("final", "largest")
     )
-    return [f"the base, which nothing drives there, ends {final} from its start (at most {largest})"]
+    return [
+        f"the base, which nothing drives there, ends {final} from its start (at most {largest})"
+    ]
 
 
 def grasp_line(grasp: Mapping[str, Any]) -> str:
@@ -152,26 +189,33 @@ def grasp_line(grasp: Mapping[str, Any]) -> str:
     brakes = max(map(abs, grasp["brake_impulse"].values()), default=0.0)
     miss, compliant = grasp["miss"], grasp["compliant"]
     gripper = (
-        f"; the gripper bears at most {compliant['peak_force']:.3g} N and {compliant['peak_torque']:.3g} N m, over in "
+        f"; the gripper bears at most {compliant['peak_force']:.3g} N and "
+        f"{compliant['peak_torque']:.3g} N m, over in "
         f"{1e3 * compliant['time']:.3g} ms"
         if compliant
         else ""
     )
     return (
-        f"grasp at t = {grasp['time']:g} s: impulse {size['impulse']:.3g} N s and {size['angular_impulse']:.3g} N m s"
+        f"grasp at t = {grasp['time']:g} s: impulse {size['impulse']:.3g} N s and "
+        f"{size['angular_impulse']:.3g} N m s"
         + (f", of a brake at most {brakes:.3g} N m s" if brakes else "")
-        + f", kinetic energy {before:.4g} to {after:.4g} J; missed by {1e3 * miss['position']:.2g} mm and "
+        + f", kinetic energy {before:.4g} to {after:.4g} J; missed by "
+        f"{1e3 * miss['position']:.2g} mm and "
         f"{1e3 * miss['angle']:.2g} mrad, met at {1e3 * miss['velocity']:.2g} mm/s and "
         f"{1e3 * miss['angular_velocity']:.2g} mrad/s{gripper}"
     )
 
 
 def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
-    """Where the momentum can go after a grasp (``MomentumBudget`` as plain data), a line each; none without."""
+    """Where the momentum can go after a grasp (``MomentumBudget`` as plain data), a line each; none
+    without.
+    """
     if budget is None:
         return []
     linear, angular = (number(math.hypot(*budget[key])) for key in ("linear", "angular"))
-    lines = [f"after the grasp as planned: {linear} N s, and {angular} N m s about the centre of mass"]
+    lines = [
+        f"after the grasp as planned: {linear} N s, and {angular} N m s about the centre of mass"
+    ]
     wheels, arm, turning = budget["wheels"], budget["arm"], ""
     if budget["rate"] is not None:
         turning = f"turns the stack at {number(180.0 / math.pi * budget['rate'], 3)} deg/s"
@@ -183,23 +227,41 @@ def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
     if wheels is not None:
         rest = f"; what they do not hold {turning}" if turning else ""
         lines.append(
-            f"wheels: the angular momentum takes {percent(wheels['share'])} of the speed of {wheels['fullest']}, up to "
-            f"{percent(wheels['peak_share'])} on the way, and {number(wheels['least_time'], 3)} s at the least; they "
-            f"hold {number(wheels['capacity'], 3)} N m s along it, {number(wheels['least_capacity'], 3)} along the "
+            f"wheels: the angular momentum takes {percent(wheels['share'])} of the speed of "
+            f"{wheels['fullest']}, up to "
+            f"{percent(wheels['peak_share'])} on the way, and {number(wheels['least_time'], 3)} s "
+            "at the least; they "
+            f"hold {number(wheels['capacity'], 3)} N m s along it, "
+            f"{number(wheels['least_capacity'], 3)} along the "
             f"worst direction{rest}"
         )
     if arm is not None:
-        rates = "" if arm["capacity"] is None else f"; its rate limits allow {number(arm['capacity'], 3)} N m s"
-        until = f"{number(arm['time'], 3)} s, until {arm['ended_by']}" if arm["ended_by"] else _BEYOND
-        lines.append(f"arm: it can hold the angular momentum, the base's attitude kept, for {until}{rates}")
+        rates = (
+            ""
+            if arm["capacity"] is None
+            else (f"; its rate limits allow {number(arm['capacity'], 3)} N m s")
+        )
+        until = (
+            f"{number(arm['time'], 3)} s, until {arm['ended_by']}" if arm["ended_by"] else _BEYOND
+        )
+        lines.append(
+            f"arm: it can hold the angular momentum, the base's attitude kept, for {until}{rates}"
+        )
         lines += [f"with its joints at rest the angular momentum {turning}"] if turning else []
     if budget["drift"] is not None:
         speed = f"{number(1e3 * budget['drift'], 3)} mm/s"
-        lines.append(f"nothing takes out the linear momentum: the stack of {budget['mass']:g} kg drifts at {speed}")
+        lines.append(
+            f"nothing takes out the linear momentum: the stack of {budget['mass']:g} kg "
+            f"drifts at {speed}"
+        )
     for group, time in budget["used_up"].items():
         size = budget["accepted"][group]
         most = f"{math.degrees(size):.4g} deg" if group == "base_rotation" else f"{size:.4g} m"
-        when = f"lasts for {_BEYOND}" if time is None else f"is used up {number(time)} s after the grasp"
+        when = (
+            f"lasts for {_BEYOND}"
+            if time is None
+            else (f"is used up {number(time)} s after the grasp")
+        )
         lines.append(f"accepted drift of {group}, {most}: {when}")
     return lines
 
@@ -209,7 +271,8 @@ def actuator_lines(metrics: Mapping[str, Any]) -> list[str]:
     lines = []
     if figures := metrics.get("thrusters"):
         propellant = (
-            f"{1e3 * figures['propellant']:.3g} g of propellant (the commanded force alone: at least "
+            f"{1e3 * figures['propellant']:.3g} g of propellant (the commanded force alone: at "
+            "least "
             f"{1e3 * figures['propellant_of_force']:.3g} g), "
             if "propellant" in figures
             else ""
@@ -223,8 +286,10 @@ def actuator_lines(metrics: Mapping[str, Any]) -> list[str]:
         )
     if figures := metrics.get("wheels"):
         lines.append(
-            f"wheels: up to {percent(figures['speed_used'])} of the speed and {percent(figures['torque_used'])} of the "
-            f"torque of a wheel, a motor at its limit in {percent(figures['torque_limited'])} of the samples; unloaded "
+            f"wheels: up to {percent(figures['speed_used'])} of the speed and "
+            f"{percent(figures['torque_used'])} of the "
+            f"torque of a wheel, a motor at its limit in {percent(figures['torque_limited'])} of "
+            "the samples; unloaded "
             f"in {percent(figures['unloading'])}"
         )
     if figures := metrics.get("drives"):
@@ -237,7 +302,8 @@ def actuator_lines(metrics: Mapping[str, Any]) -> list[str]:
             parts.append(f"cut by the rate in {percent(figures['rate_limited'])} of the samples")
         if "friction_loss" in figures:
             parts.append(
-                f"friction of up to {max(figures['peak_friction'].values()):.3g} in a joint, which took out "
+                f"friction of up to {max(figures['peak_friction'].values()):.3g} in a joint, "
+                "which took out "
                 f"{sum(figures['friction_loss'].values()):.3g} J"
             )
         if parts:
@@ -246,12 +312,16 @@ def actuator_lines(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def deflection_lines(record: RunRecord) -> list[str]:
-    """How far the hidden coordinates of a run moved, and what is left of it, in a line; nothing for one without."""
+    """How far the hidden coordinates of a run moved, and what is left of it, in a line; nothing for
+    one without.
+    """
     figures = record.metrics.get("hidden")
     if not figures:
         return []
     hidden = record.dataset["hidden_coordinate"]
-    units = dict(zip(hidden.values.astype(str), hidden["hidden_unit"].values.astype(str), strict=True))
+    units = dict(
+        zip(hidden.values.astype(str), hidden["hidden_unit"].values.astype(str), strict=True)
+    )
 
     def listed(values: Mapping[str, float]) -> str:
         return ", ".join(f"{name} {value:.3g} {units[name]}" for name, value in values.items())
@@ -259,13 +329,22 @@ def deflection_lines(record: RunRecord) -> list[str]:
     line = f"hidden coordinates: deflected by at most {listed(figures['peak'])}"
     if figures["residual_since"] is not None:
         amplitude, rms = listed(figures["residual_amplitude"]), listed(figures["residual_rms"])
-        line += f"; after the motion, from t = {figures['residual_since']:g} s, amplitude {amplitude}, rms {rms}"
+        line += (
+            f"; after the motion, from t = {figures['residual_since']:g} s, amplitude "
+            f"{amplitude}, rms {rms}"
+        )
     return [line]
 
 
-def results_data(records: Sequence[RunRecord], distances: Sequence[float] | None = None) -> list[dict[str, Any]]:
+def results_data(
+    records: Sequence[RunRecord], distances: Sequence[float] | None = None
+) -> list[dict[str, Any]]:
     """The same as plain data."""
-    of_each = [{}] * len(records) if distances is None else [{"distance_to_lqg": distance} for distance in distances]
+    of_each = (
+        [{}] * len(records)
+        if distances is None
+        else [{"distance_to_lqg": distance} for distance in distances]
+    )
     return [
         {
             "controller": record.scenario.controller,
@@ -281,11 +360,14 @@ def results_data(records: Sequence[RunRecord], distances: Sequence[float] | None
 
 
 def margins_table(margins: "Margins") -> str:
-    """Plain text: the modes of the worst posture, and for the paper's laws per coordinate the limits."""
+    """Plain text: the modes of the worst posture, and for the paper's laws per coordinate the
+    limits.
+    """
     scenario, data, worst = margins.scenario, margins_data(margins), margins.worst
     low, high = data["eta"]
     lines = [
-        f"{scenario.description or 'scenario'}: {scenario.controller}, L = {scenario.sample_time:g} s",
+        f"{scenario.description or 'scenario'}: {scenario.controller}, L = "
+        f"{scenario.sample_time:g} s",
         f"eigenvalues eta of H^-1 Hhat along the planned motion: {low:.3f} to {high:.3f}",
         *_hidden_lines(margins, data),
         "",
@@ -293,13 +375,33 @@ def margins_table(margins: "Margins") -> str:
     ]
     rows = [["|z|", "frequency", "damping", "coordinates"], ["", "rad/s", "", ""]]
     for mode in data["modes"]:
-        shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(mode["coordinates"].items())[:3])
-        rows.append([f"{mode['magnitude']:.5f}", f"{mode['frequency']:.3g}", f"{mode['damping']:.3f}", shares])
+        shares = ", ".join(
+            f"{name} {100 * share:.0f} %" for name, share in list(mode["coordinates"].items())[:3]
+        )
+        rows.append(
+            [
+                f"{mode['magnitude']:.5f}",
+                f"{mode['frequency']:.3g}",
+                f"{mode['damping']:.3f}",
+                shares,
+            ]
+        )
     lines += aligned(rows)
     if margins.axes is not None:
-        plant = "explicit Euler at the control period" if margins.axes.sampling.euler else "exactly integrated"
-        lines += ["", f"limits of each coordinate alone, plant {plant}:", *_axis_lines(margins.axes, data)]
-    radii = [("", "spectral_radius"), (" where adaptation is expected to take K_s", "spectral_radius_expected")]
+        plant = (
+            "explicit Euler at the control period"
+            if margins.axes.sampling.euler
+            else "exactly integrated"
+        )
+        lines += [
+            "",
+            f"limits of each coordinate alone, plant {plant}:",
+            *_axis_lines(margins.axes, data),
+        ]
+    radii = [
+        ("", "spectral_radius"),
+        (" where adaptation is expected to take K_s", "spectral_radius_expected"),
+    ]
     radii.append((" with every K_s at its bound", "spectral_radius_at_bounds"))
     told = "; ".join(f"{data[key]:.5f}{where}" for where, key in radii if not math.isnan(data[key]))
     return "\n".join([*lines, "", f"spectral radius at the worst posture: {told}"])
@@ -314,16 +416,25 @@ def boundaries_table(boundaries: "Boundaries", scenario: Scenario) -> str:
     period = 1e3 * scenario.sample_time
     if math.isnan(boundaries.delay):
         return "no boundaries: the loop is unstable as it is"
-    delay = f"{boundaries.delay:.0f} sample{'s' if boundaries.delay > 1 else ''} ({boundaries.delay * period:.3g} ms)"
+    delay = (
+        f"{boundaries.delay:.0f} sample{'s' if boundaries.delay > 1 else ''} "
+        f"({boundaries.delay * period:.3g} ms)"
+    )
     rows = [
         ["feedback gains", factor(boundaries.gains)],
         ["nominal payload", factor(boundaries.nominal_payload)],
-        ["sample time", factor(boundaries.sample_time, f" ({boundaries.sample_time * period:.3g} ms)")],
+        [
+            "sample time",
+            factor(boundaries.sample_time, f" ({boundaries.sample_time * period:.3g} ms)"),
+        ],
         *(
             [f"mass of {name}" if name != "all" else "masses of all flexible parts", factor(value)]
             for name, value in boundaries.flexible_mass.items()
         ),
-        ["further sensor delay", delay if math.isfinite(boundaries.delay) else factor(boundaries.delay)],
+        [
+            "further sensor delay",
+            delay if math.isfinite(boundaries.delay) else factor(boundaries.delay),
+        ],
     ]
     return "\n".join(["unstable from, each changed alone at that posture:", *aligned(rows)])
 
@@ -339,12 +450,17 @@ def _hidden_lines(margins: "Margins", data: Mapping[str, Any]) -> list[str]:
     ]
     for mode in data["hidden_modes"]:
         moves = ", ".join(f"{name} {value:+.2g}" for name, value in list(mode["shape"].items())[:3])
-        carries = ", ".join(f"{name} {100 * share:.2g} %" for name, share in list(mode["share"].items())[:2])
+        carries = ", ".join(
+            f"{name} {100 * share:.2g} %" for name, share in list(mode["share"].items())[:2]
+        )
         rows.append([
             moves, *(f"{mode[key]:.4g}" for key in ("frequency", "clamped_frequency")),
             f"{mode['damping_ratio']:.2g}", carries,
         ])  # fmt: skip
-    locked = f"with the flexible parts locked it is {low:.3f} to {high:.3f}; a sample is too short for their springs"
+    locked = (
+        f"with the flexible parts locked it is {low:.3f} to {high:.3f}; a sample is too "
+        "short for their springs"
+    )
     return [
         locked,
         "",
@@ -355,17 +471,33 @@ def _hidden_lines(margins: "Margins", data: Mapping[str, Any]) -> list[str]:
 
 def _axis_lines(axes: "AxisMargins", data: Mapping[str, Any]) -> list[str]:
     rows = [
-        ["coordinate", "K_s start", "expected", "bound", "limit", "margin", "largest L", "tolerated eta"],
+        [
+            "coordinate",
+            "K_s start",
+            "expected",
+            "bound",
+            "limit",
+            "margin",
+            "largest L",
+            "tolerated eta",
+        ],
         ["", "1/s", "1/s", "1/s", "1/s", "", "ms", ""],
     ]
     for name, item in data["coordinates"].items():
         gains = ["-"] * 5
         if axes.has_k_s:
             expected, limit, bound = (item[f"k_s_{key}"] for key in ("expected", "limit", "bound"))
-            gains = [f"{item['k_s_start']:.4g}", f"{expected:.4g}", f"{bound:.4g}" if math.isfinite(bound) else "none",
-                     f"{limit:.4g}", f"{limit / max(expected, 1e-9):.2f}"]  # fmt: skip
+            gains = [
+                f"{item['k_s_start']:.4g}",
+                f"{expected:.4g}",
+                f"{bound:.4g}" if math.isfinite(bound) else "none",
+                f"{limit:.4g}",
+                f"{limit / max(expected, 1e-9):.2f}",
+            ]
         low, high = item["eta_tolerated"]
-        rows.append([name, *gains, f"{1e3 * item['sample_time_limit']:.2f}", f"{low:.2f} .. {high:.2f}"])
+        rows.append(
+            [name, *gains, f"{1e3 * item['sample_time_limit']:.2f}", f"{low:.2f} .. {high:.2f}"]
+        )
     return aligned(rows)
 
 
@@ -417,9 +549,13 @@ def margins_data(margins: "Margins") -> dict[str, Any]:
     }
 
 
-def _largest_first(names: Sequence[str], values: Iterable[float], *, above: float) -> dict[str, float]:
+def _largest_first(
+    names: Sequence[str], values: Iterable[float], *, above: float
+) -> dict[str, float]:
     """Name -> value, the largest first, without those whose size is below ``above``."""
-    found = {name: float(value) for name, value in zip(names, values, strict=True) if abs(value) >= above}
+    found = {
+        name: float(value) for name, value in zip(names, values, strict=True) if abs(value) >= above
+    }
     return dict(sorted(found.items(), key=lambda item: -abs(item[1])))
 
 
@@ -442,17 +578,20 @@ def design_table(found: "Design") -> str:
     masses = [["true payload", "spectral radius", ""]]
     for mass, radius in chosen.radius_by_mass.items():
         masses.append([f"{mass:.0f} kg", f"{radius:.5f}", "" if radius < 1.0 else "unstable"])
-    return "\n".join([
-        f"{scenario.description}: {label_of(scenario.controller)}{estimate}",
-        "",
-        *aligned(rows),
-        "",
-        f"effort ISV {chosen.prediction.isv:.1f} (budget {requirement.budget:.1f}, perfect tracking "
-        f"{found.ideal_isv:.1f}; as it was {given.prediction.isv:.4g})",
-        *aligned(masses),
-        "",
-        *found.remarks,
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f"{scenario.description}: {label_of(scenario.controller)}{estimate}",
+            "",
+            *aligned(rows),
+            "",
+            f"effort ISV {chosen.prediction.isv:.1f} (budget {requirement.budget:.1f}, perfect "
+            "tracking "
+            f"{found.ideal_isv:.1f}; as it was {given.prediction.isv:.4g})",
+            *aligned(masses),
+            "",
+            *found.remarks,
+        ]
+    )
 
 
 def _gain_cell(value: Any, group: str) -> str:
@@ -474,8 +613,12 @@ def design_data(found: "Design") -> dict[str, Any]:
             "spectral_radius": prediction.spectral_radius,
             "isv": prediction.isv,
             "rms_error": prediction.by_group(),
-            "peak_effort": dict(zip(prediction.coordinates.names, prediction.peak_effort.tolist(), strict=True)),
-            "spectral_radius_by_payload_mass": {f"{mass:g}": radius for mass, radius in point.radius_by_mass.items()},
+            "peak_effort": dict(
+                zip(prediction.coordinates.names, prediction.peak_effort.tolist(), strict=True)
+            ),
+            "spectral_radius_by_payload_mass": {
+                f"{mass:g}": radius for mass, radius in point.radius_by_mass.items()
+            },
         }
 
     scenario = found.chosen.scenario
@@ -499,19 +642,34 @@ def plan_table(found: "PlannedMotionReport") -> str:
     plan = found.plan
     after = f", and {plan.settle:g} s more for the rates that are left" if plan.settle > 0.0 else ""
     lines = [
-        f"At rest after {plan.duration:.3f} s{after}; {found.evaluations} evaluations in {found.solve_time:.1f} s",
-        f"Angular momentum about the centre of mass: {number(found.angular_momentum)} N m s at the start, "
+        f"At rest after {plan.duration:.3f} s{after}; {found.evaluations} evaluations in "
+        f"{found.solve_time:.1f} s",
+        f"Angular momentum about the centre of mass: {number(found.angular_momentum)} N m s at "
+        "the start, "
         f"{number(found.momentum_left)} at {plan.duration:.3f} s"
-        + (f"; base torque alone takes at least {found.least_by_torque:.2f} s" if found.least_by_torque > 0.0 else ""),
+        + (
+            f"; base torque alone takes at least {found.least_by_torque:.2f} s"
+            if found.least_by_torque > 0.0
+            else ""
+        ),
         f"Integral of the squared force (ISV): {number(found.effort)}; impulses: base torque "
-        f"{number(found.impulse['base_rotation'])} N m s, base force {number(found.impulse['base_position'])} N s, "
+        f"{number(found.impulse['base_rotation'])} N m s, base force "
+        f"{number(found.impulse['base_position'])} N s, "
         f"joints {number(found.impulse['joints'])}",
-        *([] if found.base_turn is None else [f"Momentum turns the base by up to {number(found.base_turn)} rad"]),
+        *(
+            []
+            if found.base_turn is None
+            else [f"Momentum turns the base by up to {number(found.base_turn)} rad"]
+        ),
         "",
     ]
     rows = [["", "nearest to the limit", "limit", "used", "at"]]
     for margin in found.margins:
-        share = NONE if margin.quantity in ("clearance", "position") else percent(abs(margin.value / margin.limit))
+        share = (
+            NONE
+            if margin.quantity in ("clearance", "position")
+            else percent(abs(margin.value / margin.limit))
+        )
         rows.append(
             [
                 f"{margin.quantity} {margin.name}", f"{margin.value:.4g} {margin.unit}",

@@ -1,4 +1,6 @@
-"""A scenario's capture: how target and servicer move before the grasp, and what the grasp leaves."""
+"""A scenario's capture: how target and servicer move before the grasp, and what the grasp
+leaves.
+"""
 
 import dataclasses
 
@@ -8,14 +10,21 @@ from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, HiddenCoordinates
-from ffsm_drake.spacecraft.grasp import CompliantGrasp, Grasp, compliant_grasp, plastic_grasp, shift_moment
+from ffsm_drake.spacecraft.grasp import (
+    CompliantGrasp,
+    Grasp,
+    compliant_grasp,
+    plastic_grasp,
+    shift_moment,
+)
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Contact:
-    """The instant of a grasp: the motion on both sides of it, and the grasp itself; world axes, SI units.
+    """The instant of a grasp: the motion on both sides of it, and the grasp itself; world axes, SI
+    units.
 
     q and v are the plant's own, with its hidden coordinates.
     """
@@ -24,7 +33,8 @@ class Contact:
     velocity: np.ndarray  # (nv) of the servicer before
     target_velocity: np.ndarray  # (6) of the target's frame P before: angular, linear
     grasp: Grasp
-    impulse: np.ndarray  # (6) on the target, angular about the end effector's origin, then linear, N m s and N s
+    # (6) on the target, angular about the end effector's origin, then linear, N m s and N s
+    impulse: np.ndarray
     # (6) of both, angular about the world's origin, then linear, N m s and N s
     momentum_before: np.ndarray
     momentum_after: np.ndarray
@@ -35,7 +45,9 @@ class Contact:
 
 
 def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
-    """The payload body. Raises ModelError unless it is, alone, all that the grasp separates from the servicer."""
+    """The payload body. Raises ModelError unless it is, alone, all that the grasp separates from
+    the servicer.
+    """
     key = "payload.body"
     body = find_body(model.plant, scenario.payload.body, key=key)
     effector = find_frame(model.plant, scenario.model.end_effector, key="model.end_effector").body()
@@ -49,25 +61,35 @@ def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
         fault = "is a body of the servicer"
     if fault:
         raise ModelError(
-            f"{key}: '{scenario.payload.body}' {fault}; capture takes a target of one body, a model of its own"
+            f"{key}: '{scenario.payload.body}' {fault}; capture takes a target of one body, a "
+            "model of its own"
         )
     return body
 
 
-def target_twist(scenario: Scenario, capture: Capture, model: PlantModel, q: np.ndarray) -> np.ndarray:
-    """[w_WP; v_WP] (6) of the target's frame P just before the grasp in a known configuration q, world axes."""
+def target_twist(
+    scenario: Scenario, capture: Capture, model: PlantModel, q: np.ndarray
+) -> np.ndarray:
+    """[w_WP; v_WP] (6) of the target's frame P just before the grasp in a known configuration q,
+    world axes.
+    """
     model.plant.SetPositions(model.context, model.hidden.whole_positions(q))
     body = target_body(scenario, model)
     R_WP = body.EvalPoseInWorld(model.context).rotation().matrix()
     turn = R_WP if capture.axes == "target" else np.eye(3)
     w = turn @ capture.rate
-    return np.concatenate([w, turn @ capture.velocity - np.cross(w, R_WP @ scenario.payload.truth.center_of_mass)])
+    return np.concatenate(
+        [w, turn @ capture.velocity - np.cross(w, R_WP @ scenario.payload.truth.center_of_mass)]
+    )
 
 
-def servicer_velocity(scenario: Scenario, capture: Capture, model: PlantModel, q: np.ndarray) -> np.ndarray:
+def servicer_velocity(
+    scenario: Scenario, capture: Capture, model: PlantModel, q: np.ndarray
+) -> np.ndarray:
     """v (nv) of the servicer at the grasp in a known configuration q.
 
-    To follow the grasp frame it takes, of the rates with the least mismatch of end effector and target, the cheapest.
+    To follow the grasp frame it takes, of the rates with the least mismatch of end effector and
+    target, the cheapest.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate.
@@ -82,7 +104,9 @@ def servicer_velocity(scenario: Scenario, capture: Capture, model: PlantModel, q
     p_WP = target_body(scenario, model).EvalPoseInWorld(context).translation()
     twist[3:] += np.cross(twist[:3], effector.CalcPoseInWorld(context).translation() - p_WP)
     world = plant.world_frame()
-    jacobian = plant.CalcJacobianSpatialVelocity(context, JacobianWrtVariable.kV, effector, np.zeros(3), world, world)
+    jacobian = plant.CalcJacobianSpatialVelocity(
+        context, JacobianWrtVariable.kV, effector, np.zeros(3), world, world
+    )
     if model.hidden.names:
         jacobian = jacobian[:, model.hidden.known]
     moving = slice(NUM_BASE_VELOCITIES if capture.servicer == "track_joints" else 0, None)
@@ -93,9 +117,15 @@ def servicer_velocity(scenario: Scenario, capture: Capture, model: PlantModel, q
 
 
 def contact_at(
-    scenario: Scenario, model: PlantModel, *, q: np.ndarray, velocity: np.ndarray, target_velocity: np.ndarray
+    scenario: Scenario,
+    model: PlantModel,
+    *,
+    q: np.ndarray,
+    velocity: np.ndarray,
+    target_velocity: np.ndarray,
 ) -> Contact:
-    """The grasp of the target by a servicer in configuration q (nq) with velocity v (nv), the joints free or braked.
+    """The grasp of the target by a servicer in configuration q (nq) with velocity v (nv), the
+    joints free or braked.
 
     q and v are the plant's own; what is hidden in it is free.
 
@@ -160,7 +190,9 @@ def contact_at(
 
 
 def _moved(offset: np.ndarray) -> np.ndarray:
-    """The matrix (6, 6) from [w; v] at a point of a body to [w; v] at one that lies ``offset`` (3, m) from it."""
+    """The matrix (6, 6) from [w; v] at a point of a body to [w; v] at one that lies ``offset`` (3,
+    m) from it.
+    """
     x, y, z = offset
     matrix = np.eye(6)
     matrix[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
@@ -168,14 +200,17 @@ def _moved(offset: np.ndarray) -> np.ndarray:
 
 
 def velocity_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
-    """The velocity (nv) that the motion with the target held starts from; errors as ``planned_contact``."""
+    """The velocity (nv) that the motion with the target held starts from; errors as
+    ``planned_contact``.
+    """
     if scenario.capture is not None:
         return planned_contact(scenario, model).grasp.velocity
     return model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
 
 
 def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
-    """The grasp as a scenario has it: in ``initial_posture``, at the chosen rates, with the payload of ``model``.
+    """The grasp as a scenario has it: in ``initial_posture``, at the chosen rates, with the payload
+    of ``model``.
 
     Raises:
       ModelError: the target is not a body of its own.

@@ -1,25 +1,40 @@
 """Clearance: the smallest distance between parts of the spacecraft that a joint can bring together.
 
-The shapes are the model's collision geometry; of a model without any, its pictures; of a mesh, the convex hull. Left
-out are parts that are fixed to each other (the target and what grasps it), parts that a joint connects, and those with
-few joints between them that are near each other wherever these are, as the links of a wrist. Before a grasp the target
-is a body of its own, which the gripper may touch over the last decimetre.
+The shapes are the model's collision geometry; of a model without any, its pictures; of a mesh, the
+convex hull. Left out are parts that are fixed to each other (the target and what grasps it), parts
+that a joint connects, and those with few joints between them that are near each other wherever
+these are, as the links of a wrist. Before a grasp the target is a body of its own, which the
+gripper may touch over the last decimetre.
 """
 
 import dataclasses
 import itertools
 
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Mesh, ProximityProperties, Role
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    GeometrySet,
+    Mesh,
+    ProximityProperties,
+    Role,
+)
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Model
-from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, add_combined_plant, cause_of, find_body, find_frame, make_plant
+from ffsm_drake.spacecraft.plant import (
+    DRAKE_ERRORS,
+    add_combined_plant,
+    cause_of,
+    find_body,
+    find_frame,
+    make_plant,
+)
 
-# Bodies with few joints between them that are always near, wherever these are, tell nothing of a motion.
+# Bodies with few joints between them that are always near, wherever these are, tell nothing of a
+# motion.
 _NEIGHBOURS, _NEAR = 3, 0.2  # joints, m
 _PLACES = 40  # of these joints that are looked at
 
@@ -49,7 +64,8 @@ class Clearance:
     """Distances between the parts of a spacecraft. The scene graph's context is a scratch pad."""
 
     def __init__(self, model: Model, *, apart: str | None = None) -> None:
-        """Args: the model; the body (scoped name) that is not grasped yet, whose pose then follows the configuration.
+        """Args: the model; the body (scoped name) that is not grasped yet, whose pose then follows
+        the configuration.
 
         Raises ModelError: the model does not load, or has shapes without a distance.
         """
@@ -72,24 +88,38 @@ class Clearance:
         self._query = scene_graph.get_query_output_port()
         self._bodies = [self.plant.get_body(BodyIndex(i)) for i in range(self.plant.num_bodies())]
         self._shapes_of = {
-            body.index(): list(inspector.GetGeometries(self.plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity))
+            body.index(): list(
+                inspector.GetGeometries(
+                    self.plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity
+                )
+            )
             for body in self._bodies
         }
-        self._body_of = {shape: body for body in self._bodies for shape in self._shapes_of[body.index()]}
+        self._body_of = {
+            shape: body for body in self._bodies for shape in self._shapes_of[body.index()]
+        }
         self.pairs = self._free_pairs()
         everything = GeometrySet(list(self._body_of))
-        manager = scene_graph.collision_filter_manager(scene_graph.GetMyMutableContextFromRoot(self._context))
+        manager = scene_graph.collision_filter_manager(
+            scene_graph.GetMyMutableContextFromRoot(self._context)
+        )
         manager.Apply(CollisionFilterDeclaration().ExcludeWithin(everything))
         for first, second in self.pairs:
             parts = [GeometrySet(self._shapes_of[body.index()]) for body in (first, second)]
             manager.Apply(CollisionFilterDeclaration().AllowBetween(*parts))
 
     def nearest(self, q: np.ndarray, *, below: float = np.inf) -> Nearest:
-        """The smallest distance in configuration q (nq), of those below some distance (m): the smaller, the faster."""
+        """The smallest distance in configuration q (nq), of those below some distance (m): the
+        smaller, the faster.
+        """
         self.plant.SetPositions(self.plant_context, q)
         found = self._query.Eval(self._shapes).ComputeSignedDistancePairwiseClosestPoints(below)
         if met := self._may_touch():
-            found = [pair for pair in found if not {self._body_of[s].index() for s in (pair.id_A, pair.id_B)} <= met]
+            found = [
+                pair
+                for pair in found
+                if not {self._body_of[s].index() for s in (pair.id_A, pair.id_B)} <= met
+            ]
         if not found:
             return Nearest(distance=np.inf, first="", second="")
         least = min(found, key=lambda pair: pair.distance)
@@ -97,10 +127,14 @@ class Clearance:
         return Nearest(distance=least.distance, first=first, second=second)
 
     def along(self, positions: np.ndarray) -> Approach:
-        """Where a motion, configurations (n, nq), comes nearest to itself; not finite ones are passed over."""
+        """Where a motion, configurations (n, nq), comes nearest to itself; not finite ones are
+        passed over.
+        """
         best = None
         for index in np.flatnonzero(np.isfinite(positions).all(axis=1)):
-            nearest = self.nearest(positions[index], below=np.inf if best is None else best.nearest.distance)
+            nearest = self.nearest(
+                positions[index], below=np.inf if best is None else best.nearest.distance
+            )
             if best is None or nearest.distance < best.nearest.distance:
                 best = Approach(index=int(index), nearest=nearest)
         if best is None:
@@ -119,7 +153,8 @@ class Clearance:
             if body.index() not in part_of:
                 number = len(set(part_of.values()))
                 part_of |= {each.index(): number for each in plant.GetBodiesWeldedTo(body)}
-        joints_at: dict[int, list[tuple[int, Joint]]] = {}  # rigid part -> the parts that a joint leads to
+        # rigid part -> the parts that a joint leads to
+        joints_at: dict[int, list[tuple[int, Joint]]] = {}
         for joint in map(plant.get_joint, plant.GetJointIndices()):
             if joint.num_velocities() == 1:
                 ends = part_of[joint.parent_body().index()], part_of[joint.child_body().index()]
@@ -132,7 +167,10 @@ class Clearance:
             if start == end:
                 continue
             joints = self._between(joints_at, start, end)
-            connected = {frozenset((each.parent_body().index(), each.child_body().index())) for each in joints}
+            connected = {
+                frozenset((each.parent_body().index(), each.child_body().index()))
+                for each in joints
+            }
             if frozenset((first.index(), second.index())) in connected:
                 continue
             if not 0 < len(joints) <= _NEIGHBOURS or not self._always_near(first, second, joints):
@@ -140,7 +178,9 @@ class Clearance:
         return pairs
 
     @staticmethod
-    def _between(joints_at: dict[int, list[tuple[int, Joint]]], start: int, end: int) -> tuple[Joint, ...]:
+    def _between(
+        joints_at: dict[int, list[tuple[int, Joint]]], start: int, end: int
+    ) -> tuple[Joint, ...]:
         """The joints on the way from one rigid part to another."""
         ways: dict[int, tuple[Joint, ...]] = {start: ()}
         pending = [start]
@@ -154,23 +194,35 @@ class Clearance:
     def _always_near(self, first: RigidBody, second: RigidBody, joints: tuple[Joint, ...]) -> bool:
         """Whether two bodies are nearer than _NEAR wherever the joints between them are."""
         q = self.plant.GetPositions(self.plant_context)  # with unit quaternions
-        shapes = list(itertools.product(self._shapes_of[first.index()], self._shapes_of[second.index()]))
+        shapes = list(
+            itertools.product(self._shapes_of[first.index()], self._shapes_of[second.index()])
+        )
         generator = np.random.default_rng(0)
         for _ in range(_PLACES):
             for joint in joints:
-                lower, upper = float(joint.position_lower_limits()[0]), float(joint.position_upper_limits()[0])
+                lower, upper = (
+                    float(joint.position_lower_limits()[0]),
+                    float(joint.position_upper_limits()[0]),
+                )
                 if not np.isfinite([lower, upper]).all():
-                    lower, upper = (-1.0, 1.0) if joint.type_name() == "prismatic" else (-np.pi, np.pi)
+                    lower, upper = (
+                        (-1.0, 1.0) if joint.type_name() == "prismatic" else (-np.pi, np.pi)
+                    )
                 q[joint.position_start()] = generator.uniform(lower, upper)
             self.plant.SetPositions(self.plant_context, q)
             query = self._query.Eval(self._shapes)
-            if all(query.ComputeSignedDistancePairClosestPoints(*pair).distance > _NEAR for pair in shapes):
+            if all(
+                query.ComputeSignedDistancePairClosestPoints(*pair).distance > _NEAR
+                for pair in shapes
+            ):
                 return False
         return True
 
 
 class ApproachClearance(Clearance):
-    """Before the grasp: configurations are the servicer's, followed by the target's pose (quaternion, position)."""
+    """Before the grasp: configurations are the servicer's, followed by the target's pose
+    (quaternion, position).
+    """
 
     def __init__(self, model: Model, target: str) -> None:
         """Args: the model; scoped name of the target. Errors as ``Clearance``."""

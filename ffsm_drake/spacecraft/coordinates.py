@@ -1,7 +1,7 @@
 """Names of the generalized velocities, and the difference of two configurations.
 
-Gains, disturbances, noise and reports address coordinates by name or by group. Their order is Drake's,
-v = [w_WB, v_WB, joint rates]; only this module depends on it.
+Gains, disturbances, noise and reports address coordinates by name or by group. Their order is
+Drake's, v = [w_WB, v_WB, joint rates]; only this module depends on it.
 """
 
 import dataclasses
@@ -15,7 +15,12 @@ from ffsm_drake.common.errors import ScenarioError, did_you_mean
 
 BASE_ROTATION = ("base_rotation_x", "base_rotation_y", "base_rotation_z")
 BASE_POSITION = ("base_position_x", "base_position_y", "base_position_z")
-BASE_QUATERNION = ("base_quaternion_w", "base_quaternion_x", "base_quaternion_y", "base_quaternion_z")
+BASE_QUATERNION = (
+    "base_quaternion_w",
+    "base_quaternion_x",
+    "base_quaternion_y",
+    "base_quaternion_z",
+)
 GROUPS = ("base_rotation", "base_position", "joints")
 
 NUM_BASE_POSITIONS = 7  # quaternion (w, x, y, z) of R_WB, then p_WB
@@ -24,7 +29,9 @@ NUM_BASE_VELOCITIES = 6  # w_WB, v_WB, both in the world frame
 
 @dataclasses.dataclass(frozen=True)
 class Coordinates:
-    """The generalized velocities v of a floating-base arm, by name: base rotation, base position, joints."""
+    """The generalized velocities v of a floating-base arm, by name: base rotation, base position,
+    joints.
+    """
 
     joints: tuple[str, ...]
     joint_units: tuple[str, ...]  # "rad" or "m", one per joint
@@ -48,7 +55,11 @@ class Coordinates:
     @property
     def groups(self) -> dict[str, slice]:
         """Group name -> its slice of v."""
-        return {"base_rotation": slice(0, 3), "base_position": slice(3, 6), "joints": slice(6, len(self.names))}
+        return {
+            "base_rotation": slice(0, 3),
+            "base_position": slice(3, 6),
+            "joints": slice(6, len(self.names)),
+        }
 
     @property
     def driven_groups(self) -> dict[str, slice]:
@@ -70,11 +81,14 @@ class Coordinates:
         """Group of each coordinate (nv)."""
         return tuple(group for group, part in self.groups.items() for _ in self.names[part])
 
-    def vector(self, values: Mapping[str, float], *, key: str, default: float | None = None) -> np.ndarray:
+    def vector(
+        self, values: Mapping[str, float], *, key: str, default: float | None = None
+    ) -> np.ndarray:
         """The vector (nv) that a mapping by ``all``, group or coordinate name describes.
 
-        A coordinate's own name wins over its group, a group over ``all``; ``default`` is for coordinates that are not
-        mentioned. Raises ScenarioError, which names ``key``, for an unknown name or a coordinate without a value.
+        A coordinate's own name wins over its group, a group over ``all``; ``default`` is for
+        coordinates that are not mentioned. Raises ScenarioError, which names ``key``, for an
+        unknown name or a coordinate without a value.
         """
         self.check_names(values, key=key)
         result = [
@@ -83,11 +97,15 @@ class Coordinates:
         ]
         missing = [name for name, value in zip(self.names, result, strict=True) if value is None]
         if missing:
-            raise ScenarioError(key, f"gives no value for {', '.join(missing)}; add them, their group, or 'all'")
+            raise ScenarioError(
+                key, f"gives no value for {', '.join(missing)}; add them, their group, or 'all'"
+            )
         return np.array(result, dtype=float)
 
     def joint_vector(self, values: Mapping[str, float], *, key: str, default: float) -> np.ndarray:
-        """As ``vector``, of the joints alone, which a key other than ``all`` must be of. Raises ScenarioError."""
+        """As ``vector``, of the joints alone, which a key other than ``all`` must be of. Raises
+        ScenarioError.
+        """
         valid = ("all", "joints", *self.joints)
         for name in values:
             if name not in valid:
@@ -96,12 +114,19 @@ class Coordinates:
         return self.vector(values, key=key, default=default)[NUM_BASE_VELOCITIES:]
 
     def indices(self, names: Iterable[str], *, key: str) -> np.ndarray:
-        """Which coordinates of v, ascending, names of groups and coordinates mean. Raises ScenarioError for others."""
+        """Which coordinates of v, ascending, names of groups and coordinates mean. Raises
+        ScenarioError for others.
+        """
         wanted = dict.fromkeys(names)
         self.check_names(wanted, key=key)
         both = zip(self.names, self.group_of, strict=True)
         return np.array(
-            [i for i, (name, group) in enumerate(both) if not wanted.keys().isdisjoint((name, group, "all"))], dtype=int
+            [
+                i
+                for i, (name, group) in enumerate(both)
+                if not wanted.keys().isdisjoint((name, group, "all"))
+            ],
+            dtype=int,
         )
 
     def check_names(self, names: Mapping[str, object], *, key: str) -> None:
@@ -110,15 +135,19 @@ class Coordinates:
         for name in names:
             if name not in valid:
                 raise ScenarioError(
-                    f"{key}.{name}", f"unknown coordinate; valid here: {', '.join(valid)}{did_you_mean(name, valid)}"
+                    f"{key}.{name}",
+                    "unknown coordinate; valid here: "
+                    f"{', '.join(valid)}{did_you_mean(name, valid)}",
                 )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class HiddenCoordinates:
-    """Coordinates of the true plant that the controller does not know of, among those that it knows.
+    """Coordinates of the true plant that the controller does not know of, among those that it
+    knows.
 
-    The plant's own [q; v] holds both; beside it stand the known state [q; v] and the hidden one [q_h; v_h].
+    The plant's own [q; v] holds both; beside it stand the known state [q; v] and the hidden one
+    [q_h; v_h].
     """
 
     names: tuple[str, ...] = ()
@@ -131,7 +160,9 @@ class HiddenCoordinates:
     hidden: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
 
     def whole(self, state: np.ndarray, hidden_state: np.ndarray | None = None) -> np.ndarray:
-        """The plant's [q; v] of known and hidden states (..., their sizes); without the latter it is zero."""
+        """The plant's [q; v] of known and hidden states (..., their sizes); without the latter it
+        is zero.
+        """
         if not self.names:
             return state
         result = np.zeros((*state.shape[:-1], self.known_state.size + self.hidden_state.size))
@@ -145,7 +176,9 @@ class HiddenCoordinates:
         if not self.names:
             return q
         at_rest = None if hidden is None else np.concatenate([hidden, np.zeros(hidden.size)])
-        return self.whole(np.concatenate([q, np.zeros(q.size - 1)]), at_rest)[: q.size + len(self.names)]
+        return self.whole(np.concatenate([q, np.zeros(q.size - 1)]), at_rest)[
+            : q.size + len(self.names)
+        ]
 
     def whole_velocities(self, v: np.ndarray) -> np.ndarray:
         """The plant's v of known velocities (nv); the hidden ones are zero."""
@@ -169,9 +202,11 @@ class HiddenCoordinates:
 
 
 def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[float, float, float]:
-    """Rotation vector, in the world frame, from R(quaternion) to R(quaternion_d): log(R_d R^T), rad.
+    """Rotation vector, in the world frame, from R(quaternion) to R(quaternion_d): log(R_d R^T),
+    rad.
 
-    Quaternions are (w, x, y, z); their norms do not matter. Plain floats, because this runs in every controller update.
+    Quaternions are (w, x, y, z); their norms do not matter. Plain floats, because this runs in
+    every controller update.
     """
     dw, dx, dy, dz = quaternion_d.tolist()
     w, x, y, z = quaternion.tolist()
@@ -190,11 +225,13 @@ def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[fl
 def rotation_error_rate(
     error: tuple[float, float, float], w_d: np.ndarray, w: np.ndarray
 ) -> tuple[float, float, float]:
-    """Rate of ``rotation_error``, rad/s, for an error e and angular velocities w_d and w (3,), all in the world frame.
+    """Rate of ``rotation_error``, rad/s, for an error e and angular velocities w_d and w (3,), all
+    in the world frame.
 
-    e' = J_l(e)^-1 w_d - J_r(e)^-1 w = (w_d - w) - 1/2 e x (w_d + w) + c e x (e x (w_d - w)), with the left and right
-    Jacobians of SO(3) and c = (1 - a/2 cot a/2) / a^2, a = |e| (Sola et al. 2018, "A micro Lie theory for state
-    estimation in robotics", equations (146) and (147)). Plain floats, as in ``rotation_error``.
+    e' = J_l(e)^-1 w_d - J_r(e)^-1 w = (w_d - w) - 1/2 e x (w_d + w) + c e x (e x (w_d - w)), with
+    the left and right Jacobians of SO(3) and c = (1 - a/2 cot a/2) / a^2, a = |e| (Sola et al.
+    2018, "A micro Lie theory for state estimation in robotics", equations (146) and (147)). Plain
+    floats, as in ``rotation_error``.
     """
     ex, ey, ez = error
     dx, dy, dz = w_d.tolist()
@@ -215,7 +252,9 @@ def rotation_error_rate(
 
 
 def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Tracking error e (nv) from configuration q to q_d: rotation vector (world), then differences."""
+    """Tracking error e (nv) from configuration q to q_d: rotation vector (world), then
+    differences.
+    """
     error = np.empty(q.size - 1)
     error[:3] = rotation_error(q_d[:4], q[:4])
     np.subtract(q_d[4:], q[4:], out=error[3:])
@@ -223,7 +262,9 @@ def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def error_rate(error: np.ndarray, v_d: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Rate (nv) of a tracking error, for velocities v_d and v (nv): ``rotation_error_rate``, then differences."""
+    """Rate (nv) of a tracking error, for velocities v_d and v (nv): ``rotation_error_rate``, then
+    differences.
+    """
     rate = v_d - v
     rate[:3] = rotation_error_rate(tuple(error[:3].tolist()), v_d[:3], v[:3])
     return rate

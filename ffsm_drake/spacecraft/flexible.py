@@ -1,9 +1,11 @@
-"""What moves in the true spacecraft besides base and joints: panels, beams, slosh, passive joints, flexible gears.
+"""What moves in the true spacecraft besides base and joints: panels, beams, slosh, passive joints,
+flexible gears.
 
-``model.flexible`` names these parts. Each adds hidden coordinates to the true plant, held by springs and dampers; with
-them at zero and locked it is the spacecraft that the controller knows. A beam stands as the equivalent masses of its
-cantilever modes: mode i is a point mass m_i that slides across the beam at the distance h_i from the root, and gives
-the force and the moment at the root that the bending mode gives (modal effective masses; the rest is rigid).
+``model.flexible`` names these parts. Each adds hidden coordinates to the true plant, held by
+springs and dampers; with them at zero and locked it is the spacecraft that the controller knows. A
+beam stands as the equivalent masses of its cantilever modes: mode i is a point mass m_i that slides
+across the beam at the distance h_i from the root, and gives the force and the moment at the root
+that the bending mode gives (modal effective masses; the rest is rigid).
 """
 
 import dataclasses
@@ -40,12 +42,20 @@ _INSTANCE = "flexible"  # the model instance of the bodies
 _COLOR = np.array([0.16, 0.33, 0.72, 0.85])
 _OF_A_JOINT = ("joint", "gear")
 # Bending of a uniform cantilever: roots of 1 + cos(x) cosh(x) = 0.
-_CANTILEVER = (1.8751040687119611, 4.694091132974174, 7.854757438237613, 10.995540734875467, 14.137168391046471)
+_CANTILEVER = (
+    1.8751040687119611,
+    4.694091132974174,
+    7.854757438237613,
+    10.995540734875467,
+    14.137168391046471,
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BeamMode:
-    """The equivalent of a bending mode of a uniform cantilever, in shares of its mass and length."""
+    """The equivalent of a bending mode of a uniform cantilever, in shares of its mass and
+    length.
+    """
 
     mass: float  # of the beam's mass
     distance: float  # from the root, of the beam's length
@@ -55,7 +65,8 @@ def cantilever_modes(count: int) -> list[BeamMode]:
     """The first bending modes of a uniform cantilever (at most 5).
 
     With the shape phi and the beam of unit mass and length, mass = (int phi)^2 / int phi^2 and
-    distance = int x phi / int phi (in closed form: int x phi = 2 / x_i^2, int phi = 2 sigma / x_i, int phi^2 = 1).
+    distance = int x phi / int phi (in closed form: int x phi = 2 / x_i^2, int phi = 2 sigma / x_i,
+    int phi^2 = 1).
     """
     modes = []
     for root in _CANTILEVER[:count]:
@@ -66,7 +77,9 @@ def cantilever_modes(count: int) -> list[BeamMode]:
 
 def labels_of(name: str, part: Flexible) -> list[str]:
     """Names of a part's hidden coordinates: its own, numbered where there are several."""
-    count = len(part.frequencies) if part.kind == "beam" else part.plates if part.kind == "panel" else 1
+    count = (
+        len(part.frequencies) if part.kind == "beam" else part.plates if part.kind == "panel" else 1
+    )
     return [name] if count == 1 else [f"{name}_{i + 1}" for i in range(count)]
 
 
@@ -81,7 +94,11 @@ def add_flexible(plant: MultibodyPlant, model: Model) -> None:
         raise ModelError(f"model.flexible: a model is named '{_INSTANCE}' already; rename it")
     instance = plant.AddModelInstance(_INSTANCE)
     # Drake takes no joint away once there are springs.
-    loose = {name: _loosen(plant, name, part) for name, part in model.flexible.items() if part.kind in _OF_A_JOINT}
+    loose = {
+        name: _loosen(plant, name, part)
+        for name, part in model.flexible.items()
+        if part.kind in _OF_A_JOINT
+    }
     for joint in loose.values():
         _add_spring(plant, joint)
     for name, part in model.flexible.items():
@@ -95,10 +112,14 @@ def add_flexible(plant: MultibodyPlant, model: Model) -> None:
                 hinge = RevoluteJoint(f"{HIDDEN}{label}", place, link.body_frame(), [1.0, 0.0, 0.0])
                 _add_spring(plant, plant.AddJoint(hinge))
             else:
-                slide = PrismaticJoint(f"{HIDDEN}{label}", place, link.body_frame(), [0.0, 0.0, 1.0])
+                slide = PrismaticJoint(
+                    f"{HIDDEN}{label}", place, link.body_frame(), [0.0, 0.0, 1.0]
+                )
                 plant.AddForceElement(PrismaticSpring(plant.AddJoint(slide), 0.0, added.stiffness))
             if plant.geometry_source_is_registered():
-                plant.RegisterVisualGeometry(link, added.drawn_at, added.drawn, f"{label}_visual", _COLOR)
+                plant.RegisterVisualGeometry(
+                    link, added.drawn_at, added.drawn, f"{label}_visual", _COLOR
+                )
             if added.carries_next:
                 at, X_AB = link.body_frame(), RigidTransform()
 
@@ -117,15 +138,19 @@ def lock_joints(plant: MultibodyPlant, model: Model) -> None:
 
 
 def set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:
-    """Take the parts' masses out of the bodies that carry them, and set springs and dampers, in one context.
+    """Take the parts' masses out of the bodies that carry them, and set springs and dampers, in one
+    context.
 
-    Call it once for a context, after the masses of the bodies are set; all coordinates must be zero.
+    Call it once for a context, after the masses of the bodies are set; all coordinates must be
+    zero.
 
     Raises ModelError: a body has less mass or inertia than what it carries.
     """
     if not model.flexible:
         return
-    for name in dict.fromkeys(part.body for part in model.flexible.values() if part.kind not in _OF_A_JOINT):
+    for name in dict.fromkeys(
+        part.body for part in model.flexible.values() if part.kind not in _OF_A_JOINT
+    ):
         take_masses(plant, context, model, body=name)
     springs = {spring.joint().index(): spring for spring in _springs(plant)}
     matrix = plant.CalcMassMatrix(context)  # at rest: what the springs hold
@@ -136,14 +161,19 @@ def set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:
         for i, (joint, row) in enumerate(zip(joints, rows, strict=True)):
             own = float(matrix[row, row]) if part.kind == "beam" else held
             frequency = part.frequencies[i] if part.kind == "beam" else part.frequency
-            stiffness = part.stiffness if frequency is None else (2.0 * math.pi * frequency) ** 2 * own
-            joint.SetDampingVector(context, [2.0 * part.damping_ratio * math.sqrt((stiffness or 0.0) * own)])
+            stiffness = (
+                part.stiffness if frequency is None else (2.0 * math.pi * frequency) ** 2 * own
+            )
+            joint.SetDampingVector(
+                context, [2.0 * part.damping_ratio * math.sqrt((stiffness or 0.0) * own)]
+            )
             if joint.index() in springs:
                 springs[joint.index()].SetStiffness(context, stiffness or 0.0)
 
 
 def take_masses(plant: MultibodyPlant, context: Context, model: Model, *, body: str) -> None:
-    """Take the masses of the parts that a body (scoped name) carries out of its own, in one context.
+    """Take the masses of the parts that a body (scoped name) carries out of its own, in one
+    context.
 
     Raises ModelError: the body has less mass or inertia than what it carries.
     """
@@ -166,13 +196,17 @@ def take_masses(plant: MultibodyPlant, context: Context, model: Model, *, body: 
     except (RuntimeError, ValueError, SystemExit) as error:
         mass = sum(each.get_mass() for each in carried)
         raise ModelError(
-            f"model.flexible: '{body}' carries {mass:g} kg on springs as a part of its own {total.get_mass():g} kg, "
+            f"model.flexible: '{body}' carries {mass:g} kg on springs as a part of its own "
+            f"{total.get_mass():g} kg, "
             "and what is left has no physical mass or inertia; make the parts lighter or shorter"
         ) from error
 
 
-def apparent_mass_matrix(mass_matrix: np.ndarray, known: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """H_aa - H_au H_uu^-1 H_ua: what the known coordinates weigh before a spring has had time to act.
+def apparent_mass_matrix(
+    mass_matrix: np.ndarray, known: np.ndarray, hidden: np.ndarray
+) -> np.ndarray:
+    """H_aa - H_au H_uu^-1 H_ua: what the known coordinates weigh before a spring has had time to
+    act.
 
     Args:
       mass_matrix: H (..., n, n) of the plant with hidden coordinates.
@@ -180,7 +214,9 @@ def apparent_mass_matrix(mass_matrix: np.ndarray, known: np.ndarray, hidden: np.
     """
     known_rows, hidden_rows = mass_matrix[..., known, :], mass_matrix[..., hidden, :]
     across = hidden_rows[..., known]
-    return known_rows[..., known] - np.swapaxes(across, -1, -2) @ np.linalg.solve(hidden_rows[..., hidden], across)
+    return known_rows[..., known] - np.swapaxes(across, -1, -2) @ np.linalg.solve(
+        hidden_rows[..., hidden], across
+    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -191,19 +227,25 @@ class HiddenMode:
     clamped_frequency: float  # Hz; of the same shape with all known coordinates held
     damping_ratio: float  # of the free mode, as far as it does not couple others
     shape: np.ndarray  # (nh) of the hidden coordinates, the largest 1
-    # (nv) which part of each known coordinate's inertia the mode carries: 1 where nothing of it would be left
+    # (nv) which part of each known coordinate's inertia the mode carries: 1 where nothing of it
+    # would be left
     share: np.ndarray
 
 
-def hidden_modes(plant: MultibodyPlant, context: Context, known: np.ndarray, hidden: np.ndarray) -> list[HiddenMode]:
+def hidden_modes(
+    plant: MultibodyPlant, context: Context, known: np.ndarray, hidden: np.ndarray
+) -> list[HiddenMode]:
     """The modes of vibration in a plant's present configuration, the slowest first.
 
-    They solve (H_uu - H_ua H_aa^-1 H_au) q_u'' + K q_u = 0. Args: which of the plant's v are known (a) and hidden (u).
+    They solve (H_uu - H_ua H_aa^-1 H_au) q_u'' + K q_u = 0. Args: which of the plant's v are known
+    (a) and hidden (u).
     """
     mass_matrix = plant.CalcMassMatrix(context)
     own, across = mass_matrix[np.ix_(hidden, hidden)], mass_matrix[np.ix_(known, hidden)]
     free = own - across.T @ np.linalg.solve(mass_matrix[np.ix_(known, known)], across)
-    joints = {joint.velocity_start(): joint for joint in map(plant.get_joint, plant.GetJointIndices())}
+    joints = {
+        joint.velocity_start(): joint for joint in map(plant.get_joint, plant.GetJointIndices())
+    }
     springs = {spring.joint().index(): spring.GetStiffness(context) for spring in _springs(plant)}
     for spring in _springs(plant, PrismaticSpring):
         springs[spring.joint().index()] = spring.stiffness()
@@ -237,7 +279,8 @@ class _Added:
     inertia: SpatialInertia  # M_FFo_F
     drawn: Shape
     drawn_at: RigidTransform = dataclasses.field(default_factory=RigidTransform)  # X_FG
-    place: RigidTransform = dataclasses.field(default_factory=RigidTransform)  # X_AF on what carries it
+    # X_AF on what carries it
+    place: RigidTransform = dataclasses.field(default_factory=RigidTransform)
     stiffness: float | None = None  # N/m; it slides along z; None: it is hinged about x
     carries_next: bool = False  # the next body of the part
 
@@ -250,14 +293,23 @@ def _bodies(part: Flexible) -> list[_Added]:
         return [_Added(inertia=_point(part.mass), drawn=Sphere(0.12), stiffness=stiffness)]
     if part.kind == "beam":
         found = []
-        for mode, frequency in zip(cantilever_modes(len(part.frequencies)), part.frequencies, strict=True):
-            mass, place = mode.mass * part.mass, RigidTransform([0.0, mode.distance * part.length, 0.0])
+        for mode, frequency in zip(
+            cantilever_modes(len(part.frequencies)), part.frequencies, strict=True
+        ):
+            mass, place = (
+                mode.mass * part.mass,
+                RigidTransform([0.0, mode.distance * part.length, 0.0]),
+            )
             stiffness = (2.0 * math.pi * frequency) ** 2 * mass
-            found.append(_Added(inertia=_point(mass), drawn=Sphere(0.06), place=place, stiffness=stiffness))
+            found.append(
+                _Added(inertia=_point(mass), drawn=Sphere(0.06), place=place, stiffness=stiffness)
+            )
         return found
     if part.kind == "pendulum":
         end = np.array([0.0, part.length, 0.0])
-        return [_Added(inertia=_point(part.mass, end), drawn=Sphere(0.12), drawn_at=RigidTransform(end))]
+        return [
+            _Added(inertia=_point(part.mass, end), drawn=Sphere(0.12), drawn_at=RigidTransform(end))
+        ]
     length = part.length / part.plates
     plate = _Added(
         inertia=_plate(part.mass / part.plates, length, part.width),
@@ -265,11 +317,16 @@ def _bodies(part: Flexible) -> list[_Added]:
         drawn_at=RigidTransform([0.0, 0.5 * length, 0.0]),
         carries_next=True,
     )
-    return [plate, *[dataclasses.replace(plate, place=RigidTransform([0.0, length, 0.0]))] * (part.plates - 1)]
+    return [
+        plate,
+        *[dataclasses.replace(plate, place=RigidTransform([0.0, length, 0.0]))] * (part.plates - 1),
+    ]
 
 
 def _point(mass: float, place: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> SpatialInertia:
-    return SpatialInertia(mass=mass, p_PScm_E=np.array(place), G_SP_E=UnitInertia.PointMass(p_FQ=np.array(place)))
+    return SpatialInertia(
+        mass=mass, p_PScm_E=np.array(place), G_SP_E=UnitInertia.PointMass(p_FQ=np.array(place))
+    )
 
 
 def _plate(mass: float, length: float, width: float) -> SpatialInertia:
@@ -292,7 +349,9 @@ def _axes(part: Flexible) -> RotationMatrix:
 
 
 def _less(total: SpatialInertia, parts: Iterable[SpatialInertia]) -> SpatialInertia:
-    """A spatial inertia without some that are part of it, all about one point and in the same axes."""
+    """A spatial inertia without some that are part of it, all about one point and in the same
+    axes.
+    """
     mass, moment = total.get_mass(), total.get_mass() * total.get_com()
     inertia = total.CalcRotationalInertia().CopyToFullMatrix3()
     for part in parts:
@@ -311,12 +370,20 @@ def _loosen(plant: MultibodyPlant, name: str, part: Flexible) -> RevoluteJoint:
     """The hidden joint in place of one of the model, or between it and its link."""
     joint = _joint(plant, name, part)
     parent, child, axis = joint.frame_on_parent(), joint.frame_on_child(), joint.revolute_axis()
-    lower, upper, damping = joint.position_lower_limit(), joint.position_upper_limit(), joint.default_damping()
+    lower, upper, damping = (
+        joint.position_lower_limit(),
+        joint.position_upper_limit(),
+        joint.default_damping(),
+    )
     label = joint.name()
     plant.RemoveJoint(joint)
     if part.kind == "gear":
-        rotor = plant.AddRigidBody(f"{name}_rotor", plant.GetModelInstanceByName(_INSTANCE), SpatialInertia.Zero())
-        plant.AddJoint(RevoluteJoint(label, parent, rotor.body_frame(), axis, lower, upper, damping))
+        rotor = plant.AddRigidBody(
+            f"{name}_rotor", plant.GetModelInstanceByName(_INSTANCE), SpatialInertia.Zero()
+        )
+        plant.AddJoint(
+            RevoluteJoint(label, parent, rotor.body_frame(), axis, lower, upper, damping)
+        )
         parent = rotor.body_frame()
     loose: RevoluteJoint = plant.AddJoint(RevoluteJoint(f"{HIDDEN}{name}", parent, child, axis))
     return loose
@@ -327,7 +394,9 @@ def _add_spring(plant: MultibodyPlant, joint: RevoluteJoint) -> None:
 
 
 def _springs(plant: MultibodyPlant, kind: type = RevoluteSpring) -> list[Any]:
-    elements = [plant.get_force_element(ForceElementIndex(i)) for i in range(plant.num_force_elements())]
+    elements = [
+        plant.get_force_element(ForceElementIndex(i)) for i in range(plant.num_force_elements())
+    ]
     return [each for each in elements if isinstance(each, kind)]
 
 
@@ -347,7 +416,11 @@ def _body(plant: MultibodyPlant, name: str, part: Flexible) -> RigidBody:
 
 def _joint(plant: MultibodyPlant, name: str, part: Flexible) -> RevoluteJoint:
     place = f"model.flexible.{name}.joint"
-    joints = [plant.get_joint(index) for instance in _instances(plant) for index in plant.GetJointIndices(instance)]
+    joints = [
+        plant.get_joint(index)
+        for instance in _instances(plant)
+        for index in plant.GetJointIndices(instance)
+    ]
     found = {str(joint.name()): joint for joint in joints if isinstance(joint, RevoluteJoint)}
     if part.joint not in found:
         raise ModelError(
@@ -355,8 +428,13 @@ def _joint(plant: MultibodyPlant, name: str, part: Flexible) -> RevoluteJoint:
             f"{did_you_mean(part.joint or '', found)}"
         )
     joint = found[part.joint]
-    if any(actuator.joint() is joint for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices())):
-        raise ModelError(f"{place}: '{part.joint}' has an actuator in its URDF; take its <transmission> out")
+    if any(
+        actuator.joint() is joint
+        for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+    ):
+        raise ModelError(
+            f"{place}: '{part.joint}' has an actuator in its URDF; take its <transmission> out"
+        )
     return joint
 
 

@@ -1,12 +1,15 @@
-"""Free floating: where undriven base coordinates go when the driven coordinates move, by conservation of momentum.
+"""Free floating: where undriven base coordinates go when the driven coordinates move, by
+conservation of momentum.
 
-Of the velocities v, some are driven (a), the others not (u): the whole base, or its position alone. Then
+Of the velocities v, some are driven (a), the others not (u): the whole base, or its position alone.
+Then
 
     H_uu v_u + H_ua v_a = p_u
 
-with the mass matrix H and the momentum p_u, of which v_u, generalized Jacobians, H* and the reaction null space follow
-(``docs/free_floating.md``). World axes throughout; twists are [w; v], rad/s and m/s, as Drake has them. Momenta are
-[angular about the world's origin; linear], N m s and N s: constant while no force acts from outside.
+with the mass matrix H and the momentum p_u, of which v_u, generalized Jacobians, H* and the
+reaction null space follow (``docs/free_floating.md``). World axes throughout; twists are [w; v],
+rad/s and m/s, as Drake has them. Momenta are [angular about the world's origin; linear], N m s and
+N s: constant while no force acts from outside.
 """
 
 import dataclasses
@@ -26,7 +29,12 @@ _BASE = Coordinates((), ())
 _POSITION = slice(4, NUM_BASE_POSITIONS)  # of q: p_WB
 
 Task = Literal["pose", "attitude", "position"]
-TASK_ROWS: dict[str, slice] = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6)}  # of a twist
+# of a twist
+TASK_ROWS: dict[str, slice] = {
+    "pose": slice(0, 6),
+    "attitude": slice(0, 3),
+    "position": slice(3, 6),
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,7 +55,9 @@ class FreeFloating:
 
     @functools.cached_property
     def momentum_map(self) -> np.ndarray:
-        """A (..., 6, nv) of the momentum A v: the first six rows of H, moments taken about the world's origin."""
+        """A (..., 6, nv) of the momentum A v: the first six rows of H, moments taken about the
+        world's origin.
+        """
         rows = self.mass_matrix[..., :NUM_BASE_VELOCITIES, :].copy()
         rows[..., :3, :] += np.cross(self.base_position[..., :, None], rows[..., 3:, :], axis=-2)
         return rows
@@ -56,41 +66,56 @@ class FreeFloating:
     def center_of_mass(self) -> np.ndarray:
         """p_BC (..., 3), from the base's origin, world axes, m."""
         mass = self.mass_matrix[..., 3, 3, None]
-        center: np.ndarray = self.mass_matrix[..., [4, 5, 3], [2, 0, 1]] / mass  # w moves it by w x p_BC
+        # w moves it by w x p_BC
+        center: np.ndarray = self.mass_matrix[..., [4, 5, 3], [2, 0, 1]] / mass
         return center
 
     @functools.cached_property
     def spin_map(self) -> np.ndarray:
         """(..., 3, nv) of the angular momentum about the centre of mass, N m s, world axes.
 
-        Its first three columns are the inertia about the centre of mass with the joints held, the next three zero.
+        Its first three columns are the inertia about the centre of mass with the joints held, the
+        next three zero.
         """
-        turning, moving = self.mass_matrix[..., :3, :], self.mass_matrix[..., 3:NUM_BASE_VELOCITIES, :]
+        turning, moving = (
+            self.mass_matrix[..., :3, :],
+            self.mass_matrix[..., 3:NUM_BASE_VELOCITIES, :],
+        )
         spin: np.ndarray = turning - np.cross(self.center_of_mass[..., None], moving, axis=-2)
         return spin
 
     @functools.cached_property
     def following(self) -> np.ndarray:
-        """-H_uu^-1 H_ua (..., nu, na): the undriven velocities for each driven one, at zero momentum."""
+        """-H_uu^-1 H_ua (..., nu, na): the undriven velocities for each driven one, at zero
+        momentum.
+        """
         rows = self.mass_matrix[..., self.undriven, :]
         return -np.linalg.solve(rows[..., self.undriven], rows[..., self.driven])
 
-    def velocity(self, driven_velocity: np.ndarray, momentum: np.ndarray | None = None) -> np.ndarray:
-        """v (..., nv) of driven velocities (..., na): v_u = H_uu^-1 (p_u - H_ua v_a), the base's twist in v[:6].
+    def velocity(
+        self, driven_velocity: np.ndarray, momentum: np.ndarray | None = None
+    ) -> np.ndarray:
+        """v (..., nv) of driven velocities (..., na): v_u = H_uu^-1 (p_u - H_ua v_a), the base's
+        twist in v[:6].
 
         Args:
           driven_velocity: v_a, rad/s and m/s.
           momentum: (..., 6) of all; None: zero.
 
-        Raises ValueError unless base or base position are undriven: of nothing else is momentum conserved.
+        Raises ValueError unless base or base position are undriven: of nothing else is momentum
+        conserved.
         """
         self._check_conserved()
         following = _times(self.following, driven_velocity)
         if momentum is not None:
-            about_base = np.array(np.broadcast_to(momentum, (*self.base_position.shape[:-1], 6)), dtype=float)
+            about_base = np.array(
+                np.broadcast_to(momentum, (*self.base_position.shape[:-1], 6)), dtype=float
+            )
             about_base[..., :3] -= np.cross(self.base_position, about_base[..., 3:])
             own = self.mass_matrix[..., self.undriven[:, None], self.undriven]
-            following = following + np.linalg.solve(own, about_base[..., self.undriven, None])[..., 0]
+            following = (
+                following + np.linalg.solve(own, about_base[..., self.undriven, None])[..., 0]
+            )
         v = np.empty((*following.shape[:-1], self.mass_matrix.shape[-1]))
         v[..., self.undriven], v[..., self.driven] = following, driven_velocity
         return v
@@ -102,13 +127,15 @@ class FreeFloating:
     def generalized_jacobian(self, jacobian: np.ndarray) -> np.ndarray:
         """J* = J_a - J_u H_uu^-1 H_ua (..., m, na): a frame's twist is J* v_a, and its ``drift``.
 
-        Args: the Jacobian J (..., m, nv), such as that of ``PlantModel.calc_jacobian``. Raises as ``velocity``.
+        Args: the Jacobian J (..., m, nv), such as that of ``PlantModel.calc_jacobian``. Raises as
+        ``velocity``.
         """
         self._check_conserved()
         return jacobian[..., self.driven] + jacobian[..., self.undriven] @ self.following
 
     def drift(self, jacobian: np.ndarray, momentum: np.ndarray) -> np.ndarray:
-        """J_u H_uu^-1 p_u (..., m): a frame's twist while the driven coordinates stand still. Raises as ``velocity``.
+        """J_u H_uu^-1 p_u (..., m): a frame's twist while the driven coordinates stand still.
+        Raises as ``velocity``.
 
         Args: the Jacobian J (..., m, nv); the momentum (..., 6).
         """
@@ -121,14 +148,20 @@ class FreeFloating:
         return rows[..., self.driven] + rows[..., self.undriven] @ self.following
 
     def reduced_bias(self, bias: np.ndarray) -> np.ndarray:
-        """C* = C_a - H_au H_uu^-1 C_u (..., na), N m and N, of the bias C (..., nv) of ``PlantModel.calc_bias``."""
+        """C* = C_a - H_au H_uu^-1 C_u (..., na), N m and N, of the bias C (..., nv) of
+        ``PlantModel.calc_bias``.
+        """
         across = np.swapaxes(self.following, -1, -2)
         return bias[..., self.driven] + _times(across, bias[..., self.undriven])
 
-    def bias_acceleration(self, jacobian: np.ndarray, frame_bias: np.ndarray, bias: np.ndarray) -> np.ndarray:
-        """J' v - J_u H_uu^-1 C_u (..., m): a frame's [alpha; a] is J* dv_a/dt and this, whatever tau_a is.
+    def bias_acceleration(
+        self, jacobian: np.ndarray, frame_bias: np.ndarray, bias: np.ndarray
+    ) -> np.ndarray:
+        """J' v - J_u H_uu^-1 C_u (..., m): a frame's [alpha; a] is J* dv_a/dt and this, whatever
+        tau_a is.
 
-        Args: J (..., m, nv); J' v (..., m) of ``PlantModel.calc_bias_acceleration``; C (..., nv) of ``calc_bias``.
+        Args: J (..., m, nv); J' v (..., m) of ``PlantModel.calc_bias_acceleration``; C (..., nv) of
+        ``calc_bias``.
         """
         own = self.mass_matrix[..., self.undriven[:, None], self.undriven]
         following = np.linalg.solve(own, bias[..., self.undriven, None])[..., 0]
@@ -136,12 +169,14 @@ class FreeFloating:
         return result
 
     def reaction_null_space(self, held: Sequence[str] = ("base_rotation",)) -> np.ndarray:
-        """The projector N (..., na, na): velocities v_a = N z leave the held base coordinates alone at zero momentum.
+        """The projector N (..., na, na): velocities v_a = N z leave the held base coordinates alone
+        at zero momentum.
 
         N is symmetric, N z the nearest to z that does so; N = 0 where there is none. Its rank is
         na less the independent rows of ``following`` that are held.
 
-        Args: groups or names of undriven base coordinates. Raises ValueError for others, and as ``velocity``.
+        Args: groups or names of undriven base coordinates. Raises ValueError for others, and as
+        ``velocity``.
         """
         self._check_conserved()
         rows = np.flatnonzero(np.isin(self.undriven, _BASE.indices(held, key="held")))
@@ -155,23 +190,29 @@ class FreeFloating:
     def _check_conserved(self) -> None:
         if self.undriven.tolist() not in ([0, 1, 2, 3, 4, 5], [3, 4, 5], []):
             raise ValueError(
-                "momentum says where undriven coordinates go only if they are the whole base or its position"
+                "momentum says where undriven coordinates go only if they are the whole base or "
+                "its position"
             )
 
 
-def free_floating(model: PlantModel, q: np.ndarray, driven: Sequence[str] = ("joints",)) -> FreeFloating:
+def free_floating(
+    model: PlantModel, q: np.ndarray, driven: Sequence[str] = ("joints",)
+) -> FreeFloating:
     """A plant in configurations q (..., nq) whose coordinates are driven in part.
 
     Args:
       model: the plant with its payload.
-      driven: names of coordinates or groups; ("base_rotation", "joints") where wheels hold the base's attitude.
+      driven: names of coordinates or groups; ("base_rotation", "joints") where wheels hold the
+        base's attitude.
 
     Raises:
       ScenarioError: a name is unknown.
       ValueError: the plant has hidden coordinates, or q is not finite.
     """
     if model.hidden.names:
-        raise ValueError("the plant has hidden coordinates, which springs move too; take one without")
+        raise ValueError(
+            "the plant has hidden coordinates, which springs move too; take one without"
+        )
     return FreeFloating(
         mass_matrix=model.calc_mass_matrix(q),
         base_position=q[..., _POSITION],
@@ -181,11 +222,12 @@ def free_floating(model: PlantModel, q: np.ndarray, driven: Sequence[str] = ("jo
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReducedModel(PlantModel):
-    """A plant whose undriven coordinates (``coordinates.undriven``) follow, as a control law has it.
+    """A plant whose undriven coordinates (``coordinates.undriven``) follow, as a control law has
+    it.
 
-    Its mass matrix holds H* and its bias C* in the rows and columns of the driven coordinates; in those of the others a
-    unit mass and no bias, which no force on the driven ones meets. Of its other methods, ``calc_jacobian`` is the whole
-    plant's.
+    Its mass matrix holds H* and its bias C* in the rows and columns of the driven coordinates; in
+    those of the others a unit mass and no bias, which no force on the driven ones meets. Of its
+    other methods, ``calc_jacobian`` is the whole plant's.
     """
 
     # As FreeFloating has it, on one configuration, for every control sample.
@@ -228,15 +270,21 @@ class ReducedModel(PlantModel):
 
 
 def driven_model(model: PlantModel) -> PlantModel:
-    """The plant as a control law has it: a ReducedModel where some coordinates are undriven, else itself."""
+    """The plant as a control law has it: a ReducedModel where some coordinates are undriven, else
+    itself.
+    """
     if not model.coordinates.undriven:
         return model
-    return ReducedModel(plant=model.plant, context=model.context, coordinates=model.coordinates, hidden=model.hidden)
+    return ReducedModel(
+        plant=model.plant, context=model.context, coordinates=model.coordinates, hidden=model.hidden
+    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Manipulability:
-    """How well driven coordinates move a frame, of generalized Jacobians (..., m, na) or of a fixed base's."""
+    """How well driven coordinates move a frame, of generalized Jacobians (..., m, na) or of a fixed
+    base's.
+    """
 
     singular_values: np.ndarray  # (..., k), the largest first; k is the smaller of m and na
     lost: np.ndarray  # (..., m) the direction of the twist that the smallest one moves
@@ -252,7 +300,9 @@ class Manipulability:
         return self.singular_values[..., -1]
 
 
-def manipulability(jacobian: np.ndarray, *, task: Task = "pose", length: float = 1.0) -> Manipulability:
+def manipulability(
+    jacobian: np.ndarray, *, task: Task = "pose", length: float = 1.0
+) -> Manipulability:
     """The dynamic manipulability of a generalized Jacobian J* (..., 6, na).
 
     Args:
@@ -270,7 +320,8 @@ class Singularity:
 
     time: float  # s
     smallest: float  # singular value
-    lost: np.ndarray  # (m) the direction of the twist that then takes the largest rates, length w for w
+    # (m) the direction of the twist that then takes the largest rates, length w for w
+    lost: np.ndarray
 
 
 def manipulability_along(
@@ -282,9 +333,11 @@ def manipulability_along(
     task: Task = "pose",
     length: float = 1.0,
 ) -> Manipulability:
-    """The dynamic manipulability of a frame along a motion, configurations (n, nq). Where the base is does not matter.
+    """The dynamic manipulability of a frame along a motion, configurations (n, nq). Where the base
+    is does not matter.
 
-    Args: as ``free_floating``, ``PlantModel.calc_jacobian`` and ``manipulability``, whose errors it raises.
+    Args: as ``free_floating``, ``PlantModel.calc_jacobian`` and ``manipulability``, whose errors it
+    raises.
     """
     spacecraft = free_floating(model, positions, driven)
     jacobian = spacecraft.generalized_jacobian(model.calc_jacobian(positions, frame))
@@ -305,8 +358,10 @@ def singularities_along(
     """Where a motion's smallest singular value has a minimum below some value, in order of time.
 
     Args:
-      positions: configurations (n, nq) at times (n,), s, such as the first columns of ``Plan.rows``.
-      times: where to look first, ascending; minima are then found between them to 1e-9 of their distance.
+      positions: configurations (n, nq) at times (n,), s, such as the first columns of
+        ``Plan.rows``.
+      times: where to look first, ascending; minima are then found between them to 1e-9 of their
+        distance.
       below: of singular values.
       others: as ``manipulability_along``.
     """
@@ -314,7 +369,9 @@ def singularities_along(
     from scipy.optimize import minimize_scalar
 
     def at(some: np.ndarray) -> Manipulability:
-        return manipulability_along(model, positions(some), frame, driven=driven, task=task, length=length)
+        return manipulability_along(
+            model, positions(some), frame, driven=driven, task=task, length=length
+        )
 
     size = np.concatenate([[np.inf], at(times).smallest, [np.inf]])
     found = []
@@ -329,7 +386,9 @@ def singularities_along(
         time = float(inner.x) if inner.fun < size[index + 1] else float(times[index])
         here = at(np.array([time]))
         if here.smallest[0] < below:
-            found.append(Singularity(time=time, smallest=float(here.smallest[0]), lost=here.lost[0]))
+            found.append(
+                Singularity(time=time, smallest=float(here.smallest[0]), lost=here.lost[0])
+            )
     return found
 
 

@@ -1,14 +1,16 @@
-"""The grasp of a moving target as a plastic impact: the velocities after it, the impulses, the energy that it takes.
+"""The grasp of a moving target as a plastic impact: the velocities after it, the impulses, the
+energy that it takes.
 
-With v of the servicer and V = [w_WP; v_WP] of the target's frame P, world axes, the impulse G that acts on the target
-at P leaves
+With v of the servicer and V = [w_WP; v_WP] of the target's frame P, world axes, the impulse G that
+acts on the target at P leaves
 
     M_s v+ = M_s v - J^T G + S^T g,    M_T V+ = M_T V + G,    V+ = J v+,
 
-with J the Jacobian of P as a point of the arm, and g the impulses of the brakes (S picks the braked joints, S v+ = 0).
-Without brakes that is M_c v+ = M_s v + J^T M_T V, where M_c = M_s + J^T M_T J is the mass matrix with the target held.
-Forces other than impulses are too small to matter in no time, so that momentum is kept exactly, and of all motions with
-this momentum (and with the braked joints at rest) v+ has the least energy.
+with J the Jacobian of P as a point of the arm, and g the impulses of the brakes (S picks the braked
+joints, S v+ = 0). Without brakes that is M_c v+ = M_s v + J^T M_T V, where M_c = M_s + J^T M_T J is
+the mass matrix with the target held. Forces other than impulses are too small to matter in no time,
+so that momentum is kept exactly, and of all motions with this momentum (and with the braked joints
+at rest) v+ has the least energy.
 """
 
 import dataclasses
@@ -50,8 +52,11 @@ def plastic_grasp(
       braked: indices of the joints in v that brakes stop; the base, v[:6], has none.
     """
     if any(not 6 <= index < velocity.size for index in braked):
-        raise ValueError(f"braked: joints of v have the indices 6 to {velocity.size - 1}, not {list(braked)}")
-    change = target_inertia @ (target_velocity - jacobian @ velocity)  # M_T times what the target is faster by
+        raise ValueError(
+            f"braked: joints of v have the indices 6 to {velocity.size - 1}, not {list(braked)}"
+        )
+    # M_T times what the target is faster by
+    change = target_inertia @ (target_velocity - jacobian @ velocity)
     p = mass_matrix @ velocity + jacobian.T @ change
     free = np.setdiff1d(np.arange(velocity.size), braked)
     after, brakes = np.zeros_like(velocity), np.zeros_like(velocity)
@@ -67,7 +72,11 @@ def plastic_grasp(
         impulse=target_inertia @ (jacobian @ after) - target_momentum,
         brake_impulse=brakes,
         energy_before=0.5
-        * float(velocity @ mass_matrix @ velocity - (jacobian @ velocity) @ held + target_velocity @ target_momentum),
+        * float(
+            velocity @ mass_matrix @ velocity
+            - (jacobian @ velocity) @ held
+            + target_velocity @ target_momentum
+        ),
         energy_after=0.5 * float(after @ mass_matrix @ after),
         momentum_before=(mass_matrix @ velocity)[:6] + jacobian[:, :6].T @ (target_momentum - held),
         momentum_after=(mass_matrix @ after)[:6],
@@ -75,7 +84,9 @@ def plastic_grasp(
 
 
 def shift_moment(momentum_or_impulse: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """A momentum or impulse (6; angular, linear) about a point that lies ``offset`` (3, m) from the present one."""
+    """A momentum or impulse (6; angular, linear) about a point that lies ``offset`` (3, m) from the
+    present one.
+    """
     shifted = momentum_or_impulse.copy()
     shifted[:3] -= np.cross(offset, momentum_or_impulse[3:])
     return shifted
@@ -88,8 +99,10 @@ class CompliantGrasp:
     peak_force: float  # N
     peak_torque: float  # N m
     peak_stretch: float  # m; of the gripper
-    time: float  # s; until 1 % of the energy that the grasp takes is left between gripper and target
-    impulse: np.ndarray  # (6) on the target, about the gripper's point: angular, linear; that of the plastic grasp
+    # s; until 1 % of the energy that the grasp takes is left between gripper and target
+    time: float
+    # (6) on the target, about the gripper's point: angular, linear; that of the plastic grasp
+    impulse: np.ndarray
 
 
 def compliant_grasp(
@@ -105,11 +118,12 @@ def compliant_grasp(
 ) -> CompliantGrasp:
     """The grasp by a gripper of a stiffness: how large its force becomes, and how long it takes.
 
-    Of the offset d and its rate d' = V - J v between target and gripper, in a configuration that does not change,
-    d'' = -(M_T^-1 + J M_s^-1 J^T) (K d + D d'). Braked joints do not move.
+    Of the offset d and its rate d' = V - J v between target and gripper, in a configuration that
+    does not change, d'' = -(M_T^-1 + J M_s^-1 J^T) (K d + D d'). Braked joints do not move.
 
     Args: as ``plastic_grasp``, but with P at the gripper, and
-      stiffness, damping: diagonals of K (6; N m/rad, N/m) and D (6; N m s/rad, N s/m), world axes; > 0.
+      stiffness, damping: diagonals of K (6; N m/rad, N/m) and D (6; N m s/rad, N s/m), world axes;
+        > 0.
     """
     free = np.setdiff1d(np.arange(velocity.size), braked)
     alone = (mass_matrix - jacobian.T @ target_inertia @ jacobian)[np.ix_(free, free)]
@@ -120,11 +134,15 @@ def compliant_grasp(
     a[:6, 6:], a[6:, :6], a[6:, 6:] = np.eye(6), -mobility * stiffness, -mobility * damping
     rates, modes = np.linalg.eig(a)
     weights = np.linalg.solve(modes, np.concatenate([np.zeros(6), start]))
-    times = np.concatenate([[0.0], np.geomspace(1e-3 / np.abs(rates).max(), 20.0 / -rates.real.max(), 4000)])
+    times = np.concatenate(
+        [[0.0], np.geomspace(1e-3 / np.abs(rates).max(), 20.0 / -rates.real.max(), 4000)]
+    )
     offset, speed = np.split((modes @ (weights[:, None] * np.exp(np.outer(rates, times)))).real, 2)
     force = stiffness[:, None] * offset + damping[:, None] * speed
     reduced = np.linalg.inv(mobility)
-    energy = 0.5 * ((speed * (reduced @ speed)).sum(axis=0) + (stiffness[:, None] * offset**2).sum(axis=0))
+    energy = 0.5 * (
+        (speed * (reduced @ speed)).sum(axis=0) + (stiffness[:, None] * offset**2).sum(axis=0)
+    )
     over = np.flatnonzero(energy > 1e-2 * energy[0])
     return CompliantGrasp(
         peak_force=float(np.linalg.norm(force[3:], axis=0).max()),

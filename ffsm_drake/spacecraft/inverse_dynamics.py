@@ -1,11 +1,12 @@
 """Inverse dynamics of many states at once with its derivatives, for optimization.
 
-A base attitude is a rotation vector phi from a fixed attitude R_0, in the world frame: R_WB = exp(phi) R_0. So a motion
-is a curve in R^nv without a constraint, z = [phi, p_WB, joints], in the order of v. It is unique while |phi| < pi.
+A base attitude is a rotation vector phi from a fixed attitude R_0, in the world frame: R_WB =
+exp(phi) R_0. So a motion is a curve in R^nv without a constraint, z = [phi, p_WB, joints], in the
+order of v. It is unique while |phi| < pi.
 
-Drake's own inverse dynamics takes one state at a time, with automatic differentiation about 1 ms; here NumPy takes all
-states of a motion in one recursion (Newton-Euler, from the base outward and back), with complex-step derivatives. The
-tests compare it with Drake's. No gravity.
+Drake's own inverse dynamics takes one state at a time, with automatic differentiation about 1 ms;
+here NumPy takes all states of a motion in one recursion (Newton-Euler, from the base outward and
+back), with complex-step derivatives. The tests compare it with Drake's. No gravity.
 """
 
 import dataclasses
@@ -26,16 +27,20 @@ _COLUMNS = 600  # states in one pass: as many as the processor's cache takes
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a x b for arrays (3, ...)."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
 
 
 def attitude_motion(
     phi: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotation matrices exp(phi) (3, 3, n), angular velocities and accelerations (3, n), world frame.
+    """Rotation matrices exp(phi) (3, 3, n), angular velocities and accelerations (3, n), world
+    frame.
 
-    w = phi' + b phi x phi' + c phi x (phi x phi') with b = (1 - cos a)/a^2, c = (a - sin a)/a^3, a = |phi|: the left
-    Jacobian of SO(3) (Sola et al. 2018, equation (145)); the acceleration is its exact derivative. Complex arrays pass.
+    w = phi' + b phi x phi' + c phi x (phi x phi') with b = (1 - cos a)/a^2, c = (a - sin a)/a^3, a
+    = |phi|: the left Jacobian of SO(3) (Sola et al. 2018, equation (145)); the acceleration is its
+    exact derivative. Complex arrays pass.
 
     Args:
       phi, rate, acceleration: rotation vectors (3, n), rad, and their time derivatives.
@@ -46,15 +51,23 @@ def attitude_motion(
     angle = np.sqrt(safe)
     a = np.where(small, 1 - square / 6 + square**2 / 120, np.sin(angle) / angle)
     b = np.where(small, 0.5 - square / 24 + square**2 / 720, (1 - np.cos(angle)) / safe)
-    c = np.where(small, 1 / 6 - square / 120 + square**2 / 5040, (angle - np.sin(angle)) / (safe * angle))
-    db = np.where(small, -1 / 24 + square / 360 - square**2 / 13440, (a - 2 * b) / (2 * safe))  # by the square
+    c = np.where(
+        small, 1 / 6 - square / 120 + square**2 / 5040, (angle - np.sin(angle)) / (safe * angle)
+    )
+    # by the square
+    db = np.where(small, -1 / 24 + square / 360 - square**2 / 13440, (a - 2 * b) / (2 * safe))
     dc = np.where(small, -1 / 120 + square / 2520 - square**2 / 120960, (b - 3 * c) / (2 * safe))
     growth = 2 * (phi * rate).sum(axis=0)  # of the square
     once = cross(phi, rate)
     twice = cross(phi, once)
     w = rate + b * once + c * twice
     turned = cross(phi, acceleration)
-    alpha = acceleration + b * turned + c * (cross(phi, turned) + cross(rate, once)) + growth * (db * once + dc * twice)
+    alpha = (
+        acceleration
+        + b * turned
+        + c * (cross(phi, turned) + cross(rate, once))
+        + growth * (db * once + dc * twice)
+    )
     zero = np.zeros_like(square)
     skew = np.array([[zero, -phi[2], phi[1]], [phi[2], zero, -phi[0]], [-phi[1], phi[0], zero]])
     identity = np.eye(3)[:, :, None]
@@ -63,11 +76,15 @@ def attitude_motion(
 
 
 def complex_step(
-    calc: Callable[..., np.ndarray], motion: tuple[np.ndarray, np.ndarray, np.ndarray], wanted: list[tuple[int, int]]
+    calc: Callable[..., np.ndarray],
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    wanted: list[tuple[int, int]],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """calc(z, rate, acceleration) (m, n) of a motion (size, n each), and derivatives (3, m, size, n; row, column).
+    """calc(z, rate, acceleration) (m, n) of a motion (size, n each), and derivatives (3, m, size,
+    n; row, column).
 
-    Args: of complex arrays, column by column; by what to differentiate: (order, index), others are zero.
+    Args: of complex arrays, column by column; by what to differentiate: (order, index), others are
+    zero.
     """
     size, count = motion[0].shape
     share = max(1, _COLUMNS // count)
@@ -103,23 +120,33 @@ class _Link:
 
 
 class InverseDynamics:
-    """The generalized force tau = H dv/dt + C + d v that a motion takes, d being the joints' damping."""
+    """The generalized force tau = H dv/dt + C + d v that a motion takes, d being the joints'
+    damping.
+    """
 
     turns = False  # the base's rotation is a coordinate of the motion
 
     def __init__(self, model: PlantModel, first: RotationMatrix) -> None:
-        """Args: the plant with its payload; the attitude R_0 that rotation vectors are counted from."""
+        """Args: the plant with its payload; the attitude R_0 that rotation vectors are counted
+        from.
+        """
         plant, context = model.plant, model.context
         q = np.zeros(plant.num_positions())
         q[0] = 1.0
         plant.SetPositions(context, q)
         self._first = first.matrix()
-        joints = [joint for joint in map(plant.get_joint, plant.GetJointIndices()) if joint.num_velocities() == 1]
+        joints = [
+            joint
+            for joint in map(plant.get_joint, plant.GetJointIndices())
+            if joint.num_velocities() == 1
+        ]
         joints.sort(key=lambda joint: joint.velocity_start())
         base = base_body(plant)
         link_of = {body.index(): 0 for body in plant.GetBodiesWeldedTo(base)}
         for number, joint in enumerate(joints, start=1):
-            link_of |= {body.index(): number for body in plant.GetBodiesWeldedTo(joint.child_body())}
+            link_of |= {
+                body.index(): number for body in plant.GetBodiesWeldedTo(joint.child_body())
+            }
         frames = [base.body_frame(), *(joint.frame_on_child() for joint in joints)]
         rotors = {}
         for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
@@ -150,7 +177,9 @@ class InverseDynamics:
         place = joint.frame_on_parent().CalcPose(context, frames[parent])
         slides = joint.type_name() == "prismatic"
         if joint.type_name() not in ("prismatic", "revolute"):
-            raise ModelError(f"joint '{joint.name()}': a {joint.type_name()} joint cannot be planned for")
+            raise ModelError(
+                f"joint '{joint.name()}': a {joint.type_name()} joint cannot be planned for"
+            )
         return {
             "parent": parent,
             "rotation": place.rotation().matrix(),
@@ -165,11 +194,15 @@ class InverseDynamics:
         turned, w, alpha = attitude_motion(z[:3], rate[:3], acceleration[:3])
         rotations = [np.einsum("ijn,jk->ikn", turned, self._first)]
         rates, accelerations, linear = [w], [alpha], [acceleration[3:6]]
-        arms, axes = [np.zeros_like(w)], [np.zeros_like(w)]  # from the parent's origin; of the joint
+        # from the parent's origin; of the joint
+        arms, axes = [np.zeros_like(w)], [np.zeros_like(w)]
         for number, link in enumerate(self._links[1:], start=NUM_BASE_VELOCITIES):
             parent, joint_rate = link.parent, rate[number]
             frame = np.einsum("ijn,jk->ikn", rotations[parent], link.rotation)
-            arm, axis = (np.einsum("ijn,j->in", rotations[parent], v) for v in (link.place, link.rotation @ link.axis))
+            arm, axis = (
+                np.einsum("ijn,j->in", rotations[parent], v)
+                for v in (link.place, link.rotation @ link.axis)
+            )
             w, alpha = rates[parent], accelerations[parent]
             if link.slides:
                 arm = arm + axis * z[number]
@@ -179,17 +212,25 @@ class InverseDynamics:
                 x, y, v = link.axis
                 skew = np.array([[0, -v, y], [v, 0, -x], [-y, x, 0]])
                 sine, versine = np.sin(z[number]), 1 - np.cos(z[number])
-                turn = np.eye(3)[:, :, None] + sine * skew[:, :, None] + versine * (skew @ skew)[:, :, None]
+                turn = (
+                    np.eye(3)[:, :, None]
+                    + sine * skew[:, :, None]
+                    + versine * (skew @ skew)[:, :, None]
+                )
                 frame = np.einsum("ijn,jkn->ikn", frame, turn)
                 alpha = alpha + axis * acceleration[number] + cross(w, axis * joint_rate)
-            linear.append(linear[parent] + cross(accelerations[parent], arm) + cross(w, cross(w, arm)) + own)
+            linear.append(
+                linear[parent] + cross(accelerations[parent], arm) + cross(w, cross(w, arm)) + own
+            )
             rates.append(w if link.slides else w + axis * joint_rate)
             accelerations.append(alpha)
             rotations.append(frame)
             arms.append(arm)
             axes.append(axis)
         forces, moments = [], []
-        for link, rotation, w, alpha, a in zip(self._links, rotations, rates, accelerations, linear, strict=True):
+        for link, rotation, w, alpha, a in zip(
+            self._links, rotations, rates, accelerations, linear, strict=True
+        ):
             com = np.einsum("ijn,j->in", rotation, link.com)
             w_own, alpha_own = (np.einsum("jin,jn->in", rotation, vector) for vector in (w, alpha))
             force = link.mass * (a + cross(alpha, com) + cross(w, cross(w, com)))
@@ -203,13 +244,20 @@ class InverseDynamics:
             own = link.damping * rate[row] + link.rotor * acceleration[row]
             tau[row] = (axes[number] * along).sum(axis=0) + own
             forces[link.parent] = forces[link.parent] + forces[number]
-            moments[link.parent] = moments[link.parent] + moments[number] + cross(arms[number], forces[number])
+            moments[link.parent] = (
+                moments[link.parent] + moments[number] + cross(arms[number], forces[number])
+            )
         tau[:3], tau[3:6] = moments[0], forces[0]
         return tau
 
-    def linearized(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """tau (nv, n), and its derivatives by z, rate and acceleration (3, nv, nv, n; row, column)."""
+    def linearized(
+        self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """tau (nv, n), and its derivatives by z, rate and acceleration (3, nv, nv, n; row,
+        column).
+        """
         size = len(z)
-        inner = [i for i in range(size) if not 3 <= i < NUM_BASE_VELOCITIES]  # nothing depends on place and its rate
+        # nothing depends on place and its rate
+        inner = [i for i in range(size) if not 3 <= i < NUM_BASE_VELOCITIES]
         wanted = [(0, i) for i in inner] + [(1, i) for i in inner] + [(2, i) for i in range(size)]
         return complex_step(self.force, (z, rate, acceleration), wanted)

@@ -25,7 +25,8 @@ class JointLimits:
 
 
 def joint_limits(model: Model, plant: MultibodyPlant) -> JointLimits:
-    """The limits of a model's joints; zero velocity or effort means that it is not known, as URDFs have it.
+    """The limits of a model's joints; zero velocity or effort means that it is not known, as URDFs
+    have it.
 
     Drake keeps no efforts of joints without a transmission, so all are read from the URDFs.
 
@@ -45,7 +46,8 @@ def joint_limits(model: Model, plant: MultibodyPlant) -> JointLimits:
     for path in urdfs_of(model):
         try:
             elements = list(ElementTree.parse(path).getroot().iter("joint"))
-        except (OSError, ElementTree.ParseError):  # Drake has read it, so that it is not what it seems
+        except (OSError, ElementTree.ParseError):
+            # Drake has read it, so that it is not what it seems
             continue
         for element in elements:
             if element.get("name") not in limits.names or element.find("limit") is None:
@@ -60,7 +62,8 @@ def joint_limits(model: Model, plant: MultibodyPlant) -> JointLimits:
 
 
 def rate_limits(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
-    """The largest rate of each joint (n), rad/s or m/s: the URDFs' velocities and those of drives; else infinite.
+    """The largest rate of each joint (n), rad/s or m/s: the URDFs' velocities and those of drives;
+    else infinite.
 
     Raises ScenarioError, ModelError: a limit names what is no joint, or a URDF cannot be read.
     """

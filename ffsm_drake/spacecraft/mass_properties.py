@@ -1,4 +1,6 @@
-"""Mass properties that are given to a plant in one context: of the payload, and what wheels and drives change."""
+"""Mass properties that are given to a plant in one context: of the payload, and what wheels and
+drives change.
+"""
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -7,18 +9,32 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import ModelError, ScenarioError
 from ffsm_drake.scenario import Drives, MassProperties, Wheels, inertia_matrix
-from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, base_body, cause_of, coordinates_of, find_body, hidden_of
+from ffsm_drake.spacecraft.plant import (
+    DRAKE_ERRORS,
+    base_body,
+    cause_of,
+    coordinates_of,
+    find_body,
+    hidden_of,
+)
 
 _SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues, between rounding and any spacecraft
 
 
 def spatial_inertia(properties: MassProperties) -> SpatialInertia:
-    """M_PPo_P of a payload: spatial inertia about its frame's origin, in its own axes; zero for a mass of zero."""
+    """M_PPo_P of a payload: spatial inertia about its frame's origin, in its own axes; zero for a
+    mass of zero.
+    """
     if properties.mass == 0.0:
         return SpatialInertia.Zero()
     inertia = inertia_matrix(properties)
     central = RotationalInertia(
-        Ixx=inertia[0, 0], Iyy=inertia[1, 1], Izz=inertia[2, 2], Ixy=inertia[0, 1], Ixz=inertia[0, 2], Iyz=inertia[1, 2]
+        Ixx=inertia[0, 0],
+        Iyy=inertia[1, 1],
+        Izz=inertia[2, 2],
+        Ixy=inertia[0, 1],
+        Ixz=inertia[0, 2],
+        Iyz=inertia[1, 2],
     )
     return SpatialInertia.MakeFromCentralInertia(
         mass=properties.mass, p_PScm_E=properties.center_of_mass, I_SScm_E=central
@@ -26,7 +42,8 @@ def spatial_inertia(properties: MassProperties) -> SpatialInertia:
 
 
 def set_wheels(plant: MultibodyPlant, context: Context, wheels: Wheels | None) -> None:
-    """Take the wheels' inertia about their axes, which does not turn with the base, out of the base's in one context.
+    """Take the wheels' inertia about their axes, which does not turn with the base, out of the
+    base's in one context.
 
     Call it once for a context. Raises ScenarioError where the base has less.
     """
@@ -44,18 +61,24 @@ def set_wheels(plant: MultibodyPlant, context: Context, wheels: Wheels | None) -
             Ixy=inertia[0, 1], Ixz=inertia[0, 2], Iyz=inertia[1, 2],
         ) / M_BBo_B.get_mass())  # fmt: skip
         base.SetSpatialInertiaInBodyFrame(
-            context, SpatialInertia(mass=M_BBo_B.get_mass(), p_PScm_E=M_BBo_B.get_com(), G_SP_E=rest)
+            context,
+            SpatialInertia(mass=M_BBo_B.get_mass(), p_PScm_E=M_BBo_B.get_com(), G_SP_E=rest),
         )
     except DRAKE_ERRORS as error:
         raise ScenarioError(
-            "actuation.wheels", f"their inertia is part of the base's, which has less: {cause_of(error)}"
+            "actuation.wheels",
+            f"their inertia is part of the base's, which has less: {cause_of(error)}",
         ) from error
 
 
-def set_drives(plant: MultibodyPlant, context: Context, drives: Drives | None, *, nominal: bool = False) -> None:
-    """Give the joints the inertia of their drives' rotors in one context, gear ratio squared times that of the motor.
+def set_drives(
+    plant: MultibodyPlant, context: Context, drives: Drives | None, *, nominal: bool = False
+) -> None:
+    """Give the joints the inertia of their drives' rotors in one context, gear ratio squared times
+    that of the motor.
 
-    Drake adds it to the mass matrix's diagonal: the rotor's spin about its axis, without its gyroscopic torque.
+    Drake adds it to the mass matrix's diagonal: the rotor's spin about its axis, without its
+    gyroscopic torque.
 
     Args:
       nominal: as the controller's model has it.
@@ -78,27 +101,40 @@ def set_drives(plant: MultibodyPlant, context: Context, drives: Drives | None, *
             actuator.SetGearRatio(context, ratio)
 
 
-def set_payload(plant: MultibodyPlant, context: Context, *, body: str, properties: MassProperties) -> None:
+def set_payload(
+    plant: MultibodyPlant, context: Context, *, body: str, properties: MassProperties
+) -> None:
     """Give the payload body its mass properties in one context; the parsed model stays as it is.
 
-    Raises ModelError when there is no such body, or when the spacecraft then has a singular mass matrix.
+    Raises ModelError when there is no such body, or when the spacecraft then has a singular mass
+    matrix.
     """
     held = find_body(plant, body, key="payload.body")
     if held.index() == plant.world_body().index():
-        raise ModelError("payload.body: 'WorldModelInstance::world' has no mass; name a body of the spacecraft")
+        raise ModelError(
+            "payload.body: 'WorldModelInstance::world' has no mass; name a body of the spacecraft"
+        )
     try:
         held.SetSpatialInertiaInBodyFrame(context, spatial_inertia(properties))
         eigenvalues, directions = np.linalg.eigh(plant.CalcMassMatrix(context))
     except (*DRAKE_ERRORS, np.linalg.LinAlgError) as error:
-        raise ModelError(f"payload: mass properties that Drake refuses: {cause_of(error)}") from error
+        raise ModelError(
+            f"payload: mass properties that Drake refuses: {cause_of(error)}"
+        ) from error
     if not eigenvalues[0] > _SINGULAR * eigenvalues[-1]:
         coordinates, hidden = coordinates_of(plant), hidden_of(plant)
         names = np.empty(len(directions), dtype=object)
-        names[hidden.known if hidden.names else slice(None)], names[hidden.hidden] = coordinates.names, hidden.names
+        names[hidden.known if hidden.names else slice(None)], names[hidden.hidden] = (
+            coordinates.names,
+            hidden.names,
+        )
         weakest = names[int(np.argmax(np.abs(directions[:, 0])))]
         what = f"joint '{weakest}'" if weakest in coordinates.joints else weakest
         raise ModelError(
-            f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular (eigenvalues "
-            f"{eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves nothing that has inertia beside the rest; "
-            "give every link of the URDF and the payload a mass and inertia of the same kind of size, or fix the joint"
+            f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular "
+            "(eigenvalues "
+            f"{eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves nothing that has "
+            "inertia beside the rest; "
+            "give every link of the URDF and the payload a mass and inertia of the same kind of "
+            "size, or fix the joint"
         )

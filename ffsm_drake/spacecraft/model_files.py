@@ -1,4 +1,6 @@
-"""The files that a model leads to, looked at before Drake opens them: it would read a device or a FIFO without end."""
+"""The files that a model leads to, looked at before Drake opens them: it would read a device or a
+FIFO without end.
+"""
 
 import re
 from collections.abc import Iterator, Mapping

@@ -1,4 +1,6 @@
-"""Plants with a payload, for computations outside a simulation: the nominal one (the controller's) and the true one."""
+"""Plants with a payload, for computations outside a simulation: the nominal one (the controller's)
+and the true one.
+"""
 
 import dataclasses
 import math
@@ -10,7 +12,13 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates
-from ffsm_drake.spacecraft.flexible import HiddenMode, apparent_mass_matrix, hidden_modes, set_flexible, take_masses
+from ffsm_drake.spacecraft.flexible import (
+    HiddenMode,
+    apparent_mass_matrix,
+    hidden_modes,
+    set_flexible,
+    take_masses,
+)
 from ffsm_drake.spacecraft.mass_properties import set_drives, set_payload, set_wheels
 from ffsm_drake.spacecraft.plant import coordinates_of, find_frame, hidden_of, make_plant
 
@@ -25,7 +33,8 @@ class PlantModel:
     plant: MultibodyPlant
     context: Context
     coordinates: Coordinates
-    hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)  # of ``make_flexible_plant`` only
+    # of ``make_flexible_plant`` only
+    hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """The mass matrix H (..., nv, nv) in configurations q (..., nq)."""
@@ -35,9 +44,11 @@ class PlantModel:
         return self.plant.CalcMassMatrix(self.context)
 
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """What the known coordinates weigh (nv, nv) in configuration q (nq) before a spring has had time to act.
+        """What the known coordinates weigh (nv, nv) in configuration q (nq) before a spring has had
+        time to act.
 
-        That is H itself where nothing is hidden; see ``flexible.apparent_mass_matrix``. Hidden coordinates are zero.
+        That is H itself where nothing is hidden; see ``flexible.apparent_mass_matrix``. Hidden
+        coordinates are zero.
         """
         mass_matrix = self.calc_mass_matrix(self.hidden.whole_positions(q))
         if not self.hidden.names:
@@ -45,7 +56,9 @@ class PlantModel:
         return apparent_mass_matrix(mass_matrix, self.hidden.known, self.hidden.hidden)
 
     def hidden_modes(self, q: np.ndarray) -> list[HiddenMode]:
-        """The modes of vibration at rest in configuration q (nq), the slowest first; none where nothing is hidden."""
+        """The modes of vibration at rest in configuration q (nq), the slowest first; none where
+        nothing is hidden.
+        """
         if not self.hidden.names:
             return []
         self._set_positions(self.hidden.whole_positions(q))
@@ -60,11 +73,13 @@ class PlantModel:
         return self.plant.CalcBiasTerm(self.context)
 
     def calc_jacobian(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
-        """The Jacobian J (..., 6, nv) of a frame F in configurations q (..., nq): [w_WF; v_WF] = J v, world axes.
+        """The Jacobian J (..., 6, nv) of a frame F in configurations q (..., nq): [w_WF; v_WF] = J
+        v, world axes.
 
         v_WF is the velocity of F's origin.
 
-        Args: q; the frame, or its scoped name, such as ``servicer::end_effector`` or, of a body's, ``debris::debris``.
+        Args: q; the frame, or its scoped name, such as ``servicer::end_effector`` or, of a body's,
+        ``debris::debris``.
 
         Raises ModelError when there is no such frame.
         """
@@ -78,15 +93,20 @@ class PlantModel:
             self.context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
         )
 
-    def calc_bias_acceleration(self, q: np.ndarray, v: np.ndarray, frame: Frame | str) -> np.ndarray:
-        """J' v (..., 6) of a frame F: its [alpha_WF; a_WF] while v (..., nv) does not change, rad/s^2 and m/s^2.
+    def calc_bias_acceleration(
+        self, q: np.ndarray, v: np.ndarray, frame: Frame | str
+    ) -> np.ndarray:
+        """J' v (..., 6) of a frame F: its [alpha_WF; a_WF] while v (..., nv) does not change,
+        rad/s^2 and m/s^2.
 
         a_WF is the acceleration of F's origin; world axes. Args and errors as ``calc_jacobian``.
         """
         if isinstance(frame, str):
             frame = find_frame(self.plant, frame, key="frame")
         if q.ndim > 1:
-            return np.stack([self.calc_bias_acceleration(*one, frame) for one in zip(q, v, strict=True)])
+            return np.stack(
+                [self.calc_bias_acceleration(*one, frame) for one in zip(q, v, strict=True)]
+            )
         self._set_positions(q)
         self._set_velocities(v)
         world = self.plant.world_frame()
@@ -96,7 +116,9 @@ class PlantModel:
         return np.array(bias.get_coeffs())
 
     def calc_frame_pose(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
-        """[quaternion (w, x, y, z) of R_WF; p_WF] (..., 7) of a frame F; p_WF in m. Args, errors: ``calc_jacobian``."""
+        """[quaternion (w, x, y, z) of R_WF; p_WF] (..., 7) of a frame F; p_WF in m. Args, errors:
+        ``calc_jacobian``.
+        """
         if isinstance(frame, str):
             frame = find_frame(self.plant, frame, key="frame")
         if q.ndim > 1:
@@ -105,10 +127,14 @@ class PlantModel:
         X_WF = frame.CalcPoseInWorld(self.context)
         return np.concatenate([X_WF.rotation().ToQuaternion().wxyz(), X_WF.translation()])
 
-    def calc_frame_motion(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, frame: Frame | str) -> np.ndarray:
-        """A frame's pose, twist and acceleration (..., 19) in a motion q, v, dv/dt of all: the rows of ``FramePath``.
+    def calc_frame_motion(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, frame: Frame | str
+    ) -> np.ndarray:
+        """A frame's pose, twist and acceleration (..., 19) in a motion q, v, dv/dt of all: the rows
+        of ``FramePath``.
 
-        [``calc_frame_pose``; w_WF; v_WF; alpha_WF; a_WF], world axes. Args and errors as ``calc_jacobian``.
+        [``calc_frame_pose``; w_WF; v_WF; alpha_WF; a_WF], world axes. Args and errors as
+        ``calc_jacobian``.
         """
         jacobian = self.calc_jacobian(q, frame)
         twist, acceleration = ((jacobian @ of[..., None])[..., 0] for of in (v, a))
@@ -120,7 +146,9 @@ class PlantModel:
         return (self.calc_mass_matrix(q) @ a[..., None])[..., 0] + self.calc_bias(q, v)
 
     def calc_tracking_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """The force (..., nv) that actuators give along a motion: inverse dynamics and the joints' damping."""
+        """The force (..., nv) that actuators give along a motion: inverse dynamics and the joints'
+        damping.
+        """
         damping = np.zeros(v.shape[-1])
         for joint in map(self.plant.get_joint, self.plant.GetJointIndices()):
             if joint.num_velocities() == 1:
@@ -139,11 +167,15 @@ class PlantModel:
 
 
 def make_nominal_plant(scenario: Scenario) -> PlantModel:
-    """The plant with the nominal payload (``payload.nominal``): its mass matrix is the paper's H with a hat."""
+    """The plant with the nominal payload (``payload.nominal``): its mass matrix is the paper's H
+    with a hat.
+    """
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
     _set_masses(plant, context, scenario, scenario.payload.nominal, nominal=True)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven))
+    return PlantModel(
+        plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven)
+    )
 
 
 def make_true_plant(scenario: Scenario) -> PlantModel:
@@ -151,11 +183,14 @@ def make_true_plant(scenario: Scenario) -> PlantModel:
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
     _set_masses(plant, context, scenario, scenario.payload.truth)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven))
+    return PlantModel(
+        plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven)
+    )
 
 
 def make_flexible_plant(scenario: Scenario) -> PlantModel:
-    """The plant as it is: with the true payload and the hidden coordinates of ``model.flexible``, if there are any.
+    """The plant as it is: with the true payload and the hidden coordinates of ``model.flexible``,
+    if there are any.
 
     Its q and v hold both (``PlantModel.hidden``).
     """
@@ -171,20 +206,30 @@ def make_flexible_plant(scenario: Scenario) -> PlantModel:
 
 
 def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario) -> None:
-    """Give a plant with hidden coordinates its true payload, wheels, drives and springs, in a new context."""
+    """Give a plant with hidden coordinates its true payload, wheels, drives and springs, in a new
+    context.
+    """
     _set_masses(plant, context, scenario, scenario.payload.truth)
     set_flexible(plant, context, scenario.model)
 
 
-def change_payload(plant: MultibodyPlant, context: Context, scenario: Scenario, properties: MassProperties) -> None:
+def change_payload(
+    plant: MultibodyPlant, context: Context, scenario: Scenario, properties: MassProperties
+) -> None:
     """Give a plant that has its masses another true payload, in one context."""
     set_payload(plant, context, body=scenario.payload.body, properties=properties)
     take_masses(plant, context, scenario.model, body=scenario.payload.body)
 
 
 def _set_masses(
-    plant: MultibodyPlant, context: Context, scenario: Scenario, payload: MassProperties, *, nominal: bool = False
+    plant: MultibodyPlant,
+    context: Context,
+    scenario: Scenario,
+    payload: MassProperties,
+    *,
+    nominal: bool = False,
 ) -> None:
-    set_drives(plant, context, scenario.drives, nominal=nominal)  # first: a rotor may be all that a joint moves
+    # first: a rotor may be all that a joint moves
+    set_drives(plant, context, scenario.drives, nominal=nominal)
     set_payload(plant, context, body=scenario.payload.body, properties=payload)
     set_wheels(plant, context, scenario.wheels)

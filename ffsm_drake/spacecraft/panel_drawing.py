@@ -11,18 +11,21 @@ from pydrake.multibody.tree import RigidBody
 from ffsm_drake.scenario import Flexible, Model
 from ffsm_drake.spacecraft.flexible import labels_of
 
-# How far a drawing may reach beyond a panel and still be of it, in shares of its width and of its length.
+# How far a drawing may reach beyond a panel and still be of it, in shares of its width and of its
+# length.
 _ASIDE, _INWARDS, _OUTWARDS, _ABOVE = 0.25, 0.05, 0.25, 0.1
 _LEAST = 0.5  # of width and length that the drawings cover together; otherwise they are fittings
 _MOST_PLATES = 1.5  # of which one shape may be the picture; a longer one cannot bend
 
 
 def draw_on_plates(plant: MultibodyPlant, scene_graph: SceneGraph, model: Model) -> None:
-    """Let what is drawn of the carrying bodies within the outlines of their panels move with the plates.
+    """Let what is drawn of the carrying bodies within the outlines of their panels move with the
+    plates.
 
-    That is, where it makes up a panel. A shape goes to the plate that its centre is nearest to; a plate that has one is
-    not drawn itself. Where a shape is longer than a plate and a half, those within the outline go and the plates are
-    drawn. Call it once, after ``Finalize`` and before a context is made.
+    That is, where it makes up a panel. A shape goes to the plate that its centre is nearest to; a
+    plate that has one is not drawn itself. Where a shape is longer than a plate and a half, those
+    within the outline go and the plates are drawn. Call it once, after ``Finalize`` and before a
+    context is made.
     """
     inspector, source = scene_graph.model_inspector(), plant.get_source_id()
     for name, part in model.flexible.items():
@@ -47,19 +50,25 @@ def draw_on_plates(plant: MultibodyPlant, scene_graph: SceneGraph, model: Model)
                 instance = inspector.CloneGeometryInstance(geometry)
                 X_AP = RigidTransform([0.0, index * length, 0.0])
                 instance.set_pose(X_AP.inverse() @ X_BA.inverse() @ instance.pose())
-                scene_graph.RegisterGeometry(source, plant.GetBodyFrameIdOrThrow(plates[index].index()), instance)
+                scene_graph.RegisterGeometry(
+                    source, plant.GetBodyFrameIdOrThrow(plates[index].index()), instance
+                )
                 while own[index]:
                     scene_graph.RemoveGeometry(source, own[index].pop())
             scene_graph.RemoveGeometry(source, geometry)
 
 
-def _drawn_of(plant: MultibodyPlant, inspector: SceneGraphInspector, body: RigidBody) -> list[GeometryId]:
+def _drawn_of(
+    plant: MultibodyPlant, inspector: SceneGraphInspector, body: RigidBody
+) -> list[GeometryId]:
     frame = plant.GetBodyFrameIdIfExists(body.index())
     return [] if frame is None else list(inspector.GetGeometries(frame, Role.kIllustration))
 
 
 def box_around(inspector: SceneGraphInspector, geometry: GeometryId) -> Obb | None:
-    """The box around a geometry, in its frame; None for what has no end, and for COLLADA, which only browsers read."""
+    """The box around a geometry, in its frame; None for what has no end, and for COLLADA, which
+    only browsers read.
+    """
     try:
         return inspector.GetObbInGeometryFrame(geometry)
     except RuntimeError:
@@ -97,5 +106,8 @@ def _is_whole(part: Flexible, extents: list[tuple[np.ndarray, np.ndarray]]) -> b
     """Whether shapes with these extents make up the panel."""
     if not extents:
         return False
-    low, high = np.min([low for low, _ in extents], axis=0), np.max([high for _, high in extents], axis=0)
+    low, high = (
+        np.min([low for low, _ in extents], axis=0),
+        np.max([high for _, high in extents], axis=0),
+    )
     return bool((high[:2] - low[:2] >= _LEAST * np.array([part.width, part.length])).all())

@@ -1,4 +1,6 @@
-"""The combined spacecraft: model directives -> MultibodyPlant, its coordinates, and the captured payload."""
+"""The combined spacecraft: model directives -> MultibodyPlant, its coordinates, and the captured
+payload.
+"""
 
 import re
 from collections.abc import Callable, Mapping
@@ -43,7 +45,9 @@ _CONDITIONS = {  # in words, where Drake gives C++
 
 
 def models_dir() -> Path:
-    """The folder of ``package://ffsm_drake/``: inside the package when installed, else the checkout's."""
+    """The folder of ``package://ffsm_drake/``: inside the package when installed, else the
+    checkout's.
+    """
     package = Path(__file__).parents[1]
     installed = package / "models"
     return installed if installed.is_dir() else package.parent / "models"
@@ -51,19 +55,26 @@ def models_dir() -> Path:
 
 def resolve_package(address: str) -> Path:
     """The file of a path or of a ``package://ffsm_drake/`` address."""
-    return models_dir() / address.removeprefix(OWN_PACKAGE) if address.startswith(OWN_PACKAGE) else Path(address)
+    return (
+        models_dir() / address.removeprefix(OWN_PACKAGE)
+        if address.startswith(OWN_PACKAGE)
+        else Path(address)
+    )
 
 
 def add_combined_plant(
     builder: DiagramBuilder, model: Model, *, apart: str | None = None, flexible: bool = False
 ) -> MultibodyPlant:
-    """Add the finalized plant (continuous, no gravity, quaternion floating base) and its scene graph to a diagram.
+    """Add the finalized plant (continuous, no gravity, quaternion floating base) and its scene
+    graph to a diagram.
 
-    Contact is off. A body ``apart`` (scoped name) is not held by anything: its pose, as a quaternion and a position,
-    follows the spacecraft's configuration. A ``flexible`` plant has the hidden coordinates too (``flexible.py``).
+    Contact is off. A body ``apart`` (scoped name) is not held by anything: its pose, as a
+    quaternion and a position, follows the spacecraft's configuration. A ``flexible`` plant has the
+    hidden coordinates too (``flexible.py``).
 
     Raises:
-      ModelError: the directives or URDFs do not load, or do not give one floating base with one-degree joints.
+      ModelError: the directives or URDFs do not load, or do not give one floating base with
+        one-degree joints.
     """
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     plant.set_name("plant")
@@ -72,15 +83,21 @@ def add_combined_plant(
     if flexible:
         draw_on_plates(plant, scene_graph, model)
     bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
-    nothing_touches = CollisionFilterDeclaration().ExcludeWithin(plant.CollectRegisteredGeometries(bodies))
+    nothing_touches = CollisionFilterDeclaration().ExcludeWithin(
+        plant.CollectRegisteredGeometries(bodies)
+    )
     scene_graph.collision_filter_manager().Apply(nothing_touches)
     return plant
 
 
-def add_pictures_apart(builder: DiagramBuilder, model: Model, body: str) -> MultibodyPositionToGeometryPose:
-    """Add a scene graph with the model's geometry, where nothing holds a body (scoped name), and what poses it.
+def add_pictures_apart(
+    builder: DiagramBuilder, model: Model, body: str
+) -> MultibodyPositionToGeometryPose:
+    """Add a scene graph with the model's geometry, where nothing holds a body (scoped name), and
+    what poses it.
 
-    Returns: a system whose input is the spacecraft's configuration and that body's pose (quaternion, position).
+    Returns: a system whose input is the spacecraft's configuration and that body's pose
+    (quaternion, position).
 
     Raises:
       ModelError: as ``add_combined_plant``.
@@ -90,13 +107,19 @@ def add_pictures_apart(builder: DiagramBuilder, model: Model, body: str) -> Mult
     plant.RegisterAsSourceForSceneGraph(scene_graph)
     _load(plant, model, apart=body, flexible=True)
     draw_on_plates(plant, scene_graph, model)
-    poses: MultibodyPositionToGeometryPose = builder.AddNamedSystem("poses", MultibodyPositionToGeometryPose(plant))
-    builder.Connect(poses.get_output_port(), scene_graph.get_source_pose_port(plant.get_source_id()))
+    poses: MultibodyPositionToGeometryPose = builder.AddNamedSystem(
+        "poses", MultibodyPositionToGeometryPose(plant)
+    )
+    builder.Connect(
+        poses.get_output_port(), scene_graph.get_source_pose_port(plant.get_source_id())
+    )
     return poses
 
 
 def check_pictures(model: Model) -> None:
-    """Raise ModelError unless the model loads with its visual geometry, which a run does not need."""
+    """Raise ModelError unless the model loads with its visual geometry, which a run does not
+    need.
+    """
     builder = DiagramBuilder()
     add_combined_plant(builder, model, flexible=True)
     inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
@@ -106,21 +129,32 @@ def check_pictures(model: Model) -> None:
             continue
         path = Path(shape.source().description())
         if path.suffix.lower() not in DRAWABLE:
-            raise ModelError(f"model: mesh {path}: is of a kind that is not drawn; convert it to {', '.join(DRAWABLE)}")
+            raise ModelError(
+                f"model: mesh {path}: is of a kind that is not drawn; convert it to "
+                f"{', '.join(DRAWABLE)}"
+            )
         try:
-            check_collada(path) if path.suffix.lower() == ".dae" else inspector.GetObbInGeometryFrame(geometry)
+            check_collada(
+                path
+            ) if path.suffix.lower() == ".dae" else inspector.GetObbInGeometryFrame(geometry)
         except DRAKE_ERRORS as error:
-            raise ModelError(f"model: mesh {path}: is no mesh that can be drawn: {cause_of(error)}") from error
+            raise ModelError(
+                f"model: mesh {path}: is no mesh that can be drawn: {cause_of(error)}"
+            ) from error
 
 
 def make_plant(model: Model, *, flexible: bool = False) -> MultibodyPlant:
-    """The finalized plant without a diagram, for computations. Arguments and errors as for ``add_combined_plant``."""
+    """The finalized plant without a diagram, for computations. Arguments and errors as for
+    ``add_combined_plant``.
+    """
     plant = MultibodyPlant(time_step=0.0)
     _load(plant, model, flexible=flexible)
     return plant
 
 
-def _load(plant: MultibodyPlant, model: Model, *, apart: str | None = None, flexible: bool = False) -> None:
+def _load(
+    plant: MultibodyPlant, model: Model, *, apart: str | None = None, flexible: bool = False
+) -> None:
     parser = Parser(plant)
     parser.SetStrictParsing()  # otherwise Drake replaces a non-physical inertia by a solid sphere
     folders = _package_folders(model)
@@ -141,10 +175,14 @@ def _load(plant: MultibodyPlant, model: Model, *, apart: str | None = None, flex
             plant.RenameModelInstance(instances[0], name)
         end_effector = find_frame(plant, model.end_effector, key="model.end_effector")
         grasp = find_frame(plant, model.grasp, key="model.grasp")
-        for key, frame, instance in (("end_effector", end_effector, "servicer"), ("grasp", grasp, "debris")):
+        for key, frame, instance in (
+            ("end_effector", end_effector, "servicer"),
+            ("grasp", grasp, "debris"),
+        ):
             if frame.model_instance() != plant.GetModelInstanceByName(instance):
                 raise ModelError(
-                    f"model.{key}: '{frame.scoped_name()}' is not a frame of the {instance}; name one that is"
+                    f"model.{key}: '{frame.scoped_name()}' is not a frame of the {instance}; name "
+                    "one that is"
                 )
         try:
             plant.WeldFrames(end_effector, grasp)
@@ -167,7 +205,8 @@ def _load(plant: MultibodyPlant, model: Model, *, apart: str | None = None, flex
         raise ModelError(f"{source}: {cause_of(error)}") from error
     if plant.num_constraints():
         raise ModelError(
-            f"{source}: a joint follows another, or bodies are tied together, by <mimic> or a constraint; "
+            f"{source}: a joint follows another, or bodies are tied together, by <mimic> or a "
+            "constraint; "
             "take it out: each joint is controlled on its own"
         )
     if not plant.GetFloatingBaseBodies():
@@ -181,8 +220,12 @@ def _load(plant: MultibodyPlant, model: Model, *, apart: str | None = None, flex
 
 
 def _add_drives(plant: MultibodyPlant) -> None:
-    """Give each joint an actuator, for the inertia of its rotor; its force is applied as all others are."""
-    driven = {plant.get_joint_actuator(index).joint().index() for index in plant.GetJointActuatorIndices()}
+    """Give each joint an actuator, for the inertia of its rotor; its force is applied as all others
+    are.
+    """
+    driven = {
+        plant.get_joint_actuator(index).joint().index() for index in plant.GetJointActuatorIndices()
+    }
     for index in plant.GetJointIndices():
         joint = plant.get_joint(index)
         hidden = joint.name().startswith(HIDDEN)
@@ -207,7 +250,11 @@ def model_files(model: Model) -> tuple[Path, ...]:
     """The files that a model is made from. Raises ModelError: one of them cannot be read."""
     folders = _package_folders(model)
     addresses = [model.directives] if model.servicer is None else [model.servicer, model.debris]
-    return tuple(dict.fromkeys(path for address in addresses for path in files_of(address or "", "model", folders)))
+    return tuple(
+        dict.fromkeys(
+            path for address in addresses for path in files_of(address or "", "model", folders)
+        )
+    )
 
 
 def urdfs_of(model: Model) -> tuple[Path, ...]:
@@ -222,15 +269,21 @@ def files_read(scenario: Scenario) -> tuple[Path, ...]:
 
 
 def cause_of(error: BaseException) -> str:
-    """Drake's error text without its place in Drake's source; of a violated condition, what it was asked of."""
+    """Drake's error text without its place in Drake's source; of a violated condition, what it was
+    asked of.
+    """
     text = one_line(error)
     for condition, meaning in _CONDITIONS.items():
         if condition in text:
             return meaning
-    return re.sub(r"Failure at \S+ in (\S+)\(\): ", r"\1: " if isinstance(error, SystemExit) else "", text)
+    return re.sub(
+        r"Failure at \S+ in (\S+)\(\): ", r"\1: " if isinstance(error, SystemExit) else "", text
+    )
 
 
-def _add_models(parser: Parser, file: str, place: str, packages: Mapping[str, str]) -> list[ModelInstanceIndex]:
+def _add_models(
+    parser: Parser, file: str, place: str, packages: Mapping[str, str]
+) -> list[ModelInstanceIndex]:
     """Parse a file or package:// address. Raises ModelError for whatever Drake rejects."""
     if "://" not in file:
         try:
@@ -242,7 +295,9 @@ def _add_models(parser: Parser, file: str, place: str, packages: Mapping[str, st
             raise ModelError(f"{place}: {fault}; give a file or a package:// address")
     files_of(file, place, packages)
     try:
-        instances: list[ModelInstanceIndex] = parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
+        instances: list[ModelInstanceIndex] = (
+            parser.AddModels(url=file) if "://" in file else parser.AddModels(file)
+        )
     except DRAKE_ERRORS as error:
         # Drake's text begins with the file and line.
         cause = cause_of(error)
@@ -266,22 +321,33 @@ def coordinates_of(plant: MultibodyPlant, *, undriven: tuple[str, ...] = ()) -> 
     floating = plant.GetFloatingBaseBodies()
     if len(floating) != 1:
         names = sorted(plant.get_body(index).name() for index in floating)
-        raise ModelError(f"the model must have one floating base, not {len(floating)} ({', '.join(names) or 'none'})")
-    moving = [joint for joint in map(plant.get_joint, plant.GetJointIndices()) if joint.num_velocities() > 0]
+        raise ModelError(
+            f"the model must have one floating base, not {len(floating)} "
+            f"({', '.join(names) or 'none'})"
+        )
+    moving = [
+        joint
+        for joint in map(plant.get_joint, plant.GetJointIndices())
+        if joint.num_velocities() > 0
+    ]
     known = [joint for joint in moving if not joint.name().startswith(HIDDEN)]
     joints = [joint for joint in known if joint.velocity_start() >= NUM_BASE_VELOCITIES]
     joints.sort(key=lambda joint: joint.velocity_start())
     for joint in joints:
         if joint.num_velocities() != 1:
             raise ModelError(
-                f"joint '{joint.name()}' has {joint.num_velocities()} degrees of freedom; it must have one"
+                f"joint '{joint.name()}' has {joint.num_velocities()} degrees of freedom; it must "
+                "have one"
             )
     if not joints:
         raise ModelError("no joint moves; an arm has revolute, continuous or prismatic joints")
     names = [joint.name() for joint in joints]
     reserved = sorted(set(names) & {"all", *GROUPS, *BASE_ROTATION, *BASE_POSITION})
     if reserved:
-        raise ModelError(f"joint names must not be those of groups or base coordinates; rename {', '.join(reserved)}")
+        raise ModelError(
+            "joint names must not be those of groups or base coordinates; rename "
+            f"{', '.join(reserved)}"
+        )
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise ModelError(f"joint names must differ; more than one is called {', '.join(repeated)}")
@@ -305,40 +371,65 @@ def hidden_of(plant: MultibodyPlant) -> HiddenCoordinates:
     return HiddenCoordinates(
         names=tuple(joint.name().removeprefix(HIDDEN) for joint in hidden),
         units=tuple("m" if joint.type_name() == "prismatic" else "rad" for joint in hidden),
-        known_state=np.array([*base_q, *(joint.position_start() for joint in known), *(nq + v for v in known_v)]),
-        hidden_state=np.array([*(joint.position_start() for joint in hidden), *(nq + v for v in hidden_v)]),
+        known_state=np.array(
+            [*base_q, *(joint.position_start() for joint in known), *(nq + v for v in known_v)]
+        ),
+        hidden_state=np.array(
+            [*(joint.position_start() for joint in hidden), *(nq + v for v in hidden_v)]
+        ),
         known=np.array(known_v),
         hidden=np.array(hidden_v),
     )
 
 
 def find_body(plant: MultibodyPlant, name: str, *, key: str) -> RigidBody:
-    """The body with a scoped name such as ``debris::debris``. Raises ModelError naming the valid ones."""
+    """The body with a scoped name such as ``debris::debris``. Raises ModelError naming the valid
+    ones.
+    """
     return _find("body", plant.GetBodyIndices, plant.get_body, plant, name, key)
 
 
 def find_frame(plant: MultibodyPlant, name: str, *, key: str) -> Frame:
-    """The frame with a scoped name such as ``servicer::end_effector``. Raises ModelError naming the valid ones."""
+    """The frame with a scoped name such as ``servicer::end_effector``. Raises ModelError naming the
+    valid ones.
+    """
     return _find("frame", plant.GetFrameIndices, plant.get_frame, plant, name, key)
 
 
 def _find(
-    kind: str, indices: Callable[..., Any], get: Callable[..., Any], plant: MultibodyPlant, name: str, key: str
+    kind: str,
+    indices: Callable[..., Any],
+    get: Callable[..., Any],
+    plant: MultibodyPlant,
+    name: str,
+    key: str,
 ) -> Any:
     instances = map(ModelInstanceIndex, range(plant.num_model_instances()))
-    found = {str(get(index).scoped_name()): get(index) for instance in instances for index in indices(instance)}
+    found = {
+        str(get(index).scoped_name()): get(index)
+        for instance in instances
+        for index in indices(instance)
+    }
     if name not in found:
         # Drake adds a frame to every joint and loop, which no file names.
         joints = {plant.get_joint(index).name() for index in plant.GetJointIndices()}
-        own = [each for each in found if each.rpartition("::")[2].removesuffix("_parent") not in joints]
-        raise ModelError(f"{key}: no {kind} '{name}'; choose one of {', '.join(own)}{did_you_mean(name, own)}")
+        own = [
+            each for each in found if each.rpartition("::")[2].removesuffix("_parent") not in joints
+        ]
+        raise ModelError(
+            f"{key}: no {kind} '{name}'; choose one of {', '.join(own)}{did_you_mean(name, own)}"
+        )
     return found[name]
 
 
 def configuration(plant: MultibodyPlant, posture: Posture, *, key: str) -> np.ndarray:
-    """Generalized positions q (nq) of a posture; ``key`` is its place in the scenario, for errors."""
+    """Generalized positions q (nq) of a posture; ``key`` is its place in the scenario, for
+    errors.
+    """
     coordinates = coordinates_of(plant)
-    joints = coordinates.vector(posture.joints, key=f"{key}.joints", default=0.0)[NUM_BASE_VELOCITIES:]
+    joints = coordinates.vector(posture.joints, key=f"{key}.joints", default=0.0)[
+        NUM_BASE_VELOCITIES:
+    ]
     quaternion = RollPitchYaw(posture.base_rpy).ToQuaternion()
     return np.concatenate([quaternion.wxyz(), posture.base_position, joints])
 

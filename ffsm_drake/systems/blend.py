@@ -1,9 +1,10 @@
-"""How far along its path a motion is: a polynomial from rest to rest, or from a velocity to rest, perhaps input-shaped.
+"""How far along its path a motion is: a polynomial from rest to rest, or from a velocity to rest,
+perhaps input-shaped.
 
-Input shaping (Singer and Seering 1990, doi:10.1115/1.2894142) makes a motion a weighted sum of copies of itself that
-are delayed by half and whole periods of a vibration, so that what each excites cancels what the others do. Here the
-copies are of the path parameter: the path, its start and its end stay as they are, and the whole takes its given
-duration.
+Input shaping (Singer and Seering 1990, doi:10.1115/1.2894142) makes a motion a weighted sum of
+copies of itself that are delayed by half and whole periods of a vibration, so that what each
+excites cancels what the others do. Here the copies are of the path parameter: the path, its start
+and its end stay as they are, and the whole takes its given duration.
 """
 
 import dataclasses
@@ -14,11 +15,14 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import Reference, Shaper
 
-Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray]  # of time: a value, its rate, its acceleration
+# of time: a value, its rate, its acceleration
+Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def quintic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
-    """The blend s in [0, 1] with its first (1/s) and second (1/s^2) derivative; constant outside [0, duration]."""
+    """The blend s in [0, 1] with its first (1/s) and second (1/s^2) derivative; constant outside
+    [0, duration].
+    """
     x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
     return (
         x * x * x * (10.0 + x * (6.0 * x - 15.0)),
@@ -28,9 +32,11 @@ def quintic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
 
 
 def quintic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
-    """How far something of unit velocity at the start goes, until it is back there at rest: g in s, g', g'' in 1/s.
+    """How far something of unit velocity at the start goes, until it is back there at rest: g in s,
+    g', g'' in 1/s.
 
-    g(x) = T x (1 - x)^3 (1 + 3 x), x = t/T: fifth order, without acceleration at either end; constant outside [0, T].
+    g(x) = T x (1 - x)^3 (1 + 3 x), x = t/T: fifth order, without acceleration at either end;
+    constant outside [0, T].
     """
     x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
     y = 1.0 - x
@@ -42,7 +48,8 @@ def quintic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
 
 
 def septic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
-    """As ``quintic_blend``, of seventh order, without jerk at either end: peak speed 2.1875/T, acceleration 7.5132/T^2.
+    """As ``quintic_blend``, of seventh order, without jerk at either end: peak speed 2.1875/T,
+    acceleration 7.5132/T^2.
 
     s(x) = x^4 (35 - 84 x + 70 x^2 - 20 x^3), s' = 140 x^3 (1 - x)^3 / T.
     """
@@ -56,7 +63,9 @@ def septic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
 
 
 def septic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
-    """As ``quintic_stop``, of seventh order, without jerk at either end: g(x) = T x (1 - x)^4 (1 + 4 x + 10 x^2)."""
+    """As ``quintic_stop``, of seventh order, without jerk at either end: g(x) = T x (1 - x)^4 (1 +
+    4 x + 10 x^2).
+    """
     x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
     y = 1.0 - x
     return (
@@ -71,7 +80,9 @@ _POLYNOMIALS = {"quintic": (quintic_blend, quintic_stop), "septic": (septic_blen
 
 @dataclasses.dataclass(frozen=True)
 class Impulses:
-    """An input shaper: what is shaped comes ``delays`` (s) late with the ``shares``, which add up to one."""
+    """An input shaper: what is shaped comes ``delays`` (s) late with the ``shares``, which add up
+    to one.
+    """
 
     delays: tuple[float, ...] = (0.0,)
     shares: tuple[float, ...] = (1.0,)
@@ -84,7 +95,9 @@ class Impulses:
     @property
     def mean(self) -> float:
         """How late it is on average, s."""
-        return math.fsum(delay * share for delay, share in zip(self.delays, self.shares, strict=True))
+        return math.fsum(
+            delay * share for delay, share in zip(self.delays, self.shares, strict=True)
+        )
 
     def reversed(self) -> "Impulses":
         """The shaper of a motion that is run backwards."""
@@ -94,8 +107,9 @@ class Impulses:
 def make_impulses(shaper: Shaper | None) -> Impulses:
     """The shaper of a scenario: one for each frequency, in series.
 
-    ZV leaves no vibration at its frequency: with K = exp(-pi z / sqrt(1 - z^2)) the shares 1, K at half a damped period
-    from each other, over their sum. ZVD, two of them in series, stays near that in a neighbourhood.
+    ZV leaves no vibration at its frequency: with K = exp(-pi z / sqrt(1 - z^2)) the shares 1, K at
+    half a damped period from each other, over their sum. ZVD, two of them in series, stays near
+    that in a neighbourhood.
     """
     if shaper is None:
         return Impulses()
@@ -107,7 +121,8 @@ def make_impulses(shaper: Shaper | None) -> Impulses:
         for _ in range(1 if shaper.kind == "zv" else 2):
             delays = np.concatenate([delays, delays + half])
             shares = np.concatenate([shares, ratio * shares]) / (1.0 + ratio)
-    found = dict[float, float]()  # without copies that coincide, such as the two in the middle of ZVD
+    # without copies that coincide, such as the two in the middle of ZVD
+    found = dict[float, float]()
     for delay, share in zip(np.round(delays, 12).tolist(), shares.tolist(), strict=True):
         found[delay] = found.get(delay, 0.0) + share
     return Impulses(tuple(found), tuple(found.values()))
@@ -128,7 +143,8 @@ class Blend:
         if self._own <= 0.0:
             raise ScenarioError(
                 "reference.shaper",
-                f"takes {impulses.length:.4g} s, and the motion {duration:g} s; lengthen reference.duration or shape "
+                f"takes {impulses.length:.4g} s, and the motion {duration:g} s; lengthen "
+                "reference.duration or shape "
                 "fewer or higher frequencies",
             )
 
@@ -141,10 +157,13 @@ class Blend:
         """s from 0 to 1 with its derivatives at times (n,); constant outside the duration."""
         if self._impulses.length == 0.0:
             return self._blend(times, self._own)
-        return self._shaped([self._blend(times - delay, self._own) for delay in self._impulses.delays])
+        return self._shaped(
+            [self._blend(times - delay, self._own) for delay in self._impulses.delays]
+        )
 
     def stop(self, times: np.ndarray) -> Derivatives:
-        """How far something of unit velocity at the start goes, until it is back there at rest; as ``blend``.
+        """How far something of unit velocity at the start goes, until it is back there at rest; as
+        ``blend``.
 
         Shaped as if it had had that velocity since ever, which excites nothing.
         """
@@ -168,6 +187,7 @@ class Blend:
     def _shaped(self, copies: list[Derivatives]) -> Derivatives:
         shares = self._impulses.shares
         first, second, third = (
-            sum(share * copy[order] for share, copy in zip(shares, copies, strict=True)) for order in range(3)
+            sum(share * copy[order] for share, copy in zip(shares, copies, strict=True))
+            for order in range(3)
         )
         return np.asarray(first), np.asarray(second), np.asarray(third)

@@ -1,4 +1,6 @@
-"""The external disturbance: one harmonic and one constant per coordinate (Table 1), all in C++ systems."""
+"""The external disturbance: one harmonic and one constant per coordinate (Table 1), all in C++
+systems.
+"""
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
@@ -9,10 +11,11 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 
 
 def make_disturbance(settings: schema.Disturbance, coordinates: Coordinates) -> Diagram:
-    """A source with output ``generalized_force`` (nv): amplitude sin(frequency t + phase) + bias, N m and N.
+    """A source with output ``generalized_force`` (nv): amplitude sin(frequency t + phase) + bias, N
+    m and N.
 
-    The scales multiply amplitudes and biases, and frequencies (phases stay), so that the paper's tau_d2 is
-    ``frequency_scale: 3`` and tau_d3 is ``amplitude_scale: 3``.
+    The scales multiply amplitudes and biases, and frequencies (phases stay), so that the paper's
+    tau_d2 is ``frequency_scale: 3`` and tau_d3 is ``amplitude_scale: 3``.
 
     Raises:
       ScenarioError: a harmonic is given for an unknown coordinate.
@@ -37,7 +40,9 @@ def make_disturbance(settings: schema.Disturbance, coordinates: Coordinates) -> 
     port = harmonic.get_output_port(0)
     if bias.any():
         gain = np.eye(bias.size)
-        biased = builder.AddNamedSystem("biased", AffineSystem(D=gain, y0=settings.amplitude_scale * bias))
+        biased = builder.AddNamedSystem(
+            "biased", AffineSystem(D=gain, y0=settings.amplitude_scale * bias)
+        )
         builder.Connect(port, biased.get_input_port())
         port = biased.get_output_port()
     builder.ExportOutput(port, "generalized_force")

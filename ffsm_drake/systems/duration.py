@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 _LONGEST = 1000.0  # s
 _GROWTH = 1.15  # from one duration that is tried to the next
 _INSTANTS = 101  # of a motion that are looked at, or of what an input shaper copies
-_LEAST_SHAPED = 1.05  # of the part of it that an input shaper takes, the shortest duration that is tried
+# of the part of it that an input shaper takes, the shortest duration that is tried
+_LEAST_SHAPED = 1.05
 
 
 def shortest_duration(
@@ -27,9 +28,9 @@ def shortest_duration(
 ) -> float:
     """The shortest duration, in s and whole control samples, of a motion that keeps every limit.
 
-    Limits: of the force those of actuators and URDFs, of the joints the velocities of URDFs and drives,
-    both less ``reference.reserve``, and the URDFs' positions. The force is that of inverse dynamics with the nominal
-    payload.
+    Limits: of the force those of actuators and URDFs, of the joints the velocities of URDFs and
+    drives, both less ``reference.reserve``, and the URDFs' positions. The force is that of inverse
+    dynamics with the nominal payload.
 
     Args:
       motion_in: the motion with a given duration, s.
@@ -46,7 +47,8 @@ def shortest_duration(
     if not np.isfinite(np.concatenate([force, rate])).any():
         raise ScenarioError(
             key,
-            "auto needs a limit of force or velocity: give actuation.limit, thrusters, or a number of seconds",
+            "auto needs a limit of force or velocity: give actuation.limit, thrusters, or a "
+            "number of seconds",
         )
     names = [f"force on {name}" for name in coordinates.names]
     names += [f"{what} of {name}" for what in ("velocity", "position") for name in joints.names]
@@ -80,7 +82,8 @@ def shortest_duration(
         share, name, duration = least
         raise LimitError(
             key,
-            f"auto: no duration up to {_LONGEST:g} s keeps the limits; nearest is {duration:.3g} s, in which the "
+            f"auto: no duration up to {_LONGEST:g} s keeps the limits; nearest is {duration:.3g} "
+            "s, in which the "
             f"{name} takes {100.0 * share:.3g} % of what reference.reserve leaves of its limit",
             limit=name,
         )

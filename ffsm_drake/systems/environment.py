@@ -1,14 +1,16 @@
-"""The orbit's forces on every body, as one generalized force: the gravity gradient, the tide, and sunlight's pressure.
+"""The orbit's forces on every body, as one generalized force: the gravity gradient, the tide, and
+sunlight's pressure.
 
-The world frame W falls freely with a point of a circular orbit, its origin; its axes do not turn. A mass at p_W then
-feels the difference of gravity, to first order in p over the orbit's radius
+The world frame W falls freely with a point of a circular orbit, its origin; its axes do not turn. A
+mass at p_W then feels the difference of gravity, to first order in p over the orbit's radius
 
   a(p) = n^2 (3 r r' - 1) p,
 
-with the mean motion n and the unit vector r away from the attracting body, which turns at n about the orbit's normal h.
-With Hill's axes r, t = h x r and h, and what a uniform rotation at 1 rad/s about an axis u through the origin
-accelerates p by, c_u(p) = u x (u x p), that is n^2 (2 c_r - c_t - c_h). So the generalized force of all bodies, with
-their extent, is the same sum of three inverse dynamics (``PlantModel``).
+with the mean motion n and the unit vector r away from the attracting body, which turns at n about
+the orbit's normal h. With Hill's axes r, t = h x r and h, and what a uniform rotation at 1 rad/s
+about an axis u through the origin accelerates p by, c_u(p) = u x (u x p), that is n^2 (2 c_r - c_t
+- c_h). So the generalized force of all bodies, with their extent, is the same sum of three inverse
+dynamics (``PlantModel``).
 """
 
 import dataclasses
@@ -37,19 +39,26 @@ def mean_motion(settings: Environment) -> float:
 
 
 class OrbitalForce:
-    """The generalized force of the environment on a plant, as a function of configuration and time."""
+    """The generalized force of the environment on a plant, as a function of configuration and
+    time.
+    """
 
     def __init__(self, settings: Environment, model: PlantModel) -> None:
-        """Args: what acts; the plant with its mass properties, whose context is set at every call."""
+        """Args: what acts; the plant with its mass properties, whose context is set at every
+        call.
+        """
         self._settings, self._model = settings, model
         self._rate = mean_motion(settings)
         self._velocity = np.zeros(model.plant.num_velocities())  # of a rotation; a scratch pad
-        self._hill = RollPitchYaw(settings.hill_rpy).ToRotationMatrix().matrix()  # R_WH at the start
+        # R_WH at the start
+        self._hill = RollPitchYaw(settings.hill_rpy).ToRotationMatrix().matrix()
         solar = settings.solar_pressure
         self._pressure, self._arm = np.zeros(3), np.zeros(3)
         if solar is not None:
             sun = np.array(solar.sun, dtype=float)
-            self._pressure = -solar.pressure * solar.coefficient * solar.area / np.linalg.norm(sun) * sun
+            self._pressure = (
+                -solar.pressure * solar.coefficient * solar.area / np.linalg.norm(sun) * sun
+            )
             self._arm = np.array(solar.center_of_pressure, dtype=float)
 
     def axes(self, time: float) -> np.ndarray:
@@ -66,7 +75,8 @@ class OrbitalForce:
         settings, plant, context = self._settings, self._model.plant, self._model.context
         H = self._model.calc_mass_matrix(q)
         force, axes, n_squared = np.zeros(len(H)), self.axes(time), self._rate * self._rate
-        # A rotation about the origin gives gravity gradient and tide, about the centre of mass the gravity gradient.
+        # A rotation about the origin gives gravity gradient and tide, about the centre of mass the
+        # gravity gradient.
         both = settings.gravity_gradient and settings.tidal
         center = np.zeros(3) if both else plant.CalcCenterOfMassPositionInWorld(context)
         if settings.gravity_gradient:
@@ -99,35 +109,53 @@ class EnvironmentForce(LeafSystem):
       generalized_force: (nv), held.
       next_generalized_force: the force at this instant, for the record.
       hidden_force, next_hidden_force: likewise, on hidden coordinates.
-    What is held is the force at the middle of the sample, on a line through the ones at its start and one sample
-    earlier: it is off by 3/8 of its second difference from sample to sample.
-    State (discrete, period ``sample_time``): what is held (nv, then the hidden ones), and the whole force at the last
-    sample. Parameter: the payload's mass, centre of mass and inertia (10), as ``MassProperties``.
+    What is held is the force at the middle of the sample, on a line through the ones at its start
+    and one sample earlier: it is off by 3/8 of its second difference from sample to sample. State
+    (discrete, period ``sample_time``): what is held (nv, then the hidden ones), and the whole force
+    at the last sample. Parameter: the payload's mass, centre of mass and inertia (10), as
+    ``MassProperties``.
     """
 
     def __init__(
-        self, settings: Environment, model: PlantModel, *, sample_time: float, scenario: Scenario | None = None
+        self,
+        settings: Environment,
+        model: PlantModel,
+        *,
+        sample_time: float,
+        scenario: Scenario | None = None,
     ) -> None:
-        """Args: what acts; the plant, for its own use; s; whose true payload ``set_payload`` changes, if it is to."""
+        """Args: what acts; the plant, for its own use; s; whose true payload ``set_payload``
+        changes, if it is to.
+        """
         super().__init__()
         self._model, self._scenario = model, scenario
         self._force = OrbitalForce(settings, model)
         self._held_payload = np.zeros(10)
         whole, hidden = model.plant.num_velocities(), len(model.hidden.names)
-        self._state = self.DeclareVectorInputPort("state", model.plant.num_multibody_states() - 2 * hidden)
-        self._hidden_state = self.DeclareVectorInputPort("hidden_state", 2 * hidden) if hidden else None
+        self._state = self.DeclareVectorInputPort(
+            "state", model.plant.num_multibody_states() - 2 * hidden
+        )
+        self._hidden_state = (
+            self.DeclareVectorInputPort("hidden_state", 2 * hidden) if hidden else None
+        )
         self._acting = self.DeclareDiscreteState(np.zeros(whole - hidden))
         self._acting_hidden = self.DeclareDiscreteState(np.zeros(hidden))
         self._last = self.DeclareDiscreteState(np.zeros(whole))
         truth = self._held_payload if scenario is None else _packed(scenario.payload.truth)
         self._payload = self.DeclareNumericParameter(BasicVector(truth))
         depends = {self.all_input_ports_ticket(), self.time_ticket(), self.all_parameters_ticket()}
-        self._instant = self.DeclareVectorOutputPort("whole_force", whole, weak_callback(self._calc_whole), depends)
+        self._instant = self.DeclareVectorOutputPort(
+            "whole_force", whole, weak_callback(self._calc_whole), depends
+        )
         self.DeclareStateOutputPort("generalized_force", self._acting)
-        self.DeclareVectorOutputPort("next_generalized_force", whole - hidden, weak_callback(self._calc_known), depends)
+        self.DeclareVectorOutputPort(
+            "next_generalized_force", whole - hidden, weak_callback(self._calc_known), depends
+        )
         if hidden:
             self.DeclareStateOutputPort("hidden_force", self._acting_hidden)
-            self.DeclareVectorOutputPort("next_hidden_force", hidden, weak_callback(self._calc_hidden), depends)
+            self.DeclareVectorOutputPort(
+                "next_hidden_force", hidden, weak_callback(self._calc_hidden), depends
+            )
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
 
     @classmethod
@@ -149,7 +177,11 @@ class EnvironmentForce(LeafSystem):
         """Begin at a known state [q; v] (nq + nv) of the plant."""
         force = self._calc(context, self._model.hidden.whole(state))
         known, hidden = self._split(force)
-        for group, part in ((self._acting, known), (self._acting_hidden, hidden), (self._last, force)):
+        for group, part in (
+            (self._acting, known),
+            (self._acting_hidden, hidden),
+            (self._last, force),
+        ):
             context.SetDiscreteState(group, part)
 
     def _split(self, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -167,7 +199,9 @@ class EnvironmentForce(LeafSystem):
 
     def _calc_whole(self, context: Context, output: BasicVector) -> None:
         deflected = None if self._hidden_state is None else self._hidden_state.Eval(context)
-        output.SetFromVector(self._calc(context, self._model.hidden.whole(self._state.Eval(context), deflected)))
+        output.SetFromVector(
+            self._calc(context, self._model.hidden.whole(self._state.Eval(context), deflected))
+        )
 
     def _calc_known(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._split(self._instant.Eval(context))[0])
@@ -179,7 +213,11 @@ class EnvironmentForce(LeafSystem):
         force = self._instant.Eval(context)
         last = context.get_discrete_state(self._last).value()
         known, hidden = self._split(force + 0.5 * (force - last))
-        for group, part in ((self._acting, known), (self._acting_hidden, hidden), (self._last, force)):
+        for group, part in (
+            (self._acting, known),
+            (self._acting_hidden, hidden),
+            (self._last, force),
+        ):
             values.set_value(group, part)
 
 

@@ -1,7 +1,8 @@
-"""The path of a frame that a scenario prescribes: a line for its origin, the eigenaxis for its attitude.
+"""The path of a frame that a scenario prescribes: a line for its origin, the eigenaxis for its
+attitude.
 
-Both follow the blend of the planned motion. After a capture the frame moves at the start, and the blend's stop takes
-that velocity to rest, as it does with coordinates (``systems/reference.py``).
+Both follow the blend of the planned motion. After a capture the frame moves at the start, and the
+blend's stop takes that velocity to rest, as it does with coordinates (``systems/reference.py``).
 """
 
 import dataclasses
@@ -46,12 +47,27 @@ class FramePath:
         value, rate, acceleration = s * self.change, ds * self.change, dds * self.change
         if self.twist.any():
             g, dg, ddg = (column[:, None] for column in self.blend.stop(times))
-            value, rate, acceleration = value + g * self.twist, rate + dg * self.twist, acceleration + ddg * self.twist
-            turn = rotation_vector_motion(self.first[:4], value[:, :3], rate[:, :3], acceleration[:, :3])
+            value, rate, acceleration = (
+                value + g * self.twist,
+                rate + dg * self.twist,
+                acceleration + ddg * self.twist,
+            )
+            turn = rotation_vector_motion(
+                self.first[:4], value[:, :3], rate[:, :3], acceleration[:, :3]
+            )
         else:
             turn = eigenaxis_motion(self.first[:4], self.change[:3], (s, ds, dds))
         quaternion, omega, alpha = turn
-        return np.hstack([quaternion, self.first[4:] + value[:, 3:], omega, rate[:, 3:], alpha, acceleration[:, 3:]])
+        return np.hstack(
+            [
+                quaternion,
+                self.first[4:] + value[:, 3:],
+                omega,
+                rate[:, 3:],
+                alpha,
+                acceleration[:, 3:],
+            ]
+        )
 
 
 def goal_frame(scenario: Scenario, plant: MultibodyPlant) -> Frame:
@@ -62,7 +78,9 @@ def goal_frame(scenario: Scenario, plant: MultibodyPlant) -> Frame:
     return find_frame(plant, goal.frame, key="reference.frame.frame")
 
 
-def make_frame_path(scenario: Scenario, model: PlantModel, *, duration: float | None = None) -> FramePath:
+def make_frame_path(
+    scenario: Scenario, model: PlantModel, *, duration: float | None = None
+) -> FramePath:
     """The path of ``reference.frame`` from where the frame is in ``initial_posture``.
 
     Args:
@@ -78,7 +96,9 @@ def make_frame_path(scenario: Scenario, model: PlantModel, *, duration: float | 
     goal = reference.frame or FrameGoal()
     duration = reference.duration if duration is None else duration
     if duration is None:
-        raise ScenarioError("reference.duration", "auto is still to be found; give a number of seconds")
+        raise ScenarioError(
+            "reference.duration", "auto is still to be found; give a number of seconds"
+        )
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
     frame = goal_frame(scenario, model.plant)
     model.plant.SetPositions(model.context, q)
@@ -91,7 +111,14 @@ def make_frame_path(scenario: Scenario, model: PlantModel, *, duration: float | 
     if reference.goal == "stop":
         change = blend.stopping_time * twist
     if goal.rpy is not None:
-        change[:3] = rotation_error(RotationMatrix(RollPitchYaw(goal.rpy)).ToQuaternion().wxyz(), quaternion)
+        change[:3] = rotation_error(
+            RotationMatrix(RollPitchYaw(goal.rpy)).ToQuaternion().wxyz(), quaternion
+        )
     if goal.position is not None:
         change[3:] = goal.position - X_WF.translation()
-    return FramePath(first=np.concatenate([quaternion, X_WF.translation()]), change=change, twist=twist, blend=blend)
+    return FramePath(
+        first=np.concatenate([quaternion, X_WF.translation()]),
+        change=change,
+        twist=twist,
+        blend=blend,
+    )

@@ -1,8 +1,9 @@
-"""Planned motions of a spacecraft part of which nothing drives: the rest goes where conservation of momentum takes it.
+"""Planned motions of a spacecraft part of which nothing drives: the rest goes where conservation of
+momentum takes it.
 
-Only the pose of the base is integrated, with the momentum at the start and the nominal payload. At any instant its
-velocity follows from that momentum, its acceleration from the equations of motion, so that inverse dynamics of the
-motion gives no force where nothing drives.
+Only the pose of the base is integrated, with the momentum at the start and the nominal payload. At
+any instant its velocity follows from that momentum, its acceleration from the equations of motion,
+so that inverse dynamics of the motion gives no force where nothing drives.
 """
 
 import abc
@@ -33,16 +34,19 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         end: float,
         content: tuple[Any, ...] = (),
     ) -> None:
-        """Args: the plant with the nominal payload; q (nq) and v (nv) at the start; the control period, s; its end, s.
+        """Args: the plant with the nominal payload; q (nq) and v (nv) at the start; the control
+        period, s; its end, s.
 
-        Of ``velocity`` only the momentum counts. Motions of the same ``content`` (``memo.content_of``),
-        which says all that they depend on, are integrated once; without, each on its own.
+        Of ``velocity`` only the momentum counts. Motions of the same ``content``
+        (``memo.content_of``), which says all that they depend on, are integrated once; without,
+        each on its own.
         """
         self._content = content
         self._model, self._driven = model, model.coordinates.driven
         self._momentum = self._stack(position).momentum(velocity)
         self._first, self._duration = position, end
-        self._parts = list[Any]()  # dense solutions q(t) over [0, end], [end, 2 end], ..., as far as was asked
+        # dense solutions q(t) over [0, end], [end, 2 end], ..., as far as was asked
+        self._parts = list[Any]()
         super().__init__(coordinates=model.coordinates, sample_time=sample_time, end=end)
 
     @abc.abstractmethod
@@ -54,8 +58,12 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         return self._stack(q).velocity(self.driven_velocity(time, q), self._momentum)
 
     @abc.abstractmethod
-    def driven_motion(self, times: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Configurations q (n, nq), v_a (n, na) and dv_a/dt (n, na) at times (n,), of integrated configurations."""
+    def driven_motion(
+        self, times: np.ndarray, q: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Configurations q (n, nq), v_a (n, na) and dv_a/dt (n, na) at times (n,), of integrated
+        configurations.
+        """
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
@@ -67,12 +75,16 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         own = stack.mass_matrix[:, stack.undriven[:, None], stack.undriven]
         a = np.empty_like(v)
         a[:, stack.driven] = a_a
-        a[:, stack.undriven] = (stack.following @ a_a[..., None] - np.linalg.solve(own, bias))[..., 0]
+        a[:, stack.undriven] = (stack.following @ a_a[..., None] - np.linalg.solve(own, bias))[
+            ..., 0
+        ]
         return np.hstack([q, v, a])
 
     def _stack(self, q: np.ndarray) -> FreeFloating:
         mass_matrix = self._model.calc_mass_matrix(q)
-        return FreeFloating(mass_matrix=mass_matrix, base_position=q[..., 4:NUM_BASE_POSITIONS], driven=self._driven)
+        return FreeFloating(
+            mass_matrix=mass_matrix, base_position=q[..., 4:NUM_BASE_POSITIONS], driven=self._driven
+        )
 
     def _rate(self, time: float, q: np.ndarray) -> np.ndarray:
         """q' (nq) = N(q) v."""
@@ -100,7 +112,11 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         """q (n, nq) at times (n,)."""
         part = np.maximum(np.ceil(times / self._duration).astype(int) - 1, 0)
         while len(self._parts) <= part.max():
-            found = _solved(self._content, len(self._parts), motion=self) if self._content else self.solve()
+            found = (
+                _solved(self._content, len(self._parts), motion=self)
+                if self._content
+                else self.solve()
+            )
             self._parts.append(found)
         q = np.empty((times.size, self._first.size))
         for i in set(part.tolist()):
@@ -109,7 +125,8 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         return q
 
 
-@memoized(maxsize=16, besides="motion")  # a run, its report and the next run ask for the same motion
+# a run, its report and the next run ask for the same motion
+@memoized(maxsize=16, besides="motion")
 def _solved(content: tuple[Any, ...], index: int, *, motion: MomentumMotion) -> Any:
     """A part of the motion of that content."""
     return motion.solve()
@@ -119,20 +136,41 @@ class FreeMotion(MomentumMotion):
     """A planned motion of the driven coordinates, whatever it asks of the others."""
 
     def __init__(
-        self, wanted: PlannedMotion, *, model: PlantModel, sample_time: float, content: tuple[Any, ...] = ()
+        self,
+        wanted: PlannedMotion,
+        *,
+        model: PlantModel,
+        sample_time: float,
+        content: tuple[Any, ...] = (),
     ) -> None:
-        """Args: the motion; the plant with the nominal payload; the control period, s; as MomentumMotion."""
+        """Args: the motion; the plant with the nominal payload; the control period, s; as
+        MomentumMotion.
+        """
         self._wanted = wanted
         coordinates = model.coordinates
-        self._columns = np.concatenate([[0] if coordinates.is_driven[0] else [], coordinates.driven + 1]).astype(int)
-        self._sizes = [len(coordinates.position_names), len(coordinates.position_names) + len(coordinates.names)]
+        self._columns = np.concatenate(
+            [[0] if coordinates.is_driven[0] else [], coordinates.driven + 1]
+        ).astype(int)
+        self._sizes = [
+            len(coordinates.position_names),
+            len(coordinates.position_names) + len(coordinates.names),
+        ]
         q, v, _ = wanted.evaluate(0.0)
-        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=wanted.end, content=content)
+        super().__init__(
+            model=model,
+            position=q,
+            velocity=v,
+            sample_time=sample_time,
+            end=wanted.end,
+            content=content,
+        )
 
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         return self._wanted.velocities(np.array([time]))[0, self._driven]
 
-    def driven_motion(self, times: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def driven_motion(
+        self, times: np.ndarray, q: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         wanted, v, a = np.split(self._wanted.rows(times), self._sizes, axis=1)
         q[:, self._columns] = wanted[:, self._columns]
         return q, v[:, self._driven], a[:, self._driven]

@@ -1,8 +1,9 @@
-"""A plan: a motion as a cubic spline, in a small text file that ``ffsm plan`` writes and the reference reads.
+"""A plan: a motion as a cubic spline, in a small text file that ``ffsm plan`` writes and the
+reference reads.
 
-The curve is z(t) = [phi, p_WB, joints] (see ``spacecraft.inverse_dynamics``), a cubic B-spline on [0, duration]. A plan
-may end with small rates; these then die away over ``settle``. q_d, v_d and dv_d/dt are computed from z, z' and z'', so
-that each is the exact derivative of the one before.
+The curve is z(t) = [phi, p_WB, joints] (see ``spacecraft.inverse_dynamics``), a cubic B-spline on
+[0, duration]. A plan may end with small rates; these then die away over ``settle``. q_d, v_d and
+dv_d/dt are computed from z, z' and z'', so that each is the exact derivative of the one before.
 """
 
 import dataclasses
@@ -54,7 +55,8 @@ class Plan:
         """z and its first and second time derivative (nv, n) at times (n,), s."""
         share = np.clip(times / self.duration, 0.0, 1.0)
         z, rate, acceleration = (
-            curve.vector_values(share) / self.duration**order for order, curve in enumerate(self._curves)
+            curve.vector_values(share) / self.duration**order
+            for order, curve in enumerate(self._curves)
         )
         after = times > self.duration
         last = rate[:, after]
@@ -83,7 +85,9 @@ class Plan:
         return np.vstack([quaternion, z[3:], w, rate[3:], alpha, acceleration[3:]]).T
 
     def save(self, path: Path, *, title: str) -> None:
-        """Write it as text, to the last bit. Raises RecordError when the place cannot be written."""
+        """Write it as text, to the last bit. Raises RecordError when the place cannot be
+        written.
+        """
         data = {
             "duration": self.duration,
             "settle": self.settle,
@@ -92,7 +96,9 @@ class Plan:
         }
         rows = "".join(f"- [{', '.join(map(repr, row))}]\n" for row in self.control_points.tolist())
         head = "".join(f"# {line}\n" for line in title.splitlines())
-        write_text(path, f"{head}{yaml.safe_dump(data, sort_keys=False, width=120)}control_points:\n{rows}")
+        write_text(
+            path, f"{head}{yaml.safe_dump(data, sort_keys=False, width=120)}control_points:\n{rows}"
+        )
 
 
 def load_plan(address: str, coordinates: Coordinates) -> Plan:
@@ -122,17 +128,30 @@ def load_plan(address: str, coordinates: Coordinates) -> Plan:
         )
         points = plan.control_points
         norm = float(np.linalg.norm(plan.first_attitude))
-        sound = points.ndim == 2 and points.shape[0] > DEGREE and points.shape[1] == len(plan.coordinates)
-        if not (sound and np.isfinite(points).all() and len(plan.first_attitude) == 4 and abs(norm - 1.0) < 1e-6):
+        sound = (
+            points.ndim == 2
+            and points.shape[0] > DEGREE
+            and points.shape[1] == len(plan.coordinates)
+        )
+        if not (
+            sound
+            and np.isfinite(points).all()
+            and len(plan.first_attitude) == 4
+            and abs(norm - 1.0) < 1e-6
+        ):
             raise ValueError("its numbers are not those of a plan")
         if not (0.0 < plan.duration < np.inf and 0.0 <= plan.settle < np.inf):
             raise ValueError("its duration is not > 0 s")
     except FileNotFoundError:
         raise ScenarioError(key, f"{path}: no such file; 'ffsm plan' writes it") from None
     except (OSError, ValueError, TypeError, StrictYamlError) as error:
-        raise ScenarioError(key, f"{path}: is not a plan: {one_line(error)}; let 'ffsm plan' write it") from error
+        raise ScenarioError(
+            key, f"{path}: is not a plan: {one_line(error)}; let 'ffsm plan' write it"
+        ) from error
     if plan.coordinates != coordinates.names:
         raise ScenarioError(
-            key, f"{path}: is a plan for {', '.join(plan.coordinates)}, not for {', '.join(coordinates.names)}"
+            key,
+            f"{path}: is a plan for {', '.join(plan.coordinates)}, not for "
+            f"{', '.join(coordinates.names)}",
         )
     return plan

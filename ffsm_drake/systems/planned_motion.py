@@ -6,14 +6,18 @@ import numpy as np
 
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
-_BLOCK = 256  # control samples that are computed together: NumPy takes little longer for them than for one
+# control samples that are computed together: NumPy takes little longer for them than for one
+_BLOCK = 256
 
 
 class PlannedMotion(abc.ABC):
     """A planned motion as a function of time; a subclass gives ``rows``."""
 
-    def __init__(self, *, coordinates: Coordinates, sample_time: float, begin: float = 0.0, end: float) -> None:
-        """Args: what moves; the control period, s; when the motion with the target held begins, and its end, s.
+    def __init__(
+        self, *, coordinates: Coordinates, sample_time: float, begin: float = 0.0, end: float
+    ) -> None:
+        """Args: what moves; the control period, s; when the motion with the target held begins, and
+        its end, s.
 
         At multiples of ``sample_time`` the motion is read from a precomputed block.
         """
@@ -42,8 +46,13 @@ class PlannedMotion(abc.ABC):
 
     def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """q_d (nq), v_d (nv) and dv_d/dt (nv) at a time in s."""
-        num_positions, num_velocities = len(self.coordinates.position_names), len(self.coordinates.names)
-        q_d, v_d, a_d = np.split(self.row(time).copy(), [num_positions, num_positions + num_velocities])
+        num_positions, num_velocities = (
+            len(self.coordinates.position_names),
+            len(self.coordinates.names),
+        )
+        q_d, v_d, a_d = np.split(
+            self.row(time).copy(), [num_positions, num_positions + num_velocities]
+        )
         return q_d, v_d, a_d
 
     def row(self, time: float) -> np.ndarray:

@@ -1,14 +1,17 @@
-"""The planned motion, with exact rates and accelerations: a plan from a file, or a polynomial, perhaps input-shaped.
+"""The planned motion, with exact rates and accelerations: a plan from a file, or a polynomial,
+perhaps input-shaped.
 
-Position and joints follow q(t) = q_0 + (q_T - q_0) s(t/T). The base turns about the eigenaxis, the fixed axis of the
-rotation from its first to its last attitude, by an angle that follows the same blend; or, as in the paper, its roll,
-pitch and yaw follow it. Angular velocity and acceleration are exact either way. With zero boundary rates and
-accelerations the blend is s(x) = 10 x^3 - 15 x^4 + 6 x^5 (Section 4 of the paper; peak speed 1.875 D/T, peak
-acceleration 5.7735 D/T^2); ``blend`` has the others.
+Position and joints follow q(t) = q_0 + (q_T - q_0) s(t/T). The base turns about the eigenaxis, the
+fixed axis of the rotation from its first to its last attitude, by an angle that follows the same
+blend; or, as in the paper, its roll, pitch and yaw follow it. Angular velocity and acceleration are
+exact either way. With zero boundary rates and accelerations the blend is s(x) = 10 x^3 - 15 x^4 + 6
+x^5 (Section 4 of the paper; peak speed 1.875 D/T, peak acceleration 5.7735 D/T^2); ``blend`` has
+the others.
 
-After the grasp of a moving target the motion begins at the velocity v_0 that the grasp leaves, to which the blend
-g(x) = T x (1 - x)^3 (1 + 3 x) belongs: q(t) = q_0 + (q_T - q_0) s + v_0 g. The base's attitude follows the same
-polynomial of a rotation vector from its first attitude, world frame, along the eigenaxis when v_0 is zero.
+After the grasp of a moving target the motion begins at the velocity v_0 that the grasp leaves, to
+which the blend g(x) = T x (1 - x)^3 (1 + 3 x) belongs: q(t) = q_0 + (q_T - q_0) s + v_0 g. The
+base's attitude follows the same polynomial of a rotation vector from its first attitude, world
+frame, along the eigenaxis when v_0 is zero.
 """
 
 import dataclasses
@@ -49,11 +52,12 @@ class PolynomialMotion(PlannedMotion):
         sample_time: float,
         velocity: np.ndarray | None = None,
     ) -> None:
-        """Args: start and target posture (SI units), how to move between them; the target is held afterwards.
+        """Args: start and target posture (SI units), how to move between them; the target is held
+        afterwards.
 
-        Without a target it ends where the integral of the acceleration's square, in any constant metric, is least; of a
-        shaped motion that of what is shaped. ``velocity`` (nv) at the start is zero without; ``base_rotation`` "rpy"
-        takes none.
+        Without a target it ends where the integral of the acceleration's square, in any constant
+        metric, is least; of a shaped motion that of what is shaped. ``velocity`` (nv) at the start
+        is zero without; ``base_rotation`` "rpy" takes none.
         """
         self._blend = blend
         vectors = [
@@ -66,13 +70,15 @@ class PolynomialMotion(PlannedMotion):
             )
             for posture in (start, target or start)
         ]
-        # Roll, pitch, yaw, position, joints; with an eigenaxis a rotation vector from the first attitude, world frame.
+        # Roll, pitch, yaw, position, joints; with an eigenaxis a rotation vector from the first
+        # attitude, world frame.
         self._start, self._change = vectors[0], vectors[1] - vectors[0]
         self._velocity = velocity if velocity is not None and velocity.any() else None
         self._first: np.ndarray | None = None  # the first attitude, a quaternion
         if base_rotation == "eigenaxis":
             self._first, end = (
-                RollPitchYaw(posture.base_rpy).ToQuaternion().wxyz() for posture in (start, target or start)
+                RollPitchYaw(posture.base_rpy).ToQuaternion().wxyz()
+                for posture in (start, target or start)
             )
             self._start[:3], self._change[:3] = 0.0, rotation_error(end, self._first)
         if target is None and self._velocity is not None:
@@ -82,7 +88,11 @@ class PolynomialMotion(PlannedMotion):
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
         s, ds, dds = (column[:, None] for column in self._blend.blend(times))
-        value, rate, acceleration = self._start + s * self._change, ds * self._change, dds * self._change
+        value, rate, acceleration = (
+            self._start + s * self._change,
+            ds * self._change,
+            dds * self._change,
+        )
         if self._velocity is not None:
             g, dg, ddg = (column[:, None] for column in self._blend.stop(times))
             value += g * self._velocity
@@ -115,15 +125,24 @@ class SplineMotion(PlannedMotion):
 class CaptureMotion(PlannedMotion):
     """Up to the grasp, at ``begin``, one motion run backwards; another from there on."""
 
-    def __init__(self, *, approach: PolynomialMotion, stop: PlannedMotion, sample_time: float) -> None:
-        """Args: from the velocity at the grasp, reversed, to the posture at the start; from the grasp to rest."""
+    def __init__(
+        self, *, approach: PolynomialMotion, stop: PlannedMotion, sample_time: float
+    ) -> None:
+        """Args: from the velocity at the grasp, reversed, to the posture at the start; from the
+        grasp to rest.
+        """
         self._approach, self._stop = approach, stop
         begin = approach.end
-        super().__init__(coordinates=stop.coordinates, sample_time=sample_time, begin=begin, end=begin + stop.end)
+        super().__init__(
+            coordinates=stop.coordinates, sample_time=sample_time, begin=begin, end=begin + stop.end
+        )
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-        num_positions, num_velocities = len(self.coordinates.position_names), len(self.coordinates.names)
+        num_positions, num_velocities = (
+            len(self.coordinates.position_names),
+            len(self.coordinates.names),
+        )
         before = self._approach.end - times
         backwards = self._approach.rows(before)
         backwards[:, num_positions : num_positions + num_velocities] *= -1.0
@@ -149,7 +168,9 @@ class _MotionSource(LeafSystem):
         super().__init__()
         self._motion = motion
         size = motion.row(0.0).size
-        self.DeclareVectorOutputPort("motion", size, weak_callback(self._calc_motion), {self.time_ticket()})
+        self.DeclareVectorOutputPort(
+            "motion", size, weak_callback(self._calc_motion), {self.time_ticket()}
+        )
         untie(self)
 
     def _calc_motion(self, context: Context, output: BasicVector) -> None:
@@ -157,20 +178,23 @@ class _MotionSource(LeafSystem):
 
 
 def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
-    """The planned motion of a scenario; with a capture from the velocity after the grasp of the nominal payload.
+    """The planned motion of a scenario; with a capture from the velocity after the grasp of the
+    nominal payload.
 
     What nothing drives follows by conservation of momentum.
 
     Raises:
-      ModelError, ScenarioError: no grasp of the target, or no motion within the limits, can be computed, or the plan
-        cannot be read.
+      ModelError, ScenarioError: no grasp of the target, or no motion within the limits, can be
+        computed, or the plan cannot be read.
     """
     capture, reference = scenario.capture, scenario.reference
     nominal = make_nominal_plant(scenario)
     contact = None if capture is None else planned_contact(scenario, nominal)
     target = None if reference.goal == "stop" else scenario.target_posture
 
-    def polynomial(blend: Blend, posture: Posture | None, velocity: np.ndarray | None) -> PolynomialMotion:
+    def polynomial(
+        blend: Blend, posture: Posture | None, velocity: np.ndarray | None
+    ) -> PolynomialMotion:
         return PolynomialMotion(
             coordinates=coordinates,
             start=scenario.initial_posture,
@@ -233,12 +257,15 @@ def _content(scenario: Scenario, motion: PlannedMotion) -> tuple[Any, ...]:
 
 
 def timed(scenario: Scenario) -> Scenario:
-    """The scenario with the duration of its planned motion in s, where it is ``auto``; errors as ``make_motion``."""
+    """The scenario with the duration of its planned motion in s, where it is ``auto``; errors as
+    ``make_motion``.
+    """
     if scenario.reference.duration is not None:
         return scenario
     motion = make_motion(scenario, make_nominal_plant(scenario).coordinates)
     duration = motion.end - motion.begin
-    if scenario.reference.kind != "optimal":  # whole samples: the very number, which the difference may have lost
+    # whole samples: the very number, which the difference may have lost
+    if scenario.reference.kind != "optimal":
         duration = round(duration / scenario.sample_time) * scenario.sample_time
     reference = dataclasses.replace(scenario.reference, duration=duration)
     return dataclasses.replace(scenario, reference=reference)
@@ -255,12 +282,16 @@ def make_reference(scenario: Scenario, coordinates: Coordinates) -> Diagram:
     builder, planned = DiagramBuilder(), make_motion(scenario, coordinates)
     motion = builder.AddNamedSystem("motion", _MotionSource(planned))
     num_positions, num_velocities = len(coordinates.position_names), len(coordinates.names)
-    parts = builder.AddNamedSystem("parts", Demultiplexer([num_positions + num_velocities, num_velocities]))
+    parts = builder.AddNamedSystem(
+        "parts", Demultiplexer([num_positions + num_velocities, num_velocities])
+    )
     builder.Connect(motion.get_output_port(), parts.get_input_port())
     builder.ExportOutput(parts.get_output_port(0), "desired_state")
     builder.ExportOutput(parts.get_output_port(1), "desired_acceleration")
     if scenario.reference.frame is not None and scenario.reference.frame.task != "none":
-        path = make_frame_path(scenario, make_nominal_plant(scenario), duration=planned.end - planned.begin)
+        path = make_frame_path(
+            scenario, make_nominal_plant(scenario), duration=planned.end - planned.begin
+        )
         rows = _FrameMotion(path, coordinates=coordinates, sample_time=scenario.sample_time)
         frame = builder.AddNamedSystem("frame", _MotionSource(rows))
         builder.ExportOutput(frame.get_output_port(), "desired_frame")

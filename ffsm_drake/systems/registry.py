@@ -1,4 +1,6 @@
-"""Finding what fills a block: by a shipped name, an installed entry point, or ``module:attribute``."""
+"""Finding what fills a block: by a shipped name, an installed entry point, or
+``module:attribute``.
+"""
 
 import functools
 import importlib
@@ -56,7 +58,9 @@ def is_shipped(block: str, name: str) -> bool:
     return name in SHIPPED.get(block, {})
 
 
-def find_factory(block: str, name: str, *, key: str = "", python_path: Sequence[str] = ()) -> Factory:
+def find_factory(
+    block: str, name: str, *, key: str = "", python_path: Sequence[str] = ()
+) -> Factory:
     """What builds a block.
 
     Args:
@@ -80,18 +84,23 @@ def find_factory(block: str, name: str, *, key: str = "", python_path: Sequence[
                 names = block_names(block)
                 choice = f"choose one of {', '.join(names)}, or give" if names else "give"
                 raise ScenarioError(
-                    key or block, f"'{name}' is unknown; {choice} module:attribute{did_you_mean(name, names)}"
+                    key or block,
+                    f"'{name}' is unknown; {choice} module:attribute{did_you_mean(name, names)}",
                 )
             factory = next(iter(found)).load()
     except FfsmError:
         raise
     except ModuleNotFoundError as error:
         raise BlockError(
-            f"{place} cannot be loaded: {one_line(error)}; run from the folder that holds it, or name that folder in "
+            f"{place} cannot be loaded: {one_line(error)}; run from the folder that holds it, or "
+            "name that folder in "
             "python_path or PYTHONPATH"
         ) from error
-    except (Exception, GeneratorExit, SystemExit) as error:  # a user's module may raise anything when it is imported
-        raise BlockError(f"{place} cannot be loaded: {type(error).__name__}: {one_line(error)}") from error
+    except (Exception, GeneratorExit, SystemExit) as error:
+        # a user's module may raise anything when it is imported
+        raise BlockError(
+            f"{place} cannot be loaded: {type(error).__name__}: {one_line(error)}"
+        ) from error
     if not callable(factory):
         raise BlockError(f"{place} must be a class or function, not {type(factory).__name__}")
     checked: Factory = factory
@@ -99,13 +108,19 @@ def find_factory(block: str, name: str, *, key: str = "", python_path: Sequence[
 
 
 def address_of(factory: Factory) -> str:
-    """``module:attribute`` of a factory, by which ``find_factory`` finds it again; its name where it has no such."""
+    """``module:attribute`` of a factory, by which ``find_factory`` finds it again; its name where
+    it has no such.
+    """
     name = str(getattr(factory, "__qualname__", type(factory).__name__))
     module = str(getattr(factory, "__module__", "__main__"))
     found: Any = sys.modules.get(module)
     for part in name.split("."):
         found = getattr(found, part, None)
-    return f"{module}:{name}" if found is factory and module != "__main__" else re.sub(r"\W", "_", name)
+    return (
+        f"{module}:{name}"
+        if found is factory and module != "__main__"
+        else re.sub(r"\W", "_", name)
+    )
 
 
 def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
@@ -116,15 +131,23 @@ def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
     except FfsmError:
         raise
     except (Exception, GeneratorExit, SystemExit) as error:
-        raise BlockError(f"{place} cannot be built: {type(error).__name__}: {one_line(error)}") from error
+        raise BlockError(
+            f"{place} cannot be built: {type(error).__name__}: {one_line(error)}"
+        ) from error
 
 
 def module_file(address: str) -> Path | None:
-    """The file of the module in ``module:attribute`` once it is imported; None for an installed package's."""
+    """The file of the module in ``module:attribute`` once it is imported; None for an installed
+    package's.
+    """
     file = getattr(sys.modules.get(address.partition(":")[0]), "__file__", None)
     if ":" not in address or file is None:
         return None
-    return None if any(Path(file).is_relative_to(folder) for folder in _installed_folders()) else Path(file)
+    return (
+        None
+        if any(Path(file).is_relative_to(folder) for folder in _installed_folders())
+        else Path(file)
+    )
 
 
 @functools.cache  # finding them costs a millisecond, and every block of every loop asks
@@ -133,7 +156,9 @@ def _installed_folders() -> tuple[Path, ...]:
 
 
 def module_folder(address: str) -> Path | None:
-    """The folder to put on Python's path to import the module in ``module:attribute``; None as for ``module_file``."""
+    """The folder to put on Python's path to import the module in ``module:attribute``; None as for
+    ``module_file``.
+    """
     file = module_file(address)
     if file is None:
         return None
@@ -144,12 +169,22 @@ def module_folder(address: str) -> Path | None:
 def _load(address: str, place: str, python_path: Sequence[str]) -> Any:
     name, _, attribute = address.partition(":")
     top = name.partition(".")[0]
-    folders = [folder for folder in python_path if any(Path(folder).glob(f"{top}.py")) or Path(folder, top).is_dir()]
+    folders = [
+        folder
+        for folder in python_path
+        if any(Path(folder).glob(f"{top}.py")) or Path(folder, top).is_dir()
+    ]
     with _first_on_path(folders):
         found: Any = importlib.import_module(name)
     folder = module_folder(address)
-    if folders and folder is not None and str(folder.resolve()) not in [str(Path(item).resolve()) for item in folders]:
-        raise BlockError(f"{place}: a module '{top}' from {folder} is loaded already; rename one of them")
+    if (
+        folders
+        and folder is not None
+        and str(folder.resolve()) not in [str(Path(item).resolve()) for item in folders]
+    ):
+        raise BlockError(
+            f"{place}: a module '{top}' from {folder} is loaded already; rename one of them"
+        )
     for part in attribute.split("."):
         if not hasattr(found, part):
             near = [other for other in dir(found) if callable(getattr(found, other, None))]

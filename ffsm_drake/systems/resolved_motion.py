@@ -1,14 +1,17 @@
 """Resolved motion rate: the joints that take a frame along its path, with the generalized Jacobian.
 
-The joint rates u solve tasks in order of priority, each in what the ones before leave free, with least squares:
+The joint rates u solve tasks in order of priority, each in what the ones before leave free, with
+least squares:
 
-    frame   A u = V_d + feedback - V_0    A: columns of J* (rows of the task), V_0: the frame's twist with u = 0
-    hold    F u = 0                       F: rows of -H_uu^-1 H_ua: what the held base coordinates do
+    frame   A u = V_d + feedback - V_0    A: columns of J* (rows of the task), V_0: the frame's
+    twist with u = 0 hold    F u = 0                       F: rows of -H_uu^-1 H_ua: what the held
+    base coordinates do
 
-and what then is left goes to a rate of the joints' own: zero, or towards the target posture. The frame's task is damped
-where its Jacobian has singular values s below ``damping`` e: 1/s becomes s (2 e^2 - s^2) / e^4, which is damped least
-squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2), once differentiable in s, and at most sqrt(32/27)/e = 1.09/e.
-(Nakamura 1991, "Advanced Robotics", chapters 4 and 9; Siciliano and Slotine 1991, doi:10.1109/ICAR.1991.240390.)
+and what then is left goes to a rate of the joints' own: zero, or towards the target posture. The
+frame's task is damped where its Jacobian has singular values s below ``damping`` e: 1/s becomes s
+(2 e^2 - s^2) / e^4, which is damped least squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2),
+once differentiable in s, and at most sqrt(32/27)/e = 1.09/e. (Nakamura 1991, "Advanced Robotics",
+chapters 4 and 9; Siciliano and Slotine 1991, doi:10.1109/ICAR.1991.240390.)
 """
 
 import dataclasses
@@ -19,7 +22,11 @@ import numpy as np
 from pydrake.multibody.tree import Frame
 
 from ffsm_drake.scenario import FrameGoal
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_errors
+from ffsm_drake.spacecraft.coordinates import (
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    position_errors,
+)
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.frame_path import FramePath
@@ -27,7 +34,8 @@ from ffsm_drake.systems.free_motion import MomentumMotion
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.rotation_motion import quaternion_rate
 
-_ROWS = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6), "none": slice(0, 0)}  # of a twist
+# of a twist
+_ROWS = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6), "none": slice(0, 0)}
 _RANK = 1e-9  # ratio of singular values, between rounding and what an arm has
 _STEP = 1e-4  # s; of the difference quotient along the motion
 _INSTANTS = 201  # that a report looks at
@@ -36,7 +44,9 @@ MISSED = 1e-6  # rad, m; from which on a path counts as missed
 
 
 def damped_inverse(sizes: np.ndarray, damping: float) -> np.ndarray:
-    """Instead of 1/s of singular values s: 1/s from ``damping`` on, below less, zero at zero; at most 1.09/damping."""
+    """Instead of 1/s of singular values s: 1/s from ``damping`` on, below less, zero at zero; at
+    most 1.09/damping.
+    """
     share = np.minimum(sizes / damping, 1.0)
     return share * (2.0 - share**2) / np.maximum(sizes, damping)
 
@@ -46,8 +56,10 @@ class Resolution:
     """How well a resolved motion follows its path, at times (n,)."""
 
     times: np.ndarray  # (n) s
-    smallest: np.ndarray  # (n) singular value of the task's Jacobian that is not zero; infinite without a task
-    attitude_miss: np.ndarray  # (n) rad; angle between the frame's attitude and the path's; zero where it has no part
+    # (n) singular value of the task's Jacobian that is not zero; infinite without a task
+    smallest: np.ndarray
+    # (n) rad; angle between the frame's attitude and the path's; zero where it has no part
+    attitude_miss: np.ndarray
     position_miss: np.ndarray  # (n) m; likewise
     joint_rate: np.ndarray  # (n) rad/s or m/s; norm of the joints' rates
     base_turn: np.ndarray  # (n) rad; of the base from its first attitude
@@ -68,9 +80,12 @@ class _Resolved(NamedTuple):
 
 
 class ResolvedMotion(MomentumMotion):
-    """A frame goes along its path; driven base coordinates, and as far as they are free the joints, as is wanted."""
+    """A frame goes along its path; driven base coordinates, and as far as they are free the joints,
+    as is wanted.
+    """
 
-    accuracy = 1e-9  # the feedback takes back what it misses, and velocities are those of the configuration
+    # the feedback takes back what it misses, and velocities are those of the configuration
+    accuracy = 1e-9
 
     def __init__(
         self,
@@ -83,17 +98,23 @@ class ResolvedMotion(MomentumMotion):
         sample_time: float,
         content: tuple[Any, ...] = (),
     ) -> None:
-        """Args: the motion without the frame; its path; what is asked of it; the frame; as MomentumMotion."""
+        """Args: the motion without the frame; its path; what is asked of it; the frame; as
+        MomentumMotion.
+        """
         self._wanted, self._path, self._goal, self._frame = wanted, path, goal, frame
         coordinates = model.coordinates
-        self._arm = np.flatnonzero(coordinates.driven >= NUM_BASE_VELOCITIES)  # of the driven coordinates
+        # of the driven coordinates
+        self._arm = np.flatnonzero(coordinates.driven >= NUM_BASE_VELOCITIES)
         self._base = coordinates.driven[: self._arm[0]]  # of v: what of the base is driven
         held = coordinates.indices(goal.hold, key="reference.frame.hold")
         # Of the undriven coordinates.
-        self._held = np.flatnonzero(np.isin(np.delete(np.arange(len(coordinates.names)), coordinates.driven), held))
+        self._held = np.flatnonzero(
+            np.isin(np.delete(np.arange(len(coordinates.names)), coordinates.driven), held)
+        )
         self._task = _ROWS[goal.task]
         times = np.linspace(0.0, path.end, _INSTANTS)
-        self._most = max(_SLOWEST, float(np.linalg.norm(path.rows(times)[:, 7:13], axis=1).max()))  # of the feedback
+        # of the feedback
+        self._most = max(_SLOWEST, float(np.linalg.norm(path.rows(times)[:, 7:13], axis=1).max()))
         self._fastest = float(path.blend.blend(times)[1].max())
         q, v, _ = wanted.evaluate(0.0)
         self._posture = goal.joints == "target_posture" or goal.task == "none"
@@ -102,7 +123,14 @@ class ResolvedMotion(MomentumMotion):
         self._first_reaction = stack.following[self._held][:, self._arm] @ self._first_rate
         # Whether the base does while the joints rest.
         self._moves = bool(self._base.size or stack.momentum(v).any())
-        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=path.end, content=content)
+        super().__init__(
+            model=model,
+            position=q,
+            velocity=v,
+            sample_time=sample_time,
+            end=path.end,
+            content=content,
+        )
 
     def velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         return self._resolved(q[None], self._asked(np.array([time]))[0]).v[0]
@@ -110,12 +138,17 @@ class ResolvedMotion(MomentumMotion):
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         return self.velocity(time, q)[self._driven]
 
-    def driven_motion(self, times: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def driven_motion(
+        self, times: np.ndarray, q: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         asked, change = self._asked(times)
         v = self._resolved(q, asked).v
-        # What the rates depend on goes on as fast as it does: first order is enough of central differences.
+        # What the rates depend on goes on as fast as it does: first order is enough of central
+        # differences.
         rate = np.hstack([quaternion_rate(q[:, :4].T, v[:, :3].T).T, v[:, 3:]])
-        after, before = (self._resolved(q + h * rate, asked + h * change).v for h in (_STEP, -_STEP))
+        after, before = (
+            self._resolved(q + h * rate, asked + h * change).v for h in (_STEP, -_STEP)
+        )
         return q, v[:, self._driven], (after - before)[:, self._driven] / (2.0 * _STEP)
 
     def velocities(self, times: np.ndarray) -> np.ndarray:
@@ -145,25 +178,39 @@ class ResolvedMotion(MomentumMotion):
             return []
         miss = np.hypot(found.attitude_miss, found.position_miss)
         worst, nearest = int(np.argmax(miss)), int(np.argmin(found.smallest))
-        sizes = [f"{found.position_miss[i]:.3g} m and {found.attitude_miss[i]:.3g} rad" for i in (worst, -1)]
-        why = "more is asked of it than the joints" + (" and what is held" if self._goal.hold else "") + " leave free"
+        sizes = [
+            f"{found.position_miss[i]:.3g} m and {found.attitude_miss[i]:.3g} rad"
+            for i in (worst, -1)
+        ]
+        why = (
+            "more is asked of it than the joints"
+            + (" and what is held" if self._goal.hold else "")
+            + " leave free"
+        )
         if found.smallest[nearest] < damping:
             why = (
-                f"it is damped near a dynamic singularity, with a singular value of {found.smallest[nearest]:.3g} at "
+                "it is damped near a dynamic singularity, with a singular value of "
+                f"{found.smallest[nearest]:.3g} at "
                 f"t = {found.times[nearest]:.3g} s (reference.frame.damping {damping:g})"
             )
         return [
-            f"reference.frame: the plan misses its path by up to {sizes[0]} at t = {found.times[worst]:.3g} s "
+            f"reference.frame: the plan misses its path by up to {sizes[0]} at t = "
+            f"{found.times[worst]:.3g} s "
             f"and by {sizes[1]} at its end: {why}"
         ]
 
     def _asked(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the joints depend on beside the configuration, (n, .), and how fast it changes.
 
-        Pose (quaternion, position) and twist of the frame, velocities of the base that are driven, positions and rates
-        that the joints would have, the pull towards these positions, 1/s, and the share of the first reaction.
+        Pose (quaternion, position) and twist of the frame, velocities of the base that are driven,
+        positions and rates that the joints would have, the pull towards these positions, 1/s, and
+        the share of the first reaction.
         """
-        path, coordinates, arm = self._path.rows(times), self._model.coordinates, self._first_rate.size
+        path, coordinates, arm = (
+            self._path.rows(times),
+            self._model.coordinates,
+            self._first_rate.size,
+        )
         turn = quaternion_rate(path[:, :4].T, path[:, 7:10].T).T
         _, slow, slower = (column[:, None] for column in self._path.blend.stop(times))
         _, speed, acceleration = (column[:, None] for column in self._path.blend.blend(times))
@@ -171,7 +218,9 @@ class ResolvedMotion(MomentumMotion):
         q = v = a = rest
         if self._posture or self._base.size:
             wanted = self._wanted.rows(times)
-            q, v, a = np.split(wanted, np.cumsum([len(coordinates.position_names), len(coordinates.names)]), axis=1)
+            q, v, a = np.split(
+                wanted, np.cumsum([len(coordinates.position_names), len(coordinates.names)]), axis=1
+            )
         if self._posture:
             joints, rate, change = (each[:, -arm:] for each in (q, v, a))
             free, changing = [joints, rate, pull * speed], [rate, change, pull * acceleration]
@@ -187,7 +236,9 @@ class ResolvedMotion(MomentumMotion):
         """In configurations (n, nq), of what is asked (n, .)."""
         arm, count = self._arm, self._arm.size
         ends = list(itertools.accumulate([7, 6, self._base.size, count, count, 1, 1], initial=0))
-        pose, twist, base, joints, rate, pull, slow = (asked[:, a:b] for a, b in itertools.pairwise(ends))
+        pose, twist, base, joints, rate, pull, slow = (
+            asked[:, a:b] for a, b in itertools.pairwise(ends)
+        )
         q = q.copy()
         q[:, :4] /= np.sqrt((q[:, :4] * q[:, :4]).sum(axis=1, keepdims=True))
         stack = self._stack(q)
@@ -228,7 +279,9 @@ class ResolvedMotion(MomentumMotion):
             else:
                 inverse = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=real)
             right = np.swapaxes(right, 1, 2)
-            rates = rates + _times(right, inverse * _times(np.swapaxes(left, 1, 2), target - _times(matrix, rates)))
+            rates = rates + _times(
+                right, inverse * _times(np.swapaxes(left, 1, 2), target - _times(matrix, rates))
+            )
             free = free - (right * (inverse * sizes)[:, None]) @ np.swapaxes(right, 1, 2)
         rates = rates + _times(free, rate + pull * (joints - q[:, NUM_BASE_POSITIONS:]))
         v[:, NUM_BASE_VELOCITIES:] = rates

@@ -1,4 +1,6 @@
-"""An attitude that moves: quaternions, angular velocities and accelerations of a path and its exact derivatives."""
+"""An attitude that moves: quaternions, angular velocities and accelerations of a path and its exact
+derivatives.
+"""
 
 import math
 
@@ -6,15 +8,25 @@ import numpy as np
 
 
 def quaternion_rate(quaternion: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """Rate (4, ...) of a quaternion (4, ...; w, x, y, z) of R_WB, of an angular velocity w_WB_W (3, ...), rad/s."""
+    """Rate (4, ...) of a quaternion (4, ...; w, x, y, z) of R_WB, of an angular velocity w_WB_W (3,
+    ...), rad/s.
+    """
     (w, x, y, z), (a, b, c) = quaternion, 0.5 * omega
-    return np.array([-a * x - b * y - c * z, a * w + b * z - c * y, b * w + c * x - a * z, c * w + a * y - b * x])
+    return np.array(
+        [
+            -a * x - b * y - c * z,
+            a * w + b * z - c * y,
+            b * w + c * x - a * z,
+            c * w + a * y - b * x,
+        ]
+    )
 
 
 def eigenaxis_motion(
     first: np.ndarray, rotation: np.ndarray, blend: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations alpha_WB_W (n, 3).
+    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations
+    alpha_WB_W (n, 3).
 
     Args:
       first: quaternion (4,) of the first attitude.
@@ -29,22 +41,24 @@ def eigenaxis_motion(
     return np.hstack([scalar, vector]), ds * rotation, dds * rotation
 
 
-# Of (1 - cos h)/h^2 and (h - sin h)/h^3 in powers of -h^2, highest first: they converge for every h, and with so many
-# terms are exact to rounding for h up to a full turn.
+# Of (1 - cos h)/h^2 and (h - sin h)/h^3 in powers of -h^2, highest first: they converge for every
+# h, and with so many terms are exact to rounding for h up to a full turn.
 _A, _B = (np.array([1.0 / math.factorial(2 * k + n) for k in range(24, -1, -1)]) for n in (2, 3))
 
 
 def rotation_vector_motion(
     first: np.ndarray, vector: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations alpha_WB_W (n, 3).
+    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations
+    alpha_WB_W (n, 3).
 
-    R_WB = exp(p) R_first has w = p' + a p x p' + b p x (p x p') with a = (1 - cos h)/h^2, b = (h - sin h)/h^3, h = |p|:
-    the left Jacobian of SO(3) (Sola et al. 2018, equation (145)).
+    R_WB = exp(p) R_first has w = p' + a p x p' + b p x (p x p') with a = (1 - cos h)/h^2, b = (h -
+    sin h)/h^3, h = |p|: the left Jacobian of SO(3) (Sola et al. 2018, equation (145)).
 
     Args:
       first: quaternion (4,) of the first attitude.
-      vector: rotation vector p from the first attitude (n, 3), world frame, rad; its size up to a full turn.
+      vector: rotation vector p from the first attitude (n, 3), world frame, rad; its size up to a
+        full turn.
       rate, acceleration: its time derivatives (n, 3).
     """
     square = -(vector * vector).sum(axis=1, keepdims=True)
@@ -65,7 +79,8 @@ def rotation_vector_motion(
 def rpy_motion(
     rpy: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations alpha_WB_W (n, 3).
+    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations
+    alpha_WB_W (n, 3).
 
     Args:
       rpy: roll, pitch, yaw (n, 3), rad, R_WB = R_z(yaw) R_y(pitch) R_x(roll).

@@ -34,7 +34,9 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 
 
 def quantize(values: np.ndarray, resolution: np.ndarray) -> np.ndarray:
-    """Round to the nearest multiple of each entry's resolution; entries with resolution 0 pass unchanged."""
+    """Round to the nearest multiple of each entry's resolution; entries with resolution 0 pass
+    unchanged.
+    """
     steps = np.where(resolution > 0.0, resolution, 1.0)
     return np.where(resolution > 0.0, np.round(values / steps) * steps, values)
 
@@ -46,9 +48,13 @@ class Quantizer(LeafSystem):
         super().__init__()
         self._resolution = resolution
         self._input = self.DeclareVectorInputPort("u", resolution.size)
-        # Depends on its input alone: while that is held, the integrator's stages read the cached value.
+        # Depends on its input alone: while that is held, the integrator's stages read the cached
+        # value.
         self.DeclareVectorOutputPort(
-            "y", resolution.size, weak_callback(self._calc), {self.input_port_ticket(self._input.get_index())}
+            "y",
+            resolution.size,
+            weak_callback(self._calc),
+            {self.input_port_ticket(self._input.get_index())},
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:
@@ -58,13 +64,15 @@ class Quantizer(LeafSystem):
 class Sampling(LeafSystem):
     """Measurements that are made less often than the controller reads them, or that arrive late.
 
-    At control sample k an entry of period p and delay d (control samples) shows the measurement of sample
-    p floor((k - d) / p); it is new where k - d is a multiple of p. k follows from the context's time: nothing counts.
+    At control sample k an entry of period p and delay d (control samples) shows the measurement of
+    sample p floor((k - d) / p); it is new where k - d is a multiple of p. k follows from the
+    context's time: nothing counts.
 
     Input: ``measurement`` (size).
-    Outputs: ``sampled`` (size), and ``is_new`` (size), 1 where an entry shows a measurement for the first time, else 0.
-    Discrete state, updated every control sample: for each pair (p, d) but (1, 0), the measurements made last, newest
-    first. The outputs are meant to be read at control samples, before the update.
+    Outputs: ``sampled`` (size), and ``is_new`` (size), 1 where an entry shows a measurement for the
+    first time, else 0. Discrete state, updated every control sample: for each pair (p, d) but (1,
+    0), the measurements made last, newest first. The outputs are meant to be read at control
+    samples, before the update.
     """
 
     def __init__(self, period: np.ndarray, delay: np.ndarray, *, sample_time: float) -> None:
@@ -72,13 +80,19 @@ class Sampling(LeafSystem):
         super().__init__()
         self._sample_time = sample_time
         self._input = self.DeclareVectorInputPort("measurement", period.size)
-        self._sensors: list[tuple[int, int, np.ndarray, int]] = []  # p, d, their entries, the state's index
+        # p, d, their entries, the state's index
+        self._sensors: list[tuple[int, int, np.ndarray, int]] = []
         for p, d in sorted(set(zip(period.tolist(), delay.tolist(), strict=True)) - {(1, 0)}):
             entries = np.flatnonzero((period == p) & (delay == d))
-            kept = -((1 - d) // p) + 1 if d else 1  # measurements between the one that is shown and the present
-            self._sensors.append((p, d, entries, int(self.DeclareDiscreteState(entries.size * kept))))
+            # measurements between the one that is shown and the present
+            kept = -((1 - d) // p) + 1 if d else 1
+            self._sensors.append(
+                (p, d, entries, int(self.DeclareDiscreteState(entries.size * kept)))
+            )
         self.DeclareVectorOutputPort("sampled", period.size, weak_callback(self._calc))
-        self.DeclareVectorOutputPort("is_new", period.size, weak_callback(self._calc_is_new), {self.time_ticket()})
+        self.DeclareVectorOutputPort(
+            "is_new", period.size, weak_callback(self._calc_is_new), {self.time_ticket()}
+        )
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
@@ -94,7 +108,9 @@ class Sampling(LeafSystem):
         return math.lcm(*(p for p, *_ in self._sensors))
 
     def phase(self, sample: int) -> tuple[tuple[bool, bool, int], ...]:
-        """What happens at a control sample: of each sensor whether it measures, brings something new, and its age."""
+        """What happens at a control sample: of each sensor whether it measures, brings something
+        new, and its age.
+        """
         return tuple(
             (sample % p == 0, (sample - d) % p == 0, (sample - 1) // p - (sample - d) // p)
             for p, d, *_ in self._sensors
@@ -136,20 +152,25 @@ class Sensing(Diagram):
             sampling.set_initial_state(self.GetMutableSubsystemContext(sampling, context), state)
 
 
-def make_sensing(settings: schema.Sensing, coordinates: Coordinates, *, sample_time: float) -> Diagram:
+def make_sensing(
+    settings: schema.Sensing, coordinates: Coordinates, *, sample_time: float
+) -> Diagram:
     """A diagram from ``state`` to ``estimated_state``, both [q; v] (nq + nv).
 
-    With a sensor of a longer period than the controller's there is an output ``measurement_is_new`` (nq + nv): 1 where
-    this control sample brings a measurement that was not there before, 0 where it repeats one.
+    With a sensor of a longer period than the controller's there is an output ``measurement_is_new``
+    (nq + nv): 1 where this control sample brings a measurement that was not there before, 0 where
+    it repeats one.
 
-    White noise is one independent Gaussian sample per coordinate and control period, held in between. Rotation noise of
-    standard deviation sigma is added to the quaternion of the base as sigma/2 per component: along the quaternion it
-    changes only the norm, which no reader of the state looks at; across it, it is a rotation of sigma about each axis
-    to first order. A rotation bias turns the measured attitude by a fixed rotation vector in the world frame.
-    Correlated noise is a first-order Gauss-Markov process, stationary from the start; a bias' walk starts at zero.
+    White noise is one independent Gaussian sample per coordinate and control period, held in
+    between. Rotation noise of standard deviation sigma is added to the quaternion of the base as
+    sigma/2 per component: along the quaternion it changes only the norm, which no reader of the
+    state looks at; across it, it is a rotation of sigma about each axis to first order. A rotation
+    bias turns the measured attitude by a fixed rotation vector in the world frame. Correlated noise
+    is a first-order Gauss-Markov process, stationary from the start; a bias' walk starts at zero.
 
     Raises:
-      ScenarioError: a value is given for an unknown coordinate, or cannot be applied to the base's rotation.
+      ScenarioError: a value is given for an unknown coordinate, or cannot be applied to the base's
+        rotation.
     """
     groups = coordinates.groups
     values = {
@@ -164,9 +185,13 @@ def make_sensing(settings: schema.Sensing, coordinates: Coordinates, *, sample_t
     for key in ("position_noise", "position_correlated_noise", "position_period", "position_delay"):
         given = coordinates.vector(getattr(settings, key), key=f"sensing.{key}", default=0.0)
         if len(set(given[rotation])) > 1:
-            raise ScenarioError(f"sensing.{key}", "must be the same for the three base_rotation coordinates")
+            raise ScenarioError(
+                f"sensing.{key}", "must be the same for the three base_rotation coordinates"
+            )
     if values["position_quantization"][rotation].any():
-        raise ScenarioError("sensing.position_quantization", "base_rotation has no scale to quantise; leave it out")
+        raise ScenarioError(
+            "sensing.position_quantization", "base_rotation has no scale to quantise; leave it out"
+        )
 
     builder = DiagramBuilder()
     size = 2 * len(coordinates.names) + 1
@@ -186,31 +211,48 @@ def make_sensing(settings: schema.Sensing, coordinates: Coordinates, *, sample_t
         add("attitude_bias", MatrixGain(_rotate_attitude(values["position_bias"][rotation], size)))
     bias = np.concatenate([np.zeros(4), values["position_bias"][3:], values["velocity_bias"]])
     if bias.any():
-        add_sum("biased", builder.AddNamedSystem("bias", ConstantVectorSource(bias)).get_output_port())
+        add_sum(
+            "biased", builder.AddNamedSystem("bias", ConstantVectorSource(bias)).get_output_port()
+        )
     sigma = _deviations(values["position_noise"], values["velocity_noise"])
-    white = builder.AddNamedSystem("white", RandomSource(RandomDistribution.kGaussian, size, sample_time))
+    white = builder.AddNamedSystem(
+        "white", RandomSource(RandomDistribution.kGaussian, size, sample_time)
+    )
     scale = builder.AddNamedSystem("standard_deviation", Gain(sigma))
     builder.Connect(white.get_output_port(), scale.get_input_port())
     add_sum("noisy", scale.get_output_port())
-    walk = coordinates.vector(settings.velocity_bias_walk, key="sensing.velocity_bias_walk", default=0.0)
-    time_constant = coordinates.vector(settings.correlation_time, key="sensing.correlation_time", default=1.0)
+    walk = coordinates.vector(
+        settings.velocity_bias_walk, key="sensing.velocity_bias_walk", default=0.0
+    )
+    time_constant = coordinates.vector(
+        settings.correlation_time, key="sensing.correlation_time", default=1.0
+    )
     drift = _make_drift(
         walk=np.concatenate([np.zeros(size - walk.size), walk]),
-        correlated=_deviations(values["position_correlated_noise"], values["velocity_correlated_noise"]),
-        time_constant=np.concatenate([np.full(4, time_constant[0]), time_constant[3:], time_constant]),
+        correlated=_deviations(
+            values["position_correlated_noise"], values["velocity_correlated_noise"]
+        ),
+        time_constant=np.concatenate(
+            [np.full(4, time_constant[0]), time_constant[3:], time_constant]
+        ),
         sample_time=sample_time,
     )
     if drift.num_inputs() > 0:
         # After the white noise, whose draws of a seed so stay what they are.
         builder.AddNamedSystem("drift", drift)
         source = RandomSource(RandomDistribution.kGaussian, drift.num_inputs(), sample_time)
-        builder.Connect(builder.AddNamedSystem("drift_noise", source).get_output_port(), drift.get_input_port())
+        builder.Connect(
+            builder.AddNamedSystem("drift_noise", source).get_output_port(), drift.get_input_port()
+        )
         add_sum("drifting", drift.get_output_port())
-    resolution = np.concatenate([np.zeros(4), values["position_quantization"][3:], values["velocity_quantization"]])
+    resolution = np.concatenate(
+        [np.zeros(4), values["position_quantization"][3:], values["velocity_quantization"]]
+    )
     if resolution.any():
         add("quantizer", Quantizer(resolution))
     if (period > 1).any() or delay.any():
-        period, delay = (np.concatenate([of[:1], of]) for of in (period, delay))  # the quaternion has four
+        # the quaternion has four
+        period, delay = (np.concatenate([of[:1], of]) for of in (period, delay))
         sampling = Sampling(period, delay, sample_time=sample_time)
         builder.AddNamedSystem("sampling", sampling)
         stages.append((sampling.get_input_port(), sampling.GetOutputPort("sampled")))
@@ -227,15 +269,20 @@ def make_sensing(settings: schema.Sensing, coordinates: Coordinates, *, sample_t
     return diagram
 
 
-def measurement_times(settings: schema.Sensing, coordinates: Coordinates) -> tuple[np.ndarray, np.ndarray]:
-    """Period and delay of the measurements of positions, then velocities (2 nv): whole control samples.
+def measurement_times(
+    settings: schema.Sensing, coordinates: Coordinates
+) -> tuple[np.ndarray, np.ndarray]:
+    """Period and delay of the measurements of positions, then velocities (2 nv): whole control
+    samples.
 
     Raises ScenarioError for an unknown coordinate.
     """
 
     def of(name: str, default: float) -> np.ndarray:
         both = [
-            coordinates.vector(getattr(settings, f"{part}_{name}"), key=f"sensing.{part}_{name}", default=default)
+            coordinates.vector(
+                getattr(settings, f"{part}_{name}"), key=f"sensing.{part}_{name}", default=default
+            )
             for part in ("position", "velocity")
         ]
         return np.concatenate(both).astype(int)
@@ -244,14 +291,17 @@ def measurement_times(settings: schema.Sensing, coordinates: Coordinates) -> tup
 
 
 def _deviations(position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Standard deviations of [q; v] (nq + nv) from those of the coordinates (nv each); see make_sensing."""
+    """Standard deviations of [q; v] (nq + nv) from those of the coordinates (nv each); see
+    make_sensing.
+    """
     return np.concatenate([np.full(4, 0.5 * position[0]), position[3:], velocity])
 
 
 def _make_drift(
     *, walk: np.ndarray, correlated: np.ndarray, time_constant: np.ndarray, sample_time: float
 ) -> LinearSystem:
-    """Random walks and first-order Gauss-Markov processes, added to a vector (size), from unit white noise.
+    """Random walks and first-order Gauss-Markov processes, added to a vector (size), from unit
+    white noise.
 
     Its input has one entry for each of those that are not zero: first the walks.
     """
@@ -272,7 +322,9 @@ def _make_drift(
 
 
 def _rotate_attitude(rotation_vector: np.ndarray, size: int) -> np.ndarray:
-    """The matrix (size, size) that turns the quaternion of [q; v] by a world-frame rotation vector."""
+    """The matrix (size, size) that turns the quaternion of [q; v] by a world-frame rotation
+    vector.
+    """
     angle = float(np.linalg.norm(rotation_vector))
     half = 0.5 * angle
     w = np.cos(half)

@@ -14,15 +14,18 @@ class _Settings(dict[str, Any]):
     """Settings that say what there is when one is missing."""
 
     def __missing__(self, key: object) -> Any:
-        raise KeyError(f"no '{key}' in the settings that the scenario gives; there are: {', '.join(self) or 'none'}")
+        raise KeyError(
+            f"no '{key}' in the settings that the scenario gives; there are: "
+            f"{', '.join(self) or 'none'}"
+        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BlockSetup:
     """What a block is built from: ``factory(setup)`` returns a Drake system with the block's ports.
 
-    A controller's factory may return a control law instead. A controller works with ``nominal`` only; ``true`` is for
-    blocks of the world around it, such as sensors and forces.
+    A controller's factory may return a control law instead. A controller works with ``nominal``
+    only; ``true`` is for blocks of the world around it, such as sensors and forces.
     """
 
     name: str  # of the system in the diagram

@@ -1,4 +1,6 @@
-"""The analysis against oracles of its own: closed forms, hand-made cases, the true plant, and the proof's own world."""
+"""The analysis against oracles of its own: closed forms, hand-made cases, the true plant, and the
+proof's own world.
+"""
 
 import dataclasses
 import io
@@ -14,7 +16,13 @@ import pytest
 from ffsm_drake import make_nominal_plant, make_true_plant
 from ffsm_drake.analysis import analyze
 from ffsm_drake.analysis.balances import displacements
-from ffsm_drake.analysis.chattering import effort_spectrum, reversals, split_frequency, split_variance, total_variation
+from ffsm_drake.analysis.chattering import (
+    effort_spectrum,
+    reversals,
+    split_frequency,
+    split_variance,
+    total_variation,
+)
 from ffsm_drake.analysis.findings import TITLES
 from ffsm_drake.analysis.inertia import match_inertia
 from ffsm_drake.analysis.lyapunov import lyapunov, outside, ultimate_bound
@@ -31,10 +39,12 @@ SHORT = "duration=5"
 QUIET = "sensing.velocity_noise=0"
 # The paper's initial posture as target: a reference that does not move.
 HOLD = (
-    "target_posture.base_position=[0.1, 0.3, -0.2]", "target_posture.base_rpy=[0.11, 0.08, -0.1]",
-    "target_posture.joints={joint_1: 0.17453292519943295, joint_2: 0.3490658503988659, joint_3: 1.0471975511965976, "
+    "target_posture.base_position=[0.1, 0.3, -0.2]",
+    "target_posture.base_rpy=[0.11, 0.08, -0.1]",
+    "target_posture.joints={joint_1: 0.17453292519943295, joint_2: 0.3490658503988659, joint_3: "
+    "1.0471975511965976, "
     "joint_4: 0.6108652381980153, joint_5: -0.6981317007977318}",
-)  # fmt: skip
+)
 DIVERGING = ("controllers.tde_aismc.k_s_initial=80", "controllers.tde_aismc.k_s_max=null")
 DATA = ("sliding_variable", "reaching_gain", "switching_gain")
 
@@ -58,9 +68,9 @@ def analysis(run):
 def test_tde_error_is_the_disturbance_of_the_reaching_law_on_the_euler_plant(run, analysis):
     """s_{k+1} = (1 - K_s L) s_k - L Ntilde_k - L G sgn s_k, all eleven coordinates coupled.
 
-    Exact for an Euler step and a reference at rest, up to the rounding of position differences (1e-16 / 1e-5, 1e-9 of
-    s once multiplied by K_D) and, for the base's rotation, up to the rotation vector, whose rate is v_d - v to first
-    order only: 1e-7.
+    Exact for an Euler step and a reference at rest, up to the rounding of position differences
+    (1e-16 / 1e-5, 1e-9 of s once multiplied by K_D) and, for the base's rotation, up to the
+    rotation vector, whose rate is v_d - v to first order only: 1e-7.
     """
     data = run("paper", QUIET, *HOLD, SHORT).dataset
     s, k_s, g = (data[name].values[:-1] for name in DATA)
@@ -75,11 +85,17 @@ def test_tde_error_is_the_disturbance_of_the_reaching_law_on_the_euler_plant(run
     assert deviation[3:].max() < 3e-9
 
 
-def test_what_the_reaching_law_leaves_out_on_the_euler_plant_is_the_sampled_reference(run, analysis):
-    """For a moving reference the remainder is (dv_d/L - a_d) + K_D (dq_d/L - v_d), of no signal of the plant's."""
+def test_what_the_reaching_law_leaves_out_on_the_euler_plant_is_the_sampled_reference(
+    run, analysis
+):
+    """For a moving reference the remainder is (dv_d/L - a_d) + K_D (dq_d/L - v_d), of no signal of
+    the plant's.
+    """
     short = ("paper", QUIET, SHORT)  # the reference accelerates most at 4.2 s
     data, result = run(*short).dataset, analysis(*short)
-    q_d, v_d, a_d = (data[f"desired_{name}"].values for name in ("position", "velocity", "acceleration"))
+    q_d, v_d, a_d = (
+        data[f"desired_{name}"].values for name in ("position", "velocity", "acceleration")
+    )
     moved = np.array([position_error(after, before) for before, after in pairwise(q_d)])
     expected = np.diff(v_d, axis=0) / L - a_d[:-1] + 100.0 * (moved / L - v_d[:-1])
     remainder = result.series["reaching_law_remainder"].values
@@ -91,41 +107,62 @@ def test_what_the_reaching_law_leaves_out_on_the_euler_plant_is_the_sampled_refe
 
 
 def test_tde_error_is_that_of_equations_2_and_5_on_the_true_plant(run, analysis):
-    """N from the true H, C, tau_d; Nhat from the measured past. Explicit Euler makes N that of the whole period."""
+    """N from the true H, C, tau_d; Nhat from the measured past. Explicit Euler makes N that of the
+    whole period.
+    """
     record = run("paper", SHORT)  # with noise
     data = record.dataset
     true, nominal = make_true_plant(record.scenario), make_nominal_plant(record.scenario)
-    q, v, tau, tau_d = (data[x].values for x in ("position", "velocity", "generalized_force", "disturbance_force"))
+    q, v, tau, tau_d = (
+        data[x].values for x in ("position", "velocity", "generalized_force", "disturbance_force")
+    )
     measured_q, measured_v = data["measured_position"].values, data["measured_velocity"].values
     tde_error = analysis("paper", SHORT).series["tde_error"].values
     for k in range(1, 500, 25):
         h, h_hat = true.calc_mass_matrix(q[k]), nominal.calc_mass_matrix(measured_q[k])
-        n = np.linalg.solve(h, tau[k] + tau_d[k] - true.calc_bias(q[k], v[k])) - np.linalg.solve(h_hat, tau[k])
+        n = np.linalg.solve(h, tau[k] + tau_d[k] - true.calc_bias(q[k], v[k])) - np.linalg.solve(
+            h_hat, tau[k]
+        )
         n_hat = (measured_v[k] - measured_v[k - 1]) / L - np.linalg.solve(h_hat, tau[k - 1])
         assert tde_error[k] == pytest.approx(n - n_hat, abs=1e-12), k
 
 
 def test_tde_error_of_the_first_sample_has_no_past(run, analysis):
-    """tau_0 = Hhat u_0, so Ntilde_0 = a_0 - Hhat^-1 tau_0; it is the bound, and later ones are an order below."""
+    """tau_0 = Hhat u_0, so Ntilde_0 = a_0 - Hhat^-1 tau_0; it is the bound, and later ones are an
+    order below.
+    """
     record = run("postcapture")
     data, result = record.dataset, analysis("postcapture")
-    h_hat = make_nominal_plant(record.scenario).calc_mass_matrix(data["measured_position"].values[0])
-    first = data["velocity"].values[1] / L - np.linalg.solve(h_hat, data["generalized_force"].values[0])
+    h_hat = make_nominal_plant(record.scenario).calc_mass_matrix(
+        data["measured_position"].values[0]
+    )
+    first = data["velocity"].values[1] / L - np.linalg.solve(
+        h_hat, data["generalized_force"].values[0]
+    )
     assert result.series["tde_error"].values[0] == pytest.approx(first, abs=1e-12)
     numbers = result.finding("tde_error_bound").numbers
     assert numbers["bound"] == pytest.approx(np.abs(first).max())
     assert numbers["time_of_bound"] == 0.0
     assert numbers["bound_late"] < 0.3 * numbers["bound"]
     assert numbers["bound_late.joints"] == np.abs(result.series["tde_error"].values[10:, 6:]).max()
-    assert numbers["bound_late.base_rotation_y"] == np.abs(result.series["tde_error"].values[10:, 1]).max()
+    assert (
+        numbers["bound_late.base_rotation_y"]
+        == np.abs(result.series["tde_error"].values[10:, 1]).max()
+    )
 
 
 def test_constant_bias_and_true_belief_leave_no_tde_error(analysis):
-    """With H = Hhat, C = 0 (rest) and a constant disturbance, N - Nhat is zero from the second sample on."""
+    """With H = Hhat, C = 0 (rest) and a constant disturbance, N - Nhat is zero from the second
+    sample on.
+    """
     overrides = (
-        QUIET, *HOLD, "duration=1", "controller=tdc", "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}",
+        QUIET,
+        *HOLD,
+        "duration=1",
+        "controller=tdc",
+        "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}",
         "disturbance.frequency_scale=0",
-    )  # fmt: skip
+    )
     tde_error = np.abs(analysis("paper", *overrides).series["tde_error"].values)
     assert tde_error[0].max() > 1e-3
     assert tde_error[2:].max() < 1e-6
@@ -133,9 +170,12 @@ def test_constant_bias_and_true_belief_leave_no_tde_error(analysis):
 
 @pytest.mark.parametrize(
     ("belief", "low", "high"),
-    [("{mass: 100, inertia: [16.7, 16.7, 16.7]}", 1.0, 1.0), ("{mass: 125, inertia: [20, 20, 20]}", 1.0, 1.25),
-     ("{mass: 80, inertia: [12, 12, 12]}", 0.7, 1.0)],
-)  # fmt: skip
+    [
+        ("{mass: 100, inertia: [16.7, 16.7, 16.7]}", 1.0, 1.0),
+        ("{mass: 125, inertia: [20, 20, 20]}", 1.0, 1.25),
+        ("{mass: 80, inertia: [12, 12, 12]}", 0.7, 1.0),
+    ],
+)
 def test_eta_says_how_the_payload_is_believed(analysis, belief, low, high):
     result = analysis("postcapture", "duration=0.5", "controller=tdc", f"payload.nominal={belief}")
     numbers = result.finding("condition_8").numbers
@@ -145,13 +185,17 @@ def test_eta_says_how_the_payload_is_believed(analysis, belief, low, high):
         assert numbers["norm_max"] == pytest.approx(0.0, abs=1e-9)
     else:
         assert numbers["eta_max"] - numbers["eta_min"] > 0.1
-        assert numbers["norm_in_h_max"] == pytest.approx(max(1 - numbers["eta_min"], numbers["eta_max"] - 1))
+        assert numbers["norm_in_h_max"] == pytest.approx(
+            max(1 - numbers["eta_min"], numbers["eta_max"] - 1)
+        )
     assert (result.finding("condition_8").verdict == "holds") == (numbers["norm_max"] < 1.0)
     assert result.series["posture_time"].values == pytest.approx([0, 0.1, 0.2, 0.3, 0.4, 0.5])
 
 
 def test_inertia_match_by_hand():
-    """E - H^-1 Hhat = [[0, -1/2], [-1/2, 0]]; a unit ten times smaller makes lengths ten times larger numbers."""
+    """E - H^-1 Hhat = [[0, -1/2], [-1/2, 0]]; a unit ten times smaller makes lengths ten times
+    larger numbers.
+    """
     true, nominal = np.eye(2)[None], np.array([[[1.0, 0.5], [0.5, 1.0]]])
     is_length = np.array([False, True])
     metres = match_inertia(true, nominal, is_length=is_length)
@@ -176,8 +220,12 @@ def test_the_verdict_of_condition_8_depends_on_the_unit_of_length(run, analysis)
     record = run("postcapture")
     k = round(finding.numbers["time_of_norm_max"] / L)
     q = record.dataset["position"].values[k]
-    h, h_hat = (make(record.scenario).calc_mass_matrix(q) for make in (make_true_plant, make_nominal_plant))
-    assert finding.numbers["norm_max"] == pytest.approx(np.linalg.svd(np.eye(11) - np.linalg.inv(h) @ h_hat)[1][0])
+    h, h_hat = (
+        make(record.scenario).calc_mass_matrix(q) for make in (make_true_plant, make_nominal_plant)
+    )
+    assert finding.numbers["norm_max"] == pytest.approx(
+        np.linalg.svd(np.eye(11) - np.linalg.inv(h) @ h_hat)[1][0]
+    )
 
 
 # The proof
@@ -185,7 +233,9 @@ def test_the_verdict_of_condition_8_depends_on_the_unit_of_length(run, analysis)
 
 def test_lyapunov_function_by_hand():
     s, k_s, g = np.array([[3.0], [1.0]]), np.array([[6.0], [4.0]]), np.array([[1.0], [2.0]])
-    v = lyapunov(s=s, k_s=k_s, g=g, alpha=np.array([2.0]), phi=np.array([0.5]), bound=5.0, period=0.1)
+    v = lyapunov(
+        s=s, k_s=k_s, g=g, alpha=np.array([2.0]), phi=np.array([0.5]), bound=5.0, period=0.1
+    )
     # 9/2 + 1/4 + 16, then 1/2 + 1/4 + 9.
     assert v.value == pytest.approx([20.75, 9.75])
     assert v.rate == pytest.approx([(9.75 - 20.75) / 0.1])
@@ -198,8 +248,17 @@ def test_lyapunov_function_by_hand():
 
 
 def test_in_the_proofs_own_world_v_falls_outside():
-    """K_s and G below N*, continuous time, gains by (9) and (10): dV/dt <= 0 outside, and (16) bounds s."""
-    bound, alpha, beta, phi, epsilon, step = 200.0, np.array([50.0]), np.array([100.0]), np.array([10.0]), 0.01, 1e-5
+    """K_s and G below N*, continuous time, gains by (9) and (10): dV/dt <= 0 outside, and (16)
+    bounds s.
+    """
+    bound, alpha, beta, phi, epsilon, step = (
+        200.0,
+        np.array([50.0]),
+        np.array([100.0]),
+        np.array([10.0]),
+        0.01,
+        1e-5,
+    )
     s, k_s, g = [np.array([1.0])], [np.array([60.0])], [np.array([1.0])]
     for k in range(20_000):
         rate = -1.5 * np.cos(0.01 * k) - k_s[-1] * s[-1] - g[-1] * np.sign(s[-1])
@@ -212,9 +271,13 @@ def test_in_the_proofs_own_world_v_falls_outside():
     assert 100 < beyond.sum() < 20_000
     assert (v.rate[beyond] <= 0.0).all()
     assert (v.rate[~beyond] > 0.0).any()
-    assert np.abs(s).max() <= ultimate_bound(bound=bound, alpha=alpha, beta=beta, phi=phi, epsilon=epsilon)
+    assert np.abs(s).max() <= ultimate_bound(
+        bound=bound, alpha=alpha, beta=beta, phi=phi, epsilon=epsilon
+    )
     # (7) alone bounds s more tightly: |s(0)|, and from when it is small on (N* - G)^+ / K_s.
-    limit = direct_bound(first=s[1000], bound=np.array([1.5]), k_s_min=k_s.min(axis=0), g_min=g.min(axis=0))
+    limit = direct_bound(
+        first=s[1000], bound=np.array([1.5]), k_s_min=k_s.min(axis=0), g_min=g.min(axis=0)
+    )
     assert (np.abs(s[1000:]) <= limit).all()
 
 
@@ -222,7 +285,9 @@ def test_bounds_by_hand():
     alpha, beta, phi = np.array([2.0, 4.0]), np.array([10.0, 1e6]), np.array([1.0, 0.5])
     # max(0.3, 0.01)^2 + max(3e-6, 0.01)^2 + 9/2 + 9/4 + 9 + 18.
     expected = np.sqrt(0.09 + 1e-4 + 33.75)
-    assert ultimate_bound(bound=3.0, alpha=alpha, beta=beta, phi=phi, epsilon=0.01) == pytest.approx(expected)
+    assert ultimate_bound(
+        bound=3.0, alpha=alpha, beta=beta, phi=phi, epsilon=0.01
+    ) == pytest.approx(expected)
     assert ultimate_bound(bound=3.0, alpha=0 * alpha, beta=beta, phi=phi, epsilon=0.01) == np.inf
     assert direct_bound(
         first=np.array([-0.5, 0.1, 0.1, 0.0, 0.2]),
@@ -231,11 +296,16 @@ def test_bounds_by_hand():
         g_min=np.array([1.0, 1.0, 2.0, 0.0, 1.0]),
     ).tolist() == [0.5, 0.2, 0.1, np.inf, 0.2]
     s = np.array([[0.2, -0.2], [0.4, 0.005]])
-    assert outside(s, np.full((2, 2), 3.0), beta=beta, epsilon=0.01).tolist() == [[False, True], [True, False]]
+    assert outside(s, np.full((2, 2), 3.0), beta=beta, epsilon=0.01).tolist() == [
+        [False, True],
+        [True, False],
+    ]
 
 
 def test_premises_of_the_proof_are_reported_as_found(run, analysis):
-    """Row 18 of the notes: beta ||s||_inf < N* fails in simulation, and so does K_s < N*; V rises all the same."""
+    """Row 18 of the notes: beta ||s||_inf < N* fails in simulation, and so does K_s < N*; V rises
+    all the same.
+    """
     data, result = run("postcapture").dataset, analysis("postcapture")
     s, k_s, g = (data[name].values for name in DATA)
     bound = np.abs(result.series["tde_error"].values).max()
@@ -250,21 +320,34 @@ def test_premises_of_the_proof_are_reported_as_found(run, analysis):
     assert within.verdict == "holds"
     assert within.numbers["largest_g"] == g.max() < bound
     derivative = result.finding("lyapunov_derivative")
-    left = (np.abs(s) > np.maximum(k_s / (1e7 * np.array([24] * 3 + [4] * 3 + [12] * 5)), 1e-4)).any(axis=1)[:-1]
+    left = (
+        np.abs(s) > np.maximum(k_s / (1e7 * np.array([24] * 3 + [4] * 3 + [12] * 5)), 1e-4)
+    ).any(axis=1)[:-1]
     assert derivative.verdict == "not tested"  # never are all coordinates outside
     assert derivative.numbers["outside_all"] == 0
     assert derivative.numbers["outside_any"] == left.sum() > 0
     assert derivative.numbers["rising_outside_any"] > 0
-    moving = analysis("postcapture", "initial_velocity=0.01", "duration=0.5").finding("lyapunov_derivative")
+    moving = analysis("postcapture", "initial_velocity=0.01", "duration=0.5").finding(
+        "lyapunov_derivative"
+    )
     assert moving.verdict == "does not hold"
     assert moving.numbers["outside_all"] >= moving.numbers["rising_outside_all"] > 0
     assert derivative.numbers["driver"] == "K_s"
     assert derivative.numbers["value_last"] > derivative.numbers["value_first"]
-    weights = 1e4 * np.array([18] * 3 + [3] * 3 + [9] * 5), np.array([0.1] * 3 + [0.01] * 3 + [0.1] * 5)
-    value = 0.5 * ((s**2).sum(1) + ((k_s - bound) ** 2 / weights[0]).sum(1) + ((g - bound) ** 2 / weights[1]).sum(1))
+    weights = (
+        1e4 * np.array([18] * 3 + [3] * 3 + [9] * 5),
+        np.array([0.1] * 3 + [0.01] * 3 + [0.1] * 5),
+    )
+    value = 0.5 * (
+        (s**2).sum(1)
+        + ((k_s - bound) ** 2 / weights[0]).sum(1)
+        + ((g - bound) ** 2 / weights[1]).sum(1)
+    )
     assert result.series["lyapunov"].values == pytest.approx(value)
     assert result.series["lyapunov_rate"].values == pytest.approx(np.diff(value) / L, abs=1e-10)
-    assert result.finding("ultimate_bound").numbers["largest_norm"] == pytest.approx(np.linalg.norm(s, axis=1).max())
+    assert result.finding("ultimate_bound").numbers["largest_norm"] == pytest.approx(
+        np.linalg.norm(s, axis=1).max()
+    )
 
 
 def test_lemma_1_can_have_its_premise_without_its_conclusion(analysis):
@@ -279,15 +362,25 @@ def test_lemma_1_can_have_its_premise_without_its_conclusion(analysis):
 
 
 def test_direct_bound_needs_short_samples(analysis):
-    """At 1 ms the continuous-time bound holds without a switching term; at 10 ms it fails, with K_D L = 1."""
+    """At 1 ms the continuous-time bound holds without a switching term; at 10 ms it fails, with K_D
+    L = 1.
+    """
     short = ("sample_time=0.001", "simulator_config.max_step_size=0.001", "duration=0.3")
-    assert analysis("postcapture", QUIET, "controller=aismc", *short).finding("direct_bound").verdict == "holds"
+    assert (
+        analysis("postcapture", QUIET, "controller=aismc", *short).finding("direct_bound").verdict
+        == "holds"
+    )
     finding = analysis("postcapture", "controller=aismc", SHORT).finding("direct_bound")
     assert finding.verdict == "does not hold"
-    assert finding.numbers["worst_ratio"] == finding.numbers[f"ratio.{finding.numbers['worst_coordinate']}"] > 1.0
+    assert (
+        finding.numbers["worst_ratio"]
+        == finding.numbers[f"ratio.{finding.numbers['worst_coordinate']}"]
+        > 1.0
+    )
     assert finding.numbers["worst_ratio_with_remainder"] < 1.0
     asmc = analysis("postcapture", "controller=asmc", SHORT)
-    assert asmc.finding("reaching_law").numbers["largest_k_s_l"] == pytest.approx(0.8)  # its constant K_s
+    # its constant K_s
+    assert asmc.finding("reaching_law").numbers["largest_k_s_l"] == pytest.approx(0.8)
     assert asmc.finding("direct_bound").verdict != "not applicable"
 
 
@@ -295,7 +388,9 @@ def test_direct_bound_needs_short_samples(analysis):
 
 
 def test_chattering_of_a_known_signal():
-    """A 1 Hz cosine of amplitude 2 (variance 2) on a ramp; +-0.3 in turns (variance 0.09) at 50 Hz; 9 and 11 Hz."""
+    """A 1 Hz cosine of amplitude 2 (variance 2) on a ramp; +-0.3 in turns (variance 0.09) at 50 Hz;
+    9 and 11 Hz.
+    """
     time = L * np.arange(2000)
     slow, fast = 2.0 * np.cos(2.0 * np.pi * time) + 5.0 * time, 0.3 * (-1.0) ** np.arange(2000)
     between = np.cos(2.0 * np.pi * 9.0 * time) + 3.0 * np.cos(2.0 * np.pi * 11.0 * time)
@@ -321,13 +416,20 @@ def test_total_variation_and_reversals():
 
 
 def test_switching_costs_chattering(run, analysis):
-    numbers = {name: analysis("postcapture", f"controller={name}", SHORT).finding("chattering").numbers
-               for name in ("tdc", "tde_aismc")}  # fmt: skip
+    numbers = {
+        name: analysis("postcapture", f"controller={name}", SHORT).finding("chattering").numbers
+        for name in ("tdc", "tde_aismc")
+    }
     for group in ("base_rotation", "base_position", "joints"):
         assert numbers["tde_aismc"][f"rms.{group}"] > 1.5 * numbers["tdc"][f"rms.{group}"]
-        assert numbers["tde_aismc"][f"total_variation.{group}"] > 2.0 * numbers["tdc"][f"total_variation.{group}"]
+        assert (
+            numbers["tde_aismc"][f"total_variation.{group}"]
+            > 2.0 * numbers["tdc"][f"total_variation.{group}"]
+        )
     tau = run("postcapture", "controller=tdc", SHORT).dataset["generalized_force"].values
-    assert numbers["tdc"]["total_variation.joint_2"] == pytest.approx(np.abs(tau[1:, 7] - tau[:-1, 7]).sum())
+    assert numbers["tdc"]["total_variation.joint_2"] == pytest.approx(
+        np.abs(tau[1:, 7] - tau[:-1, 7]).sum()
+    )
     assert 0.0 < numbers["tdc"]["effort_share"] < numbers["tde_aismc"]["effort_share"] < 0.2
     assert numbers["tdc"]["reversals_per_second.base_position"] < 100.0
 
@@ -362,10 +464,14 @@ def test_energy_balance_sees_a_force_that_did_not_act(run):
 
 
 def test_displacement_is_the_integral_of_velocity():
-    """Turning about a fixed axis at 0.3 rad/s while moving: the rotation vector of each period, and differences."""
+    """Turning about a fixed axis at 0.3 rad/s while moving: the rotation vector of each period, and
+    differences.
+    """
     time, axis = np.array([0.0, 0.5, 1.5]), np.array([2.0, -1.0, 2.0]) / 3.0
     half = 0.15 * time
-    q = np.column_stack([np.cos(half), np.sin(half)[:, None] * axis, time**2, -time, 0 * time, 4 * time])
+    q = np.column_stack(
+        [np.cos(half), np.sin(half)[:, None] * axis, time**2, -time, 0 * time, 4 * time]
+    )
     expected = [[*(0.15 * axis), 0.25, -0.5, 0.0, 2.0], [*(0.3 * axis), 2.0, -1.0, 0.0, 4.0]]
     assert displacements(q) == pytest.approx(np.array(expected))
 
@@ -375,21 +481,37 @@ def test_displacement_is_the_integral_of_velocity():
 
 @pytest.mark.parametrize(
     "overrides",
-    [("controller=tdc", SHORT), ("controller=asmc", SHORT), ("controller=aismc", SHORT), (), DIVERGING,
-     ("duration=0.01",), ("duration=0.05",), ("duration=0.2", "sample_time=0.05"),
-     ("duration=1", "controllers.tde_aismc.alpha=0")],
+    [
+        ("controller=tdc", SHORT),
+        ("controller=asmc", SHORT),
+        ("controller=aismc", SHORT),
+        (),
+        DIVERGING,
+        ("duration=0.01",),
+        ("duration=0.05",),
+        ("duration=0.2", "sample_time=0.05"),
+        ("duration=1", "controllers.tde_aismc.alpha=0"),
+    ],
     ids=lambda overrides: ",".join(overrides)[:40] or "proposed",
-)  # fmt: skip
+)
 def test_every_run_gives_every_finding_and_a_figure(analysis, overrides):
     result = analysis("postcapture", *overrides)
     assert [finding.key for finding in result.findings] == list(TITLES)
     for finding in result.findings:
         assert finding.title == TITLES[finding.key]
-        assert finding.verdict in ("holds", "does not hold", "not tested", "not applicable", "measured")
+        assert finding.verdict in (
+            "holds",
+            "does not hold",
+            "not tested",
+            "not applicable",
+            "measured",
+        )
         assert finding.statement.endswith(".")
         assert not set("{}\n") & set(finding.statement)
         assert "nan" not in finding.statement
-        assert all(isinstance(number, (float, str)) for number in finding.numbers.values()), finding.key
+        assert all(isinstance(number, (float, str)) for number in finding.numbers.values()), (
+            finding.key
+        )
         assert finding.numbers or finding.statement.startswith("Not applicable: "), finding.key
         assert finding.holds == {"holds": True, "does not hold": False}.get(finding.verdict)
         json.loads(to_json(dataclasses.asdict(finding)))
@@ -402,7 +524,11 @@ def test_every_run_gives_every_finding_and_a_figure(analysis, overrides):
 
 @pytest.mark.parametrize(
     "overrides",
-    [("controller=tdc", SHORT), pytest.param(DIVERGING, marks=pytest.mark.slow), ("duration=0.01",)],
+    [
+        ("controller=tdc", SHORT),
+        pytest.param(DIVERGING, marks=pytest.mark.slow),
+        ("duration=0.01",),
+    ],
     ids=str,
 )
 def test_the_figure_can_be_drawn(analysis, overrides):
@@ -415,13 +541,21 @@ def test_the_figure_can_be_drawn(analysis, overrides):
 
 def test_every_finding_is_documented():
     page = Path(__file__).parents[2] / "docs" / "findings.md"
-    headings = [line.removeprefix("## ").strip("`") for line in page.read_text().splitlines() if line.startswith("## ")]
+    headings = [
+        line.removeprefix("## ").strip("`")
+        for line in page.read_text().splitlines()
+        if line.startswith("## ")
+    ]
     assert headings == list(TITLES)
 
 
 def test_what_does_not_apply_says_why(analysis):
     result = analysis("postcapture", "controller=tdc", SHORT)
-    reasons = {finding.key: finding.statement for finding in result.findings if finding.verdict == "not applicable"}
+    reasons = {
+        finding.key: finding.statement
+        for finding in result.findings
+        if finding.verdict == "not applicable"
+    }
     assert set(reasons) == {
         "reaching_law", "lyapunov_derivative", "ultimate_bound", "direct_bound", "lemma_1_premise",
         "lemma_1_conclusion", "switching_gain_bound",
@@ -431,17 +565,28 @@ def test_what_does_not_apply_says_why(analysis):
     assert "aismc has no switching gain" in (
         analysis("postcapture", "controller=aismc", SHORT).finding("switching_gain_bound").statement
     )
-    assert "the record has 2" in analysis("postcapture", "duration=0.01").finding("chattering").statement
+    assert (
+        "the record has 2"
+        in analysis("postcapture", "duration=0.01").finding("chattering").statement
+    )
     with pytest.raises(KeyError, match="no finding 'condition_9'; choose one of condition_8"):
         result.finding("condition_9")
-    text = " ".join(item.get_text() for part in plot_analysis(result).subfigs for item in part.axes[0].texts)
+    text = " ".join(
+        item.get_text() for part in plot_analysis(result).subfigs for item in part.axes[0].texts
+    )
     assert "tdc has no sliding variable" in text.replace("\n", " ")
 
 
 def test_of_a_law_that_is_not_the_papers_the_record_decides(run, analysis):
-    """Its constants may be unknown, but s, K_s and G are in the record; only (7) is about the paper's laws alone."""
+    """Its constants may be unknown, but s, K_s and G are in the record; only (7) is about the
+    paper's laws alone.
+    """
     record = run("postcapture")
-    result = analyze(dataclasses.replace(record, scenario=dataclasses.replace(record.scenario, controller="gone:Law")))
+    result = analyze(
+        dataclasses.replace(
+            record, scenario=dataclasses.replace(record.scenario, controller="gone:Law")
+        )
+    )
     own = analysis("postcapture")
     for key in ("tde_error_bound", "switching_gain_bound", "energy_balance"):
         assert result.finding(key).numbers == own.finding(key).numbers
@@ -449,19 +594,29 @@ def test_of_a_law_that_is_not_the_papers_the_record_decides(run, analysis):
         assert result.finding(key).verdict == "not applicable"
         assert "the paper's laws, and gone:Law is not one" in result.finding(key).statement
     assert len(plot_analysis(result).subfigs) == 6
-    assert "(9) and (10), which those of gone:Law do not" in result.finding("ultimate_bound").statement
+    assert (
+        "(9) and (10), which those of gone:Law do not" in result.finding("ultimate_bound").statement
+    )
 
 
 def test_statements_carry_the_numbers(analysis):
     result = analysis("postcapture")
     bound = result.finding("tde_error_bound")
-    assert f"N* = {bound.numbers['bound']:.3g} ({bound.numbers['worst_coordinate']} at 0 s)" in bound.statement
+    assert (
+        f"N* = {bound.numbers['bound']:.3g} ({bound.numbers['worst_coordinate']} at 0 s)"
+        in bound.statement
+    )
     assert f"{bound.numbers['bound_late']:.3g} (rad/s^2" in bound.statement
-    assert f"{result.finding('condition_8').numbers['eta_min']:.4g}" in result.finding("condition_8").statement
+    assert (
+        f"{result.finding('condition_8').numbers['eta_min']:.4g}"
+        in result.finding("condition_8").statement
+    )
 
 
 def test_the_proofs_conditions_hold_while_the_loop_diverges(run, analysis):
-    """Neither condition (8) nor the ultimate bound, with the N* found, tells a run that diverges."""
+    """Neither condition (8) nor the ultimate bound, with the N* found, tells a run that
+    diverges.
+    """
     assert run("postcapture", *DIVERGING).outcome.status == "diverged"
     result = analysis("postcapture", *DIVERGING)
     for key in ("condition_8", "ultimate_bound", "switching_gain_bound"):
@@ -494,6 +649,9 @@ def test_analysis_stops_at_the_first_number_that_is_not_finite(run, analysis):
 
 
 def test_the_package_does_not_load_the_analysis():
-    code = "import sys, ffsm_drake; print(*(name for name in sys.modules if name.startswith('ffsm_drake.analysis')))"
+    code = (
+        "import sys, ffsm_drake; print(*(name for name in sys.modules if "
+        "name.startswith('ffsm_drake.analysis')))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""

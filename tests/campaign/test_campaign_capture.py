@@ -1,4 +1,6 @@
-"""Campaigns of captures: what the grasp adds to a row, which limit fails first, what is refused, what is foreseen."""
+"""Campaigns of captures: what the grasp adds to a row, which limit fails first, what is refused,
+what is foreseen.
+"""
 
 import numpy as np
 import pytest
@@ -13,14 +15,25 @@ from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.scenario import load_scenario
 
-# An ordinary case, one whose payload is three times as heavy as it is thought to be, one that tumbles too fast to be
-# stopped within the limits, and one with parts nearer to each other than they may be.
+# An ordinary case, one whose payload is three times as heavy as it is thought to be, one that
+# tumbles too fast to be stopped within the limits, and one with parts nearer to each other than
+# they may be.
 CASES = {
     "capture.rate": [[0.02, 0.03, 0.01], [0.02, 0.03, 0.01], [0.3, -0.4, 0.2], [0.0, 0.0, 0.0]],
     "payload.truth.mass": [100.0, 300.0, 300.0, 100.0],
-    "payload.truth.inertia": [[16.7, 16.7, 16.7], [50.0, 50.0, 50.0], [50.0, 50.0, 50.0], [16.7, 16.7, 16.7]],
+    "payload.truth.inertia": [
+        [16.7, 16.7, 16.7],
+        [50.0, 50.0, 50.0],
+        [50.0, 50.0, 50.0],
+        [16.7, 16.7, 16.7],
+    ],
     "payload.nominal.mass": [100.0, 100.0, 300.0, 100.0],
-    "payload.nominal.inertia": [[16.7, 16.7, 16.7], [16.7, 16.7, 16.7], [50.0, 50.0, 50.0], [16.7, 16.7, 16.7]],
+    "payload.nominal.inertia": [
+        [16.7, 16.7, 16.7],
+        [16.7, 16.7, 16.7],
+        [50.0, 50.0, 50.0],
+        [16.7, 16.7, 16.7],
+    ],
     "clearance": [0.01, 0.01, 0.01, 0.6],
 }
 
@@ -33,7 +46,9 @@ def database(tmp_path_factory):
         "overrides": {"capture.approach": None, "reference.duration": None, "duration": 2.0},
         "controllers": ["tdc"],
         "cases": 4,
-        "parameters": {name: {"distribution": "list", "values": values} for name, values in CASES.items()},
+        "parameters": {
+            name: {"distribution": "list", "values": values} for name, values in CASES.items()
+        },
         "factors": {},
         "derive": {},
         "settled": {"hold": 0.0},
@@ -49,11 +64,15 @@ def rows(database):
 
 def test_a_row_tells_of_the_grasp(rows):
     sets = [f"{name}={values[0]}" for name, values in CASES.items()]
-    scenario = load_scenario("tumbling_capture", ["capture.approach=null", "duration=0.02", "controller=tdc", *sets])
+    scenario = load_scenario(
+        "tumbling_capture", ["capture.approach=null", "duration=0.02", "controller=tdc", *sets]
+    )
     contact = make_rollout(scenario).run().grasp.contact
     assert rows[0]["outcome"] == "settled"
     assert rows[0]["grasp_impulse"] == pytest.approx(np.linalg.norm(contact.impulse[3:]), rel=1e-12)
-    assert rows[0]["grasp_angular_impulse"] == pytest.approx(np.linalg.norm(contact.impulse[:3]), rel=1e-12)
+    assert rows[0]["grasp_angular_impulse"] == pytest.approx(
+        np.linalg.norm(contact.impulse[:3]), rel=1e-12
+    )
     assert rows[0]["grasp_angular_impulse"] > 0.1
     assert (rows[0]["first_limit"], rows[0]["first_limit_time"]) == ("", None)
     assert rows[0]["predicted_load"] < 1.0
@@ -88,7 +107,9 @@ def test_the_report_counts_them(database, tmp_path, monkeypatch):
     assert "Which limit fails first" in page
     assert "force on base_rotation_" in page
     assert (
-        CliRunner().invoke(campaign, ["rerun", str(database), "--case", "1", "--out", str(tmp_path / "r")]).exit_code
+        CliRunner()
+        .invoke(campaign, ["rerun", str(database), "--case", "1", "--out", str(tmp_path / "r")])
+        .exit_code
         == 0
     )
 
@@ -96,11 +117,25 @@ def test_the_report_counts_them(database, tmp_path, monkeypatch):
 # In three seconds the plan takes most, in thirty the answer to the wrong velocity at the start.
 @pytest.mark.parametrize(("duration", "end"), [(3, 2.0), (30, 0.5)])
 def test_the_load_is_the_peak_of_a_run_without_limits_and_noise(duration, end):
-    sets = ["capture.approach=null", "controller=tdc", "capture.rate=[0.105, 0.084, 0.112]", "duration=30"]
+    sets = [
+        "capture.approach=null",
+        "controller=tdc",
+        "capture.rate=[0.105, 0.084, 0.112]",
+        "duration=30",
+    ]
     scenario = load_scenario("tumbling_capture", [*sets, f"reference.duration={duration}"])
-    free = ["actuation.limit=null", "sensing.position_noise=0", "sensing.velocity_noise=0", f"duration={end}"]
-    noise = ["estimator.position_noise={base_position: 1.0e-3, base_rotation: 5.0e-5, joints: 1.0e-5}"]
-    noise += ["estimator.velocity_noise={base_position: 1.0e-3, base_rotation: 1.5e-5, joints: 1.0e-4}"]
+    free = [
+        "actuation.limit=null",
+        "sensing.position_noise=0",
+        "sensing.velocity_noise=0",
+        f"duration={end}",
+    ]
+    noise = [
+        "estimator.position_noise={base_position: 1.0e-3, base_rotation: 5.0e-5, joints: 1.0e-5}"
+    ]
+    noise += [
+        "estimator.velocity_noise={base_position: 1.0e-3, base_rotation: 1.5e-5, joints: 1.0e-4}"
+    ]
     log = make_rollout(
         load_scenario("tumbling_capture", [*sets, f"reference.duration={duration}", *free, *noise])
     ).run()

@@ -1,4 +1,6 @@
-"""Campaigns over flexible panels: two by one value, and what is left of their vibration is a column."""
+"""Campaigns over flexible panels: two by one value, and what is left of their vibration is a
+column.
+"""
 
 import contextlib
 import sqlite3
@@ -16,7 +18,9 @@ PANELS = [f"model.flexible.{name}" for name in ("port", "starboard")]
 SHORT = {"duration": 0.4, "reference.duration": 0.2, "divergence_speed": 100.0}
 
 
-@pytest.mark.parametrize("name", [name for name in shipped_campaigns() if name.startswith("flexible_panels")])
+@pytest.mark.parametrize(
+    "name", [name for name in shipped_campaigns() if name.startswith("flexible_panels")]
+)
 def test_the_shipped_campaigns_give_both_panels_one_value(name):
     spec = load_spec(name)
     for case in list(make_cases(spec))[:5]:
@@ -42,14 +46,20 @@ def test_deflections_are_columns(tmp_path):
         settled={"hold": 0.1},
     )
     database = run_here(spec, tmp_path / "here.sqlite")
-    columns = "random_seed, peak_deflection_angle, residual_angle, predicted_radius_starting, frequency"
+    columns = (
+        "random_seed, peak_deflection_angle, residual_angle, predicted_radius_starting, frequency"
+    )
     with contextlib.closing(sqlite3.connect(database)) as connection:
-        rows = connection.execute(f'SELECT {columns}, "{PANELS[0]}.mass" FROM runs ORDER BY case_index').fetchall()
+        rows = connection.execute(
+            f'SELECT {columns}, "{PANELS[0]}.mass" FROM runs ORDER BY case_index'
+        ).fetchall()
     assert len({row[1] for row in rows}) == 3
     seed, peak, residual, radius, frequency, mass = rows[0]
     values = [f"{panel}.frequency={frequency!r}" for panel in PANELS]
     values += [f"{PANELS[0]}.mass={mass!r}", f"random_seed={seed}", "controller=tdc"]
-    scenario = load_scenario("flexible_panels", [*(f"{key}={value}" for key, value in SHORT.items()), *values])
+    scenario = load_scenario(
+        "flexible_panels", [*(f"{key}={value}" for key, value in SHORT.items()), *values]
+    )
     figures = simulate(scenario, check_stability=False).metrics["hidden"]
     assert peak == pytest.approx(max(figures["peak"].values()))
     assert residual == pytest.approx(max(figures["residual_amplitude"].values()))

@@ -1,4 +1,6 @@
-"""The judgement of a campaign: statistics against known answers, and the page as a reader meets it."""
+"""The judgement of a campaign: statistics against known answers, and the page as a reader meets
+it.
+"""
 
 import html.parser
 import json
@@ -30,12 +32,18 @@ from ffsm_drake.cli.campaign import campaign
 
 def make_runs(settled, *, controller="tdc", **metrics):
     settled = np.asarray(settled, dtype=bool)
-    columns = {name: np.full(settled.size, np.nan) for name in ("outcome_time", "wall_time", *METRICS, *PREDICTIONS)}
+    columns = {
+        name: np.full(settled.size, np.nan)
+        for name in ("outcome_time", "wall_time", *METRICS, *PREDICTIONS)
+    }
     return Runs(
         controller=controller,
         case=np.arange(settled.size),
         outcome=np.where(settled, "settled", "diverged"),
-        metrics={**columns, **{name: np.asarray(values, dtype=float) for name, values in metrics.items()}},
+        metrics={
+            **columns,
+            **{name: np.asarray(values, dtype=float) for name, values in metrics.items()},
+        },
     )
 
 
@@ -46,7 +54,10 @@ def test_success_rate_has_the_exact_interval():
     assert rate.low == pytest.approx(0.025 ** (1 / 20))
     # 8 of 10, published: 44.39 % to 97.48 %.
     rate = success_rate(make_runs([True] * 8 + [False] * 2))
-    assert (rate.low, rate.high) == (pytest.approx(0.4439, abs=1e-4), pytest.approx(0.9748, abs=1e-4))
+    assert (rate.low, rate.high) == (
+        pytest.approx(0.4439, abs=1e-4),
+        pytest.approx(0.9748, abs=1e-4),
+    )
 
 
 def test_paired_differences_find_a_known_factor():
@@ -83,10 +94,15 @@ def test_paired_differences_find_a_known_factor():
     ],
 )
 def test_success_rates_on_the_same_cases_keep_an_interval_where_all_agree(first, second, low, high):
-    table = Table(runs={"tdc": make_runs(first), "asmc": make_runs(second, controller="asmc")}, values={})
+    table = Table(
+        runs={"tdc": make_runs(first), "asmc": make_runs(second, controller="asmc")}, values={}
+    )
     (found,) = paired_differences(table)
     assert found.success.value == pytest.approx(np.mean(first) - np.mean(second))
-    assert (found.success.low, found.success.high) == (pytest.approx(low, abs=1e-4), pytest.approx(high, abs=1e-4))
+    assert (found.success.low, found.success.high) == (
+        pytest.approx(low, abs=1e-4),
+        pytest.approx(high, abs=1e-4),
+    )
     assert found.itae_ratio is None
 
 
@@ -94,11 +110,15 @@ def test_sensitivity_tells_the_cause_from_the_bystander():
     generator = np.random.default_rng(3)
     cause, bystander = generator.random(600), generator.random(600)
     table = Table(
-        runs={"tdc": make_runs(cause < 0.8), "asmc": make_runs(np.abs(cause - 0.5) < 0.4, controller="asmc")},
+        runs={
+            "tdc": make_runs(cause < 0.8),
+            "asmc": make_runs(np.abs(cause - 0.5) < 0.4, controller="asmc"),
+        },
         values={"bystander": bystander, "cause": cause},
     )
     found = {(item.name, item.controller): item for item in sensitivities(table, seed=0)}
-    assert found["cause", "tdc"].share == pytest.approx(1.0, abs=0.15)  # one bin straddles the limit
+    # one bin straddles the limit
+    assert found["cause", "tdc"].share == pytest.approx(1.0, abs=0.15)
     assert found["cause", "tdc"].correlation > 0.5
     # Failing at both ends: no direction, and yet the cause.
     assert found["cause", "asmc"].share > 0.8
@@ -117,7 +137,12 @@ def test_agreement_and_worst_runs():
         final_error_joints=[1e-6, 5, 1e-5, 4],
     )
     found = agreement(runs)
-    assert (found.stable_settled, found.unstable_failed, found.unstable_settled, found.stable_failed) == (1, 1, 1, 1)
+    assert (
+        found.stable_settled,
+        found.unstable_failed,
+        found.unstable_settled,
+        found.stable_failed,
+    ) == (1, 1, 1, 1)
     assert found.share == 0.5
     assert worst_runs(runs).tolist() == [3, 1, 2, 0]
 
@@ -153,7 +178,8 @@ def test_the_predicted_boundary_agrees_with_the_outcomes(database):
     assert asmc.stable_settled > 4
     assert asmc.share >= 0.9
     radius = findings.map.radius["asmc"]
-    # No inertia is over-estimated by more than the payload's; one axis bears eta = 4 / (2 + (K_D + K_s) L) = 1.0526.
+    # No inertia is over-estimated by more than the payload's; one axis bears eta = 4 / (2 + (K_D +
+    # K_s) L) = 1.0526.
     assert (radius[:, findings.map.x < 0.0526] < 1.0).all()
     assert (radius[:, findings.map.x > 0.2] > 1.0).all()
 
@@ -161,7 +187,10 @@ def test_the_predicted_boundary_agrees_with_the_outcomes(database):
 def test_the_map_wants_two_sampled_numbers(database):
     from ffsm_drake.common.errors import CampaignError
 
-    with open_store(database) as store, pytest.raises(CampaignError, match="'sample_time' is not a sampled number"):
+    with (
+        open_store(database) as store,
+        pytest.raises(CampaignError, match="'sample_time' is not a sampled number"),
+    ):
         predict_map(store.spec, ("sample_time", "nominal_error"), {"nominal_error": np.arange(3.0)})
 
 
@@ -175,14 +204,25 @@ class Reader(html.parser.HTMLParser):
         if "data-figure" in attributes:
             self.figures.append(attributes["data-figure"])
         self.outside += [
-            value for name, value in attributes.items() if name in ("src", "href") and value[:5] != "data:"
+            value
+            for name, value in attributes.items()
+            if name in ("src", "href") and value[:5] != "data:"
         ]
 
 
 def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monkeypatch):
     monkeypatch.setattr("ffsm_drake.campaign.prediction.POINTS", 2)
     result = CliRunner().invoke(
-        campaign, ["report", str(database), "--out", str(tmp_path), "--map", "nominal_error", "payload.truth.mass"]
+        campaign,
+        [
+            "report",
+            str(database),
+            "--out",
+            str(tmp_path),
+            "--map",
+            "nominal_error",
+            "payload.truth.mass",
+        ],
     )
     assert result.exit_code == 0, result.output
     assert re.search(r"predicted unstable +\d+ +[1-9]", result.output)
@@ -192,7 +232,13 @@ def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monk
     assert reader.outside == []
     assert "with &lt;angle&gt; brackets &amp; &lt;/script&gt;" in page
     figures = json.loads(re.search(r'id="figures">(.*?)</script>', page)[1])["figures"]
-    assert {key.split("-")[0] for key in figures} == {"success", "accuracy", "difference", "sensitivity", "map"}
+    assert {key.split("-")[0] for key in figures} == {
+        "success",
+        "accuracy",
+        "difference",
+        "sensitivity",
+        "map",
+    }
     assert set(reader.figures) == set(figures)
     assert all(figure["data"] for figure in figures.values())
     assert len(re.findall(r"plotly\.js v\d", page)) == 1

@@ -1,4 +1,6 @@
-"""Running campaigns: the same table whoever computes it when, whatever is killed; faults of databases."""
+"""Running campaigns: the same table whoever computes it when, whatever is killed; faults of
+databases.
+"""
 
 import contextlib
 import csv
@@ -64,7 +66,9 @@ def one_line_error(result, said):
 @pytest.mark.slow
 @linux
 def test_kills_and_an_interruption_change_nothing(spec, database, tmp_path):
-    """One of two workers is killed, then the driver; SIGTERM interrupts what resumes; what resumes that finishes."""
+    """One of two workers is killed, then the driver; SIGTERM interrupts what resumes; what resumes
+    that finishes.
+    """
     path = tmp_path / "disturbed.db"
     driver = start_driver("run", str(spec), "--database", str(path), "--workers", "2")
     workers = wait_for_results(driver, path, 2)
@@ -83,7 +87,9 @@ def test_kills_and_an_interruption_change_nothing(spec, database, tmp_path):
     assert "Traceback" not in output
     wait_for_end(workers)
     with contextlib.closing(sqlite3.connect(path)) as connection:
-        assert connection.execute("SELECT count(*) FROM results WHERE outcome = 'error'").fetchone() == (0,)
+        assert connection.execute(
+            "SELECT count(*) FROM results WHERE outcome = 'error'"
+        ).fetchone() == (0,)
         # Not WAL, which cannot be read where nothing may be written.
         assert connection.execute("PRAGMA journal_mode").fetchone() == ("delete",)
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
@@ -112,12 +118,20 @@ def test_a_controller_killed_by_a_signal_is_a_row(tmp_path):
     (tmp_path / "killed.py").write_text(KILLED)
     controllers = ["tdc", "killed:Kills", "killed:Faults"]
     overrides = {"python_path": [str(tmp_path)], "duration": 0.05}
-    spec = load_spec(write_spec(tmp_path / "s.yaml", controllers=controllers, overrides=overrides, cases=2))
+    spec = load_spec(
+        write_spec(tmp_path / "s.yaml", controllers=controllers, overrides=overrides, cases=2)
+    )
     start_campaign(spec, tmp_path / "x.db", workers=forked(1, in_flight=2))
     with open_store(tmp_path / "x.db") as store:
-        counts = {name: sorted(kind for kind, n in each.items() if n) for name, each in store.counts().items()}
+        counts = {
+            name: sorted(kind for kind, n in each.items() if n)
+            for name, each in store.counts().items()
+        }
         assert store.num_results() == 6
-        assert "the worker process died each time it ran this" in store.result(1, "killed:Faults")["message"]
+        assert (
+            "the worker process died each time it ran this"
+            in store.result(1, "killed:Faults")["message"]
+        )
     assert counts == {"tdc": ["settled"], "killed:Kills": ["error"], "killed:Faults": ["error"]}
 
 
@@ -133,8 +147,12 @@ def test_a_failing_case_is_a_row(tmp_path):
     )
     path = run_here(spec, tmp_path / "x.db")
     with open_store(path) as store:
-        assert store.counts() == {"tdc": {"settled": 1, "not_settled": 0, "diverged": 0, "refused": 0, "error": 1}}
-        assert store.result(1, "tdc")["message"] == "ScenarioError: payload.truth.mass: must be > 0 kg, not -1.0"
+        assert store.counts() == {
+            "tdc": {"settled": 1, "not_settled": 0, "diverged": 0, "refused": 0, "error": 1}
+        }
+        assert store.result(1, "tdc")["message"] == (
+            "ScenarioError: payload.truth.mass: must be > 0 kg, not -1.0"
+        )
     result = invoke("rerun", path, "--case", "1")
     assert result.exit_code == 0, result.output
     assert "all values equal the stored ones, bit for bit" in result.output
@@ -151,7 +169,11 @@ def test_a_dask_cluster_gives_the_same_table(spec, database, tmp_path):
         os.kill(cluster.workers[0].pid, signal.SIGKILL)  # Dask starts another
 
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, host="127.0.0.1", dashboard_address=":0", local_directory=str(tmp_path)
+        n_workers=1,
+        threads_per_worker=2,
+        host="127.0.0.1",
+        dashboard_address=":0",
+        local_directory=str(tmp_path),
     ) as cluster:
         killer = threading.Thread(target=kill_a_worker, daemon=True)
         killer.start()
@@ -160,11 +182,22 @@ def test_a_dask_cluster_gives_the_same_table(spec, database, tmp_path):
         killer.join(timeout=10)
     assert table(path) == table(database)
     with open_store(path) as store:
-        assert len({store.result(case, "tdc")["worker"] for case in range(16)}) == 2  # another did the rest
+        # another did the rest
+        assert len({store.result(case, "tdc")["worker"] for case in range(16)}) == 2
 
 
 def test_rerun_reproduces_a_row_with_its_record(database, tmp_path):
-    result = invoke("rerun", database, "--case", "3", "--controller", "asmc", "--out", tmp_path, "--no-recording")
+    result = invoke(
+        "rerun",
+        database,
+        "--case",
+        "3",
+        "--controller",
+        "asmc",
+        "--out",
+        tmp_path,
+        "--no-recording",
+    )
     assert result.exit_code == 0, result.output
     assert "all values equal the stored ones, bit for bit" in result.output
     record = RunRecord.load(tmp_path / "asmc")
@@ -179,7 +212,9 @@ def test_rerun_notices_another_result(database, tmp_path):
     path.write_bytes(database.read_bytes())
     with contextlib.closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE results SET isv = isv * (1 + 1e-15) WHERE case_index = 0")
-    result = invoke("rerun", path, "--case", "0", "--controller", "tdc", "--out", tmp_path, "--no-recording")
+    result = invoke(
+        "rerun", path, "--case", "0", "--controller", "tdc", "--out", tmp_path, "--no-recording"
+    )
     assert result.exit_code == 3
     assert "NOT as stored: isv" in result.output
 
@@ -208,13 +243,17 @@ def test_status_and_export(database, tmp_path):
 
 
 def test_databases_that_cannot_be_used(spec, database, tmp_path):
-    one_line_error(invoke("run", spec, "--database", database), "exists; finish it with 'ffsm campaign resume")
+    one_line_error(
+        invoke("run", spec, "--database", database), "exists; finish it with 'ffsm campaign resume"
+    )
     other = write_spec(tmp_path / "other.yaml", seed=6)
     one_line_error(invoke("run", other, "--database", database), "holds another campaign")
     one_line_error(invoke("resume", other, "--database", database), "holds another campaign")
     one_line_error(invoke("status", tmp_path / "nothing.db"), "no such database")
     (tmp_path / "noise.db").write_bytes(os.urandom(8192))
-    one_line_error(invoke("resume", tmp_path / "noise.db"), "is damaged or not a campaign's database")
+    one_line_error(
+        invoke("resume", tmp_path / "noise.db"), "is damaged or not a campaign's database"
+    )
     with contextlib.closing(sqlite3.connect(tmp_path / "foreign.db")) as connection, connection:
         connection.execute("CREATE TABLE t (x)")
     one_line_error(invoke("status", tmp_path / "foreign.db"), "is not a campaign's database")
@@ -223,15 +262,25 @@ def test_databases_that_cannot_be_used(spec, database, tmp_path):
     (tmp_path / "half.db").write_bytes(half)
     one_line_error(invoke("resume", tmp_path / "half.db"), "damaged")
     (tmp_path / "file").write_text("")
-    one_line_error(invoke("run", spec, "--database", tmp_path / "file" / "x.db"), "cannot be written")
+    one_line_error(
+        invoke("run", spec, "--database", tmp_path / "file" / "x.db"), "cannot be written"
+    )
     one_line_error(invoke("report", database, "--out", tmp_path / "file"), "cannot be written")
     one_line_error(invoke("rerun", database, "--case", "16"), "has no case 16; there are 0 to 15")
-    one_line_error(invoke("rerun", database, "--case", "1", "--controller", "aismc"), "'aismc' is not in it")
-    one_line_error(invoke("run", spec, "--workers", "1", "--scheduler", "tcp://127.0.0.1:1"), "leave one of them out")
+    one_line_error(
+        invoke("rerun", database, "--case", "1", "--controller", "aismc"), "'aismc' is not in it"
+    )
+    one_line_error(
+        invoke("run", spec, "--workers", "1", "--scheduler", "tcp://127.0.0.1:1"),
+        "leave one of them out",
+    )
 
 
 DAMAGES = {
-    "no specification": ("DELETE FROM campaign WHERE key = 'specification'", "holds no usable specification"),
+    "no specification": (
+        "DELETE FROM campaign WHERE key = 'specification'",
+        "holds no usable specification",
+    ),
     "no format": ("DELETE FROM campaign WHERE key = 'format'", "format None is not"),
     "half a specification": (
         "UPDATE campaign SET value = substr(value, 1, 200) WHERE key = 'specification'",
@@ -241,29 +290,57 @@ DAMAGES = {
         "UPDATE campaign SET value = '[1]' WHERE key = 'specification'",
         "holds no usable specification",
     ),
-    "a foreign index": ("UPDATE results SET case_index = 16 WHERE case_index = 3 AND controller = 'tdc'", "of case 16"),
-    "a case too many": ("INSERT INTO cases SELECT 99, random_seed, 1, 1, 1, 1, 1, 1 FROM cases LIMIT 1", "17 cases"),
+    "a foreign index": (
+        "UPDATE results SET case_index = 16 WHERE case_index = 3 AND controller = 'tdc'",
+        "of case 16",
+    ),
+    "a case too many": (
+        "INSERT INTO cases SELECT 99, random_seed, 1, 1, 1, 1, 1, 1 FROM cases LIMIT 1",
+        "17 cases",
+    ),
     "a missing case": ("DELETE FROM cases WHERE case_index = 4", "15 cases"),
-    "text in a number": ("UPDATE results SET itae = 'much' WHERE case_index = 2", "the results of case 2"),
-    "bytes in a text": ("UPDATE results SET message = x'00ff' WHERE case_index = 2", "the results of case 2"),
-    "an unknown outcome": ("UPDATE results SET outcome = 'won' WHERE case_index = 2", "the results of case 2"),
+    "text in a number": (
+        "UPDATE results SET itae = 'much' WHERE case_index = 2",
+        "the results of case 2",
+    ),
+    "bytes in a text": (
+        "UPDATE results SET message = x'00ff' WHERE case_index = 2",
+        "the results of case 2",
+    ),
+    "an unknown outcome": (
+        "UPDATE results SET outcome = 'won' WHERE case_index = 2",
+        "the results of case 2",
+    ),
     "an unknown controller": (
         "UPDATE results SET controller = 'pid' WHERE case_index = 2 AND controller = 'tdc'",
         "the results of case 2",
     ),
-    "a missing value": ("UPDATE cases SET nominal_error = NULL WHERE case_index = 1", "the cases of case 1"),
-    "half a list": ("UPDATE cases SET \"payload.truth.inertia\" = '[1' WHERE case_index = 1", "of case 1 is no value"),
-    "another column": ("ALTER TABLE cases RENAME COLUMN nominal_error TO other", "the columns of cases"),
+    "a missing value": (
+        "UPDATE cases SET nominal_error = NULL WHERE case_index = 1",
+        "the cases of case 1",
+    ),
+    "half a list": (
+        "UPDATE cases SET \"payload.truth.inertia\" = '[1' WHERE case_index = 1",
+        "of case 1 is no value",
+    ),
+    "another column": (
+        "ALTER TABLE cases RENAME COLUMN nominal_error TO other",
+        "the columns of cases",
+    ),
     "bytes in a column's name": (
         "PRAGMA writable_schema = 1; UPDATE sqlite_schema SET sql = "
-        "replace(sql, 'results.isv', 'results' || CAST(x'c9' AS TEXT) || 'isv') WHERE name = 'runs'",
+        "replace(sql, 'results.isv', 'results' || CAST(x'c9' AS TEXT) || 'isv') WHERE name = "
+        "'runs'",
         "damaged",
     ),
     "no table": ("DROP TABLE software", "cannot be used"),
     "more results than runs": (
-        "CREATE TABLE more AS SELECT * FROM results; INSERT INTO more SELECT * FROM results; DROP VIEW runs; "
-        "DROP TABLE results; ALTER TABLE more RENAME TO results; CREATE VIEW runs AS SELECT cases.case_index, "
-        "controller, random_seed, {names}, versions AS software FROM results JOIN cases USING (case_index) "
+        "CREATE TABLE more AS SELECT * FROM results; INSERT INTO more SELECT * FROM results; DROP "
+        "VIEW runs; "
+        "DROP TABLE results; ALTER TABLE more RENAME TO results; CREATE VIEW runs AS SELECT "
+        "cases.case_index, "
+        "controller, random_seed, {names}, versions AS software FROM results JOIN cases USING "
+        "(case_index) "
         "JOIN software ON software.id = results.software",
         "64 results of 32 runs",
     ),
@@ -279,12 +356,26 @@ def test_a_damaged_database_is_one_line(damage, database, tmp_path):
         names = ", ".join(f'"{name}"' for name in store.columns[3:-1])
     with contextlib.closing(sqlite3.connect(path)) as connection, connection:
         connection.executescript(statement.format(names=names))
-    one_line_error(invoke("rerun", path, "--case", "1", "--controller", "tdc", "--out", tmp_path / "out"), said)
+    one_line_error(
+        invoke("rerun", path, "--case", "1", "--controller", "tdc", "--out", tmp_path / "out"), said
+    )
     assert not (tmp_path / "out").exists()
 
 
 def test_text_values_come_back_as_they_were(tmp_path):
-    values = ["[not json", "true", "null", '"quoted"', "{", "kalman", True, None, [1, "true"], 7, 0.5]
+    values = [
+        "[not json",
+        "true",
+        "null",
+        '"quoted"',
+        "{",
+        "kalman",
+        True,
+        None,
+        [1, "true"],
+        7,
+        0.5,
+    ]
     spec = write_spec(
         tmp_path / "s.yaml",
         parameters={"estimator.kind": {"distribution": "list", "values": values}},
@@ -294,7 +385,11 @@ def test_text_values_come_back_as_they_were(tmp_path):
     )
     loaded = load_spec(spec)
     with create_store(tmp_path / "x.db", loaded, make_cases(loaded)) as store:
-        found = [case.values["estimator.kind"] for case, controller in store.pending() if controller == "tdc"]
+        found = [
+            case.values["estimator.kind"]
+            for case, controller in store.pending()
+            if controller == "tdc"
+        ]
     assert [(type(value), value) for value in found] == [(type(value), value) for value in values]
     assert [path.name for path in tmp_path.glob(".*")] == []  # no lock stays behind
 
@@ -347,7 +442,11 @@ def test_a_controller_that_never_returns_is_a_row(law, tmp_path):
     (tmp_path / f"{module}.py").write_text(BLOCKED)
     controllers = [f"{module}:{law}", "tdc"]
     overrides = {"python_path": [str(tmp_path)], "duration": 0.05}
-    spec = load_spec(write_spec(tmp_path / "s.yaml", controllers=controllers, overrides=overrides, time_limit=1.0))
+    spec = load_spec(
+        write_spec(
+            tmp_path / "s.yaml", controllers=controllers, overrides=overrides, time_limit=1.0
+        )
+    )
     evaluator, case = Evaluator(spec), next(make_cases(spec))
     blocked, good = (evaluator.evaluate(case, name) for name in controllers)
     assert (blocked["outcome"], blocked["message"]) == (
@@ -360,9 +459,18 @@ def test_a_controller_that_never_returns_is_a_row(law, tmp_path):
 
 @pytest.mark.parametrize(
     "address",
-    ["not an address", "tcp://[::1", "ucx://127.0.0.1:8786", "tcp://127.0.0.1", "tcp://127.0.0.1:99999",
-     "inproc://x:1", "", "tcp://127.0.0.1:0", "tcp://\n:1"],
-)  # fmt: skip
+    [
+        "not an address",
+        "tcp://[::1",
+        "ucx://127.0.0.1:8786",
+        "tcp://127.0.0.1",
+        "tcp://127.0.0.1:99999",
+        "inproc://x:1",
+        "",
+        "tcp://127.0.0.1:0",
+        "tcp://\n:1",
+    ],
+)
 def test_an_address_that_is_none_is_refused_at_once(address, spec, tmp_path):
     start = time.monotonic()
     result = invoke("run", spec, "--database", tmp_path / "x.db", "--scheduler", address)
@@ -403,10 +511,13 @@ def test_stopping_before_the_start_leaves_all_to_resume(spec, database, tmp_path
     stop.set()
     with pytest.raises(InterruptedCampaign, match="0 of 32"):
         start_campaign(load_spec(spec), tmp_path / "x.db", workers=HERE, stop=stop)
-    with contextlib.closing(sqlite3.connect(tmp_path / "x.db")) as connection, connection:  # but for two cases
+    # but for two cases
+    with contextlib.closing(sqlite3.connect(tmp_path / "x.db")) as connection, connection:
         connection.execute("ATTACH ? AS other", (str(database),))
         connection.execute("INSERT OR REPLACE INTO software SELECT * FROM other.software")
-        connection.execute("INSERT INTO results SELECT * FROM other.results WHERE case_index NOT IN (3, 7)")
+        connection.execute(
+            "INSERT INTO results SELECT * FROM other.results WHERE case_index NOT IN (3, 7)"
+        )
     seen = []
     resume_campaign(tmp_path / "x.db", workers=HERE, stop=Stop(), progress=seen.append)
     assert [progress.done for progress in seen] == list(range(28, 33))

@@ -13,7 +13,13 @@ from scipy.stats import kstest
 
 from ffsm_drake import load_scenario
 from ffsm_drake.campaign.cases import make_cases, scenario_of
-from ffsm_drake.campaign.dispersion import case_seed, parse_distribution, parse_rule, set_value, unit_points
+from ffsm_drake.campaign.dispersion import (
+    case_seed,
+    parse_distribution,
+    parse_rule,
+    set_value,
+    unit_points,
+)
 from ffsm_drake.campaign.spec import load_spec, parse_settled, shipped_campaigns, spec_from_json
 from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.common.errors import CampaignError
@@ -42,7 +48,9 @@ BAD = {
         "parameters.sample_time: low must be below high",
     ),
     "not a number": (
-        changed("parameters", sample_time={"distribution": "uniform", "low": float("nan"), "high": 1}),
+        changed(
+            "parameters", sample_time={"distribution": "uniform", "low": float("nan"), "high": 1}
+        ),
         "must be finite, not nan",
     ),
     "log of zero": (
@@ -53,43 +61,71 @@ BAD = {
         changed("parameters", sample_time={"distribution": "normal", "mean": 1, "deviation": 0}),
         "deviation: must be > 0",
     ),
-    "missing bound": (changed("parameters", sample_time={"distribution": "uniform", "low": 0}), "needs high"),
+    "missing bound": (
+        changed("parameters", sample_time={"distribution": "uniform", "low": 0}),
+        "needs high",
+    ),
     "unknown scenario key": (
-        changed("parameters", **{"payload.truth.mas": {"distribution": "uniform", "low": 1, "high": 2}}),
+        changed(
+            "parameters", **{"payload.truth.mas": {"distribution": "uniform", "low": 1, "high": 2}}
+        ),
         "payload.truth.mas: unknown key",
     ),
     "unknown coordinate": (
-        changed("parameters", **{"initial_velocity.joint_9": {"distribution": "uniform", "low": 0, "high": 1}}),
+        changed(
+            "parameters",
+            **{"initial_velocity.joint_9": {"distribution": "uniform", "low": 0, "high": 1}},
+        ),
         "joint_9: unknown coordinate",
     ),
     "past the list": (
-        changed("parameters", **{"payload.truth.center_of_mass.3": {"distribution": "uniform", "low": 0, "high": 1}}),
+        changed(
+            "parameters",
+            **{"payload.truth.center_of_mass.3": {"distribution": "uniform", "low": 0, "high": 1}},
+        ),
         "must be a number from 0 to 2",
     ),
     "reserved": (
         changed("parameters", random_seed={"distribution": "choice", "values": [1, 2]}),
         "follows from 'seed'",
     ),
-    "set twice": (changed("derive", **{"payload.truth.mass": {"rule": "scale", "of": "nominal_error"}}), "set once"),
+    "set twice": (
+        changed("derive", **{"payload.truth.mass": {"rule": "scale", "of": "nominal_error"}}),
+        "set once",
+    ),
     "one within another": (
         changed("parameters", **{"payload.truth": {"distribution": "choice", "values": [1]}}),
         "lies within payload.truth",
     ),
     "idle factor": (
-        changed("factors", idle={"distribution": "uniform", "low": 0, "high": 1}), "no rule of 'derive' uses it"
+        changed("factors", idle={"distribution": "uniform", "low": 0, "high": 1}),
+        "no rule of 'derive' uses it",
     ),
     "factor named as a key": (
-        changed("factors", sample_time={"distribution": "uniform", "low": 0, "high": 1}), "must be a free name"
+        changed("factors", sample_time={"distribution": "uniform", "low": 0, "high": 1}),
+        "must be a free name",
     ),
     "several directions": (
-        changed("derive", duration={"rule": "direction", "of": ["a", "b"], "height": "h", "azimuth": "a"}),
+        changed(
+            "derive",
+            duration={"rule": "direction", "of": ["a", "b"], "height": "h", "azimuth": "a"},
+        ),
         "direction takes one name each",
     ),
     "resting at nothing": (changed("settled", rest=0), "settled.rest: must be > 0, not 0"),
-    "unknown rule": (changed("derive", duration={"rule": "exec", "of": "nominal_error"}), "rule 'exec' is unknown"),
-    "unknown source": (changed("derive", duration={"rule": "scale", "of": "nothing"}), "'nothing' is neither"),
+    "unknown rule": (
+        changed("derive", duration={"rule": "exec", "of": "nominal_error"}),
+        "rule 'exec' is unknown",
+    ),
+    "unknown source": (
+        changed("derive", duration={"rule": "scale", "of": "nothing"}),
+        "'nothing' is neither",
+    ),
     "list as a number": (
-        changed("derive", duration={"rule": "relative", "of": "sample_time", "error": "payload.truth.inertia"}),
+        changed(
+            "derive",
+            duration={"rule": "relative", "of": "sample_time", "error": "payload.truth.inertia"},
+        ),
         "needs a single number, not a list",
     ),
     "bad tolerance": ({"settled": {"tolerance": {"joints": 0}}}, "joints: must be > 0"),
@@ -104,15 +140,22 @@ BAD = {
         "parameters.duration.high: a whole number must fit into 64 bits",
     ),
     "beyond 64 bits in a list": (
-        changed("parameters", **{"blocks.sensing.settings.k": {"distribution": "choice", "values": [1, 2**63]}}),
+        changed(
+            "parameters",
+            **{"blocks.sensing.settings.k": {"distribution": "choice", "values": [1, 2**63]}},
+        ),
         "values[1]: a whole number must fit into 64 bits",
     ),
     "too many cases": ({"cases": 1e15}, "cases: must be at most 1000000"),
     "too many numbers": (
         {
             "cases": 1_000_000,
-            "factors": {f"f{k}": {"distribution": "uniform", "low": 0, "high": 1} for k in range(30)},
-            "derive": {"payload.nominal.mass": {"rule": "scale", "of": [f"f{k}" for k in range(30)]}},
+            "factors": {
+                f"f{k}": {"distribution": "uniform", "low": 0, "high": 1} for k in range(30)
+            },
+            "derive": {
+                "payload.nominal.mass": {"rule": "scale", "of": [f"f{k}" for k in range(30)]}
+            },
         },
         "more than 20000000 numbers",
     ),
@@ -136,23 +179,34 @@ BAD = {
     "a column of the results": (
         {
             "factors": {"Outcome": {"distribution": "uniform", "low": 0, "high": 1}},
-            "derive": {"payload.nominal.mass": {"rule": "scale", "of": ["Outcome", "payload.truth.mass"]}},
+            "derive": {
+                "payload.nominal.mass": {"rule": "scale", "of": ["Outcome", "payload.truth.mass"]}
+            },
         },
         "factors.Outcome: is the name of a column of the results",
     ),
     "columns that differ by case": (
         {
-            "factors": {name: {"distribution": "uniform", "low": 0, "high": 1} for name in ("ratio", "Ratio")},
+            "factors": {
+                name: {"distribution": "uniform", "low": 0, "high": 1}
+                for name in ("ratio", "Ratio")
+            },
             "derive": {"payload.nominal.mass": {"rule": "scale", "of": ["ratio", "Ratio"]}},
         },
         "factors.Ratio: is the name of a column already, 'ratio'",
     ),
-    "a name that is no text": (changed("parameters", **{"a\0b": {"distribution": "choice"}}), "must be printable"),
-    "a date": ({"scenario": datetime.date(2024, 1, 1)}, "scenario: must be a number, text, list or mapping"),
+    "a name that is no text": (
+        changed("parameters", **{"a\0b": {"distribution": "choice"}}),
+        "must be printable",
+    ),
+    "a date": (
+        {"scenario": datetime.date(2024, 1, 1)},
+        "scenario: must be a number, text, list or mapping",
+    ),
     "a long text": ({"cases": 5000 * "x"}, "cases: must be a number, not 'xxx"),
     "a long name": ({"sampling": 5000 * "x"}, "is unknown; choose one of"),
     "no time": ({"time_limit": 0}, "time_limit: must be > 0 s"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -265,7 +319,10 @@ def test_cases_follow_from_the_specification_alone(tmp_path):
     other = load_spec(write_spec(tmp_path / "t.yaml", seed=6))
     assert other.fingerprint != spec.fingerprint
     assert [case.seed for case in make_cases(other)] != [case.seed for case in cases]
-    assert load_spec(write_spec(tmp_path / "u.yaml", description="other words")).fingerprint == spec.fingerprint
+    assert (
+        load_spec(write_spec(tmp_path / "u.yaml", description="other words")).fingerprint
+        == spec.fingerprint
+    )
 
 
 def test_the_shipped_campaign():
@@ -273,7 +330,9 @@ def test_the_shipped_campaign():
     assert spec.controllers == PAPER_LAWS
     cases = list(make_cases(spec))
     masses = [case.values["payload.truth.mass"] for case in cases]
-    ratios = [case.values["payload.nominal.mass"] / case.values["payload.truth.mass"] for case in cases]
+    ratios = [
+        case.values["payload.nominal.mass"] / case.values["payload.truth.mass"] for case in cases
+    ]
     noises = [math.log10(case.values["sensing.velocity_noise"]) for case in cases]
     assert 20 <= min(masses) < 21
     assert 299 < max(masses) <= 300
@@ -281,7 +340,9 @@ def test_the_shipped_campaign():
     assert 1.199 < max(ratios) <= 1.2
     assert -7 <= min(noises) < -6.99
     assert statistics.fmean(noises) == pytest.approx(-6, abs=1e-3)
-    assert all(yaml.safe_load(path.read_text())["description"] for path in shipped_campaigns().values())
+    assert all(
+        yaml.safe_load(path.read_text())["description"] for path in shipped_campaigns().values()
+    )
 
 
 def test_the_shipped_tumble():
@@ -300,7 +361,9 @@ def test_the_shipped_tumble():
         axes = vectors / size[:, None]
         # Of isotropic directions mean 0 and covariance 1/3, to the scatter of so many cases.
         assert np.abs(axes.mean(axis=0)).max() < 3 * math.sqrt(1 / 3 / len(cases))
-        assert axes.T @ axes / len(cases) == pytest.approx(np.eye(3) / 3, abs=3 * math.sqrt(4 / 45 / len(cases)))
+        assert axes.T @ axes / len(cases) == pytest.approx(
+            np.eye(3) / 3, abs=3 * math.sqrt(4 / 45 / len(cases))
+        )
 
 
 def test_set_value_reaches_lists_and_absent_mappings():
@@ -320,7 +383,9 @@ def test_settled_means_until_the_end():
     def tracked(error):
         return Tracked(error=error, names=groups, groups=groups, units=units)
 
-    criterion = parse_settled({"hold": 2.0, "tolerance": {"joints": 0.1, "base_position": 1.0}}, place="settled")
+    criterion = parse_settled(
+        {"hold": 2.0, "tolerance": {"joints": 0.1, "base_position": 1.0}}, place="settled"
+    )
     time = np.arange(0.0, 10.5, 0.5)
     groups, units = ("base_position", "joints"), ("m", "rad")
     error, still = np.zeros((time.size, 2)), np.zeros((time.size, 2))
@@ -330,12 +395,17 @@ def test_settled_means_until_the_end():
     assert criterion.time(time, tracked(error), velocity=still) == 6.0
     error[time == 8.0, 1] = -0.2
     assert criterion.time(time, tracked(error), velocity=still) is None
-    assert parse_settled({"hold": 0.0}, place="s").time(time, tracked(error * 0.0), velocity=still) == 0.0
+    assert (
+        parse_settled({"hold": 0.0}, place="s").time(time, tracked(error * 0.0), velocity=still)
+        == 0.0
+    )
     moving = np.where(time < 7.0, 0.1, 0.01)[:, None] * [0.0, -1.0]
     at_rest = parse_settled({"hold": 2.0, "rest": 0.05}, place="settled")
     assert at_rest.time(time, tracked(0.0 * error), velocity=moving) == 7.0
     assert at_rest.time(time, tracked(0.0 * error), velocity=10.0 * moving) is None
-    own = parse_settled({"tolerance": {"joints": 0.1}}, place="s", base=load_scenario("slow_navigation")).tolerance
+    own = parse_settled(
+        {"tolerance": {"joints": 0.1}}, place="s", base=load_scenario("slow_navigation")
+    ).tolerance
     assert own == {"base_rotation": 1e-3, "base_position": 5e-3, "joints": 0.1}
     error[time == 8.0, 1] = 0.0
     error[-1, 0] = np.nan
@@ -352,4 +422,7 @@ def test_help_needs_no_drake():
         "heavy = {name.partition('.')[0] for name in set(sys.modules) - before}; "
         "print(heavy & {'pydrake', 'numpy', 'scipy', 'xarray', 'plotly', 'distributed', 'jinja2'})"
     )
-    assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout == "set()\n"
+    assert (
+        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout
+        == "set()\n"
+    )

@@ -1,4 +1,6 @@
-"""Campaigns over thrusters: layouts and failures are values as any other, and what they take is a column."""
+"""Campaigns over thrusters: layouts and failures are values as any other, and what they take is a
+column.
+"""
 
 import contextlib
 import json
@@ -47,17 +49,23 @@ def rows_of(database):
 @pytest.mark.slow
 def test_layouts_and_failures(tmp_path):
     spec = write_spec(tmp_path / "spec.yaml", **CHANGES)
-    one, two = (rows_of(run_here(spec, tmp_path / f"{n}.sqlite", workers=forked(n, in_flight=n))) for n in (1, 2))
+    one, two = (
+        rows_of(run_here(spec, tmp_path / f"{n}.sqlite", workers=forked(n, in_flight=n)))
+        for n in (1, 2)
+    )
     assert two == one
     assert [json.loads(row[-1]) for row in one] == THRUSTERS
     *run, refused = one
     assert refused[2] == "error"
-    assert "with a_x stuck_off, b_x stuck_off no thrusters give a force along [-1, 0, 0]" in refused[3]
+    assert (
+        "with a_x stuck_off, b_x stuck_off no thrusters give a force along [-1, 0, 0]" in refused[3]
+    )
     assert len({row[4] for row in run}) == len(run)
     _, seed, _, _, itae, *used, scale, thrusters = run[1]
     overrides = ["duration=0.4", f"random_seed={seed}", f"disturbance.amplitude_scale={scale}"]
     record = simulate(
-        load_scenario("thrusters_and_wheels", [*overrides, f"actuation.thrusters={thrusters}"]), check_stability=False
+        load_scenario("thrusters_and_wheels", [*overrides, f"actuation.thrusters={thrusters}"]),
+        check_stability=False,
     )
     assert itae == record.metrics["itae"]
     fired, turned = record.metrics["thrusters"], record.metrics["wheels"]

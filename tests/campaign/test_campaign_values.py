@@ -55,13 +55,19 @@ def plain(spec):
 
     def get(controller):
         if controller not in runs:
-            runs[controller] = Rollout(scenario_of(spec, Case(index=0, seed=1, values={}), controller)).run().series
+            runs[controller] = (
+                Rollout(scenario_of(spec, Case(index=0, seed=1, values={}), controller))
+                .run()
+                .series
+            )
         return runs[controller]
 
     return get
 
 
-@pytest.mark.parametrize(("key", "value", "controller", "series"), DISPERSED, ids=lambda item: str(item)[:40])
+@pytest.mark.parametrize(
+    ("key", "value", "controller", "series"), DISPERSED, ids=lambda item: str(item)[:40]
+)
 def test_a_value_changes_the_run(key, value, controller, series, spec, plain):
     scenario = scenario_of(spec, Case(index=0, seed=1, values={key: value}), controller)
     changed = Rollout(scenario).run().series[series]
@@ -76,9 +82,17 @@ def test_the_seed_changes_the_noise(spec, plain):
 
 
 def test_initial_velocity_is_the_state_at_the_start(spec):
-    values = {"initial_velocity": {"base_rotation": 0.01, "base_position_y": -0.02, "joint_3": 0.03}}
+    values = {
+        "initial_velocity": {"base_rotation": 0.01, "base_position_y": -0.02, "joint_3": 0.03}
+    }
     log = Rollout(scenario_of(spec, Case(index=0, seed=1, values=values), "tdc")).run()
-    velocity = dict(zip(log.coordinates.names, log.series["state"][0][-len(log.coordinates.names) :], strict=True))
+    velocity = dict(
+        zip(
+            log.coordinates.names,
+            log.series["state"][0][-len(log.coordinates.names) :],
+            strict=True,
+        )
+    )
     wanted = dict.fromkeys(log.coordinates.names, 0.0) | {"base_position_y": -0.02, "joint_3": 0.03}
     wanted |= {f"base_rotation_{axis}": 0.01 for axis in "xyz"}
     assert velocity == wanted
@@ -87,7 +101,11 @@ def test_initial_velocity_is_the_state_at_the_start(spec):
 
 def test_a_reused_build_has_the_bits_of_a_fresh_one(tmp_path):
     mass = {"distribution": "uniform", "low": 20, "high": 300}
-    spec = load_spec(write_spec(tmp_path / "s.yaml", parameters={"payload.truth.mass": mass}, factors={}, derive={}))
+    spec = load_spec(
+        write_spec(
+            tmp_path / "s.yaml", parameters={"payload.truth.mass": mass}, factors={}, derive={}
+        )
+    )
     evaluator = Evaluator(spec)
     for index, value in enumerate((50.0, 250.0, 50.0)):
         case = Case(index=index, seed=index % 2, values={"payload.truth.mass": value})
@@ -103,7 +121,9 @@ def test_a_reused_build_has_the_bits_of_a_fresh_one(tmp_path):
 
 
 def test_a_run_that_cannot_be_is_a_row(spec):
-    row = evaluate(spec.to_json(), Case(index=0, seed=1, values={"payload.truth.mass": -5.0}), "tdc")
+    row = evaluate(
+        spec.to_json(), Case(index=0, seed=1, values={"payload.truth.mass": -5.0}), "tdc"
+    )
     assert row["outcome"] == "error"
     assert row["message"] == "ScenarioError: payload.truth.mass: must be > 0 kg, not -5.0"
     assert all(row[name] is None for name in METRICS)
@@ -130,5 +150,9 @@ def test_typing_without_yaml_text_gives_what_drake_loads(name):
 
 
 def test_initial_velocity_must_be_within_the_divergence_speed(spec):
-    with pytest.raises(ScenarioError, match=r"initial_velocity\.all: must be within divergence_speed"):
+    with pytest.raises(
+        ScenarioError,
+        match=r"initial_velocity\.all: must be within "
+        r"divergence_speed",
+    ):
         scenario_of(spec, Case(index=0, seed=1, values={"initial_velocity": 20.0}), "tdc")

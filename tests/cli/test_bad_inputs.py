@@ -1,4 +1,6 @@
-"""Bad input of every kind gets one line that says where, what is wrong and what would be right, and leaves no files."""
+"""Bad input of every kind gets one line that says where, what is wrong and what would be right, and
+leaves no files.
+"""
 
 import dataclasses
 import errno
@@ -38,10 +40,12 @@ SERVICER = """<robot name="mine">
     <inertia ixx="200" iyy="200" izz="200" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <link name="arm"><inertial><origin xyz="0 0 0.5"/><mass value="10"/>
     <inertia ixx="0.9" iyy="0.9" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="shoulder" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/></joint>
+  <joint name="shoulder" type="continuous"><parent link="base"/><child link="arm"/>
+    <axis xyz="0 1 0"/></joint>
   <link name="hand"><inertial><mass value="5"/>
     <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="wrist" type="continuous"><parent link="arm"/><child link="hand"/><origin xyz="0 0 1"/>
+  <joint name="wrist" type="continuous"><parent link="arm"/><child link="hand"/>
+    <origin xyz="0 0 1"/>
     <axis xyz="1 0 0"/></joint>
   <frame name="end_effector" link="hand" xyz="0 0 0.1" rpy="0 0 0"/>
 </robot>
@@ -233,7 +237,9 @@ class Row:
     prepare: Callable[[Path], object] | None = None
 
 
-def bad(id: str, command: str, *expected: str, prepare: Callable[[Path], object] | None = None) -> Row:
+def bad(
+    id: str, command: str, *expected: str, prepare: Callable[[Path], object] | None = None
+) -> Row:
     return Row(id, command, expected, {}, prepare)
 
 
@@ -246,8 +252,12 @@ def override(id: str, text: str, *expected: str) -> Row:
     return Row(id, f"validate postcapture --set {shlex.quote(text)}", ("override: ", *expected))
 
 
-def urdf(id: str, old: str, new: str, *expected: str, file: str = "servicer.urdf", close: str = "") -> Row:
-    """The two small URDFs with one fault: the first ``old`` becomes ``new``; ``close`` ends the last joint."""
+def urdf(
+    id: str, old: str, new: str, *expected: str, file: str = "servicer.urdf", close: str = ""
+) -> Row:
+    """The two small URDFs with one fault: the first ``old`` becomes ``new``; ``close`` ends the
+    last joint.
+    """
     text = URDFS[file]
     assert old in text
     if close:
@@ -285,7 +295,9 @@ def huge(name: str) -> Callable[[Path], object]:
     return make
 
 
-def replaced(name: str, make: Callable[[Path], Callable[[Path], object]]) -> Callable[[Path], object]:
+def replaced(
+    name: str, make: Callable[[Path], Callable[[Path], object]]
+) -> Callable[[Path], object]:
     """Puts what ``make`` makes in the place of a file of the run's folder."""
 
     def damage(folder: Path) -> None:
@@ -305,8 +317,12 @@ def directives(id: str, text: str, *expected: str) -> Row:
     return Row(id, "validate mine.yaml", ("mine.dmd.yaml", *expected), URDFS | given)
 
 
-def controller(id: str, name: str, *expected: str, command: str = "validate", text: str = CONTROLLERS) -> Row:
-    """A controller of one's own; each row has a module of its own name, since modules are imported once."""
+def controller(
+    id: str, name: str, *expected: str, command: str = "validate", text: str = CONTROLLERS
+) -> Row:
+    """A controller of one's own; each row has a module of its own name, since modules are imported
+    once.
+    """
     module = f"bad_{id.replace('-', '_')}"
     words = {
         "run": f"run --no-report {SHORT} -c",
@@ -317,7 +333,9 @@ def controller(id: str, name: str, *expected: str, command: str = "validate", te
     return Row(id, f"{words} {value}", (name, *expected), {f"{module}.py": text})
 
 
-def record(id: str, damage: Callable[[Path], object], *expected: str, command: str = "analyze run") -> Row:
+def record(
+    id: str, damage: Callable[[Path], object], *expected: str, command: str = "analyze run"
+) -> Row:
     """A damaged run directory ``run``."""
     return Row(id, command, expected, prepare=damage)
 
@@ -355,7 +373,8 @@ def manifest_text(text: str | bytes) -> Callable[[Path], object]:
 
 
 BOMB = "_a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
-    f"_{b}: &{b} [{', '.join([f'*{a}'] * 10)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+    f"_{b}: &{b} [{', '.join([f'*{a}'] * 10)}]\n"
+    for a, b in zip("abcdefgh", "bcdefghi", strict=True)
 )
 ADD = "directives:\n- add_model: {name: servicer, file: package://ffsm_drake/urdf/servicer.urdf}\n"
 ADD_DEBRIS = "- add_model: {name: debris, file: package://ffsm_drake/urdf/debris.urdf}\n"
@@ -373,7 +392,11 @@ TABLE = [
     bad("empty-name", "validate ''", "no such scenario", "choose one of"),
     bad("folder", "validate .", ".: is a folder; give a YAML file"),
     bad("parent-folder", "run --no-report ..", "..: is a folder; give a YAML file"),
-    bad("escaping-name", "stability ../../nowhere/postcapture", "../../nowhere/postcapture: no such scenario file"),
+    bad(
+        "escaping-name",
+        "stability ../../nowhere/postcapture",
+        "../../nowhere/postcapture: no such scenario file",
+    ),
     bad("long-name", f"validate {'x' * 300}.yaml", "x.yaml: ", "too long"),
     bad("device", "validate /dev/zero", "/dev/zero: is not a regular file; give a YAML file"),
     bad("print-of-nothing", "scenarios none.yaml", "none.yaml: no such scenario file"),
@@ -382,67 +405,168 @@ TABLE = [
     scenario("huge-file", "# " + "x" * 1_100_000, "larger than 1000000 bytes"),
     # YAML that is broken or dangerous.
     scenario("not-yaml", "duration: [1\n", "is not valid YAML: line 2, column 1"),
-    scenario("tabs", "payload:\n\tbody: x\n", "is not valid YAML: line 2, column 1", "indent with spaces"),
+    scenario(
+        "tabs", "payload:\n\tbody: x\n", "is not valid YAML: line 2, column 1", "indent with spaces"
+    ),
     scenario("list", "- 1\n", "must be a mapping with keys description"),
     scenario("text", "postcapture\n", "must be a mapping with keys description", "'postcapture'"),
-    scenario("two-documents", "duration: 1\n---\nduration: 2\n", "is not valid YAML: line 2", "single document"),
     scenario(
-        "key-twice", "duration: 1\nrandom_seed: 2\nduration: 3\n", "line 3", "'duration' is given twice", "line 1"
+        "two-documents",
+        "duration: 1\n---\nduration: 2\n",
+        "is not valid YAML: line 2",
+        "single document",
     ),
-    scenario("inner-key-twice", "payload:\n  truth: {mass: 1, mass: 2}\n", "line 2", "'mass' is given twice"),
-    scenario("python-object", "!!python/object/apply:os.system ['true']\n", "line 1", "python/object", "leave it out"),
-    scenario("tag-on-top", "!!python/object:os.x\nduration: 1\n", "line 1", "python/object", "leave it out"),
+    scenario(
+        "key-twice",
+        "duration: 1\nrandom_seed: 2\nduration: 3\n",
+        "line 3",
+        "'duration' is given twice",
+        "line 1",
+    ),
+    scenario(
+        "inner-key-twice",
+        "payload:\n  truth: {mass: 1, mass: 2}\n",
+        "line 2",
+        "'mass' is given twice",
+    ),
+    scenario(
+        "python-object",
+        "!!python/object/apply:os.system ['true']\n",
+        "line 1",
+        "python/object",
+        "leave it out",
+    ),
+    scenario(
+        "tag-on-top",
+        "!!python/object:os.x\nduration: 1\n",
+        "line 1",
+        "python/object",
+        "leave it out",
+    ),
     scenario("own-tag", "payload: !Stone {mass: 3}\n", "line 1", "'!Stone'", "leave it out"),
     scenario("unknown-alias", "duration: *d\n", "line 1", "undefined alias"),
     scenario("alias-bomb", BOMB + "description: *i\n", "aliases (*name) expand to more than"),
     scenario("circular-alias", "payload: &p {truth: *p}\n", "line 1", "contains itself"),
     scenario("deep-nesting", "description: " + "[" * 5000, "nested deeper than 50 levels"),
     scenario(
-        "impossible-date", "duration: 2020-13-45\n", "is not valid YAML: line 1, column 11: month must be in 1..12"
+        "impossible-date",
+        "duration: 2020-13-45\n",
+        "is not valid YAML: line 1, column 11: month must be in 1..12",
     ),
     # Keys and types.
-    scenario("unknown-key", "controler: tdc\n", "controler: unknown key; valid here", "did you mean 'controller'?"),
-    scenario("unknown-inner-key", "payload: {truth: {masss: 1}}\n", "payload.truth.masss", "did you mean 'mass'?"),
+    scenario(
+        "unknown-key",
+        "controler: tdc\n",
+        "controler: unknown key; valid here",
+        "did you mean 'controller'?",
+    ),
+    scenario(
+        "unknown-inner-key",
+        "payload: {truth: {masss: 1}}\n",
+        "payload.truth.masss",
+        "did you mean 'mass'?",
+    ),
     scenario("number-key", "3: 4\n", "3: unknown key"),
-    scenario("number-as-name", "disturbance: {harmonics: {3: {bias: 1}}}\n", "harmonics.3: a name must be text"),
+    scenario(
+        "number-as-name",
+        "disturbance: {harmonics: {3: {bias: 1}}}\n",
+        "harmonics.3: a name must be text",
+    ),
     scenario("text-for-number", "duration: long\n", "duration: must be a number, not 'long'"),
-    scenario("date-for-number", "duration: 2020-01-01\n", "duration: must be a number, not datetime.date(2020, 1, 1)"),
-    scenario("nothing-for-number", "duration:\n", "duration: must be a number, not null (no value)"),
+    scenario(
+        "date-for-number",
+        "duration: 2020-01-01\n",
+        "duration: must be a number, not datetime.date(2020, 1, 1)",
+    ),
+    scenario(
+        "nothing-for-number", "duration:\n", "duration: must be a number, not null (no value)"
+    ),
     scenario("bool-for-number", "duration: true\n", "duration: must be a number, not True"),
     scenario("list-for-number", "duration: [1]\n", "duration: must be a number, not [1]"),
-    scenario("fraction-for-whole", "random_seed: 1.5\n", "random_seed: must be a whole number, not 1.5"),
     scenario(
-        "text-for-bool", "simulator_config: {use_error_control: 'no'}\n", "use_error_control: must be true or false"
+        "fraction-for-whole", "random_seed: 1.5\n", "random_seed: must be a whole number, not 1.5"
+    ),
+    scenario(
+        "text-for-bool",
+        "simulator_config: {use_error_control: 'no'}\n",
+        "use_error_control: must be true or false",
     ),
     scenario("number-for-text", "description: 3\n", "description: must be text, not 3"),
-    scenario("zero-in-text", 'description: "a\\0b"\n', "description: must be text that a file can hold"),
-    scenario("number-for-group", "payload: 3\n", "payload: must be a mapping with keys body, truth, nominal, not 3"),
-    scenario("number-for-list", "initial_posture: {base_rpy: 3}\n", "base_rpy: must be a list, not 3"),
-    scenario("text-in-list", "initial_posture: {base_rpy: [0, x, 0]}\n", "base_rpy[1]: must be a number, not 'x'"),
     scenario(
-        "gain-as-vector", "controllers: {tdc: {k_d: [1, 2]}}\n", "controllers.tdc.k_d.all: must be a number", "by name"
+        "zero-in-text", 'description: "a\\0b"\n', "description: must be text that a file can hold"
+    ),
+    scenario(
+        "number-for-group",
+        "payload: 3\n",
+        "payload: must be a mapping with keys body, truth, nominal, not 3",
+    ),
+    scenario(
+        "number-for-list", "initial_posture: {base_rpy: 3}\n", "base_rpy: must be a list, not 3"
+    ),
+    scenario(
+        "text-in-list",
+        "initial_posture: {base_rpy: [0, x, 0]}\n",
+        "base_rpy[1]: must be a number, not 'x'",
+    ),
+    scenario(
+        "gain-as-vector",
+        "controllers: {tdc: {k_d: [1, 2]}}\n",
+        "controllers.tdc.k_d.all: must be a number",
+        "by name",
     ),
     # Values.
     scenario("nan", "duration: .nan\n", "duration: must be finite, not nan"),
-    scenario("infinite", "payload: {truth: {mass: .inf}}\n", "payload.truth.mass: must be finite, not inf"),
-    scenario("nan-gain", "controllers: {tdc: {k_d: {joints: .nan}}}\n", "controllers.tdc.k_d.joints: must be finite"),
+    scenario(
+        "infinite",
+        "payload: {truth: {mass: .inf}}\n",
+        "payload.truth.mass: must be finite, not inf",
+    ),
+    scenario(
+        "nan-gain",
+        "controllers: {tdc: {k_d: {joints: .nan}}}\n",
+        "controllers.tdc.k_d.joints: must be finite",
+    ),
     scenario("500-digits", f"duration: {'9' * 500}\n", "duration: must be finite"),
     scenario("5000-digits", f"duration: {'9' * 5000}\n", "line 1, column 11", "4300 digits"),
     scenario(
-        "huge-number", "initial_posture: {base_position: [1e300, 0, 0]}\n", "base_position[0]: must be at most 1e+20"
+        "huge-number",
+        "initial_posture: {base_position: [1e300, 0, 0]}\n",
+        "base_position[0]: must be at most 1e+20",
     ),
-    scenario("negative-mass", "payload: {truth: {mass: -5}}\n", "payload.truth.mass: must be > 0 kg, not -5.0"),
-    scenario("zero-mass", "payload: {nominal: {mass: 0}}\n", "payload.nominal.mass: must be > 0 kg, not 0.0"),
+    scenario(
+        "negative-mass",
+        "payload: {truth: {mass: -5}}\n",
+        "payload.truth.mass: must be > 0 kg, not -5.0",
+    ),
+    scenario(
+        "zero-mass",
+        "payload: {nominal: {mass: 0}}\n",
+        "payload.nominal.mass: must be > 0 kg, not 0.0",
+    ),
     scenario(
         "triangle-inequality",
         "payload: {truth: {inertia: [1, 1, 5]}}\n",
         "payload.truth.inertia",
         "triangle inequality",
     ),
-    scenario("indefinite-inertia", "payload: {truth: {inertia: [1, 1, 1, 2, 0, 0]}}\n", "must be positive definite"),
-    scenario("two-moments", "payload: {truth: {inertia: [1, 1]}}\n", "inertia: must hold three moments"),
-    scenario("two-coordinates", "payload: {truth: {center_of_mass: [1, 1]}}\n", "must hold three numbers [x, y, z]"),
-    scenario("negative-gain", "controllers: {asmc: {k_s: -1}}\n", "controllers.asmc.k_s.all: must be >= 0, not -1"),
+    scenario(
+        "indefinite-inertia",
+        "payload: {truth: {inertia: [1, 1, 1, 2, 0, 0]}}\n",
+        "must be positive definite",
+    ),
+    scenario(
+        "two-moments", "payload: {truth: {inertia: [1, 1]}}\n", "inertia: must hold three moments"
+    ),
+    scenario(
+        "two-coordinates",
+        "payload: {truth: {center_of_mass: [1, 1]}}\n",
+        "must hold three numbers [x, y, z]",
+    ),
+    scenario(
+        "negative-gain",
+        "controllers: {asmc: {k_s: -1}}\n",
+        "controllers.asmc.k_s.all: must be >= 0, not -1",
+    ),
     scenario(
         "file-fault-stays-the-file's",
         "controllers: {asmc: {k_s: -1}}\n",
@@ -459,34 +583,70 @@ TABLE = [
     override("no-key", "=3", "must have the form key=value"),
     override("no-value", "duration=", "duration: must be a number, not null (no value)"),
     override("nan-override", "duration=nan", "duration: must be finite, not 'nan'"),
-    override("inf-override", "disturbance.amplitude_scale=.inf", "disturbance.amplitude_scale: must be finite"),
-    override("override-unknown-key", "controllers.tdc.kd=3", "kd: unknown gain; tdc has k_d, k_p; did you mean 'k_d'?"),
-    override("override-in-list", "payload.truth.inertia.0=3", "payload.truth.inertia holds a list; give it whole"),
+    override(
+        "inf-override",
+        "disturbance.amplitude_scale=.inf",
+        "disturbance.amplitude_scale: must be finite",
+    ),
+    override(
+        "override-unknown-key",
+        "controllers.tdc.kd=3",
+        "kd: unknown gain; tdc has k_d, k_p; did you mean 'k_d'?",
+    ),
+    override(
+        "override-in-list",
+        "payload.truth.inertia.0=3",
+        "payload.truth.inertia holds a list; give it whole",
+    ),
     override("override-too-deep", "duration.x=3", "duration holds a single value"),
     override("override-not-yaml", "duration=[1", "duration: value is not valid YAML"),
-    override("override-tag", "duration=!!python/name:os.system", "duration: value is not valid YAML", "python/name"),
+    override(
+        "override-tag",
+        "duration=!!python/name:os.system",
+        "duration: value is not valid YAML",
+        "python/name",
+    ),
     override("override-dots", "payload..mass=3", "payload.: unknown key"),
     override(
-        "tiny-sample-time", "sample_time=1e-9", "sample_time: 20 s in samples of 1e-09 s are 2e+10", "at most 10000000"
+        "tiny-sample-time",
+        "sample_time=1e-9",
+        "sample_time: 20 s in samples of 1e-09 s are 2e+10",
+        "at most 10000000",
     ),
     override("endless", "duration=1e19", "duration: 1e+19 s", "GB", "shorten duration"),
-    override("tiny-steps", "simulator_config.max_step_size=1e-15", "max_step_size: 1e-15 s gives 2e+16 steps"),
+    override(
+        "tiny-steps",
+        "simulator_config.max_step_size=1e-15",
+        "max_step_size: 1e-15 s gives 2e+16 steps",
+    ),
     override("denormal-sample-time", "sample_time=5e-324", "sample_time: ", "at most 10000000"),
-    override("sample-longer-than-run", "sample_time=30", "sample_time: must be at most duration (20.0 s)"),
+    override(
+        "sample-longer-than-run", "sample_time=30", "sample_time: must be at most duration (20.0 s)"
+    ),
     override(
         "unknown-scheme",
         "simulator_config.integration_scheme=runge_kutta4",
         "choose one of",
         "did you mean 'runge_kutta",
     ),
-    override("scheme-of-another-diagram", "simulator_config.integration_scheme=cenic", "'cenic' is unknown"),
+    override(
+        "scheme-of-another-diagram",
+        "simulator_config.integration_scheme=cenic",
+        "'cenic' is unknown",
+    ),
     override(
         "no-error-estimate",
         "simulator_config={integration_scheme: explicit_euler, use_error_control: true}",
         "set false",
     ),
-    override("negative-accuracy", "simulator_config.accuracy=-1", "simulator_config.accuracy: must be > 0"),
-    override("late-start", "simulator_config.start_time=5", "simulator_config.start_time: must be 0"),
+    override(
+        "negative-accuracy",
+        "simulator_config.accuracy=-1",
+        "simulator_config.accuracy: must be > 0",
+    ),
+    override(
+        "late-start", "simulator_config.start_time=5", "simulator_config.start_time: must be 0"
+    ),
     override(
         "unknown-coordinate",
         "sensing.velocity_noise.joint_9=1",
@@ -498,7 +658,8 @@ TABLE = [
     override("octal-number", "duration=017", "duration: must be a number, not '017'"),
     bad(
         "integrator-fails",
-        "run --no-report --set simulator_config.integration_scheme=radau3 --set simulator_config.accuracy=1e-300 "
+        "run --no-report --set simulator_config.integration_scheme=radau3 --set "
+        "simulator_config.accuracy=1e-300 "
         "--set simulator_config.use_error_control=true",
         "Error control wants to select step smaller than minimum",
     ),
@@ -507,9 +668,16 @@ TABLE = [
         "validate postcapture --set model.end_effector=servicer::joint_1_p",
         "servicer::link_5, servicer::end_effector",
     ),
-    override("unknown-group", "controllers.tde_aismc.k_d.joint=1", "k_d.joint: unknown coordinate", "did you mean"),
     override(
-        "unknown-harmonic", "disturbance.harmonics.arm.bias=1", "harmonics.arm: unknown coordinate; valid here: all"
+        "unknown-group",
+        "controllers.tde_aismc.k_d.joint=1",
+        "k_d.joint: unknown coordinate",
+        "did you mean",
+    ),
+    override(
+        "unknown-harmonic",
+        "disturbance.harmonics.arm.bias=1",
+        "harmonics.arm: unknown coordinate; valid here: all",
     ),
     override(
         "unknown-posture-joint",
@@ -546,12 +714,27 @@ TABLE = [
         "model.end_effector: no frame",
         "did you mean 'servicer::end_effector'?",
     ),
-    bad("negative-seed", "validate postcapture --set random_seed=-1", "random_seed: must be from 0 to 2147483647"),
-    bad("seed-option", "stability --seed -1", "override: random_seed: must be from 0 to 2147483647"),
-    bad("large-seed", "run --seed 99999999999", "override: random_seed: must be from 0 to 2147483647"),
+    bad(
+        "negative-seed",
+        "validate postcapture --set random_seed=-1",
+        "random_seed: must be from 0 to 2147483647",
+    ),
+    bad(
+        "seed-option", "stability --seed -1", "override: random_seed: must be from 0 to 2147483647"
+    ),
+    bad(
+        "large-seed",
+        "run --seed 99999999999",
+        "override: random_seed: must be from 0 to 2147483647",
+    ),
     bad("text-seed", "run --seed x", "'x' is not a valid integer"),
     bad("nan-budget", "design flight_sensors --budget nan", "--budget", "not a finite number"),
-    bad("infinite-payload", "design flight_sensors --payload-range 1 inf", "--payload-range", "not a finite number"),
+    bad(
+        "infinite-payload",
+        "design flight_sensors --payload-range 1 inf",
+        "--payload-range",
+        "not a finite number",
+    ),
     bad(
         "reversed-payload",
         "design flight_sensors --payload-range 9 5",
@@ -569,11 +752,16 @@ TABLE = [
         "actuation.thrusters.failures={a_w: stuck_off}",
         "override: actuation.thrusters.failures.a_w: 'a_w' is unknown; choose one of a_x, a_y, a_z",
     ),
-    override("unknown-failure", "actuation.thrusters.failures={a_x: stuck}", "failures.a_x: 'stuck' is unknown"),
+    override(
+        "unknown-failure",
+        "actuation.thrusters.failures={a_x: stuck}",
+        "failures.a_x: 'stuck' is unknown",
+    ),
     override(
         "force-that-is-lost",
         "actuation.thrusters.failures={a_x: stuck_off, b_x: stuck_off}",
-        "actuation.thrusters.failures: with a_x stuck_off, b_x stuck_off no thrusters give a force along [-1, 0, 0]",
+        "actuation.thrusters.failures: with a_x stuck_off, b_x stuck_off no thrusters give a "
+        "force along [-1, 0, 0]",
     ),
     override(
         "stuck-on-too-strong",
@@ -583,13 +771,35 @@ TABLE = [
     scenario(
         "frame-below-on-time",
         "sample_time: 0.005\nactuation: {thrusters: {frame: 3}}\n",
-        "actuation.thrusters.frame: 3 control samples are 0.015 s, shorter than minimum_on_time, 0.02 s; take 4",
+        "actuation.thrusters.frame: 3 control samples are 0.015 s, shorter than minimum_on_time, "
+        "0.02 s; take 4",
     ),
-    override("negative-on-time", "actuation.thrusters.minimum_on_time=-1", "minimum_on_time: must be from 0 to 1000 s"),
-    override("no-thrust", "actuation.thrusters={layout: null, units: {a: {force: 0}}}", "units.a.force: must be > 0 N"),
-    override("no-wheels", "actuation.wheels={}", "actuation.wheels.units: give wheels by name, such as {z: "),
-    override("one-wheel", "actuation.wheels.units={z: {axis: [0, 0, 1]}}", "units: give no torque about some axis"),
-    override("misspelt-axis", "actuation.wheels.units={z: {axes: [0, 0, 1]}}", "units.z.axes", "did you mean 'axis'?"),
+    override(
+        "negative-on-time",
+        "actuation.thrusters.minimum_on_time=-1",
+        "minimum_on_time: must be from 0 to 1000 s",
+    ),
+    override(
+        "no-thrust",
+        "actuation.thrusters={layout: null, units: {a: {force: 0}}}",
+        "units.a.force: must be > 0 N",
+    ),
+    override(
+        "no-wheels",
+        "actuation.wheels={}",
+        "actuation.wheels.units: give wheels by name, such as {z: ",
+    ),
+    override(
+        "one-wheel",
+        "actuation.wheels.units={z: {axis: [0, 0, 1]}}",
+        "units: give no torque about some axis",
+    ),
+    override(
+        "misspelt-axis",
+        "actuation.wheels.units={z: {axes: [0, 0, 1]}}",
+        "units.z.axes",
+        "did you mean 'axis'?",
+    ),
     override(
         "wheel-too-fast",
         "actuation.wheels.units={z: {initial_momentum: -51}}",
@@ -605,16 +815,21 @@ TABLE = [
         "campaign plan c.yaml",
         ("actuation.thrusters.failures.a_w: 'a_w' is unknown",),
         {
-            "c.yaml": "scenario: thrusters_and_wheels\ncases: 2\nparameters:\n  actuation.thrusters: "
+            "c.yaml": "scenario: thrusters_and_wheels\ncases: 2\nparameters:\n  "
+            "actuation.thrusters: "
             "{distribution: list, values: [{failures: {a_w: stuck_off}}]}\n"
         },
     ),
     # Captures.
     bad(
-        "capture-vector", "validate tumbling_capture --set capture.rate=[1,2]", "capture.rate: must hold three numbers"
+        "capture-vector",
+        "validate tumbling_capture --set capture.rate=[1,2]",
+        "capture.rate: must hold three numbers",
     ),
     bad(
-        "fast-capture", "validate tumbling_capture --set capture.rate=[0,11,0]", "must be within divergence_speed (10)"
+        "fast-capture",
+        "validate tumbling_capture --set capture.rate=[0,11,0]",
+        "must be within divergence_speed (10)",
     ),
     bad(
         "capture-motion",
@@ -639,7 +854,8 @@ TABLE = [
     bad(
         "capture-odd-approach",
         "validate tumbling_capture --set capture.approach.duration=19.995",
-        "capture.approach.duration: must be a whole number of control samples of 0.01 s, not 19.995 s",
+        "capture.approach.duration: must be a whole number of control samples of 0.01 s, not "
+        "19.995 s",
     ),
     bad(
         "capture-long-approach",
@@ -654,14 +870,19 @@ TABLE = [
     bad(
         "capture-of-itself",
         "validate tumbling_capture --set payload.body=servicer::link_5",
-        "payload.body: 'servicer::link_5' is a body of the servicer; capture takes a target of one body",
+        "payload.body: 'servicer::link_5' is a body of the servicer; capture takes a target of "
+        "one body",
     ),
     bad(
         "soft-gripper",
         "validate tumbling_capture --set capture.compliance.damping=0",
         "capture.compliance.damping: must be > 0, not 0",
     ),
-    bad("no-goal", "validate tumbling_capture --set reference.goal=rest", "reference.goal: 'rest' is unknown"),
+    bad(
+        "no-goal",
+        "validate tumbling_capture --set reference.goal=rest",
+        "reference.goal: 'rest' is unknown",
+    ),
     bad(
         "no-reserve",
         "validate tumbling_capture --set reference.reserve=1",
@@ -678,17 +899,23 @@ TABLE = [
         "validate postcapture --set environment.altitude=-400",
         "override: environment.altitude: must be > 0, at most 1e9 m, not -400",
     ),
-    bad("two-orbits", "validate postcapture --set environment.mean_motion=1e-3", "set altitude: null"),
+    bad(
+        "two-orbits",
+        "validate postcapture --set environment.mean_motion=1e-3",
+        "set altitude: null",
+    ),
     bad(
         "friction-too-stiff",
         "validate postcapture --set actuation.drives.coulomb_friction=0.5",
-        "simulator_config.max_step_size: 0.01 s does not resolve the friction of joint_3, which near rest acts within",
+        "simulator_config.max_step_size: 0.01 s does not resolve the friction of joint_3, which "
+        "near rest acts within",
         "take at most 0.0035 s",
     ),
     bad(
         "drive-of-the-base",
         "validate postcapture --set actuation.drives.rotor_inertia.base_rotation=1",
-        "actuation.drives.rotor_inertia.base_rotation: is no joint; valid here: all, joints, joint_1",
+        "actuation.drives.rotor_inertia.base_rotation: is no joint; valid here: all, joints, "
+        "joint_1",
     ),
     bad(
         "drive-without-force-limit",
@@ -696,8 +923,18 @@ TABLE = [
         "actuation.drives.rate_limit: joint_1 has no actuation.limit",
     ),
     # Models.
-    model("no-such-servicer", "model: {servicer: none.urdf}\n", "model.servicer: ", "none.urdf: no such file"),
-    model("folder-as-servicer", "model: {servicer: .}\n", "model.servicer: ", "is a folder; give a file"),
+    model(
+        "no-such-servicer",
+        "model: {servicer: none.urdf}\n",
+        "model.servicer: ",
+        "none.urdf: no such file",
+    ),
+    model(
+        "folder-as-servicer",
+        "model: {servicer: .}\n",
+        "model.servicer: ",
+        "is a folder; give a file",
+    ),
     model(
         "two-models",
         "model: {servicer: servicer.urdf, directives: x.yaml}\n",
@@ -748,8 +985,20 @@ TABLE = [
         "servicer.urdf:4: ",
         "'mass > 0' failed",
     ),
-    urdf("urdf-nan-mass", '<mass value="10"/>', '<mass value="nan"/>', "model.servicer", "servicer.urdf"),
-    urdf("urdf-text-mass", '<mass value="10"/>', '<mass value="ten"/>', "model.servicer", "servicer.urdf"),
+    urdf(
+        "urdf-nan-mass",
+        '<mass value="10"/>',
+        '<mass value="nan"/>',
+        "model.servicer",
+        "servicer.urdf",
+    ),
+    urdf(
+        "urdf-text-mass",
+        '<mass value="10"/>',
+        '<mass value="ten"/>',
+        "model.servicer",
+        "servicer.urdf",
+    ),
     urdf(
         "urdf-zero-mass",
         SERVICER[SERVICER.index('<link name="base">') : SERVICER.index('  <link name="arm">')],
@@ -757,7 +1006,13 @@ TABLE = [
         "mass matrix is singular",
         "every link of the URDF",
     ),
-    urdf("urdf-triangle-inequality", 'ixx="0.9" iyy="0.9"', 'ixx="0.1" iyy="0.9"', "model.servicer", "servicer.urdf"),
+    urdf(
+        "urdf-triangle-inequality",
+        'ixx="0.9" iyy="0.9"',
+        'ixx="0.1" iyy="0.9"',
+        "model.servicer",
+        "servicer.urdf",
+    ),
     urdf(
         "urdf-debris-unphysical",
         'ixx="16" iyy="16"',
@@ -766,10 +1021,18 @@ TABLE = [
         "debris.urdf",
         file="debris.urdf",
     ),
-    urdf("urdf-unknown-parent", '<parent link="base"/>', '<parent link="bus"/>', "model.servicer", "bus"),
+    urdf(
+        "urdf-unknown-parent",
+        '<parent link="base"/>',
+        '<parent link="bus"/>',
+        "model.servicer",
+        "bus",
+    ),
     urdf("urdf-joint-twice", 'name="wrist"', 'name="shoulder"', "shoulder"),
     urdf("urdf-link-twice", '<link name="hand">', '<link name="arm">', "arm"),
-    urdf("urdf-zero-axis", '<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "servicer.urdf", "shoulder"),
+    urdf(
+        "urdf-zero-axis", '<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "servicer.urdf", "shoulder"
+    ),
     urdf("urdf-unknown-joint-type", 'type="continuous"', 'type="bendy"', "servicer.urdf", "bendy"),
     urdf(
         "urdf-ball-joint",
@@ -778,7 +1041,12 @@ TABLE = [
         "joint 'wrist' has 3 degrees",
         close="</drake:joint>",
     ),
-    urdf("urdf-planar-joint", '<joint name="wrist" type="continuous">', '<joint name="wrist" type="planar">', "wrist"),
+    urdf(
+        "urdf-planar-joint",
+        '<joint name="wrist" type="continuous">',
+        '<joint name="wrist" type="planar">',
+        "wrist",
+    ),
     urdf(
         "urdf-joint-called-joints",
         'name="wrist"',
@@ -814,17 +1082,38 @@ TABLE = [
     *(
         visual(f"urdf-{id}", shape, "servicer.urdf:", expected)
         for id, shape, expected in (
-            ("negative-sphere", '<sphere radius="-1"/>', "Sphere: condition 'std::isfinite(radius) && radius >= 0'"),
+            (
+                "negative-sphere",
+                '<sphere radius="-1"/>',
+                "Sphere: condition 'std::isfinite(radius) && radius >= 0'",
+            ),
             ("flat-cylinder", '<cylinder radius="0" length="0"/>', "Cylinder: condition"),
-            ("flat-box", '<box size="0 1 1"/>', "Box: condition 'std::isfinite(width) && width > 0' failed"),
+            (
+                "flat-box",
+                '<box size="0 1 1"/>',
+                "Box: condition 'std::isfinite(width) && width > 0' failed",
+            ),
             ("no-package", '<mesh filename="package:///etc/passwd"/>', "unknown package ''"),
             ("folder-as-mesh", '<mesh filename="."/>', "is a folder; give a file"),
-            ("device-as-mesh", '<mesh filename="/dev/zero"/>', "/dev/zero: is not a regular file; give a file"),
-            ("device-by-address", '<mesh filename="file:///dev/zero"/>', "/dev/zero: is not a regular file"),
+            (
+                "device-as-mesh",
+                '<mesh filename="/dev/zero"/>',
+                "/dev/zero: is not a regular file; give a file",
+            ),
+            (
+                "device-by-address",
+                '<mesh filename="file:///dev/zero"/>',
+                "/dev/zero: is not a regular file",
+            ),
         )
     ),
     *(
-        visual(f"no-mesh-{kind}", f'<mesh filename="m.{kind}"/>', f"m.{kind}: is no", files={f"m.{kind}": "hello"})
+        visual(
+            f"no-mesh-{kind}",
+            f'<mesh filename="m.{kind}"/>',
+            f"m.{kind}: is no",
+            files={f"m.{kind}": "hello"},
+        )
         for kind in ("obj", "gltf", "dae")
     ),
     *(
@@ -836,12 +1125,19 @@ TABLE = [
         )
         for kind in ("stl", "glb", "txt")
     ),
-    visual("mesh-of-a-fifo", '<mesh filename="pipe"/>', "pipe: is not a regular file", prepare=pipe("pipe")),
+    visual(
+        "mesh-of-a-fifo",
+        '<mesh filename="pipe"/>',
+        "pipe: is not a regular file",
+        prepare=pipe("pipe"),
+    ),
     visual(
         "buffer-of-a-fifo",
         '<mesh filename="m.gltf"/>',
         "pipe: is not a regular file",
-        files={"m.gltf": '{"asset": {"version": "2.0"}, "buffers": [{"uri": "pipe", "byteLength": 4}]}'},
+        files={
+            "m.gltf": '{"asset": {"version": "2.0"}, "buffers": [{"uri": "pipe", "byteLength": 4}]}'
+        },
         prepare=pipe("pipe"),
     ),
     visual(
@@ -851,7 +1147,12 @@ TABLE = [
         files={"m.obj": "mtllib m.mtl\n", "m.mtl": "newmtl a\nmap_Kd pipe\n"},
         prepare=pipe("pipe"),
     ),
-    visual("huge-mesh", '<mesh filename="m.obj"/>', "m.obj: has 1e+12 bytes; at most 5e+08", prepare=huge("m.obj")),
+    visual(
+        "huge-mesh",
+        '<mesh filename="m.obj"/>',
+        "m.obj: has 1e+12 bytes; at most 5e+08",
+        prepare=huge("m.obj"),
+    ),
     urdf(
         "urdf-mimic",
         '<axis xyz="1 0 0"/>',
@@ -885,9 +1186,15 @@ TABLE = [
         "hand",
     ),
     directives(
-        "directives-welded-to-world", ADD + "- add_weld: {parent: world, child: servicer::base}\n", "no floating base"
+        "directives-welded-to-world",
+        ADD + "- add_weld: {parent: world, child: servicer::base}\n",
+        "no floating base",
     ),
-    directives("directives-two-bases", ADD + ADD_DEBRIS, "must have one floating base, not 2 (base, debris)"),
+    directives(
+        "directives-two-bases",
+        ADD + ADD_DEBRIS,
+        "must have one floating base, not 2 (base, debris)",
+    ),
     directives("directives-name-twice", ADD + ADD.replace("directives:\n", ""), "servicer"),
     # Controllers of one's own.
     bad(
@@ -896,40 +1203,106 @@ TABLE = [
         "controller: 'tde_aimsc' is unknown",
         "did you mean 'tde_aismc'?",
     ),
-    bad("controller-path", "run -c ../evil.py", "controller: '../evil.py' must be a name or module:attribute"),
-    bad("compare-path", "compare -c tdc -c ../../x", "controller: '../../x' must be a name or module:attribute"),
+    bad(
+        "controller-path",
+        "run -c ../evil.py",
+        "controller: '../evil.py' must be a name or module:attribute",
+    ),
+    bad(
+        "compare-path",
+        "compare -c tdc -c ../../x",
+        "controller: '../../x' must be a name or module:attribute",
+    ),
     bad("compare-twice", "compare -c tdc -c tdc", "--controller: tdc is given more than once"),
-    bad("no-such-module", "run -c nowhere_at_all:Law", "No module named 'nowhere_at_all'", "PYTHONPATH"),
+    bad(
+        "no-such-module",
+        "run -c nowhere_at_all:Law",
+        "No module named 'nowhere_at_all'",
+        "PYTHONPATH",
+    ),
     controller("no-such-class", "Goood", "has no 'Goood'", "did you mean 'Good'?"),
     controller("syntax-error", "Law", "SyntaxError", "line 1", text="class Law(\n"),
     controller("module-raises", "Law", "ZeroDivisionError", text="1 / 0\n"),
     controller("module-exits", "Law", "SystemExit", text="raise SystemExit(0)\n"),
     controller("not-callable", "table", "must be a class or function, not dict"),
-    controller("factory-of-nothing", "returns_none", "must be a control law or a Drake system, not NoneType"),
+    controller(
+        "factory-of-nothing",
+        "returns_none",
+        "must be a control law or a Drake system, not NoneType",
+    ),
     controller("raises-in-init", "RaisesAtOnce", "cannot be built: OSError: no table of gains"),
     controller("no-super-init", "NoSuperInit", "cannot be built: TypeError", "__init__"),
     controller("text-as-gain", "TextGain", "cannot be built: ValueError", "high"),
     controller("list-as-memory", "ListMemory", "initial_state must return a mapping"),
     controller("no-ports", "NoPorts", "needs an input port 'estimated_state' of size 23"),
-    controller("wrong-port-size", "WrongPortSize", "input port 'estimated_state' must have size 23, not 4"),
-    controller("strange-port", "StrangePort", "unknown input port 'estimate'; known: estimated_state"),
-    controller("feedthrough", "Loop", "'generalized_force' must not follow an input at once", "DeclareStateOutput"),
-    controller("short-optional-output", "ShortGain", "output port 'switching_gain' must have size 11, not 3"),
-    controller("wrong-force-size", "WrongSize", "'generalized_force' of shape (3,); it must be (11,)", command="run"),
     controller(
-        "returns-none", "ReturnsNone", "step must return (generalized_force, state)", "not NoneType", command="run"
+        "wrong-port-size", "WrongPortSize", "input port 'estimated_state' must have size 23, not 4"
     ),
-    controller("returns-force-only", "OnlyForce", "step must return (generalized_force, state)", command="run"),
+    controller(
+        "strange-port", "StrangePort", "unknown input port 'estimate'; known: estimated_state"
+    ),
+    controller(
+        "feedthrough",
+        "Loop",
+        "'generalized_force' must not follow an input at once",
+        "DeclareStateOutput",
+    ),
+    controller(
+        "short-optional-output",
+        "ShortGain",
+        "output port 'switching_gain' must have size 11, not 3",
+    ),
+    controller(
+        "wrong-force-size",
+        "WrongSize",
+        "'generalized_force' of shape (3,); it must be (11,)",
+        command="run",
+    ),
+    controller(
+        "returns-none",
+        "ReturnsNone",
+        "step must return (generalized_force, state)",
+        "not NoneType",
+        command="run",
+    ),
+    controller(
+        "returns-force-only",
+        "OnlyForce",
+        "step must return (generalized_force, state)",
+        command="run",
+    ),
     controller("text-as-force", "TextForce", "not an array of numbers", command="run"),
-    controller("forgets-memory", "Forgets", "step returned no 'integral'; it must return all", command="run"),
-    controller("invents-memory", "Invents", "'integral', which initial_state does not name", command="run"),
-    controller("raises-in-law", "Raises", "failed at t = 0.00 s: KeyError: 'gain'", "line ", command="run"),
+    controller(
+        "forgets-memory",
+        "Forgets",
+        "step returned no 'integral'; it must return all",
+        command="run",
+    ),
+    controller(
+        "invents-memory", "Invents", "'integral', which initial_state does not name", command="run"
+    ),
+    controller(
+        "raises-in-law", "Raises", "failed at t = 0.00 s: KeyError: 'gain'", "line ", command="run"
+    ),
     controller("exits-in-law", "Leaves", "step called sys.exit at t = 0.00 s", command="run"),
-    controller("raises-linearised", "Raises", "cannot be linearised: KeyError: 'gain'", command="stability"),
-    controller("exits-linearised", "Leaves", "step called sys.exit at t = 0.00 s", command="stability"),
-    controller("raises-speechless", "RaisesMute", "failed at t = 0.00 s: Mute: Mute", command="run"),
-    controller("raises-generator-exit", "RaisesExit", "step raised GeneratorExit at t = 0.00 s", command="run"),
-    controller("generator-exit-linearised", "RaisesExit", "step raised GeneratorExit", command="stability"),
+    controller(
+        "raises-linearised", "Raises", "cannot be linearised: KeyError: 'gain'", command="stability"
+    ),
+    controller(
+        "exits-linearised", "Leaves", "step called sys.exit at t = 0.00 s", command="stability"
+    ),
+    controller(
+        "raises-speechless", "RaisesMute", "failed at t = 0.00 s: Mute: Mute", command="run"
+    ),
+    controller(
+        "raises-generator-exit",
+        "RaisesExit",
+        "step raised GeneratorExit at t = 0.00 s",
+        command="run",
+    ),
+    controller(
+        "generator-exit-linearised", "RaisesExit", "step raised GeneratorExit", command="stability"
+    ),
     controller("generator-exit-in-init", "ExitsAtOnce", "cannot be built: GeneratorExit: gone"),
     controller("missing-setting", "needs_setting", "no 'gain' in the settings", "there are: none"),
     Row(
@@ -959,8 +1332,18 @@ TABLE = [
         ("taken/x: cannot be written", "is not a folder; give another"),
         {"taken": ""},
     ),
-    bad("out-read-only", f"run --no-report {SHORT} --out /proc/ffsm", "/proc/ffsm", "cannot be written"),
-    bad("out-too-long", f"run --no-report {SHORT} --out {'x' * 300}", "cannot be written", "too long"),
+    bad(
+        "out-read-only",
+        f"run --no-report {SHORT} --out /proc/ffsm",
+        "/proc/ffsm",
+        "cannot be written",
+    ),
+    bad(
+        "out-too-long",
+        f"run --no-report {SHORT} --out {'x' * 300}",
+        "cannot be written",
+        "too long",
+    ),
     bad(
         "compare-out-is-a-file",
         f"compare --no-report {SHORT} --out taken",
@@ -999,7 +1382,12 @@ TABLE = [
     ),
     bad("diagram-out-is-a-folder", "diagram --out .", "is a directory"),
     # Run directories.
-    bad("no-run", "analyze nothing", "nothing/manifest.json: cannot be read", "give the folder of a run"),
+    bad(
+        "no-run",
+        "analyze nothing",
+        "nothing/manifest.json: cannot be read",
+        "give the folder of a run",
+    ),
     bad("no-run-to-plot", "plot nothing", "nothing/manifest.json: cannot be read"),
     Row("run-is-a-file", "plot taken", ("taken", "not a folder"), {"taken": ""}),
     record(
@@ -1007,11 +1395,21 @@ TABLE = [
         lambda at: (at / "run" / "record.nc").unlink(),
         "run/record.nc: cannot be read: no such file; run it again",
     ),
-    record("no-manifest", lambda at: (at / "run" / "manifest.json").unlink(), "run/manifest.json: cannot be read"),
-    record("truncated", truncate, "run/record.nc: cannot be read", "run it again"),
-    record("empty-record", lambda at: (at / "run" / "record.nc").write_bytes(b""), "run/record.nc: cannot be read"),
     record(
-        "text-as-record", lambda at: (at / "run" / "record.nc").write_text("hello"), "run/record.nc: cannot be read"
+        "no-manifest",
+        lambda at: (at / "run" / "manifest.json").unlink(),
+        "run/manifest.json: cannot be read",
+    ),
+    record("truncated", truncate, "run/record.nc: cannot be read", "run it again"),
+    record(
+        "empty-record",
+        lambda at: (at / "run" / "record.nc").write_bytes(b""),
+        "run/record.nc: cannot be read",
+    ),
+    record(
+        "text-as-record",
+        lambda at: (at / "run" / "record.nc").write_text("hello"),
+        "run/record.nc: cannot be read",
     ),
     record(
         "record-is-a-folder",
@@ -1019,13 +1417,23 @@ TABLE = [
         "run/record.nc: cannot be read",
     ),
     *(
-        record(f"{id}-{name.partition('.')[0]}", replaced(name, make), f"run/{name}: cannot be read: {fault}")
+        record(
+            f"{id}-{name.partition('.')[0]}",
+            replaced(name, make),
+            f"run/{name}: cannot be read: {fault}",
+        )
         for name in ("manifest.json", "record.nc", "metrics.json")
-        for id, make, fault in (("pipe-as", pipe, "is not a regular file"), ("huge", huge, "has 1e+12 bytes"))
+        for id, make, fault in (
+            ("pipe-as", pipe, "is not a regular file"),
+            ("huge", huge, "has 1e+12 bytes"),
+        )
     ),
     record(
         "device-as-record",
-        lambda at: ((at / "run" / "record.nc").unlink(), (at / "run" / "record.nc").symlink_to("/dev/zero")),
+        lambda at: (
+            (at / "run" / "record.nc").unlink(),
+            (at / "run" / "record.nc").symlink_to("/dev/zero"),
+        ),
         "run/record.nc: cannot be read: is not a regular file",
     ),
     record(
@@ -1033,7 +1441,11 @@ TABLE = [
         edit_dataset(lambda data: data.assign(error=2.0 * data["error"])),
         "run/record.nc: is not the record that manifest.json goes with, or was changed",
     ),
-    record("zero-samples", edit_dataset(lambda data: data.isel(time=slice(0, 0))), "run/record.nc: holds no samples"),
+    record(
+        "zero-samples",
+        edit_dataset(lambda data: data.isel(time=slice(0, 0))),
+        "run/record.nc: holds no samples",
+    ),
     record(
         "zero-samples-plot",
         edit_dataset(lambda data: data.isel(time=slice(0, 0))),
@@ -1046,22 +1458,52 @@ TABLE = [
         "run/record.nc: lacks error; ",
         "run it again",
     ),
-    record("missing-names", edit_dataset(lambda data: data.drop_vars("coordinate")), "run/record.nc: lacks coordinate"),
+    record(
+        "missing-names",
+        edit_dataset(lambda data: data.drop_vars("coordinate")),
+        "run/record.nc: lacks coordinate",
+    ),
     record(
         "wrong-shape",
         edit_dataset(lambda data: data.assign(error=data["error"].T)),
         "error must hold numbers along time, coordinate",
     ),
     record(
-        "no-sample-time", edit_dataset(lambda data: data.drop_attrs()), "run/record.nc: lacks the attribute sample_time"
+        "no-sample-time",
+        edit_dataset(lambda data: data.drop_attrs()),
+        "run/record.nc: lacks the attribute sample_time",
     ),
-    record("manifest-not-json", manifest_text("{"), "run/manifest.json: is not a run's manifest", "JSONDecodeError"),
-    record("manifest-not-utf-8", manifest_text(b"\xff"), "run/manifest.json: is not a run's manifest"),
-    record("manifest-is-a-list", manifest_text("[1]"), "is not a run's manifest: must be an object, not list"),
-    record("manifest-too-deep", manifest_text("[" * 100_000), "is not a run's manifest", "RecursionError"),
+    record(
+        "manifest-not-json",
+        manifest_text("{"),
+        "run/manifest.json: is not a run's manifest",
+        "JSONDecodeError",
+    ),
+    record(
+        "manifest-not-utf-8", manifest_text(b"\xff"), "run/manifest.json: is not a run's manifest"
+    ),
+    record(
+        "manifest-is-a-list",
+        manifest_text("[1]"),
+        "is not a run's manifest: must be an object, not list",
+    ),
+    record(
+        "manifest-too-deep",
+        manifest_text("[" * 100_000),
+        "is not a run's manifest",
+        "RecursionError",
+    ),
     record("manifest-empty", manifest_text("{}"), "is not a run's manifest: lacks 'format'"),
-    record("other-format", edit_manifest(lambda data: data.update(format=9)), "format 9 is not the supported 3"),
-    record("manifest-without-scenario", edit_manifest(lambda data: data.pop("scenario")), "lacks 'scenario'"),
+    record(
+        "other-format",
+        edit_manifest(lambda data: data.update(format=9)),
+        "format 9 is not the supported 3",
+    ),
+    record(
+        "manifest-without-scenario",
+        edit_manifest(lambda data: data.pop("scenario")),
+        "lacks 'scenario'",
+    ),
     record(
         "manifest-bad-scenario",
         edit_manifest(lambda data: data["scenario"].update(duration=-1)),
@@ -1092,7 +1534,9 @@ TABLE = [
         edit_manifest(lambda data: data["outcome"].update(time="late")),
         "outcome.time must be a number",
     ),
-    record("manifest-wall-time", edit_manifest(lambda data: data.update(wall_time={})), "lacks 'build'"),
+    record(
+        "manifest-wall-time", edit_manifest(lambda data: data.update(wall_time={})), "lacks 'build'"
+    ),
 ]
 
 
@@ -1118,7 +1562,8 @@ def check_line(stderr: str, expected: tuple[str, ...]) -> None:
     else:
         found = [line for line in lines if line.startswith("error: ")]
         others = [line for line in lines if line not in found and not line.startswith("warning: ")]
-        assert all(" of 0.05 s" in line or ": completed" in line for line in others), others  # progress
+        # progress
+        assert all(" of 0.05 s" in line or ": completed" in line for line in others), others
     assert len(found) == 1, stderr
     for fragment in expected:
         assert fragment in found[0]
@@ -1150,7 +1595,8 @@ def test_the_table_is_long_and_its_names_differ():
     assert len({row.id for row in TABLE}) == len(TABLE)
 
 
-# With Ctrl-C as on a terminal: a process that was started in the background inherits that it is ignored.
+# With Ctrl-C as on a terminal: a process that was started in the background inherits that it is
+# ignored.
 FFSM = (
     sys.executable,
     "-c",
@@ -1158,13 +1604,16 @@ FFSM = (
     "from ffsm_drake.__main__ import main; main()",
 )
 OWN_PROCESS = {
-    "env": os.environ | {"PYTHONPATH": str(Path(files.__file__).parents[2]), "PYTHONDONTWRITEBYTECODE": "1"},
+    "env": os.environ
+    | {"PYTHONPATH": str(Path(files.__file__).parents[2]), "PYTHONDONTWRITEBYTECODE": "1"},
     "text": True,
     "stderr": subprocess.PIPE,
 }
 
 
-def ffsm(*argv: str, cwd: Path, command: tuple[str, ...] = FFSM, **settings) -> subprocess.CompletedProcess:
+def ffsm(
+    *argv: str, cwd: Path, command: tuple[str, ...] = FFSM, **settings
+) -> subprocess.CompletedProcess:
     """The command line in a process of its own."""
     settings = {"stdout": subprocess.PIPE} | OWN_PROCESS | settings
     return subprocess.run([*command, *argv], cwd=cwd, check=False, timeout=120, **settings)
@@ -1243,11 +1692,14 @@ def test_full_disk_keeps_the_old_record_whole(tmp_path, good_run, run, monkeypat
 
 
 def test_full_disk_under_the_netcdf_library(tmp_path, monkeypatch):
-    """Files may not grow beyond a limit, as on a full disk: the netCDF library meets it in its own code."""
+    """Files may not grow beyond a limit, as on a full disk: the netCDF library meets it in its own
+    code.
+    """
     monkeypatch.chdir(tmp_path)
     command = shlex.split("run --no-report --set duration=1 --out new")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, limits[1]))  # Python ignores the signal that goes with it
+    # Python ignores the signal that goes with it
+    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, limits[1]))
     try:
         finished = CliRunner().invoke(main, command)
     finally:
@@ -1261,7 +1713,10 @@ def test_full_disk_under_the_netcdf_library(tmp_path, monkeypatch):
 
 
 def _contents(folder: Path) -> dict[str, bytes | None]:
-    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in _files(folder)}
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in _files(folder)
+    }
 
 
 @pytest.mark.parametrize("name", ["record.nc", "metrics.json", "manifest.json"])
@@ -1271,14 +1726,20 @@ def test_a_folder_in_the_way_keeps_the_old_record(tmp_path, good_run, run, name)
     (tmp_path / "run" / name).mkdir()
     (tmp_path / "run" / name / "mine.txt").write_text("mine")
     before = _contents(tmp_path)
-    with pytest.raises(RecordError, match=rf"run: cannot be written: .*run/{name} is a folder; move it away"):
+    with pytest.raises(
+        RecordError,
+        match=rf"run: cannot be written: .*run/{name} is a folder; "
+        r"move it away",
+    ):
         run("postcapture", "duration=0.1").save(tmp_path / "run")
     assert _contents(tmp_path) == before
 
 
 @pytest.mark.parametrize("number", range(8))
 def test_a_rename_that_fails_keeps_the_old_record(tmp_path, good_run, run, monkeypatch, number):
-    """Of 7 renames, the one of that number fails; other files stay, what tells of the old record goes with it."""
+    """Of 7 renames, the one of that number fails; other files stay, what tells of the old record
+    goes with it.
+    """
     shutil.copytree(good_run, tmp_path / "run")
     (tmp_path / "run" / "report.html").write_text("old")
     (tmp_path / "run" / "mine.txt").write_text("mine")
@@ -1313,28 +1774,43 @@ def test_files_of_two_runs_are_refused(tmp_path, good_run, run, name):
 
 
 def test_a_report_of_another_run_is_noticed(tmp_path, run, monkeypatch):
-    """One in the run's folder that was copied; that of a comparison above, whose runs were made anew one by one."""
+    """One in the run's folder that was copied; that of a comparison above, whose runs were made
+    anew one by one.
+    """
     for section in ("analyze", "stability"):  # which cost most of a report
         monkeypatch.setattr(f"ffsm_drake.show.report.page.{section}", left_out)
     records = [run("postcapture", "duration=0.1", f"controller={name}") for name in ("tdc", "asmc")]
     folders = [record.save(tmp_path / record.scenario.controller) for record in records]
     page = render_report(records[:1])
-    assert f"SHA-256 of record.nc</dt><dd>{records[0].identifier}" in page.replace("</dt>\n", "</dt>")
+    assert f"SHA-256 of record.nc</dt><dd>{records[0].identifier}" in page.replace(
+        "</dt>\n", "</dt>"
+    )
     for folder in (tmp_path, folders[0]):
         (folder / "report.html").write_text(page)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         loaded = [RunRecord.load(folder) for folder in folders]
     for folder, record in zip(folders, loaded, strict=True):
-        assert record.identifier == json.loads((folder / "metrics.json").read_text())["record_sha256"]
+        assert (
+            record.identifier == json.loads((folder / "metrics.json").read_text())["record_sha256"]
+        )
     (folders[1] / "report.html").write_text(page)
-    with pytest.warns(StaleReportWarning, match=r"asmc/report.html shows another run than the record.nc of .*asmc"):
+    with pytest.warns(
+        StaleReportWarning,
+        match=r"asmc/report.html shows another run than the "
+        r"record.nc of .*asmc",
+    ):
         RunRecord.load(folders[1])
-    run("postcapture", "duration=0.05", "controller=tdc").save(folders[0])  # removes its own report only
+    # removes its own report only
+    run("postcapture", "duration=0.05", "controller=tdc").save(folders[0])
     with pytest.warns(StaleReportWarning) as told:
         RunRecord.load(folders[0])
-    assert [str(item.message).partition(" shows")[0] for item in told] == [str(tmp_path / "report.html")]
-    CliRunner().invoke(main, shlex.split(f"compare -c tdc --no-report {SHORT} --out {shlex.quote(str(tmp_path))}"))
+    assert [str(item.message).partition(" shows")[0] for item in told] == [
+        str(tmp_path / "report.html")
+    ]
+    CliRunner().invoke(
+        main, shlex.split(f"compare -c tdc --no-report {SHORT} --out {shlex.quote(str(tmp_path))}")
+    )
     assert not (tmp_path / "report.html").exists()
 
 
@@ -1364,14 +1840,19 @@ def check_kept(folder: Path, status: str) -> RunRecord:
         ("--set divergence_speed=1e-6", "beyond divergence_speed = 1e-06"),
         ("--set sensing.velocity_noise=1e20", "beyond divergence_speed = 10"),
         ("--set initial_posture.base_position=[1e20,0,0]", "beyond divergence_speed = 10"),
-        ("--set divergence_speed=1e20 --set payload.nominal.mass=1e10", "beyond divergence_speed = 1e+20"),
+        (
+            "--set divergence_speed=1e20 --set payload.nominal.mass=1e10",
+            "beyond divergence_speed = 1e+20",
+        ),
     ],
 )
 def test_divergence_exits_with_3_and_keeps_the_record(tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     Path("mine_bad.py").write_text(CONTROLLERS)
-    result = CliRunner().invoke(main, ["run", "--no-report", "--out", "new", *shlex.split(SHORT), *shlex.split(words)])
+    result = CliRunner().invoke(
+        main, ["run", "--no-report", "--out", "new", *shlex.split(SHORT), *shlex.split(words)]
+    )
     assert result.exit_code == 3, result.output
     assert result.exception is None or isinstance(result.exception, SystemExit)
     assert "diverged at t = " in result.stderr
@@ -1400,7 +1881,9 @@ def _started(process: subprocess.Popen) -> None:
     ],
 )
 def test_interrupted_runs_keep_their_record(tmp_path, number, signals):
-    """A signal in mid-run ends with a record; a second one, whenever it comes, leaves a whole record or none."""
+    """A signal in mid-run ends with a record; a second one, whenever it comes, leaves a whole
+    record or none.
+    """
     command = [*FFSM, "run", "--no-report", "--out", "new", "--set", "duration=2000"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, **OWN_PROCESS)
     try:
@@ -1427,7 +1910,9 @@ def test_interrupted_runs_keep_their_record(tmp_path, number, signals):
 
 @pytest.mark.parametrize("number", range(12))
 def test_second_interrupt_at_any_moment_of_saving(tmp_path, good_run, run, monkeypatch, number):
-    """Ctrl-C at each call that saving makes into the file system: the old record or the new one, never a mixture."""
+    """Ctrl-C at each call that saving makes into the file system: the old record or the new one,
+    never a mixture.
+    """
     shutil.copytree(good_run, tmp_path / "run")
     calls = 0
 
@@ -1445,7 +1930,9 @@ def test_second_interrupt_at_any_moment_of_saving(tmp_path, good_run, run, monke
     with monkeypatch.context() as patched:
         for name in ("mkdir", "write_text"):
             patched.setattr(Path, name, interrupting(getattr(Path, name)))
-        patched.setattr(type(record.dataset), "to_netcdf", interrupting(type(record.dataset).to_netcdf))
+        patched.setattr(
+            type(record.dataset), "to_netcdf", interrupting(type(record.dataset).to_netcdf)
+        )
         with suppress(KeyboardInterrupt):
             record.save(tmp_path / "run")
     kept = RunRecord.load(tmp_path / "run")
@@ -1473,11 +1960,16 @@ def test_the_browser_view_passes_over_a_port_in_use():
 
 @pytest.mark.parametrize("where", ["logging", "update"])
 def test_an_interrupted_record_is_the_whole_one_up_to_its_end(where, run, monkeypatch):
-    """Ctrl-C between two loggers of one instant, or within a control update: every sample that is kept is right."""
+    """Ctrl-C between two loggers of one instant, or within a control update: every sample that is
+    kept is right.
+    """
     from ffsm_drake.systems import reference
     from ffsm_drake.systems.controllers import time_delay as tde
 
-    owner, name = {"logging": (reference.PolynomialMotion, "row"), "update": (tde, "time_delay_force")}[where]
+    owner, name = {
+        "logging": (reference.PolynomialMotion, "row"),
+        "update": (tde, "time_delay_force"),
+    }[where]
     original, calls = getattr(owner, name), 0
 
     def interrupting(*args, **kwargs):
@@ -1502,7 +1994,8 @@ def test_an_interrupted_record_is_the_whole_one_up_to_its_end(where, run, monkey
 # Limits that are left are told.
 
 LIMITED = SERVICER.replace("continuous", "revolute", 1).replace(
-    '<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="0.001" effort="2"/>'
+    '<axis xyz="0 1 0"/>',
+    '<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="0.001" effort="2"/>',
 )
 PLAN = """model: {servicer: servicer.urdf, debris: debris.urdf}
 duration: 0.5
@@ -1528,20 +2021,29 @@ def test_limits_that_are_left(tmp_path, monkeypatch):
     for name, text in {"servicer.urdf": LIMITED, "debris.urdf": DEBRIS, "mine.yaml": PLAN}.items():
         Path(name).write_text(text)
     within = (
-        "--set initial_posture.joints.shoulder=0.2 --set payload.truth.mass=100 --set target_posture.joints.wrist=0"
+        "--set initial_posture.joints.shoulder=0.2 --set payload.truth.mass=100 --set "
+        "target_posture.joints.wrist=0"
     )
     validated = CliRunner().invoke(main, ["validate", "mine.yaml"])
     assert validated.exit_code == 0
     assert all(
-        f"warning: mine.yaml: {text}" in line for text, line in zip(TOLD, warned(validated.stderr), strict=False)
+        f"warning: mine.yaml: {text}" in line
+        for text, line in zip(TOLD, warned(validated.stderr), strict=False)
     )
     quiet = CliRunner().invoke(main, ["validate", "mine.yaml", *shlex.split(within)])
     assert warned(quiet.stderr) == []
-    run = CliRunner().invoke(main, shlex.split("run --no-report mine.yaml --set actuation.limit=1.5 --out new"))
+    run = CliRunner().invoke(
+        main, shlex.split("run --no-report mine.yaml --set actuation.limit=1.5 --out new")
+    )
     lines = warned(run.stderr)
     assert all(any(text in line for line in lines) for text in TOLD)
-    assert any("the run: outside the URDF's position limits: shoulder 1.5 at t = 0.00 s" in line for line in lines)
-    assert any("saturated at actuation.limit: " in line and "shoulder in " in line for line in lines)
+    assert any(
+        "the run: outside the URDF's position limits: shoulder 1.5 at t = 0.00 s" in line
+        for line in lines
+    )
+    assert any(
+        "saturated at actuation.limit: " in line and "shoulder in " in line for line in lines
+    )
     assert "forces and ISV as commanded" in run.stdout
     applied = np.abs(RunRecord.load("new").dataset["applied_force"]).max()
     assert applied == 1.5
@@ -1549,7 +2051,10 @@ def test_limits_that_are_left(tmp_path, monkeypatch):
 
 def test_a_duration_between_samples_is_told():
     result = CliRunner().invoke(main, ["validate", "postcapture", "--set", "duration=0.0149"])
-    assert "duration: 0.0149 s are not a whole number of samples of 0.01 s; the run ends at 0.01 s" in result.stderr
+    assert (
+        "duration: 0.0149 s are not a whole number of samples of 0.01 s; the run ends at 0.01 s"
+        in result.stderr
+    )
 
 
 # What surrounds a run.
@@ -1580,7 +2085,9 @@ def test_a_run_with_other_settings_is_not_replaced_in_silence(tmp_path, monkeypa
     assert record() == first
     assert told("compare -c tdc -c asmc") == []
     (line,) = told("compare -c tdc -c asmc", "--seed", "4")  # for both
-    assert "out/compare_postcapture: a run with other settings (random_seed) will be replaced" in line
+    assert (
+        "out/compare_postcapture: a run with other settings (random_seed) will be replaced" in line
+    )
 
 
 def test_a_controller_that_leaves_the_folder(tmp_path, monkeypatch):
@@ -1589,7 +2096,8 @@ def test_a_controller_that_leaves_the_folder(tmp_path, monkeypatch):
     Path("mine_bad.py").write_text(CONTROLLERS)
     result = CliRunner().invoke(main, shlex.split(f"run --no-report {SHORT} -c mine_bad:Elsewhere"))
     assert result.exit_code == 0, result.output
-    check_kept(tmp_path / "out" / "postcapture_Elsewhere", "completed")  # not where another controller's run would be
+    # not where another controller's run would be
+    check_kept(tmp_path / "out" / "postcapture_Elsewhere", "completed")
 
 
 @pytest.mark.slow
@@ -1597,7 +2105,16 @@ def test_a_controller_that_leaves_the_folder(tmp_path, monkeypatch):
 def test_standard_error_that_takes_nothing(tmp_path, stderr):
     """A controller that leaves a thread, too: the process ends nevertheless."""
     (tmp_path / "mine_bad.py").write_text(CONTROLLERS)
-    command = [*FFSM, "run", "--no-report", "-c", "mine_bad:LeavesThread", *shlex.split(SHORT), "--out", "new"]
+    command = [
+        *FFSM,
+        "run",
+        "--no-report",
+        "-c",
+        "mine_bad:LeavesThread",
+        *shlex.split(SHORT),
+        "--out",
+        "new",
+    ]
     close = {"preexec_fn": lambda: os.close(2)} if stderr == "closed" else {}
     with open("/dev/full", "w") as full:
         settings = OWN_PROCESS | {"stderr": full} | close
@@ -1609,7 +2126,9 @@ def test_standard_error_that_takes_nothing(tmp_path, stderr):
 def test_a_folder_that_is_gone(tmp_path):
     (tmp_path / "gone").mkdir()
     script = f"import os; os.rmdir({str(tmp_path / 'gone')!r}); {FFSM[2]}"
-    finished = ffsm("validate", "postcapture", cwd=tmp_path / "gone", command=(sys.executable, "-c", script))
+    finished = ffsm(
+        "validate", "postcapture", cwd=tmp_path / "gone", command=(sys.executable, "-c", script)
+    )
     assert finished.stderr == "error: the current folder has been deleted; change to another one\n"
     assert finished.returncode == 2
 
@@ -1640,7 +2159,9 @@ def test_a_joint_whose_name_looks_like_mathematics(tmp_path, monkeypatch):
     for name, text in URDFS.items():
         Path(name).write_text(text.replace('"wrist"', f'"{odd}"'))
     Path("mine.yaml").write_text(MINE + "duration: 0.3\ndescription: cost in $\\beta_{$\n")
-    assert CliRunner().invoke(main, ["run", "--no-report", "mine.yaml", "--out", "new"]).exit_code == 0
+    assert (
+        CliRunner().invoke(main, ["run", "--no-report", "mine.yaml", "--out", "new"]).exit_code == 0
+    )
     record = RunRecord.load("new")
     for figure in (run_figures.plot_errors([record]), plot_analysis(analyze(record))):
         figure.savefig(io.BytesIO())
@@ -1650,23 +2171,38 @@ def test_plot_passes_over_what_is_no_run(tmp_path, good_run, monkeypatch):
     shutil.copytree(good_run, tmp_path / "run")
     (tmp_path / "report.html").touch()
     names = [str(tmp_path / name) for name in ("report.html", "run", "nothing")]
-    result = CliRunner().invoke(main, ["plot", *names, "--out", str(tmp_path / "report.html")])  # draws nothing
-    assert result.stderr.splitlines()[:2] == [f"{names[k]}: is not the folder of a run; left out" for k in (0, 2)]
+    # draws nothing
+    result = CliRunner().invoke(main, ["plot", *names, "--out", str(tmp_path / "report.html")])
+    assert result.stderr.splitlines()[:2] == [
+        f"{names[k]}: is not the folder of a run; left out" for k in (0, 2)
+    ]
     assert f"{names[0]}: cannot be written" in result.stderr.splitlines()[2]
-    monkeypatch.setattr(run_figures, "save_figures", lambda records, directory: [Path(directory) / str(len(records))])
+    monkeypatch.setattr(
+        run_figures,
+        "save_figures",
+        lambda records, directory: [Path(directory) / str(len(records))],
+    )
     result = CliRunner().invoke(main, ["plot", *names])
     assert result.stdout == f"Written to {names[1]}: 1\n"
 
 
 @pytest.mark.usefixtures("unchecked")
 def test_compare_prints_the_best_first(tmp_path):
-    words = f"compare postcapture -c computed_torque -c tde_aismc --no-report --set duration=1 --out {tmp_path}"
+    words = (
+        "compare postcapture -c computed_torque -c tde_aismc --no-report --set duration=1 "
+        f"--out {tmp_path}"
+    )
     result = CliRunner().invoke(main, shlex.split(words))
-    assert [line.split()[0] for line in result.stdout.splitlines()[2:4]] == ["tde_aismc", "computed_torque"]
+    assert [line.split()[0] for line in result.stdout.splitlines()[2:4]] == [
+        "tde_aismc",
+        "computed_torque",
+    ]
 
 
 def wait_for_handler(process):
-    """Until the command catches SIGTERM (SIGINT Python itself does); without /proc for as long as that takes."""
+    """Until the command catches SIGTERM (SIGINT Python itself does); without /proc for as long as
+    that takes.
+    """
     status = Path(f"/proc/{process.pid}/status")
     if not status.exists():
         time.sleep(0.5)

@@ -30,7 +30,9 @@ def ffsm(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-@pytest.mark.parametrize("command", [[], *[[name] for name in main.commands]], ids=lambda command: " ".join(command))
+@pytest.mark.parametrize(
+    "command", [[], *[[name] for name in main.commands]], ids=lambda command: " ".join(command)
+)
 def test_help_has_examples(command):
     result = ffsm(*command, "--help")
     assert result.exit_code == 0
@@ -39,7 +41,10 @@ def test_help_has_examples(command):
 
 
 def test_help_needs_no_drake():
-    code = "import sys, ffsm_drake.cli as c; c.main(['--help'], standalone_mode=False); print(sorted(sys.modules))"
+    code = (
+        "import sys, ffsm_drake.cli as c; c.main(['--help'], standalone_mode=False); "
+        "print(sorted(sys.modules))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = done.stdout.splitlines()[-1]
     for heavy in ("pydrake", "numpy", "matplotlib", "scipy", "xarray"):
@@ -53,7 +58,12 @@ def test_run_writes_record_and_report(tmp_path, monkeypatch):
     assert result.exit_code == 0, result.output
     record = RunRecord.load(tmp_path)
     assert record.scenario.random_seed == 4
-    assert {path.name for path in tmp_path.iterdir()} == {"record.nc", "metrics.json", "manifest.json", "report.html"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "record.nc",
+        "metrics.json",
+        "manifest.json",
+        "report.html",
+    }
     row = next(line for line in result.stdout.splitlines() if line.startswith("tde_aismc  "))
     assert f"{record.metrics['itae']:.4g}" in row
     assert f"{record.metrics['isv']:.5g}" in row
@@ -75,7 +85,12 @@ def test_run_goes_to_a_folder_of_the_scenarios_name(tmp_path, monkeypatch):
 
 
 def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
-    unstable = ["--set", "controllers.tde_aismc.k_s_initial=150", "--set", "controllers.tde_aismc.k_s_max=null"]
+    unstable = [
+        "--set",
+        "controllers.tde_aismc.k_s_initial=150",
+        "--set",
+        "controllers.tde_aismc.k_s_max=null",
+    ]
     result = ffsm("run", *unstable, "--no-report", "--out", tmp_path)
     assert result.exit_code == 3
     assert re.search(r"tde_aismc diverged at t = [\d.]+ s: \S+ moves at", result.stderr)
@@ -107,7 +122,9 @@ def test_stability(tmp_path, monkeypatch):
     data = json.loads(unstable.stdout)
     assert data["stable"] is False
     assert data["coordinates"]["joint_1"]["k_s_limit"] == pytest.approx(100, rel=1e-6)
-    found = Boundaries(gains=1.25, nominal_payload=float("inf"), sample_time=1.25, flexible_mass={}, delay=3.0)
+    found = Boundaries(
+        gains=1.25, nominal_payload=float("inf"), sample_time=1.25, flexible_mass={}, delay=3.0
+    )
     monkeypatch.setattr(boundaries, "find_boundaries", lambda scenario, *, time: found)
     other = ffsm("stability", "-c", "pd_plus", "--out", tmp_path / "other")
     assert other.exit_code == 0
@@ -117,7 +134,9 @@ def test_stability(tmp_path, monkeypatch):
 
 def test_analyze(run, tmp_path, monkeypatch):
     """The picture itself: ``analysis/test_analysis.py``."""
-    monkeypatch.setattr("ffsm_drake.show.figures.analysis.plot_analysis", lambda analysis: Figure(figsize=(1, 1)))
+    monkeypatch.setattr(
+        "ffsm_drake.show.figures.analysis.plot_analysis", lambda analysis: Figure(figsize=(1, 1))
+    )
     directory = run("postcapture", "duration=2").save(tmp_path / "run")
     result = ffsm("analyze", directory)
     assert result.exit_code == 0, result.output
@@ -127,7 +146,11 @@ def test_analyze(run, tmp_path, monkeypatch):
     assert imread(directory / "analysis.png").shape[:2] == (130, 130)
     elsewhere = ffsm("analyze", directory, "--out", tmp_path / "new", "--json")
     assert elsewhere.exit_code == 0
-    assert json.loads((tmp_path / "new" / "analysis.json").read_text()) == findings == json.loads(elsewhere.stdout)
+    assert (
+        json.loads((tmp_path / "new" / "analysis.json").read_text())
+        == findings
+        == json.loads(elsewhere.stdout)
+    )
     assert (tmp_path / "new" / "analysis.png").is_file()
 
 
@@ -141,10 +164,14 @@ def test_analyze_needs_a_record(tmp_path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("rough_pictures")
 def test_plot_overlays_runs(run, tmp_path):
-    """Of two runs with the fewest samples that there are; a whole run's are drawn by ``test_the_main_job``."""
+    """Of two runs with the fewest samples that there are; a whole run's are drawn by
+    ``test_the_main_job``.
+    """
     record = run("postcapture", "duration=0.5")
     for name in ("one", "two"):
-        dataclasses.replace(record, dataset=record.dataset.isel(time=slice(0, 1))).save(tmp_path / name)
+        dataclasses.replace(record, dataset=record.dataset.isel(time=slice(0, 1))).save(
+            tmp_path / name
+        )
     result = ffsm("plot", tmp_path / "one", tmp_path / "two", "--out", tmp_path / "figures")
     assert result.exit_code == 0, result.output
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {
@@ -190,12 +217,19 @@ def test_schema_describes_every_shipped_scenario():
     jsonschema = pytest.importorskip("jsonschema")
     schema = json.loads(ffsm("schema").stdout)
     assert schema["properties"]["duration"]["description"].startswith("s; ")
-    assert "kg" in schema["properties"]["payload"]["properties"]["truth"]["properties"]["mass"]["description"]
+    assert (
+        "kg"
+        in schema["properties"]["payload"]["properties"]["truth"]["properties"]["mass"][
+            "description"
+        ]
+    )
     validator = jsonschema.validators.validator_for(schema)
     validator.check_schema(schema)  # once: it costs more than all that follows
     validator = validator(schema)
     for name in shipped_scenarios():
-        assert list(validator.iter_errors(json.loads(ffsm("scenarios", name, "--json").stdout))) == []
+        assert (
+            list(validator.iter_errors(json.loads(ffsm("scenarios", name, "--json").stdout))) == []
+        )
     for wrong in ({"duration": "long"}, {"durations": 1.0}):
         assert not validator.is_valid(wrong)
 
@@ -229,7 +263,9 @@ def test_completion_knows_scenarios_and_controllers(monkeypatch):
 
     completer = ShellComplete(main, {}, "ffsm", "_FFSM_COMPLETE")
     assert "flight_sensors" in [item.value for item in completer.get_completions(["run"], "fl")]
-    assert "computed_torque" in [item.value for item in completer.get_completions(["run", "--controller"], "comp")]
+    assert "computed_torque" in [
+        item.value for item in completer.get_completions(["run", "--controller"], "comp")
+    ]
 
 
 def test_reproduce_a_figure(tmp_path, monkeypatch):

@@ -22,7 +22,11 @@ SCENARIOS = {
     "adaptive": ["controller=tde_aismc"],
     "from elsewhere": ["controller=pd_plus"],
     "in orbit": ["environment={altitude: 4e5}"],
-    "with faults": ["sensing.velocity_quantization=1e-6", "sensing.delay=2", "actuation.quantization=0.1"],
+    "with faults": [
+        "sensing.velocity_quantization=1e-6",
+        "sensing.delay=2",
+        "actuation.quantization=0.1",
+    ],
 }
 
 
@@ -40,11 +44,17 @@ def test_a_released_rollout_is_freed(overrides):
 
 
 class Idle(LeafSystem):
-    """A controller as one would write it: its callback keeps it for ever, but not the loop that it was in."""
+    """A controller as one would write it: its callback keeps it for ever, but not the loop that it
+    was in.
+    """
 
     def __init__(self, setup):
         super().__init__()
-        for name, size in (("estimated_state", 23), ("desired_state", 23), ("desired_acceleration", 11)):
+        for name, size in (
+            ("estimated_state", 23),
+            ("desired_state", 23),
+            ("desired_acceleration", 11),
+        ):
             self.DeclareVectorInputPort(name, size)
         self.DeclareStateOutputPort("generalized_force", self.DeclareDiscreteState(11))
         self.DeclarePeriodicDiscreteUpdateEvent(setup.sample_time, 0.0, self.update)
@@ -72,7 +82,10 @@ def test_the_operators_disturbance_is_freed():
     made = []
 
     def operated(setup):
-        hands = {"initial": np.array([1.0, 0.0, 0.0, 0.0]), "poll": lambda time, q: np.array([2.0, 1.0, 0.0, 0.0])}
+        hands = {
+            "initial": np.array([1.0, 0.0, 0.0, 0.0]),
+            "poll": lambda time, q: np.array([2.0, 1.0, 0.0, 0.0]),
+        }
         disturbance = make_operated_disturbance(setup, **hands)
         made.extend(weakref.ref(part) for part in (disturbance, setup, *disturbance.GetSystems()))
         return disturbance
@@ -101,7 +114,9 @@ def test_a_release_is_needed_where_it_is_said_to_be():
 
 
 def test_a_profiler_in_another_thread_does_not_stop_the_building_of_loops():
-    """Frames that somebody holds keep the variables of calls that have returned (a Dask worker's profiler does)."""
+    """Frames that somebody holds keep the variables of calls that have returned (a Dask worker's
+    profiler does).
+    """
     frames, done = collections.deque(maxlen=200), threading.Event()
 
     def watch():

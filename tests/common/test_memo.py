@@ -11,7 +11,11 @@ from pydrake.systems.analysis import SimulatorConfig
 from ffsm_drake.common.memo import content_of, memoized
 from ffsm_drake.scenario import load_scenario, planned_part, schema, shipped_scenarios
 
-SECTIONS = [kind for kind in vars(schema).values() if isinstance(kind, type) and dataclasses.is_dataclass(kind)]
+SECTIONS = [
+    kind
+    for kind in vars(schema).values()
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind)
+]
 
 
 def counted(maxsize=100, **options):
@@ -37,7 +41,9 @@ def test_every_field_of_a_scenario_is_part_of_the_key(section):
     for number, field in enumerate(dataclasses.fields(section), start=2):
         changed = dataclasses.replace(plain, **{field.name: ["something", "else"]})
         within = dataclasses.replace(schema.Scenario(), blocks={"of": [changed]})
-        assert content_of(within) != content_of(dataclasses.replace(within, blocks={"of": [plain]})), field.name
+        assert content_of(within) != content_of(
+            dataclasses.replace(within, blocks={"of": [plain]})
+        ), field.name
         function(changed)
         assert len(calls) == number, field.name
 
@@ -51,7 +57,13 @@ def test_a_setting_of_drake_is_part_of_the_key():
     plain = content_of(SimulatorConfig())
     for field in SimulatorConfig.__fields__:
         changed, value = SimulatorConfig(), getattr(SimulatorConfig(), field.name)
-        other = not value if isinstance(value, bool) else "radau3" if isinstance(value, str) else value + 1
+        other = (
+            not value
+            if isinstance(value, bool)
+            else "radau3"
+            if isinstance(value, str)
+            else value + 1
+        )
         setattr(changed, field.name, other)
         assert content_of(changed) != plain, field.name
 
@@ -109,7 +121,9 @@ def test_a_file_counts_with_its_change(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "value", [object(), np.array([None]), iter([]), lambda: None], ids=lambda value: str(type(value))
+    "value",
+    [object(), np.array([None]), iter([]), lambda: None],
+    ids=lambda value: str(type(value)),
 )
 def test_what_cannot_be_compared_is_refused(value):
     function, calls = counted()
@@ -159,7 +173,10 @@ def test_a_caller_cannot_change_what_another_gets():
 
 
 def test_controllers_share_a_plan():
-    one, other = (load_scenario("flight_sensors", [f"controller={name}", "random_seed=3"]) for name in ("tdc", "asmc"))
+    one, other = (
+        load_scenario("flight_sensors", [f"controller={name}", "random_seed=3"])
+        for name in ("tdc", "asmc")
+    )
     assert content_of(planned_part(one)) == content_of(planned_part(other))
     moved = load_scenario("flight_sensors", ["reference.duration=19"])
     assert content_of(planned_part(one)) != content_of(planned_part(moved))

@@ -1,4 +1,6 @@
-"""The process pool: lost, worn and failing workers; stopping; results that do not depend on who computed them."""
+"""The process pool: lost, worn and failing workers; stopping; results that do not depend on who
+computed them.
+"""
 
 import os
 import signal
@@ -24,7 +26,16 @@ from ffsm_drake.common.workers import (
 
 
 def run(function, tasks, workers, **settings):
-    return list(run_tasks(function, tasks, arguments=lambda task: (task,), workers=workers, stop=Stop(), **settings))
+    return list(
+        run_tasks(
+            function,
+            tasks,
+            arguments=lambda task: (task,),
+            workers=workers,
+            stop=Stop(),
+            **settings,
+        )
+    )
 
 
 class Fragile(Executor):
@@ -90,7 +101,9 @@ def test_a_killed_worker_is_replaced_and_its_task_repeated(tmp_path):
 @pytest.mark.parametrize("workers", [1, 2])
 def test_results_come_in_the_order_of_the_tasks(workers):
     told = []
-    results = map_tasks(nap, [0.2, 0.0, 0.1], workers=workers, progress=lambda *call: told.append(call))
+    results = map_tasks(
+        nap, [0.2, 0.0, 0.1], workers=workers, progress=lambda *call: told.append(call)
+    )
     assert results == ["0.2", "0.0", "0.1"]
     assert [call[:2] for call in told] == [(1, 3), (2, 3), (3, 3)]
     assert {call[2] for call in told} == set(results)
@@ -121,7 +134,8 @@ from ffsm_drake.common.workers import map_tasks
 if __name__ == "__main__":
     handle_signals()
     try:
-        map_tasks(time.sleep, [0.1] * 600, workers=int(sys.argv[1]), progress=lambda *call: print(call[0], flush=True))
+        map_tasks(time.sleep, [0.1] * 600, workers=int(sys.argv[1]),
+                  progress=lambda *call: print(call[0], flush=True))
     except KeyboardInterrupt:
         print("interrupted")
         sys.exit(exit_code())
@@ -134,9 +148,12 @@ def test_signals_stop_after_the_tasks_under_way(tmp_path, workers, sent):
     script = tmp_path / "script.py"
     script.write_text(INTERRUPTED)
     process = subprocess.Popen(
-        [sys.executable, script, workers], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        [sys.executable, script, workers],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
         start_new_session=True,
-    )  # fmt: skip
+    )
     assert process.stdout.readline() == "1\n"
     os.killpg(process.pid, sent)  # the workers get it too, as from a terminal
     output, _ = process.communicate(timeout=60)

@@ -13,24 +13,40 @@ from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.systems.controllers import complete_gains
 
 FREE = [
-    "actuation.driven=[joints]", "disturbance.harmonics={}",
-    *(f"{posture}_posture.base_{part}=[0,0,0]" for posture in ("initial", "target") for part in ("position", "rpy")),
-]  # fmt: skip
+    "actuation.driven=[joints]",
+    "disturbance.harmonics={}",
+    *(
+        f"{posture}_posture.base_{part}=[0,0,0]"
+        for posture in ("initial", "target")
+        for part in ("position", "rpy")
+    ),
+]
 # Factor on all gains from which the loop is unstable.
-EDGE = {"tdc": 2.301, "asmc": 1.258, "aismc": 1.279, "tde_aismc": 1.439, "computed_torque": 21.32, "pd_plus": 8.93}
+EDGE = {
+    "tdc": 2.301,
+    "asmc": 1.258,
+    "aismc": 1.279,
+    "tde_aismc": 1.439,
+    "computed_torque": 21.32,
+    "pd_plus": 8.93,
+}
 
 
 def free(controller, *overrides):
     """Gains are held: adaptation and the sign term are foreseen apart from the loop."""
     held = {"aismc": ["controllers.aismc.alpha=0"], "tde_aismc": ["controllers.tde_aismc.alpha=0"]}
-    return load_scenario("postcapture", [*FREE, f"controller={controller}", *held.get(controller, []), *overrides])
+    return load_scenario(
+        "postcapture", [*FREE, f"controller={controller}", *held.get(controller, []), *overrides]
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", EDGE)
 def test_the_edge_of_stability_from_both_sides(controller):
     length = 19 if controller == "pd_plus" else 7  # which grows slowly
-    scenario = complete_gains(free(controller, f"duration={length + 1}", f"reference.duration={length}"))
+    scenario = complete_gains(
+        free(controller, f"duration={length + 1}", f"reference.duration={length}")
+    )
     time = stability(scenario, postures=5).edge_time
     runs = []
     for share in (0.97, 1.03):
@@ -41,12 +57,19 @@ def test_the_edge_of_stability_from_both_sides(controller):
     inside, outside = runs
     assert inside.outcome.completed
     assert np.abs(inside.dataset["error"].values[-50:, 6:]).max() < 1e-2
-    assert outside.outcome.status == "diverged" or outside.metrics["isv"] > 1e3 * inside.metrics["isv"]
+    assert (
+        outside.outcome.status == "diverged" or outside.metrics["isv"] > 1e3 * inside.metrics["isv"]
+    )
 
 
 def test_poles_are_those_of_the_reduced_plant():
-    """Computed torque with the true payload: at rest each joint's loop is e'' + K_d e' + K_p e = 0, sampled."""
-    gains = ["controllers.computed_torque={k_p: 4, k_d: 4}", "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}"]
+    """Computed torque with the true payload: at rest each joint's loop is e'' + K_d e' + K_p e = 0,
+    sampled.
+    """
+    gains = [
+        "controllers.computed_torque={k_p: 4, k_d: 4}",
+        "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}",
+    ]
     with Linearizer(free("computed_torque", *gains, "sensing.velocity_noise=0")) as linearizer:
         loop = linearizer.at(linearizer.motion.end)
     step, k_p, k_d = 0.01, 4.0, 4.0

@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from outside_urdfs import BOX, OUTSIDE, TURN, arm_alone, joint, link, robot, simple_arm, stage, two_arms
+from outside_urdfs import (
+    BOX,
+    OUTSIDE,
+    TURN,
+    arm_alone,
+    joint,
+    link,
+    robot,
+    simple_arm,
+    stage,
+    two_arms,
+)
 
 from ffsm_drake import load_scenario, make_true_plant
 from ffsm_drake.cli import main
@@ -22,8 +33,9 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.plant import base_body
 from ffsm_drake.spacecraft.urdf import make_bus, read_urdf
 
-# Final error, rad or m, held after a motion of a quarter of the planned duration (PD+: of half of it). Computed torque
-# and PD+ estimate neither the disturbance nor the payload's deviation, and keep the error that these cause.
+# Final error, rad or m, held after a motion of a quarter of the planned duration (PD+: of half of
+# it). Computed torque and PD+ estimate neither the disturbance nor the payload's deviation, and
+# keep the error that these cause.
 LARGEST_ERROR = {"computed_torque": 2e-4, "pd_plus": 1e-3}
 
 
@@ -69,7 +81,11 @@ def test_every_controller_settles(made, name):
     assert {each["verdict"] for each in new.margins.values()} == {"stable"}
     for controller in CONTROLLERS[name]:
         moving = 10 if controller == "pd_plus" else 5
-        quick = [f"controller={controller}", f"reference.duration={moving}", f"duration={moving + 1}"]
+        quick = [
+            f"controller={controller}",
+            f"reference.duration={moving}",
+            f"duration={moving + 1}",
+        ]
         log = Rollout(load_scenario(new.scenario_file, quick)).run()
         assert log.outcome.completed, log.outcome.message
         assert np.abs(log.error[-1]).max() < LARGEST_ERROR.get(controller, 1e-5)
@@ -120,7 +136,9 @@ def test_folder_can_be_moved(made, tmp_path):
 
 @pytest.mark.slow
 def test_pd_plus_gains_follow_the_inertia(made):
-    """A wrist gets less than the base, a heavy hull more than a light platform; every coordinate has its own."""
+    """A wrist gets less than the base, a heavy hull more than a light platform; every coordinate
+    has its own.
+    """
     gains = {name: pd_plus(made(name)) for name in ("gripper", "prismatic")}
     for name, (k_p, k_d) in gains.items():
         true = make_true_plant(load_scenario(made(name).scenario_file))
@@ -147,12 +165,17 @@ def test_weak_or_slow_joints_get_more_time(made, tmp_path):
     joints = made("two_arms").servicer
     usual = plan_motion(true, joints, body="debris::debris")
     assert usual.duration == 20.0
-    urdf.write_text(two_arms().replace('effort="80"', 'effort="2"').replace('velocity="1.5"', 'velocity="0.1"'))
+    urdf.write_text(
+        two_arms().replace('effort="80"', 'effort="2"').replace('velocity="1.5"', 'velocity="0.1"')
+    )
     weak = plan_motion(true, read_urdf(urdf), body="debris::debris")
     assert weak.initial == usual.initial
     assert weak.duration > 20.0
     assert max(weak.peak_force[each.name] for each in joints.joints) <= 0.3 * 2.0
-    change = max(abs(weak.initial.joints[each.name] - weak.target.joints[each.name]) for each in joints.joints)
+    change = max(
+        abs(weak.initial.joints[each.name] - weak.target.joints[each.name])
+        for each in joints.joints
+    )
     assert 1.875 * change / weak.duration <= 0.2 * 0.1  # the quintic's peak rate
 
 
@@ -165,12 +188,15 @@ def test_efforts_limit_the_actuators(made):
 
 REFUSED = {
     "no inertia about an axis": (
-        simple_arm(link("lamp", mass=1, inertia=(0, 0, 0)), joint("pan", "bus", "lamp", limit=TURN)),
+        simple_arm(
+            link("lamp", mass=1, inertia=(0, 0, 0)), joint("pan", "bus", "lamp", limit=TURN)
+        ),
         "joint 'pan' moves nothing that has inertia beside the rest",
     ),
     "geometry": (
         simple_arm(
-            link("tag", extra="<visual><geometry><box/></geometry></visual>"), joint("t", "bus", "tag", kind="fixed")
+            link("tag", extra="<visual><geometry><box/></geometry></visual>"),
+            joint("t", "bus", "tag", kind="fixed"),
         ),
         "robot.urdf: Missing box attribute: size",
     ),
@@ -220,9 +246,19 @@ def test_the_tutorial(tmp_path):
     """The URDF that docs/own_arm.md prints, through the command that it prints."""
     page = (Path(__file__).parents[2] / "docs" / "own_arm.md").read_text()
     urdf = tmp_path / "courier.urdf"
-    urdf.write_text(page.partition("```xml\n")[2].partition("```")[0].replace('effort="20"', 'effort="0"'))
+    urdf.write_text(
+        page.partition("```xml\n")[2].partition("```")[0].replace('effort="20"', 'effort="0"')
+    )
     (tmp_path / "mine").mkdir()
-    arguments = ["new", str(tmp_path / "mine"), "--urdf", str(urdf), "--payload-mass", "40", "--json"]
+    arguments = [
+        "new",
+        str(tmp_path / "mine"),
+        "--urdf",
+        str(urdf),
+        "--payload-mass",
+        "40",
+        "--json",
+    ]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
     data = json.loads(result.stdout)
@@ -235,7 +271,9 @@ def test_the_tutorial(tmp_path):
     scenario = load_scenario(data["scenario"])
     assert (scenario.payload.truth.mass, scenario.payload.nominal.mass) == (40.0, 32.0)
     # Only keys that the scenario knows, and not all of them.
-    assert set(yaml.safe_load((tmp_path / "mine" / "mine.yaml").read_text())) < set(vars(Scenario()))
+    assert set(yaml.safe_load((tmp_path / "mine" / "mine.yaml").read_text())) < set(
+        vars(Scenario())
+    )
     # What the page says of a payload that is nominally too heavy.
     for share, outcome in ((1.45, "completed"), (2.0, "diverged")):
         nominal = [
@@ -253,8 +291,18 @@ def test_the_tutorial(tmp_path):
 def test_an_arm_alone_on_a_bus_with_a_target_of_its_own(tmp_path):
     (tmp_path / "ur5.urdf").write_text(arm_alone())
     (tmp_path / "stage.urdf").write_text(stage())
-    words = ["new", str(tmp_path / "mine"), "--urdf", str(tmp_path / "ur5.urdf"), "--bus-mass", "400", "--bus-size"]
-    result = CliRunner().invoke(main, [*words, "1,1.5,2", "--target", str(tmp_path / "stage.urdf"), "--json"])
+    words = [
+        "new",
+        str(tmp_path / "mine"),
+        "--urdf",
+        str(tmp_path / "ur5.urdf"),
+        "--bus-mass",
+        "400",
+        "--bus-size",
+    ]
+    result = CliRunner().invoke(
+        main, [*words, "1,1.5,2", "--target", str(tmp_path / "stage.urdf"), "--json"]
+    )
     assert result.exit_code == 0, result.output
     data = json.loads(result.stdout)
     assert data["base"] == {"link": "bus", "mass": 404.0}  # with the arm's foot
@@ -288,21 +336,43 @@ MOUNTING = {
     "no mass": (arm_alone, ["--bus-mass", "0"], "--bus-mass: must be > 0 kg, not 0"),
     "infinite": (arm_alone, ["--bus-mass", "inf"], "--bus-mass: must be > 0 kg, not inf"),
     "tiny": (arm_alone, ["--bus-mass", "1e-300", "--bus-size", "1e-100"], "no usable inertia"),
-    "two sides": (arm_alone, [*BUS, "--bus-size", "1,2"], "--bus-size: must be one side or three, > 0 m, not 1,2"),
+    "two sides": (
+        arm_alone,
+        [*BUS, "--bus-size", "1,2"],
+        "--bus-size: must be one side or three, > 0 m, not 1,2",
+    ),
     "no number": (arm_alone, [*BUS, "--bus-size", "wide"], "'wide' must be a side in m, or three"),
-    "size alone": (simple_arm, ["--bus-size", "1"], "--bus-size: is that of a bus; give --bus-mass too"),
+    "size alone": (
+        simple_arm,
+        ["--bus-size", "1"],
+        "--bus-size: is that of a bus; give --bus-mass too",
+    ),
     "no bus": (arm_alone, [], "or mount it on a bus with --bus-mass KG"),
-    "two feet": (lambda: robot(link("a", **BOX), link("b", **BOX)), BUS, "one link must be the arm's foot"),
+    "two feet": (
+        lambda: robot(link("a", **BOX), link("b", **BOX)),
+        BUS,
+        "one link must be the arm's foot",
+    ),
     "foot beside the world's": (
-        lambda: arm_alone().replace("</robot>", link("b", **BOX) + "</robot>"), BUS, "beside what is fixed to the world"
+        lambda: arm_alone().replace("</robot>", link("b", **BOX) + "</robot>"),
+        BUS,
+        "beside what is fixed to the world",
     ),
     "no arm": (lambda: robot(link("a", **BOX)), BUS, "has no joint that moves"),
     "a negative target": (simple_arm, ["--target", "-1"], "must be > 0 kg, not -1"),
     "no target": (simple_arm, ["--target", "none.urdf"], "none.urdf: no such file; give its URDF"),
     "an empty target": (simple_arm, ["--target", ""], "no such file"),
-    "a target that moves": (simple_arm, ["--target", "arm.urdf"], "one link must have the target's mass, not"),
-    "a target that cannot be held": (simple_arm, ["--target", "bare.urdf"], "no frame where it could be held; add"),
-}  # fmt: skip
+    "a target that moves": (
+        simple_arm,
+        ["--target", "arm.urdf"],
+        "one link must have the target's mass, not",
+    ),
+    "a target that cannot be held": (
+        simple_arm,
+        ["--target", "bare.urdf"],
+        "no frame where it could be held; add",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", MOUNTING)

@@ -1,4 +1,6 @@
-"""The mission with real sensors: what flight_sensors promises, how that is predicted, and how gains are designed."""
+"""The mission with real sensors: what flight_sensors promises, how that is predicted, and how gains
+are designed.
+"""
 
 import json
 import sys
@@ -24,7 +26,9 @@ def rms_after(record, seconds=5.0):
     data = record.dataset
     error = data["error"].values[data["time"].values > seconds]
     group = data["group"].values
-    return {name: float(np.sqrt(np.mean(error[:, group == name] ** 2))) for name in np.unique(group)}
+    return {
+        name: float(np.sqrt(np.mean(error[:, group == name] ** 2))) for name in np.unique(group)
+    }
 
 
 @pytest.mark.parametrize(
@@ -50,7 +54,9 @@ def test_it_flies(run, controller, seed):
 
 @pytest.mark.slow
 def test_the_coupled_estimate_is_worth_its_matrix(run):
-    """28 % less effort beyond the ideal 366.2 than one filter for each coordinate, and more accurate joints."""
+    """28 % less effort beyond the ideal 366.2 than one filter for each coordinate, and more
+    accurate joints.
+    """
     variants = ["random_seed=0", "estimator.kind=coupled"]  # the first is looked at by others, too
     records = [run("flight_sensors", "controller=tdc", variant) for variant in variants]
     assert [record.scenario.estimator.kind for record in records] == ["kalman", "coupled"]
@@ -71,10 +77,16 @@ def test_a_known_delay_costs_little(run):
 
 @pytest.mark.parametrize("controller", ["tde_aismc", pytest.param("tdc", marks=pytest.mark.slow)])
 def test_slow_late_navigation_and_a_biased_gyro(run, controller):
-    """Within the scenario's tolerance over the last second, at little more effort than perfect tracking's 366."""
+    """Within the scenario's tolerance over the last second, at little more effort than perfect
+    tracking's 366.
+    """
     record = run("slow_navigation", f"controller={controller}")
     assert record.scenario.tolerance_of("base_position") == 5e-3
-    assert record.scenario.tolerance_of("base_rotation") == record.scenario.tolerance_of("joints") == 1e-3
+    assert (
+        record.scenario.tolerance_of("base_rotation")
+        == record.scenario.tolerance_of("joints")
+        == 1e-3
+    )
     (result,) = results_of([record])
     assert result.status == "settled"
     assert record.metrics["isv"] < 460
@@ -87,7 +99,10 @@ def test_slow_late_navigation_and_a_biased_gyro(run, controller):
     [
         ("tde_aismc", 150),
         ("tdc", 40),
-        *(pytest.param(*pair, marks=pytest.mark.slow) for pair in (("tde_aismc", 40), ("tdc", 150))),
+        *(
+            pytest.param(*pair, marks=pytest.mark.slow)
+            for pair in (("tde_aismc", 40), ("tdc", 150))
+        ),
     ],
 )
 def test_it_flies_with_a_wrong_payload(run, controller, belief):
@@ -98,7 +113,9 @@ def test_it_flies_with_a_wrong_payload(run, controller, belief):
     assert record.metrics["isv"] <= 1.3 * make_demand(record.scenario).ideal_isv
 
 
-@pytest.mark.parametrize("scale", [pytest.param("frequency_scale", marks=pytest.mark.slow), "amplitude_scale"])
+@pytest.mark.parametrize(
+    "scale", [pytest.param("frequency_scale", marks=pytest.mark.slow), "amplitude_scale"]
+)
 def test_it_flies_under_other_disturbances(run, scale):
     record = run("flight_sensors", f"disturbance.{scale}=3", "duration=10")
     assert record.outcome.completed
@@ -107,16 +124,31 @@ def test_it_flies_under_other_disturbances(run, scale):
 
 @pytest.mark.parametrize("controller", ["tde_aismc", "tdc"])
 def test_the_published_estimate_does_not_fly(run, controller):
-    """Published gains and estimate with the same sensors: the thrusters saturate and the effort is a thousandfold."""
+    """Published gains and estimate with the same sensors: the thrusters saturate and the effort is
+    a thousandfold.
+    """
     published = {
         "tdc": ["controllers.tdc.k_d=100", "controllers.tdc.k_p={all: 100, base_position: 200}"],
-        "tde_aismc": ["controllers.tde_aismc.k_d=100", "controllers.tde_aismc.k_p={all: 100, base_position: 200}",
-                      "controllers.tde_aismc.k_s_initial=80", "controllers.tde_aismc.k_s_max=90"],
-    }[controller]  # fmt: skip
-    record = run("flight_sensors", f"controller={controller}", "estimator.kind=one_sample", "duration=5", *published)
-    commanded, applied = (record.dataset[name].values for name in ("generalized_force", "applied_force"))
+        "tde_aismc": [
+            "controllers.tde_aismc.k_d=100",
+            "controllers.tde_aismc.k_p={all: 100, base_position: 200}",
+            "controllers.tde_aismc.k_s_initial=80",
+            "controllers.tde_aismc.k_s_max=90",
+        ],
+    }[controller]
+    record = run(
+        "flight_sensors",
+        f"controller={controller}",
+        "estimator.kind=one_sample",
+        "duration=5",
+        *published,
+    )
+    commanded, applied = (
+        record.dataset[name].values for name in ("generalized_force", "applied_force")
+    )
     assert record.metrics["isv"] > 2e4
-    assert (np.abs(commanded) > np.abs(applied) + 1e-9)[:, 3:6].mean() > 0.5  # saturated more than half of the time
+    # saturated more than half of the time
+    assert (np.abs(commanded) > np.abs(applied) + 1e-9)[:, 3:6].mean() > 0.5
 
 
 @pytest.mark.slow
@@ -124,20 +156,32 @@ def test_the_published_estimate_does_not_fly(run, controller):
 def test_prediction_against_three_seeds(run, controller):
     """Rms error and effort foreseen from the wiring agree with Monte Carlo."""
     predicted = predict(load_scenario("flight_sensors", [f"controller={controller}"]))
-    runs = [run("flight_sensors", f"controller={controller}", f"random_seed={seed}") for seed in range(3)]
-    assert predicted.isv == pytest.approx(np.mean([record.metrics["isv"] for record in runs]), rel=0.02)
-    square = np.mean([(record.dataset["error"].values[501:] ** 2).mean(axis=0) for record in runs], axis=0)
+    runs = [
+        run("flight_sensors", f"controller={controller}", f"random_seed={seed}")
+        for seed in range(3)
+    ]
+    assert predicted.isv == pytest.approx(
+        np.mean([record.metrics["isv"] for record in runs]), rel=0.02
+    )
+    square = np.mean(
+        [(record.dataset["error"].values[501:] ** 2).mean(axis=0) for record in runs], axis=0
+    )
     groups = predicted.coordinates.groups
     for name, value in predicted.by_group().items():
         assert value == pytest.approx(np.sqrt(square[groups[name]].mean()), rel=0.1), name
     efforts = np.array([record.dataset["generalized_force"].values[:-1] for record in runs])
-    assert predicted.isv_by_coordinate == pytest.approx((efforts**2).sum(axis=1).mean(axis=0) * 0.01, rel=0.15)
+    assert predicted.isv_by_coordinate == pytest.approx(
+        (efforts**2).sum(axis=1).mean(axis=0) * 0.01, rel=0.15
+    )
     peaks = np.abs(efforts).max(axis=1).mean(axis=0)
     assert predicted.peak_effort == pytest.approx(peaks, rel=0.3)
 
 
 def test_no_controller_beats_the_lqg_front():
-    limits = {name: find_limit(load_scenario("flight_sensors", [f"controller={name}"])) for name in ("tdc", "pd_plus")}
+    limits = {
+        name: find_limit(load_scenario("flight_sensors", [f"controller={name}"]))
+        for name in ("tdc", "pd_plus")
+    }
     assert 1.0 < limits["tdc"].distance < 1.5 < limits["pd_plus"].distance
     for limit in limits.values():
         assert (np.diff(limit.front_excess) > 0.0).all()
@@ -149,11 +193,18 @@ NOISES = {
     "white": [],
     "correlated rates": ["sensing.velocity_correlated_noise=3e-4"],
     "fast": ["sensing.velocity_correlated_noise=1e-4", "sensing.correlation_time=0.03"],
-    "slow": ["sensing.position_correlated_noise={all: 1e-5, base_position: 1e-3}", "sensing.correlation_time=100"],
+    "slow": [
+        "sensing.position_correlated_noise={all: 1e-5, base_position: 1e-3}",
+        "sensing.correlation_time=100",
+    ],
     "walking bias": ["sensing.velocity_bias_walk=1e-5"],
-    "all of it": ["sensing.velocity_correlated_noise=1e-4", "sensing.position_correlated_noise=1e-5",
-                  "sensing.velocity_bias_walk={joints: 1e-5}", "sensing.correlation_time={all: 2, joints: 0.2}"],
-}  # fmt: skip
+    "all of it": [
+        "sensing.velocity_correlated_noise=1e-4",
+        "sensing.position_correlated_noise=1e-5",
+        "sensing.velocity_bias_walk={joints: 1e-5}",
+        "sensing.correlation_time={all: 2, joints: 0.2}",
+    ],
+}
 
 
 @pytest.mark.parametrize("noise", NOISES)
@@ -161,24 +212,30 @@ NOISES = {
 def test_no_controller_beats_the_front_whatever_the_noise(controller, noise):
     settings = [f"controller={controller}", "duration=8"]
     white, limit = (
-        find_limit(load_scenario("flight_sensors", [*settings, *NOISES[name]])) for name in ("white", noise)
+        find_limit(load_scenario("flight_sensors", [*settings, *NOISES[name]]))
+        for name in ("white", noise)
     )
     assert limit.distance >= 1.0
     assert (np.diff(limit.front_excess) > 0.0).all()
     least, least_of_white = limit.front_error.min(axis=0), white.front_error.min(axis=0)
-    if controller != "pd_plus":  # whose errors weigh the coordinates so differently that few fronts can be solved for
+    # whose errors weigh the coordinates so differently that few fronts can be solved for
+    if controller != "pd_plus":
         assert (least >= least_of_white * (1.0 - 1e-3)).all()
     assert (least / least_of_white).max() > 1.05 or noise == "white"
 
 
 def test_noise_that_forgets_at_once_is_white():
     sigma = {"position": 3e-5, "velocity": 2e-4}
-    white = [f"sensing.{part}_noise={{all: {np.hypot(1e-5, size)}}}" for part, size in sigma.items()]
+    white = [
+        f"sensing.{part}_noise={{all: {np.hypot(1e-5, size)}}}" for part, size in sigma.items()
+    ]
     both = [f"sensing.{part}_noise={{all: 1e-5}}" for part in sigma]
     both += [f"sensing.{part}_correlated_noise={{all: {size}}}" for part, size in sigma.items()]
     settings = ["duration=8", "sensing.correlation_time=1e-4"]
     settings += [f"estimator.{part}_noise={{all: {size}}}" for part, size in sigma.items()]
-    one, other = (find_limit(load_scenario("flight_sensors", [*settings, *noise])) for noise in (white, both))
+    one, other = (
+        find_limit(load_scenario("flight_sensors", [*settings, *noise])) for noise in (white, both)
+    )
     assert other.distance == pytest.approx(one.distance, rel=1e-4)
     prices = np.log(one.front_excess[2:-2])
     for mine, theirs in zip(one.front_error.T, other.front_error.T, strict=True):
@@ -188,28 +245,40 @@ def test_noise_that_forgets_at_once_is_white():
 
 def test_the_limit_says_nothing_of_sensors_it_does_not_know(monkeypatch):
     lab = types.ModuleType("lab_of_the_sensors")
-    lab.Sensors = lambda setup: make_sensing(setup.scenario.sensing, setup.coordinates, sample_time=setup.sample_time)
+    lab.Sensors = lambda setup: make_sensing(
+        setup.scenario.sensing, setup.coordinates, sample_time=setup.sample_time
+    )
     monkeypatch.setitem(sys.modules, lab.__name__, lab)
-    limit = find_limit(load_scenario("flight_sensors", ["duration=2", "blocks.sensing=lab_of_the_sensors:Sensors"]))
+    limit = find_limit(
+        load_scenario("flight_sensors", ["duration=2", "blocks.sensing=lab_of_the_sensors:Sensors"])
+    )
     assert np.isnan(limit.distance)
 
 
 def test_perfect_tracking_effort_is_that_of_a_noiseless_run(run):
-    demand = make_demand(load_scenario("postcapture", ["controller=aismc", "sensing.velocity_noise=0"]))
+    demand = make_demand(
+        load_scenario("postcapture", ["controller=aismc", "sensing.velocity_noise=0"])
+    )
     simulated = run("postcapture", "controller=aismc", "sensing.velocity_noise=0").metrics["isv"]
     assert demand.ideal_isv == pytest.approx(simulated, rel=2e-3)
 
 
 @pytest.mark.slow
 def test_design_beats_the_hand_made_gains(monkeypatch):
-    """No more error in any group, at no more effort, than w = 2, 5, 10 rad/s with walks 1e-3, 1e-3, 1e-2."""
+    """No more error in any group, at no more effort, than w = 2, 5, 10 rad/s with walks 1e-3, 1e-3,
+    1e-2.
+    """
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.08, 0.022, 0.006))
     hand_made = load_scenario(
         "flight_sensors",
-        ["duration=8", "controller=tdc", "controllers.tdc.k_d={base_position: 4, base_rotation: 10, joints: 20}",
-         "controllers.tdc.k_p={base_position: 4, base_rotation: 25, joints: 100}",
-         "estimator.walk={base_position: 1e-3, base_rotation: 1e-3, joints: 1e-2}"],
-    )  # fmt: skip
+        [
+            "duration=8",
+            "controller=tdc",
+            "controllers.tdc.k_d={base_position: 4, base_rotation: 10, joints: 20}",
+            "controllers.tdc.k_p={base_position: 4, base_rotation: 25, joints: 100}",
+            "estimator.walk={base_position: 1e-3, base_rotation: 1e-3, joints: 1e-2}",
+        ],
+    )
     found = design(hand_made, budget=188.6)
     assert not found.kept
     assert found.chosen.prediction.isv <= 188.6 < found.given.prediction.isv
@@ -266,14 +335,26 @@ def test_design_says_when_a_budget_cannot_be_met(tmp_path, monkeypatch):
     """With one price, the highest: what costs least is what is asked for."""
     monkeypatch.setattr("ffsm_drake.control_design.gains.axis_search.PRICES", (0.2,))
     short = ["--set", "duration=6"]
-    arguments = ["design", "flight_sensors", "-c", "tdc", "--budget", "50", "--out", str(tmp_path), *short]
+    arguments = [
+        "design",
+        "flight_sensors",
+        "-c",
+        "tdc",
+        "--budget",
+        "50",
+        "--out",
+        str(tmp_path),
+        *short,
+    ]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 2
     assert "error: budget: ISV 50.0 cannot be met; the cheapest gains found need" in result.output
 
 
 def test_margins_know_the_estimator():
-    """The Kalman estimate tolerates over-estimated inertia that the one-sample estimate does not."""
+    """The Kalman estimate tolerates over-estimated inertia that the one-sample estimate does
+    not.
+    """
     kalman = stability(load_scenario("flight_sensors", ["controller=tdc"]))
     one_sample = stability(load_scenario("postcapture", ["controller=aismc"]))
     assert kalman.is_stable
@@ -283,7 +364,14 @@ def test_margins_know_the_estimator():
 
 @pytest.mark.parametrize("payload_range", [("150", "60"), ("-5", "60"), ("60", "60")])
 def test_design_refuses_a_payload_range_that_is_none(tmp_path, payload_range):
-    arguments = ["design", "flight_sensors", "--out", str(tmp_path), "--payload-range", *payload_range]
+    arguments = [
+        "design",
+        "flight_sensors",
+        "--out",
+        str(tmp_path),
+        "--payload-range",
+        *payload_range,
+    ]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 2
     assert "error: payload range: must be two masses 0 < LOW < HIGH in kg" in result.output

@@ -12,9 +12,14 @@ from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
 
 JOINTS = ("actuation.driven=[joints]",)
 ARM = (
-    *JOINTS, "initial_velocity=0", "reference.goal=target_posture", "planning.end_rate=0", "planning.segments=6",
-    "target_posture.joints={joint_1: -0.65, joint_2: 1.15, joint_3: 0.6}", "reference.duration=8",
-)  # fmt: skip
+    *JOINTS,
+    "initial_velocity=0",
+    "reference.goal=target_posture",
+    "planning.end_rate=0",
+    "planning.segments=6",
+    "target_posture.joints={joint_1: -0.65, joint_2: 1.15, joint_3: 0.6}",
+    "reference.duration=8",
+)
 
 
 def turn(positions):
@@ -32,7 +37,9 @@ def arm():
 
 @pytest.mark.parametrize("driven", [("joints",), ("base_rotation", "joints")])
 def test_force_and_rates_are_those_of_the_reduced_dynamics(driven):
-    model = make_nominal_plant(load_scenario("free_floating", [f"actuation.driven=[{', '.join(driven)}]"]))
+    model = make_nominal_plant(
+        load_scenario("free_floating", [f"actuation.driven=[{', '.join(driven)}]"])
+    )
     dynamics = FreeDynamics(InverseDynamics(model, RotationMatrix()), model.coordinates)
     size, joints = model.coordinates.driven.size, len(model.coordinates.joints)
     z, rate, acceleration = np.random.default_rng(0).normal(size=(3, size, 20))
@@ -52,7 +59,10 @@ def test_force_and_rates_are_those_of_the_reduced_dynamics(driven):
     if driven == ("joints",):
         assert taken[1] == pytest.approx(v[:, :3], abs=1e-12)
     step = 1e-5
-    sides = [dynamics.calc(z, rate + sign * step * np.eye(size)[:, [1]], acceleration) for sign in (1.0, -1.0)]
+    sides = [
+        dynamics.calc(z, rate + sign * step * np.eye(size)[:, [1]], acceleration)
+        for sign in (1.0, -1.0)
+    ]
     assert by[1, :, 1] == pytest.approx((sides[0] - sides[1]) / (2.0 * step), abs=1e-6)
 
 
@@ -75,16 +85,29 @@ def test_small_rotations_add_up_and_their_derivatives_are_exact():
     assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.2)  # of fourth order
     step = 1e-6
     change = last(21, 0.1 + step)[1] @ last(21, 0.1 - step)[1].T
-    assert last(21, 0.1)[2] == pytest.approx(rotation_vector(change[None])[0] / (2.0 * step), abs=1e-8)
+    assert last(21, 0.1)[2] == pytest.approx(
+        rotation_vector(change[None])[0] / (2.0 * step), abs=1e-8
+    )
 
 
 def test_a_run_turns_the_base_as_planned(arm, tmp_path):
     assert all(margin.kept for margin in arm.margins)
-    assert max(abs(margin.value / margin.limit) for margin in arm.margins if margin.quantity == "force") > 0.9
+    assert (
+        max(
+            abs(margin.value / margin.limit) for margin in arm.margins if margin.quantity == "force"
+        )
+        > 0.9
+    )
     assert np.abs(arm.force[:, :6]).max() < 1e-9
     path = tmp_path / "plan.yaml"
     arm.plan.save(path, title="of joints")
-    over = [*ARM, "reference.kind=optimal", f"reference.plan={path}", "controller=computed_torque", "duration=6"]
+    over = [
+        *ARM,
+        "reference.kind=optimal",
+        f"reference.plan={path}",
+        "controller=computed_torque",
+        "duration=6",
+    ]
     record = simulate(load_scenario("planar_detumble", over), check_stability=False)
     assert record.outcome.completed
     assert base_turn(record) == pytest.approx(turn(arm.rows), abs=1e-5)
@@ -94,7 +117,9 @@ def test_a_run_turns_the_base_as_planned(arm, tmp_path):
 
 def test_the_base_turns_no_further_than_it_may(arm):
     limit = 0.8 * turn(arm.rows)
-    found = plan_motion(load_scenario("planar_detumble", [*ARM, f"planning.base_attitude_limit={limit}"]))
+    found = plan_motion(
+        load_scenario("planar_detumble", [*ARM, f"planning.base_attitude_limit={limit}"])
+    )
     assert all(margin.kept for margin in found.margins)
     assert 0.97 * limit < turn(found.rows) < 1.002 * limit
     assert found.plan.duration > arm.plan.duration
@@ -102,9 +127,12 @@ def test_the_base_turns_no_further_than_it_may(arm):
 
 def test_wheels_take_a_tumble_out_while_the_position_drifts():
     over = [
-        "actuation.driven=[base_rotation, joints]", "capture.approach=null", "capture.rate=[0.035, 0, 0]",
-        "reference.goal=stop", "planning.segments=6",
-    ]  # fmt: skip
+        "actuation.driven=[base_rotation, joints]",
+        "capture.approach=null",
+        "capture.rate=[0.035, 0, 0]",
+        "reference.goal=stop",
+        "planning.segments=6",
+    ]
     scenario = load_scenario("tumbling_capture", over)
     found = plan_motion(scenario)
     assert all(margin.kept for margin in found.margins)
@@ -121,8 +149,14 @@ def test_wheels_take_a_tumble_out_while_the_position_drifts():
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("planning.velocity_limit={base_rotation: 1}", "planning.velocity_limit.base_rotation: is undriven"),
-        ("planning.impulse_limit={base_rotation_y: 1}", "planning.impulse_limit.base_rotation_y: is undriven"),
+        (
+            "planning.velocity_limit={base_rotation: 1}",
+            "planning.velocity_limit.base_rotation: is undriven",
+        ),
+        (
+            "planning.impulse_limit={base_rotation_y: 1}",
+            "planning.impulse_limit.base_rotation_y: is undriven",
+        ),
         ("initial_velocity.base_rotation_y=0.01", "actuation.driven: joints alone cannot take out"),
     ],
 )

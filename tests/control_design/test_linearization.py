@@ -1,4 +1,6 @@
-"""The loop read from its wiring: against the closed forms, against known figures, and against simulation."""
+"""The loop read from its wiring: against the closed forms, against known figures, and against
+simulation.
+"""
 
 import dataclasses
 import gc
@@ -53,15 +55,21 @@ def test_spectral_radius(name, overrides, radius):
 @pytest.mark.parametrize("name", ["postcapture", "flight_sensors"])
 @pytest.mark.parametrize("controller", PAPER_LAWS)
 def test_poles_are_those_of_the_closed_form(name, controller):
-    """With the true payload the axes do not meet; the plant's velocity half-way changes fast poles a little."""
+    """With the true payload the axes do not meet; the plant's velocity half-way changes fast poles
+    a little.
+    """
     same = ["payload.nominal.mass=100", "payload.nominal.inertia=[16.7, 16.7, 16.7]"]
     scenario = load_scenario(name, [f"controller={controller}", *same])
     with Linearizer(scenario) as linearizer:
         found = linearizer.at(10.0)
-    sampling, gains = sampling_of(scenario, found.coordinates), law_gains(scenario, found.coordinates).at()
+    sampling, gains = (
+        sampling_of(scenario, found.coordinates),
+        law_gains(scenario, found.coordinates).at(),
+    )
     expected = max(
         axis_loop(
-            LoopGains(**{key: values[i] for key, values in vars(gains).items()}), sampling=sampling.axis(i)
+            LoopGains(**{key: values[i] for key, values in vars(gains).items()}),
+            sampling=sampling.axis(i),
         ).spectral_radius
         for i in range(11)
     )
@@ -86,7 +94,9 @@ class Damper(ControlLaw):
 
 
 def test_modes_of_a_users_law_are_those_of_its_gains():
-    """Computed torque with its poles at -1 and -4 1/s, on a nominal payload that is the true one."""
+    """Computed torque with its poles at -1 and -4 1/s, on a nominal payload that is the true
+    one.
+    """
     blocks = {"controller": Damper}
     same = ["payload.nominal.mass=100", "payload.nominal.inertia=[16.7, 16.7, 16.7]"]
     with Linearizer(load_scenario("postcapture", same), blocks=blocks) as linearizer:
@@ -130,7 +140,9 @@ class Fast(LeafSystem):
         values.set_value(0.5 * (context.get_discrete_state(0).value() + self.command.Eval(context)))
 
 
-@pytest.mark.parametrize(("actuators", "words"), [(Lag, "continuous or abstract state"), (Fast, "between two control")])
+@pytest.mark.parametrize(
+    ("actuators", "words"), [(Lag, "continuous or abstract state"), (Fast, "between two control")]
+)
 def test_what_it_cannot_linearise_is_refused(actuators, words):
     with (
         pytest.raises(BlockError, match=words),
@@ -142,7 +154,9 @@ def test_what_it_cannot_linearise_is_refused(actuators, words):
 def noise(setup):
     """A force that is noise and nothing else: its output is that of the source itself."""
     builder = DiagramBuilder()
-    source = builder.AddSystem(RandomSource(RandomDistribution.kGaussian, len(setup.coordinates.names), 0.01))
+    source = builder.AddSystem(
+        RandomSource(RandomDistribution.kGaussian, len(setup.coordinates.names), 0.01)
+    )
     builder.ExportOutput(source.get_output_port(), "generalized_force")
     return builder.Build()
 
@@ -160,7 +174,9 @@ def half_of_noise(setup):
 @pytest.mark.parametrize("force", [noise, half_of_noise])
 def test_the_run_without_noise_has_none(force):
     """It is the simulation without noise, also where a force is noise."""
-    silent = load_scenario("postcapture", ["controller=tdc", "sensing.velocity_noise=0", "duration=1"])
+    silent = load_scenario(
+        "postcapture", ["controller=tdc", "sensing.velocity_noise=0", "duration=1"]
+    )
     error = simulate(silent, check_stability=False).dataset["error"].values[:-1]
     noisy = load_scenario("postcapture", ["controller=tdc", "duration=1"])
     with Linearizer(noisy, blocks={"forces.noise": force}) as linearizer:
@@ -171,7 +187,9 @@ def test_the_run_without_noise_has_none(force):
 def test_another_payload_is_that_of_another_scenario():
     """At rest, where the plant is as near to the plan with one payload as with another."""
     light = ["payload.truth.mass=48", "payload.truth.inertia=[8, 8, 8]"]
-    scenario, lighter = (load_scenario("postcapture", ["controller=tdc", *truth]) for truth in ([], light))
+    scenario, lighter = (
+        load_scenario("postcapture", ["controller=tdc", *truth]) for truth in ([], light)
+    )
     with Linearizer(scenario) as linearizer, Linearizer(lighter) as other:
         own = linearizer.at(0.0).spectral_radius
         found = linearizer.at(0.0, truth=lighter.payload.truth).spectral_radius
@@ -198,8 +216,15 @@ def test_it_is_freed():
             True,
             marks=pytest.mark.slow,
         ),
-        pytest.param("flight_sensors", ["sensing.delay=4", "estimator.delay=0"], False, marks=pytest.mark.slow),
-        pytest.param("flight_sensors", ["sensing.delay=6", "duration=6"], True, marks=pytest.mark.slow),
+        pytest.param(
+            "flight_sensors",
+            ["sensing.delay=4", "estimator.delay=0"],
+            False,
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "flight_sensors", ["sensing.delay=6", "duration=6"], True, marks=pytest.mark.slow
+        ),
         ("flight_sensors", ["actuation.delay=4", "controller=pd_plus", "duration=8"], True),
     ],
 )
@@ -211,19 +236,28 @@ def test_delays_against_simulation(name, overrides, stable):
     assert simulate(scenario, check_stability=False).outcome.completed == stable
 
 
-CHANGES = {"gains": with_gains, "nominal_payload": with_nominal_payload, "sample_time": with_sample_time}
+CHANGES = {
+    "gains": with_gains,
+    "nominal_payload": with_nominal_payload,
+    "sample_time": with_sample_time,
+}
 HELD = [
     "sensing.velocity_noise=0",
     "disturbance.amplitude_scale=0",
     "initial_velocity={joint_1: 1e-6, base_rotation_x: 1e-6}",
     "target_posture.base_position=[0.1, 0.3, -0.2]",
     "target_posture.base_rpy=[0.11, 0.08, -0.1]",
-    *(f"target_posture.joints.joint_{i}={np.deg2rad(angle)}" for i, angle in enumerate((10, 20, 60, 35, -40), start=1)),
+    *(
+        f"target_posture.joints.joint_{i}={np.deg2rad(angle)}"
+        for i, angle in enumerate((10, 20, 60, 35, -40), start=1)
+    ),
 ]
 
 
 def grows(scenario):
-    """Whether the motion after a kick of 1e-6 rad/s grows, perhaps into a limit cycle, instead of dying out."""
+    """Whether the motion after a kick of 1e-6 rad/s grows, perhaps into a limit cycle, instead of
+    dying out.
+    """
     duration = min(20.0, 900 * scenario.sample_time)
     record = simulate(dataclasses.replace(scenario, duration=duration), check_stability=False)
     rate = np.abs(record.dataset["error_rate"].values).max(axis=1)
@@ -233,7 +267,9 @@ def grows(scenario):
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", ["pd_plus", "lab_of_the_boundaries:Damper"])
 def test_boundaries_against_simulation(controller, monkeypatch):
-    """The initial posture held after a kick: 1.5 % inside a boundary the oscillation decays, 1.5 % outside it grows."""
+    """The initial posture held after a kick: 1.5 % inside a boundary the oscillation decays, 1.5 %
+    outside it grows.
+    """
     module = types.ModuleType("lab_of_the_boundaries")
     module.Damper = Damper
     monkeypatch.setitem(sys.modules, "lab_of_the_boundaries", module)
@@ -255,7 +291,9 @@ def test_boundaries_of_the_closed_form():
     """AISMC: (K_D + K_s) L < 2 at eta = 1, in the gains as in the sample time."""
     gains = ["controllers.aismc.k_s_initial=80", "controllers.aismc.k_s_max=80"]
     same = ["payload.nominal.mass=100", "payload.nominal.inertia=[16.7, 16.7, 16.7]"]
-    found = find_boundaries(load_scenario("postcapture", ["controller=aismc", *gains, *same]), time=0.0)
+    found = find_boundaries(
+        load_scenario("postcapture", ["controller=aismc", *gains, *same]), time=0.0
+    )
     assert found.gains == pytest.approx(2.0 / (180.0 * 0.01), rel=3e-3)
     assert found.sample_time == pytest.approx(2.0 / (180.0 * 0.01), rel=3e-3)
     assert found.delay == 1.0
@@ -279,15 +317,32 @@ def test_every_setting_of_the_actuators_is_kept_or_named():
     """One that is neither would vanish from every statement about stability."""
     some, wheel = {"all": 0.25}, {"torque_limit": 0.1}
     drives = LaterDrives(
-        gear_ratio=some, rotor_inertia=some, nominal_rotor_inertia=some, rate_limit=some, knee=some, ripple=0.1,
-        coulomb_friction=some, static_friction=some, stribeck_rate=some, viscous_friction=some, smoothing_rate=some,
-    )  # fmt: skip
+        gear_ratio=some,
+        rotor_inertia=some,
+        nominal_rotor_inertia=some,
+        rate_limit=some,
+        knee=some,
+        ripple=0.1,
+        coulomb_friction=some,
+        static_friction=some,
+        stribeck_rate=some,
+        viscous_friction=some,
+        smoothing_rate=some,
+    )
     wheels = Wheels(units={"xyz"[i]: Wheel(axis=np.eye(3)[i].tolist(), **wheel) for i in range(3)})
     given = LaterActuation(
-        driven=["base_rotation", "joints"], limit={"all": 5.0}, quantization=some, delay=1, backlash=0.1,
-        thrusters=Thrusters(layout="twelve"), wheels=wheels, drives=drives,
-    )  # fmt: skip
-    with Linearizer(dataclasses.replace(load_scenario("postcapture"), actuation=given)) as linearizer:
+        driven=["base_rotation", "joints"],
+        limit={"all": 5.0},
+        quantization=some,
+        delay=1,
+        backlash=0.1,
+        thrusters=Thrusters(layout="twelve"),
+        wheels=wheels,
+        drives=drives,
+    )
+    with Linearizer(
+        dataclasses.replace(load_scenario("postcapture"), actuation=given)
+    ) as linearizer:
         found = linearizer.scenario.actuation
     parts = {
         "actuation": (given, found, LaterActuation(drives=drives)),

@@ -21,16 +21,24 @@ from ffsm_drake.spacecraft.plant import models_dir
 
 # From the grasp on, the payload known, without disturbance.
 KNOWN = (
-    "capture.approach=null", "reference.goal=stop", "reference.duration=3", "duration=4", "controller=tdc",
-    "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}", "disturbance.amplitude_scale=0",
-    "sensing={velocity_noise: 1.0e-8, position_noise: 0}", "estimator.kind=one_sample",
-)  # fmt: skip
+    "capture.approach=null",
+    "reference.goal=stop",
+    "reference.duration=3",
+    "duration=4",
+    "controller=tdc",
+    "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}",
+    "disturbance.amplitude_scale=0",
+    "sensing={velocity_noise: 1.0e-8, position_noise: 0}",
+    "estimator.kind=one_sample",
+)
 JOINTS = "actuation={driven: [joints]}"
 
 
 def wheels(speed_limit: float = 60.0) -> str:
     units = ", ".join(
-        f"{name}: {{axis: {axis}, inertia: 0.08, torque_limit: 4, speed_limit: {speed_limit}, initial_momentum: {h}}}"
+        f"{name}: "
+        f"{{axis: {axis}, inertia: 0.08, torque_limit: 4, speed_limit: {speed_limit}, "
+        f"initial_momentum: {h}}}"
         for name, axis, h in (
             ("a", [1, 1, 1], 0.3),
             ("b", [-1, 1, 1], 0.0),
@@ -66,8 +74,13 @@ def test_with_the_arm_alone_the_stack_turns_and_drifts_as_told() -> None:
     accepted = "capture.accepted_drift={base_rotation: 0.005, base_position: 0.003}"
     scenario = known(JOINTS, accepted, "simulator_config.max_step_size=0.005")
     budget = told(scenario)
-    remarks = [line for line in plan_remarks(scenario) if line.startswith("capture.accepted_drift.")]
-    assert [line.split(":")[0].rsplit(".")[-1] for line in remarks] == ["base_rotation", "base_position"]
+    remarks = [
+        line for line in plan_remarks(scenario) if line.startswith("capture.accepted_drift.")
+    ]
+    assert [line.split(":")[0].rsplit(".")[-1] for line in remarks] == [
+        "base_rotation",
+        "base_position",
+    ]
     record = simulate(scenario, check_stability=False)
     data, model = record.dataset, make_true_plant(scenario)
     for name in ("linear_momentum", "angular_momentum"):
@@ -85,9 +98,12 @@ def test_with_the_arm_alone_the_stack_turns_and_drifts_as_told() -> None:
     q = data["position"].values
     angle = Rotation.from_quat(q[:, [1, 2, 3, 0]]) * Rotation.from_quat(q[0, [1, 2, 3, 0]]).inv()
     for group, gone in (
-        ("base_rotation", angle.magnitude()), ("base_position", np.linalg.norm(q[:, 4:7] - q[0, 4:7], axis=1)),
-    ):  # fmt: skip
-        assert budget.used_up[group] == pytest.approx(np.interp(budget.accepted[group], gone, data["time"]), abs=0.01)
+        ("base_rotation", angle.magnitude()),
+        ("base_position", np.linalg.norm(q[:, 4:7] - q[0, 4:7], axis=1)),
+    ):
+        assert budget.used_up[group] == pytest.approx(
+            np.interp(budget.accepted[group], gone, data["time"]), abs=0.01
+        )
     lines = results_table([record])
     assert all(line in lines for line in momentum_lines(record.grasp["momentum_budget"]))
     assert f"turns the stack at {math.degrees(budget.rate or 0.0):.3f} deg/s" in lines
@@ -101,7 +117,9 @@ def test_what_lasts_longer_than_the_plan_is_that_of_the_stack_at_rest() -> None:
         assert time is not None
         assert 10.0 < time < 40.0
         assert time == pytest.approx(long[group], abs=0.05)
-    assert told(known(JOINTS, "capture.accepted_drift.base_position=5")).used_up == {"base_position": None}
+    assert told(known(JOINTS, "capture.accepted_drift.base_position=5")).used_up == {
+        "base_position": None
+    }
 
 
 def test_wheels_take_the_angular_momentum() -> None:
@@ -163,7 +181,9 @@ def on_joints(stack: FreeFloating) -> np.ndarray:
 
 
 def test_the_arm_holds_the_momentum_while_it_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Along the motion that is found the base stays, where with the joints at rest it would turn by 0.1 rad."""
+    """Along the motion that is found the base stays, where with the joints at rest it would turn by
+    0.1 rad.
+    """
     scenario, path = known(JOINTS), []
 
     class Recorder(momentum.Clearance):
@@ -181,7 +201,8 @@ def test_the_arm_holds_the_momentum_while_it_moves(monkeypatch: pytest.MonkeyPat
     positions = np.array(path)
     steps = np.diff(positions, axis=0)[:, 7:]
     maps = free_floating(model, 0.5 * (positions[1:] + positions[:-1])).spin_map
-    # The time that each step takes if the joints are to hold all along it, and how far the base turns then.
+    # The time that each step takes if the joints are to hold all along it, and how far the base
+    # turns then.
     moved = (maps[:, :, 6:] @ steps[..., None])[..., 0]
     times = (moved @ angular) / (angular @ angular)
     turned = np.linalg.solve(maps[:, :, :3], (moved - times[:, None] * angular)[..., None])[..., 0]
@@ -194,12 +215,18 @@ def test_limits_of_the_joints_bound_what_the_arm_holds(tmp_path) -> None:
         text = (models_dir() / "urdf" / "servicer.urdf").read_text()
         start = known(JOINTS).initial_posture.joints
         for name, at in start.items():
-            limit = f'<limit lower="{at - range_}" upper="{at + range_}" effort="50" velocity="{velocity}"/>'
+            limit = (
+                f'<limit lower="{at - range_}" upper="{at + range_}" effort="50" '
+                f'velocity="{velocity}"/>'
+            )
             text = text.replace(
-                f'<joint name="{name}" type="continuous">', f'<joint name="{name}" type="revolute">{limit}'
+                f'<joint name="{name}" type="continuous">',
+                f'<joint name="{name}" type="revolute">{limit}',
             )
         (tmp_path / "servicer.urdf").write_text(text)
-        scenario = known(JOINTS, "model.directives=null", f"model.servicer={tmp_path}/servicer.urdf")
+        scenario = known(
+            JOINTS, "model.directives=null", f"model.servicer={tmp_path}/servicer.urdf"
+        )
         return scenario, make_nominal_plant(scenario)
 
     scenario, model = limited(0.05, 0.5)
@@ -217,7 +244,9 @@ def test_limits_of_the_joints_bound_what_the_arm_holds(tmp_path) -> None:
     # Of all rates that hold it there, those that last longest.
     some = np.linalg.pinv(columns) @ angular
     free, rng = np.linalg.svd(columns)[2][3:], np.random.default_rng(5)
-    longest = max(0.05 / np.abs(some + weights @ free).max() for weights in 0.1 * rng.normal(size=(20000, 2)))
+    longest = max(
+        0.05 / np.abs(some + weights @ free).max() for weights in 0.1 * rng.normal(size=(20000, 2))
+    )
     assert budget.time == pytest.approx(longest, rel=0.05)
     assert budget.ended_by.endswith("reaches its limit")
 
@@ -232,7 +261,10 @@ def test_where_all_is_driven_force_and_torque_take_it_out() -> None:
     budget = told(known())
     assert (budget.arm, budget.wheels, budget.drift, budget.rate) == (None, None, None, None)
     assert budget.least_time == pytest.approx(
-        {"base_rotation": np.abs(budget.angular).max() / 10.0, "base_position": np.abs(budget.linear).max() / 22.0}
+        {
+            "base_rotation": np.abs(budget.angular).max() / 10.0,
+            "base_position": np.abs(budget.linear).max() / 22.0,
+        }
     )
     assert momentum_budget(load_scenario("postcapture")) is None
 

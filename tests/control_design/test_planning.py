@@ -1,4 +1,6 @@
-"""Planning: limits kept and used, infeasible problems named, plans that run as they were planned."""
+"""Planning: limits kept and used, infeasible problems named, plans that run as they were
+planned.
+"""
 
 import dataclasses
 
@@ -31,7 +33,11 @@ def shipped():
 
 def test_least_time_uses_the_limits_and_keeps_them(quick):
     assert all(margin.kept for margin in quick.margins)
-    used = {margin.name: abs(margin.value / margin.limit) for margin in quick.margins if margin.quantity == "force"}
+    used = {
+        margin.name: abs(margin.value / margin.limit)
+        for margin in quick.margins
+        if margin.quantity == "force"
+    }
     assert min(used[name] for name in ("base_rotation_y", "joint_1", "joint_2", "joint_3")) > 0.95
     assert quick.least_by_torque < quick.plan.duration < 3.1
     assert quick.angular_momentum == pytest.approx(3.849, abs=1e-3)  # of the published state
@@ -78,7 +84,9 @@ def test_a_saved_plan_is_read_back_to_the_last_bit(quick, tmp_path):
 
 @pytest.mark.parametrize("controller", ["tdc", "tde_aismc"])
 def test_controllers_bring_the_published_case_to_rest(controller):
-    record = simulate(load_scenario("planar_detumble", [f"controller={controller}"]), check_stability=False)
+    record = simulate(
+        load_scenario("planar_detumble", [f"controller={controller}"]), check_stability=False
+    )
     assert record.outcome.completed
     assert np.abs(record.dataset.velocity.values[-1]).max() < 1e-3
     assert np.abs(record.dataset.error.values[-1]).max() < 1e-5
@@ -92,7 +100,9 @@ def test_the_base_turns_no_further_than_it_may(quick):
         return 2.0 * np.arccos(np.clip(np.abs(found.rows[:, 0]), 0.0, 1.0)).max()
 
     limit = 0.5 * turn(quick)
-    found = plan_motion(load_scenario("planar_detumble", [*QUICK, f"planning.base_attitude_limit={limit}"]))
+    found = plan_motion(
+        load_scenario("planar_detumble", [*QUICK, f"planning.base_attitude_limit={limit}"])
+    )
     (margin,) = [margin for margin in found.margins if margin.quantity == "turn"]
     assert 0.9 * limit < turn(found) == pytest.approx(margin.value, rel=1e-6)
     assert all(margin.kept for margin in found.margins)
@@ -101,19 +111,29 @@ def test_the_base_turns_no_further_than_it_may(quick):
 
 @pytest.mark.slow
 def test_goal_posture_and_effort():
-    """From rest to a posture with all the time there is: less effort than the fifth-order polynomial."""
+    """From rest to a posture with all the time there is: less effort than the fifth-order
+    polynomial.
+    """
     overrides = [
-        "reference.goal=target_posture", "planning.time_weight=0", "planning.effort_weight=1", "planning.end_rate=0",
-        "initial_velocity=0", "reference.duration=40", "target_posture.base_rpy=[0, 0.1, 0]",
-        "target_posture.joints={joint_1: -0.6, joint_2: 1.1, joint_3: 0.6}", *QUICK,
-    ]  # fmt: skip
+        "reference.goal=target_posture",
+        "planning.time_weight=0",
+        "planning.effort_weight=1",
+        "planning.end_rate=0",
+        "initial_velocity=0",
+        "reference.duration=40",
+        "target_posture.base_rpy=[0, 0.1, 0]",
+        "target_posture.joints={joint_1: -0.6, joint_2: 1.1, joint_3: 0.6}",
+        *QUICK,
+    ]
     scenario = load_scenario("planar_detumble", overrides)
     found = plan_motion(scenario)
     assert found.plan.duration == pytest.approx(40.0, rel=1e-3)
     assert found.rows[-1, 7:10] == pytest.approx([-0.6, 1.1, 0.6], abs=1e-6)
     assert found.rows[-1, :4] == pytest.approx([np.cos(0.05), 0, np.sin(0.05), 0], abs=1e-6)
     reference = dataclasses.replace(scenario.reference, kind="quintic")
-    quintic = make_motion(dataclasses.replace(scenario, reference=reference), make_nominal_plant(scenario).coordinates)
+    quintic = make_motion(
+        dataclasses.replace(scenario, reference=reference), make_nominal_plant(scenario).coordinates
+    )
     model = make_nominal_plant(scenario)
     times = np.linspace(0, 40, 201)
     q, v, a = np.split(quintic.rows(times), [10, 19], axis=1)
@@ -124,14 +144,23 @@ def test_goal_posture_and_effort():
 
 def test_the_limit_in_the_way_is_named():
     """3.85 N m s in 1.5 s: more than the base's torque and force can take out."""
-    with pytest.raises(PlanningError, match=r"takes 1\.54 s to take out the angular momentum of 3\.85 N m s"):
-        plan_motion(load_scenario("planar_detumble", ["reference.duration=1.5", "planning.segments=5"]))
+    with pytest.raises(
+        PlanningError,
+        match=r"takes 1\.54 s to take out the angular momentum of "
+        r"3\.85 N m s",
+    ):
+        plan_motion(
+            load_scenario("planar_detumble", ["reference.duration=1.5", "planning.segments=5"])
+        )
 
 
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("planning.velocity_limit={joint_3: 0.1}", "joint_3 starts at 0.1669 rad/s, beyond its limit of 0.1"),
+        (
+            "planning.velocity_limit={joint_3: 0.1}",
+            "joint_3 starts at 0.1669 rad/s, beyond its limit of 0.1",
+        ),
         ("clearance=0.3", "initial_posture: hand and link_2 are 0.278 m apart, below clearance"),
         ("planning.velocity_limit={joint: 1}", "planning.velocity_limit.joint: unknown coordinate"),
     ],
@@ -153,7 +182,8 @@ def test_what_cannot_be_planned_is_named(override, said):
             "is a plan for a, not for base_rotation_x",
         ),
         (
-            "{duration: 2, settle: 0, first_attitude: [1, 0, 0, 0], coordinates: [a], control_points: [[1], [2]]}",
+            "{duration: 2, settle: 0, first_attitude: [1, 0, 0, 0], coordinates: [a], "
+            "control_points: [[1], [2]]}",
             "its numbers are not those of a plan",
         ),
     ],
@@ -168,21 +198,32 @@ def test_a_file_that_is_no_plan_gets_one_line(tmp_path, text, said):
 
 
 def test_a_plan_from_elsewhere_is_warned_of():
-    with pytest.warns(LimitWarning, match="initial_posture: reference.plan starts 0.1 off in joint_2"):
+    with pytest.warns(
+        LimitWarning, match="initial_posture: reference.plan starts 0.1 off in joint_2"
+    ):
         prepare(load_scenario("planar_detumble", ["initial_posture.joints.joint_2=1.3"])).release()
 
 
 def test_parts_that_come_too_near_are_warned_of():
     with pytest.warns(
-        LimitWarning, match=r"the planned motion: base and debris come within 0.0741 m .*clearance 0.1 m"
+        LimitWarning,
+        match=r"the planned motion: base and debris come within 0.0741 m "
+        r".*clearance 0.1 m",
     ):
         prepare(load_scenario("postcapture", ["clearance=0.1"])).release()
 
 
 @pytest.mark.slow
 def test_a_plan_after_a_grasp_leaves_room_for_the_true_payload(tmp_path):
-    """Nominal 80 kg, true 100 kg: with a reserve of 0.3 the force saturates, and the run diverges."""
-    overrides = ["capture.approach=null", "planning.segments=6", "reference.duration=12", "duration=12"]
+    """Nominal 80 kg, true 100 kg: with a reserve of 0.3 the force saturates, and the run
+    diverges.
+    """
+    overrides = [
+        "capture.approach=null",
+        "planning.segments=6",
+        "reference.duration=12",
+        "duration=12",
+    ]
     found = plan_motion(load_scenario("tumbling_capture", overrides))
     path = tmp_path / "plan.yaml"
     found.plan.save(path, title="after a grasp")
@@ -199,7 +240,9 @@ def test_a_plan_after_a_grasp_leaves_room_for_the_true_payload(tmp_path):
 def test_a_slow_tumble_stops_where_it_is(rate):
     """It takes no longer than a control sample per segment, or than the base's torque needs."""
     overrides = ["capture.approach=null", "planning.segments=6", "reference.goal=stop"]
-    found = plan_motion(load_scenario("tumbling_capture", [*overrides, f"capture.rate=[{rate}, 0, 0]"]))
+    found = plan_motion(
+        load_scenario("tumbling_capture", [*overrides, f"capture.rate=[{rate}, 0, 0]"])
+    )
     assert 0.06 <= found.plan.duration < 0.5
     assert all(margin.kept for margin in found.margins)
     assert np.abs(found.rows[-1, 12:23]).max() < 1e-12
@@ -208,11 +251,13 @@ def test_a_slow_tumble_stops_where_it_is(rate):
 def test_clearance_before_the_grasp_is_that_of_a_free_target():
     before, after = plan_clearance(load_scenario("tumbling_capture"))
     assert (before.before_grasp, after.before_grasp) == (True, False)
-    assert (before.first, before.second) == ("debris", "link_5")  # the gripper, up to the last decimetre
+    # the gripper, up to the last decimetre
+    assert (before.first, before.second) == ("debris", "link_5")
     assert 0.01 < before.distance < 0.05
     assert before.time < 20.0 < after.time
     across = (
-        "capture.approach.posture.joints={joint_1: 0.17, joint_2: 0.35, joint_3: 1.35, joint_4: -0.1, joint_5: -0.7}"
+        "capture.approach.posture.joints={joint_1: 0.17, joint_2: 0.35, joint_3: 1.35, joint_4: "
+        "-0.1, joint_5: -0.7}"
     )
     remarks = plan_remarks(load_scenario("tumbling_capture", [across]))
     assert any("link_5" in line and "overlap" in line and "debris" in line for line in remarks)
@@ -221,8 +266,12 @@ def test_clearance_before_the_grasp_is_that_of_a_free_target():
 def test_a_motion_beyond_the_actuators_is_told_before_the_run():
     (line,) = [
         line
-        for line in plan_remarks(load_scenario("tumbling_capture", ["capture.rate=[0.31, 0.25, 0.34]"]))
+        for line in plan_remarks(
+            load_scenario("tumbling_capture", ["capture.rate=[0.31, 0.25, 0.34]"])
+        )
         if "actuation.limit" in line
     ]
-    assert line.startswith("tracking the planned motion perfectly takes: beyond actuation.limit: base_rotation_x")
+    assert line.startswith(
+        "tracking the planned motion perfectly takes: beyond actuation.limit: base_rotation_x"
+    )
     assert "(limit 10)" in line

@@ -18,28 +18,38 @@ def diverges(scenario):
     return simulate(scenario, check_stability=False).outcome.status == "diverged"
 
 
-@pytest.mark.parametrize(("frame", "stable"), [(4, True), pytest.param(10, False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("frame", "stable"), [(4, True), pytest.param(10, False, marks=pytest.mark.slow)]
+)
 def test_a_long_control_frame(frame, stable):
     """The frame's mean is held: 40 ms are well, 100 ms are not."""
     duration = 5.0 if stable else 9.0
-    scenario = load_scenario("thrusters_only", [f"actuation.thrusters.frame={frame}", f"duration={duration}"])
+    scenario = load_scenario(
+        "thrusters_only", [f"actuation.thrusters.frame={frame}", f"duration={duration}"]
+    )
     with Linearizer(scenario) as linearizer:
         assert (linearizer.at(0.0).spectral_radius < 1.0) is stable
     assert diverges(scenario) is not stable
 
 
 def test_wheels_take_the_delay_out_of_torque():
-    with Linearizer(load_scenario("thrusters_and_wheels", ["actuation.thrusters.frame=16"])) as linearizer:
+    with Linearizer(
+        load_scenario("thrusters_and_wheels", ["actuation.thrusters.frame=16"])
+    ) as linearizer:
         assert linearizer.at(0.0).spectral_radius == pytest.approx(0.997, abs=1e-4)
 
 
 @pytest.fixture(scope="module")
 def with_wheels():
-    """The proposed law on wheels of some torque (N m) up to the first seconds of the largest rates."""
+    """The proposed law on wheels of some torque (N m) up to the first seconds of the largest
+    rates.
+    """
 
     def make(torque, *overrides):
         limits = [f"actuation.wheels.units.wheel_{i}.torque_limit={torque}" for i in range(1, 5)]
-        return load_scenario("thrusters_and_wheels", ["duration=13", "controller=tde_aismc", *limits, *overrides])
+        return load_scenario(
+            "thrusters_and_wheels", ["duration=13", "controller=tde_aismc", *limits, *overrides]
+        )
 
     return make
 
@@ -78,11 +88,15 @@ def test_assisted_wheels_are_enough(with_wheels):
 def test_the_share_of_saturated_samples(with_wheels):
     scenario = dataclasses.replace(with_wheels(1.0), controller="tdc", duration=8.0)
     figures = simulate(scenario, check_stability=False).metrics["wheels"]
-    assert rehearse(scenario, seeds=3).wheels_limited.mean() == pytest.approx(figures["torque_limited"], rel=0.3)
+    assert rehearse(scenario, seeds=3).wheels_limited.mean() == pytest.approx(
+        figures["torque_limited"], rel=0.3
+    )
 
 
 def test_what_the_actuators_give():
-    """Four wheels of 1 N m along the diagonals of a cube: 4/sqrt(3) about its axes, 4/3 about a diagonal."""
+    """Four wheels of 1 N m along the diagonals of a cube: 4/sqrt(3) about its axes, 4/3 about a
+    diagonal.
+    """
     found = base_limits(load_scenario("thrusters_and_wheels"))
     assert (found.most_torque, found.torque) == pytest.approx((4.0 / np.sqrt(3.0), 4.0 / 3.0))
     assert found.force == pytest.approx(10.0)
@@ -94,9 +108,16 @@ def test_a_stop_of_any_duration_keeps_what_the_wheels_give():
     wheels = load_scenario("thrusters_and_wheels").actuation.wheels
     found = []
     for torque in (1.0, 4.0):
-        units = {name: dataclasses.replace(unit, torque_limit=torque) for name, unit in wheels.units.items()}
-        scenario = load_scenario("tumbling_capture", [*overrides, "actuation.thrusters.layout=12x5N"])
-        actuation = dataclasses.replace(scenario.actuation, wheels=dataclasses.replace(wheels, units=units))
+        units = {
+            name: dataclasses.replace(unit, torque_limit=torque)
+            for name, unit in wheels.units.items()
+        }
+        scenario = load_scenario(
+            "tumbling_capture", [*overrides, "actuation.thrusters.layout=12x5N"]
+        )
+        actuation = dataclasses.replace(
+            scenario.actuation, wheels=dataclasses.replace(wheels, units=units)
+        )
         scenario = dataclasses.replace(scenario, actuation=actuation)
         found.append(timed(scenario).reference.duration)
         force = force_limits(scenario, make_plant(scenario.model))
@@ -105,7 +126,8 @@ def test_a_stop_of_any_duration_keeps_what_the_wheels_give():
 
 
 @pytest.mark.parametrize(
-    ("layout", "torque", "stop"), [("16x22N", None, 8.0), pytest.param("12x5N", 2.0, 20.0, marks=pytest.mark.slow)]
+    ("layout", "torque", "stop"),
+    [("16x22N", None, 8.0), pytest.param("12x5N", 2.0, 20.0, marks=pytest.mark.slow)],
 )
 def test_a_tumbling_target_is_brought_to_rest(layout, torque, stop):
     """From the grasp on, with either kind of actuators."""
@@ -114,8 +136,13 @@ def test_a_tumbling_target_is_brought_to_rest(layout, torque, stop):
     scenario = load_scenario("tumbling_capture", overrides)
     if torque is not None:
         wheels = load_scenario("thrusters_and_wheels").actuation.wheels
-        units = {name: dataclasses.replace(unit, torque_limit=torque) for name, unit in wheels.units.items()}
-        actuation = dataclasses.replace(scenario.actuation, wheels=dataclasses.replace(wheels, units=units))
+        units = {
+            name: dataclasses.replace(unit, torque_limit=torque)
+            for name, unit in wheels.units.items()
+        }
+        actuation = dataclasses.replace(
+            scenario.actuation, wheels=dataclasses.replace(wheels, units=units)
+        )
         scenario = dataclasses.replace(scenario, actuation=actuation)
     record = simulate(scenario, check_stability=False)
     assert record.outcome.status == "completed"

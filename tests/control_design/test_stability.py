@@ -9,7 +9,12 @@ from scipy.optimize import brentq
 
 from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
 from ffsm_drake.cli import main
-from ffsm_drake.control_design.stability import StabilityWarning, boundaries, stability, stability_warning
+from ffsm_drake.control_design.stability import (
+    StabilityWarning,
+    boundaries,
+    stability,
+    stability_warning,
+)
 from ffsm_drake.control_design.stability.boundaries import Boundaries
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.sampled_loop import (
@@ -44,7 +49,8 @@ PUBLISHED = LawGains(k_d=100 * ONE, k_p=200 * ONE, integral=True, k_s=80 * ONE, 
 def test_poles_at_eta_1(gains, expected):
     poles = axis_poles(gains, eta=1.0, sampling=SAMPLED)
     assert poles[: len(expected)] == pytest.approx(expected, abs=1e-5)
-    assert poles[len(expected) :] == pytest.approx(0.0, abs=1e-9)  # the delayed acceleration, cancelled exactly
+    # the delayed acceleration, cancelled exactly
+    assert poles[len(expected) :] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("estimator", ["one_sample", "kalman"])
@@ -55,7 +61,11 @@ def test_poles_of_many_axes_are_those_of_each(estimator):
         gain = kalman_gain(position_noise=1e-5, velocity_noise=1e-4, walk=1e-2, sample_time=L)
         sampling = Sampling(sample_time=L, kalman_gain=gain[None])
     law = LawGains(k_d=20.0, k_p=100.0, integral=True, k_s=None, k_s_max=None)
-    k_s, eta, steps = np.linspace(0.5, 30, 6)[:, None, None], np.linspace(0.3, 2, 5)[:, None], np.array([0.004, 0.02])
+    k_s, eta, steps = (
+        np.linspace(0.5, 30, 6)[:, None, None],
+        np.linspace(0.3, 2, 5)[:, None],
+        np.array([0.004, 0.02]),
+    )
     poles = axis_poles(law.at(k_s), eta=eta, sampling=sampling, sample_time=steps)
     assert poles.shape[:-1] == (6, 5, 2)
     assert (np.abs(poles) < 1).all(axis=-1).any()
@@ -68,7 +78,17 @@ def test_poles_of_many_axes_are_those_of_each(estimator):
 
 @pytest.mark.parametrize(
     ("eta", "expected"),
-    [(0.3, 51), (0.5, 197), (0.7, 271), (0.8, 199), (0.9, 144), (1.0, 99.5), (1.05, 80.5), (1.1, 63.5), (1.2, 33)],
+    [
+        (0.3, 51),
+        (0.5, 197),
+        (0.7, 271),
+        (0.8, 199),
+        (0.9, 144),
+        (1.0, 99.5),
+        (1.05, 80.5),
+        (1.1, 63.5),
+        (1.2, 33),
+    ],
 )
 def test_largest_stable_k_s(eta, expected):
     limit = largest_stable_k_s(PUBLISHED, 0, eta=eta, sampling=SAMPLED)
@@ -78,16 +98,23 @@ def test_largest_stable_k_s(eta, expected):
 
 
 def test_other_limits_follow_from_the_pole_at_minus_one():
-    assert largest_sample_time(PUBLISHED, 0, eta=1.0, sampling=SAMPLED) == pytest.approx(2.0 / 180.0, rel=1e-5)
+    assert largest_sample_time(PUBLISHED, 0, eta=1.0, sampling=SAMPLED) == pytest.approx(
+        2.0 / 180.0, rel=1e-5
+    )
     low, high = tolerated_eta(PUBLISHED, 0, sampling=SAMPLED)
     assert high == pytest.approx(4.0 / (2.0 + 180.0 * L), rel=1e-6)
-    for eta, stable in ((low - 1e-4, False), (low + 1e-4, True), (high - 1e-4, True), (high + 1e-4, False)):
+    for eta, stable in (
+        (low - 1e-4, False),
+        (low + 1e-4, True),
+        (high - 1e-4, True),
+        (high + 1e-4, False),
+    ):
         gains = LoopGains(k_v=180.0, k_p=8200.0, k_i=16000.0)
         assert (np.abs(axis_poles(gains, eta=eta, sampling=SAMPLED)).max() < 1.0) == stable
     # Explicit Euler doubles the room: the limit of the paper's own simulation.
-    assert largest_stable_k_s(PUBLISHED, 0, eta=1.0, sampling=Sampling(sample_time=L, euler=True)) == pytest.approx(
-        200.0, rel=1e-6
-    )
+    assert largest_stable_k_s(
+        PUBLISHED, 0, eta=1.0, sampling=Sampling(sample_time=L, euler=True)
+    ) == pytest.approx(200.0, rel=1e-6)
 
 
 def at_start(*overrides):
@@ -101,9 +128,13 @@ def at_start(*overrides):
 def test_inertia_ratios_are_free_of_units():
     h, h_hat = at_start()
     eta = inertia_ratios(h, h_hat)
-    assert eta == pytest.approx(np.sort(np.linalg.eigvals(np.linalg.solve(h, h_hat)).real), abs=1e-9)
+    assert eta == pytest.approx(
+        np.sort(np.linalg.eigvals(np.linalg.solve(h, h_hat)).real), abs=1e-9
+    )
     millimetres = np.diag([1.0] * 3 + [1e3] * 3 + [1.0] * 5)
-    assert inertia_ratios(millimetres @ h @ millimetres, millimetres @ h_hat @ millimetres) == pytest.approx(eta)
+    assert inertia_ratios(
+        millimetres @ h @ millimetres, millimetres @ h_hat @ millimetres
+    ) == pytest.approx(eta)
     assert inertia_ratios(h, h) == pytest.approx(np.ones(11))
     # A payload changes ten numbers of a rigid body: at least five modes do not feel it.
     assert np.sum(np.abs(eta - 1.0) < 1e-9) >= 5
@@ -112,15 +143,21 @@ def test_inertia_ratios_are_free_of_units():
 HOLD = (
     "target_posture.base_position=[0.1, 0.3, -0.2]",
     "target_posture.base_rpy=[0.11, 0.08, -0.1]",
-    *(f"target_posture.joints.joint_{i}={np.deg2rad(angle)}" for i, angle in enumerate((10, 20, 60, 35, -40), start=1)),
+    *(
+        f"target_posture.joints.joint_{i}={np.deg2rad(angle)}"
+        for i, angle in enumerate((10, 20, 60, 35, -40), start=1)
+    ),
 )
 
 
 @pytest.mark.parametrize(
-    "belief", [pytest.param(40.0, marks=pytest.mark.slow), 80.0, pytest.param(110.0, marks=pytest.mark.slow)]
+    "belief",
+    [pytest.param(40.0, marks=pytest.mark.slow), 80.0, pytest.param(110.0, marks=pytest.mark.slow)],
 )
 def test_predicted_boundary_against_the_simulated_plant(belief):
-    """3 % inside the predicted K_s the eleven-coordinate plant settles, 3 % outside it the oscillation grows."""
+    """3 % inside the predicted K_s the eleven-coordinate plant settles, 3 % outside it the
+    oscillation grows.
+    """
     payload = [f"payload.nominal.mass={belief}", f"payload.nominal.inertia={[0.167 * belief] * 3}"]
     frozen = [
         "controller=aismc",
@@ -133,12 +170,16 @@ def test_predicted_boundary_against_the_simulated_plant(belief):
     with Linearizer(load_scenario("postcapture", frozen)) as linearizer:
 
         def excess(k_s):
-            return linearizer.at(0.0, held={"reaching_gain": np.full(11, k_s)}).spectral_radius - 1.0
+            return (
+                linearizer.at(0.0, held={"reaching_gain": np.full(11, k_s)}).spectral_radius - 1.0
+            )
 
         boundary = brentq(excess, 30.0, 300.0, rtol=1e-4)
     growth = {}
     for factor in (0.97, 1.03):
-        scenario = load_scenario("postcapture", [*frozen, f"controllers.aismc.k_s_initial={factor * boundary}"])
+        scenario = load_scenario(
+            "postcapture", [*frozen, f"controllers.aismc.k_s_initial={factor * boundary}"]
+        )
         record = simulate(scenario, check_stability=False)
         rate = np.abs(record.dataset["error_rate"].values).max(axis=1)
         early = rate[10:60].max()
@@ -158,22 +199,35 @@ def test_predicted_boundary_against_the_simulated_plant(belief):
 def test_noise_amplification_against_the_simulated_plant(controller, noise, duration):
     quiet = {"velocity": "position", "position": "velocity"}[noise]
     sigma = {"velocity": 1e-6, "position": 1e-8}[noise]
-    overrides = [f"controller={controller}", *HOLD, f"duration={duration}", "disturbance.amplitude_scale=0",
-                 "controllers.aismc.alpha=0", f"sensing.{noise}_noise={sigma}", f"sensing.{quiet}_noise=0"]  # fmt: skip
+    overrides = [
+        f"controller={controller}",
+        *HOLD,
+        f"duration={duration}",
+        "disturbance.amplitude_scale=0",
+        "controllers.aismc.alpha=0",
+        f"sensing.{noise}_noise={sigma}",
+        f"sensing.{quiet}_noise=0",
+    ]
     scenario = load_scenario("postcapture", overrides)
     with Linearizer(scenario) as linearizer:
         predicted = linearizer.at(0.0).noise_response(scenario.num_control_periods)
     data = simulate(scenario, check_stability=False).dataset.isel(time=slice(500, -1))
     for name in predicted:
-        measured = np.sqrt((data[{"force": "generalized_force"}.get(name, name)].values ** 2).mean(axis=0))
+        measured = np.sqrt(
+            (data[{"force": "generalized_force"}.get(name, name)].values ** 2).mean(axis=0)
+        )
         for group in (slice(0, 3), slice(3, 6), slice(6, 11)):
-            ratio = np.sqrt(np.mean(measured[group] ** 2)) / np.sqrt(np.mean(predicted[name][group] ** 2))
+            ratio = np.sqrt(np.mean(measured[group] ** 2)) / np.sqrt(
+                np.mean(predicted[name][group] ** 2)
+            )
             assert ratio == pytest.approx(1.0, abs=0.1), (name, group)
     assert ("sliding_variable" in predicted) == (controller == "aismc")
 
 
 def test_noise_figures_of_the_published_gains():
-    """White velocity noise sigma costs an rms acceleration command of about 375 sigma (TDC), 1325 sigma (AISMC)."""
+    """White velocity noise sigma costs an rms acceleration command of about 375 sigma (TDC), 1325
+    sigma (AISMC).
+    """
     published = LoopGains(k_v=180.0, k_p=8200.0, k_i=16000.0)
     for gains, expected in ((LoopGains(k_v=100.0, k_p=100.0, k_i=0.0), 375), (published, 1325)):
         loop = axis_loop(gains, sampling=SAMPLED)
@@ -190,10 +244,25 @@ PUBLISHED_UNBOUNDED = ("controllers.tde_aismc.k_s_initial=80", "controllers.tde_
         ("postcapture", (), True, "stable"),
         ("postcapture", ("controller=tdc",), True, "stable"),
         ("postcapture", ("controller=asmc",), True, "stable"),
-        ("postcapture", ("controller=aismc",), True, "nothing stops K_s before its limit (100.0 1/s"),
+        (
+            "postcapture",
+            ("controller=aismc",),
+            True,
+            "nothing stops K_s before its limit (100.0 1/s",
+        ),
         ("paper", (), True, "nothing stops K_s before its limit (200.0 1/s"),
-        ("postcapture", PUBLISHED_UNBOUNDED, False, "adaptation is expected to take K_s of base_rotation_x past"),
-        ("postcapture", ("payload.nominal.mass=125",), False, "the sampled loop of tde_aismc has spectral radius 1."),
+        (
+            "postcapture",
+            PUBLISHED_UNBOUNDED,
+            False,
+            "adaptation is expected to take K_s of base_rotation_x past",
+        ),
+        (
+            "postcapture",
+            ("payload.nominal.mass=125",),
+            False,
+            "the sampled loop of tde_aismc has spectral radius 1.",
+        ),
         ("postcapture", ("sample_time=0.02", "controller=asmc"), False, "spectral radius"),
     ],
 )
@@ -205,12 +274,15 @@ def test_verdicts(name, overrides, stable, words):
 
 @pytest.mark.slow
 def test_expected_adaptation_against_simulation(run):
-    """The forecast ends within 3 % of the simulated K_s, and puts the published gains' end at about the right time."""
+    """The forecast ends within 3 % of the simulated K_s, and puts the published gains' end at about
+    the right time.
+    """
     for overrides in ((), ("controller=aismc",)):
         scenario = load_scenario("postcapture", overrides)
         simulated = run("postcapture", *overrides).dataset["reaching_gain"].values[-1]
         expected = stability(scenario).axes.forecast_k_s[-1]
-        base = slice(0, 6)  # the joints' errors follow from the motion, which the forecast treats more coarsely
+        # the joints' errors follow from the motion, which the forecast treats more coarsely
+        base = slice(0, 6)
         assert expected[base] == pytest.approx(simulated[base], rel=0.03)
         assert expected == pytest.approx(simulated, rel=0.2)
     axes = stability(load_scenario("postcapture", PUBLISHED_UNBOUNDED)).axes
@@ -220,7 +292,8 @@ def test_expected_adaptation_against_simulation(run):
 
 def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
     with pytest.warns(
-        StabilityWarning, match="K_s is not bounded, but the sampled loop is stable only below about 100"
+        StabilityWarning,
+        match="K_s is not bounded, but the sampled loop is stable only below about 100",
     ):
         simulate(load_scenario("postcapture", ["duration=0.1", *PUBLISHED_UNBOUNDED]))
     with pytest.warns(StabilityWarning, match="unstable at the starting gains") as caught:
@@ -229,7 +302,9 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
     for quiet in ([], ["controller=tdc"], ["controller=asmc"]):
         assert stability_warning(load_scenario("postcapture", quiet)) == ""
     bounded = "controllers.tde_aismc.k_s_max="
-    assert "may grow to 120 1/s" in stability_warning(load_scenario("postcapture", [f"{bounded}120"]))
+    assert "may grow to 120 1/s" in stability_warning(
+        load_scenario("postcapture", [f"{bounded}120"])
+    )
     assert stability_warning(load_scenario("postcapture", [f"{bounded}95"])) == ""
 
 
@@ -237,18 +312,32 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
     ("arguments", "code", "words"),
     [
         (["stability", "paper", "--controller", "tdc"], 0, "plant explicit Euler"),
-        (["stability", "--set", "payload.nominal.mass=125"], 3, "unstable: the sampled loop of tde_aismc"),
+        (
+            ["stability", "--set", "payload.nominal.mass=125"],
+            3,
+            "unstable: the sampled loop of tde_aismc",
+        ),
         (["stability", "--set", "payload.nominal.mass=1e5"], 3, "spectral radius inf"),
         (["stability", "nowhere"], 2, "error: nowhere: no such scenario; choose one of"),
-        (["stability", "--set", "controllers.tdc.kd=1"], 2, "controllers.tdc.kd: unknown gain; tdc has k_d"),
-        (["stability", "--set", "controllers.tde_aismc.k_d.joint_9=1"], 2, "joint_9: unknown coordinate"),
+        (
+            ["stability", "--set", "controllers.tdc.kd=1"],
+            2,
+            "controllers.tdc.kd: unknown gain; tdc has k_d",
+        ),
+        (
+            ["stability", "--set", "controllers.tde_aismc.k_d.joint_9=1"],
+            2,
+            "joint_9: unknown coordinate",
+        ),
         (["stability", "--controller", "pid"], 2, "controller: 'pid' is unknown"),
     ],
 )
 def test_command_line(arguments, code, words, monkeypatch):
     """The boundaries of a stable loop: ``test_table_and_picture``."""
     if code == 0:
-        found = Boundaries(gains=1.25, nominal_payload=float("inf"), sample_time=1.25, flexible_mass={}, delay=3.0)
+        found = Boundaries(
+            gains=1.25, nominal_payload=float("inf"), sample_time=1.25, flexible_mass={}, delay=3.0
+        )
         monkeypatch.setattr(boundaries, "find_boundaries", lambda scenario, *, time: found)
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == code, result.output

@@ -1,7 +1,8 @@
-"""Hostile inputs made at random from good ones: one line and an exit status, or a result; never a traceback or a hang.
+"""Hostile inputs made at random from good ones: one line and an exit status, or a result; never a
+traceback or a hang.
 
-Beside the suite: ``pytest tests/fuzz/fuzz_inputs.py [--inputs 5000] [--fuzz-seed 1]``. The same seed tries the same
-inputs; a failure prints its input.
+Beside the suite: ``pytest tests/fuzz/fuzz_inputs.py [--inputs 5000] [--fuzz-seed 1]``. The same
+seed tries the same inputs; a failure prints its input.
 """
 
 import copy
@@ -40,16 +41,70 @@ SHARES = {
 }  # of the inputs
 
 HOSTILE = st.sampled_from(
-    [None, True, False, 0, -1, 1, 3, 2**63, 10**400, -0.0, 0.5, 1e-320, 1e-9, 1e9, 1e308, math.inf, -math.inf, math.nan,
-     "", " ", "x", "0", "1e5", "01:30", "../..", "/dev/zero", "/", "a:b", "os:getcwd", "null", "\u202e", "\ud800", "\0",
-     "x" * 5000, [], [0, 0, 0], [1e308] * 6, ["x"], [[[]]], [math.nan] * 3, {}, {"all": -1}, {"x": {"y": 1}}, "tdc",
-     "kalman", "flight_sensors", "package:///etc", "file:///etc/passwd", "debris", "servicer::base"]
-).map(copy.deepcopy)  # fmt: skip
+    [
+        None,
+        True,
+        False,
+        0,
+        -1,
+        1,
+        3,
+        2**63,
+        10**400,
+        -0.0,
+        0.5,
+        1e-320,
+        1e-9,
+        1e9,
+        1e308,
+        math.inf,
+        -math.inf,
+        math.nan,
+        "",
+        " ",
+        "x",
+        "0",
+        "1e5",
+        "01:30",
+        "../..",
+        "/dev/zero",
+        "/",
+        "a:b",
+        "os:getcwd",
+        "null",
+        "\u202e",
+        "\ud800",
+        "\0",
+        "x" * 5000,
+        [],
+        [0, 0, 0],
+        [1e308] * 6,
+        ["x"],
+        [[[]]],
+        [math.nan] * 3,
+        {},
+        {"all": -1},
+        {"x": {"y": 1}},
+        "tdc",
+        "kalman",
+        "flight_sensors",
+        "package:///etc",
+        "file:///etc/passwd",
+        "debris",
+        "servicer::base",
+    ]
+).map(copy.deepcopy)
 
 
 def paths(data, prefix=()):
     """All places in plain data."""
-    for key, value in data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ():
+    for key, value in (
+        data.items()
+        if isinstance(data, dict)
+        else enumerate(data)
+        if isinstance(data, list)
+        else ()
+    ):
         yield (*prefix, key)
         yield from paths(value, (*prefix, key))
 
@@ -70,7 +125,9 @@ def mutated_data(draw, goods):
         if kind == "remove":
             del holder[last]
         elif kind == "add" and isinstance(holder, dict):
-            holder[draw(st.sampled_from(["x", "all", "joints", "", "1", 5, "joint_1"]))] = draw(HOSTILE)
+            holder[draw(st.sampled_from(["x", "all", "joints", "", "1", 5, "joint_1"]))] = draw(
+                HOSTILE
+            )
         elif kind == "scale" and type(holder[last]) in (int, float):
             holder[last] *= draw(st.sampled_from([-1, 0.5, 3, 1e3, 1e-6, 1e12]))
         else:
@@ -106,19 +163,57 @@ def mutated_urdf(draw, goods):
     text = draw(st.sampled_from(goods))
     for _ in range(draw(st.integers(1, 3))):
         kind = draw(st.sampled_from(["number", "number", "word", "line", "tag"]))
-        pattern = {"number": NUMBER, "word": WORD, "line": re.compile(r".+\n"), "tag": re.compile(r"<[a-z]+")}[kind]
+        pattern = {
+            "number": NUMBER,
+            "word": WORD,
+            "line": re.compile(r".+\n"),
+            "tag": re.compile(r"<[a-z]+"),
+        }[kind]
         found = list(pattern.finditer(text))
         if not found:
             continue
         chosen = draw(st.sampled_from(found))
         new = {
-            "number": ["0", "-1", "nan", "inf", "1e308", "1e-320", "", "x", "1 2", "0 0 0", "1e9 0 0", "-1 -1 -1"],
-            "word": ["", "world", "base", "debris", "revolute", "planar", "floating", "fixed", "joint_1", "link_1", "x",
-                     "ball", "../../etc/passwd", "package://x/y.obj"],
-            "line": ["", 2 * chosen[0], "<mimic joint='joint_1'/>\n", "<limit lower='3' upper='-3' effort='-1'/>\n",
-                     "<visual><geometry><mesh filename='/dev/zero'/></geometry></visual>\n", "<!-- -- -->\n"],
+            "number": [
+                "0",
+                "-1",
+                "nan",
+                "inf",
+                "1e308",
+                "1e-320",
+                "",
+                "x",
+                "1 2",
+                "0 0 0",
+                "1e9 0 0",
+                "-1 -1 -1",
+            ],
+            "word": [
+                "",
+                "world",
+                "base",
+                "debris",
+                "revolute",
+                "planar",
+                "floating",
+                "fixed",
+                "joint_1",
+                "link_1",
+                "x",
+                "ball",
+                "../../etc/passwd",
+                "package://x/y.obj",
+            ],
+            "line": [
+                "",
+                2 * chosen[0],
+                "<mimic joint='joint_1'/>\n",
+                "<limit lower='3' upper='-3' effort='-1'/>\n",
+                "<visual><geometry><mesh filename='/dev/zero'/></geometry></visual>\n",
+                "<!-- -- -->\n",
+            ],
             "tag": ["<link", "<joint", "<x", "<!--", "<collision", "<drake:joint", "<frame"],
-        }[kind]  # fmt: skip
+        }[kind]
         text = text[: chosen.start()] + draw(st.sampled_from(new)) + text[chosen.end() :]
     return text
 
@@ -143,7 +238,9 @@ def fuzz(request, tmp_path, monkeypatch):
 
 
 def invoke(*words, good=(0,), keep=False):
-    """A command's exit status, which is that of a good result or, with one line, 2; with ``keep``, ``out`` stays."""
+    """A command's exit status, which is that of a good result or, with one line, 2; with ``keep``,
+    ``out`` stays.
+    """
     before, start = {*Path().iterdir()}, time.process_time()
     try:
         with time_limit(WAIT), warnings.catch_warnings():
@@ -152,12 +249,19 @@ def invoke(*words, good=(0,), keep=False):
     except TimeLimit:
         raise AssertionError(f"{words[0]} did not end") from None
     assert time.process_time() - start < LONGEST, f"{words[0]} takes too long"
-    assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
+    assert result.exception is None or isinstance(result.exception, SystemExit), repr(
+        result.exception
+    )
     assert "Traceback" not in result.output
     assert result.exit_code in (*good, 2), result.output
     if result.exit_code == 2:
-        errors = [line for line in result.stderr.splitlines() if not line.startswith(("warning: ", "Usage: ", "Try "))]
-        errors = [line for line in errors if line and not re.search(r": +\d+ of [\d.e-]+ s$", line)]  # progress
+        errors = [
+            line
+            for line in result.stderr.splitlines()
+            if not line.startswith(("warning: ", "Usage: ", "Try "))
+        ]
+        # progress
+        errors = [line for line in errors if line and not re.search(r": +\d+ of [\d.e-]+ s$", line)]
         assert len(errors) == 1, result.stderr
         assert len(errors[0]) < 2000, errors[0]
         assert {*Path().iterdir()} == before, "refused, but something was written"
@@ -169,13 +273,18 @@ def invoke(*words, good=(0,), keep=False):
 
 def write(name, content):
     """A file with any text: half characters are written as they are."""
-    Path(name).write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass"))
+    Path(name).write_bytes(
+        content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass")
+    )
     return name
 
 
 def test_scenarios(fuzz):
     """What ``validate`` accepts, ``run`` runs."""
-    goods = [yaml.safe_load(path.read_text()) | {"duration": 0.02} for path in shipped_scenarios().values()]
+    goods = [
+        yaml.safe_load(path.read_text()) | {"duration": 0.02}
+        for path in shipped_scenarios().values()
+    ]
     text = yaml.safe_dump(goods[0]).encode()
 
     def check(given):
@@ -185,9 +294,13 @@ def test_scenarios(fuzz):
             with time_limit(WAIT):
                 scenario = load_scenario(file)
             if scenario.num_control_periods < 100:
-                assert invoke("run", file, "--no-report", "--out", "out", good=(0, 3)) != 2, "valid, but not run"
+                assert invoke("run", file, "--no-report", "--out", "out", good=(0, 3)) != 2, (
+                    "valid, but not run"
+                )
 
-    fuzz("scenario", st.one_of(mutated_data(goods), mutated_data(goods), mutated_bytes(text)), check)
+    fuzz(
+        "scenario", st.one_of(mutated_data(goods), mutated_data(goods), mutated_bytes(text)), check
+    )
 
 
 def test_campaigns(fuzz):
@@ -203,7 +316,10 @@ def test_campaigns(fuzz):
 
 
 def test_urdfs(fuzz):
-    goods = [(models_dir() / "urdf" / f"{name}.urdf").read_text() for name in ("servicer", "debris", "ssrms_servicer")]
+    goods = [
+        (models_dir() / "urdf" / f"{name}.urdf").read_text()
+        for name in ("servicer", "debris", "ssrms_servicer")
+    ]
 
     def check(given):
         write("r.urdf", given)
@@ -212,18 +328,25 @@ def test_urdfs(fuzz):
         words = [word for each in with_it for word in ("--set", each)]
         name = "seven_joint" if "ssrms" in given else "postcapture"
         if invoke("validate", name, *words) == 0:
-            assert invoke("run", name, *words, "--no-report", "--out", "out", good=(0, 3)) != 2, "valid, but not run"
+            assert invoke("run", name, *words, "--no-report", "--out", "out", good=(0, 3)) != 2, (
+                "valid, but not run"
+            )
 
     fuzz("urdf", mutated_urdf(goods), check)
 
 
 def test_new(fuzz):
     """What ``new`` writes is valid."""
-    servicers = [(models_dir() / "urdf" / f"{name}.urdf").read_text() for name in ("servicer", "ssrms_servicer")]
+    servicers = [
+        (models_dir() / "urdf" / f"{name}.urdf").read_text()
+        for name in ("servicer", "ssrms_servicer")
+    ]
     servicers += [make() for make in OUTSIDE.values()]
     targets = [(models_dir() / "urdf" / "debris.urdf").read_text(), stage()]
     on_a_bus = ["--bus-mass", 400]
-    options = st.sampled_from([[], [], on_a_bus, ["--target", 30], ["--tip", "link_3"], ["--target", "t.urdf"]])
+    options = st.sampled_from(
+        [[], [], on_a_bus, ["--target", 30], ["--tip", "link_3"], ["--target", "t.urdf"]]
+    )
 
     def check(given):
         servicer, target, words = given
@@ -238,7 +361,9 @@ def test_new(fuzz):
         st.one_of(
             st.tuples(mutated_urdf(servicers), text, options),
             st.tuples(mutated_urdf([arm_alone()]), text, st.just(on_a_bus)),
-            st.tuples(st.sampled_from(servicers), mutated_urdf(targets), st.just(["--target", "t.urdf"])),
+            st.tuples(
+                st.sampled_from(servicers), mutated_urdf(targets), st.just(["--target", "t.urdf"])
+            ),
             st.tuples(mutated_bytes(servicers[2].encode()), text, options),
         ),
         check,
@@ -248,20 +373,38 @@ def test_new(fuzz):
 def test_databases(fuzz):
     # A single sampled number: the map of two takes many seconds.
     mass = {"payload.truth.mass": SMALL["parameters"]["payload.truth.mass"]}
-    changes = {"cases": 2, "overrides": {"duration": 0.02}, "parameters": mass, "factors": {}, "derive": {}}
+    changes = {
+        "cases": 2,
+        "overrides": {"duration": 0.02},
+        "parameters": mass,
+        "factors": {},
+        "derive": {},
+    }
     good = run_here(write_spec(Path("good.yaml"), **changes), Path("good.db")).read_bytes()
 
     def check(given):
         write("d.db", given)
         if invoke("campaign", "status", "d.db") == 0:
-            invoke("campaign", "rerun", "d.db", "--case", "1", "--no-recording", "--out", "out", good=(0, 3))
+            invoke(
+                "campaign",
+                "rerun",
+                "d.db",
+                "--case",
+                "1",
+                "--no-recording",
+                "--out",
+                "out",
+                good=(0, 3),
+            )
             invoke("campaign", "report", "d.db", "--out", "out")
 
     fuzz("database", mutated_bytes(good), check)
 
 
 def test_records(fuzz):
-    folder = simulate(load_scenario("postcapture", ["duration=0.05"]), check_stability=False).save(Path("good"))
+    folder = simulate(load_scenario("postcapture", ["duration=0.05"]), check_stability=False).save(
+        Path("good")
+    )
     record = RunRecord.load(folder)
     write(folder / "report.html", render_report([record])[:20_000])
     files = {path.name: path.read_bytes() for path in folder.iterdir()}

@@ -1,8 +1,10 @@
-"""The golden record: what must not move unless somebody means it. ``python tests/golden/golden.py`` rewrites it.
+"""The golden record: what must not move unless somebody means it. ``python tests/golden/golden.py``
+rewrites it.
 
-``runs/NAME.json`` holds, of 2 s of each shipped scenario with its own controller (and of some with every law), the
-record's variables at every 20th sample, its metrics, names, dimensions and units, the panels of its report and the rows
-of its table. ``interface.json`` holds the columns of campaigns, ``schema.json`` what ``ffsm schema`` prints.
+``runs/NAME.json`` holds, of 2 s of each shipped scenario with its own controller (and of some with
+every law), the record's variables at every 20th sample, its metrics, names, dimensions and units,
+the panels of its report and the rows of its table. ``interface.json`` holds the columns of
+campaigns, ``schema.json`` what ``ffsm schema`` prints.
 """
 
 import json
@@ -39,7 +41,8 @@ DURATION = "duration=2"
 _SHORTENED = {
     "tumbling_capture": (
         "capture.approach.duration=1",
-        "capture.approach.posture.joints={joint_1: 0.16, joint_2: 0.37, joint_3: 1.04, joint_4: 0.58, joint_5: -0.69}",
+        "capture.approach.posture.joints={joint_1: 0.16, joint_2: 0.37, joint_3: 1.04, joint_4: "
+        "0.58, joint_5: -0.69}",
     )
 }
 RELATIVE = 1e-10  # of the largest number of a variable, or of a single figure
@@ -51,7 +54,8 @@ _SMALLEST_CAMPAIGN = {
 }
 # Differences of what should be equal, N s and N m s: their scale is that of what is compared.
 BALANCES = ("momentum_residual",)
-# Here SciPy integrates the planned motion of an undriven base, with other steps in each of its releases.
+# Here SciPy integrates the planned motion of an undriven base, with other steps in each of its
+# releases.
 INTEGRATED = ("free_floating", "reaction_null")
 ALLOWED_THERE = {"relative": 1e-7, "scale": 1e-4}
 
@@ -70,7 +74,10 @@ def outline(record: RunRecord) -> dict[str, Any]:
             for name, variable in dataset.data_vars.items()
         },
         "coordinates": {
-            str(name): [list(map(str, variable.dims)), None if name == "phase" else variable.values.tolist()]
+            str(name): [
+                list(map(str, variable.dims)),
+                None if name == "phase" else variable.values.tolist(),
+            ]
             for name, variable in dataset.coords.items()
             if name != "time"
         },
@@ -79,7 +86,9 @@ def outline(record: RunRecord) -> dict[str, Any]:
 
 
 def report_outline(record: RunRecord) -> dict[str, Any]:
-    """The panels of a report (section, view, title, unit, number of curves) and the rows of its table."""
+    """The panels of a report (section, view, title, unit, number of curves) and the rows of its
+    table.
+    """
     shown, thin = results_of([record]), Thinning(1000)
     sections = {
         **run_views(shown, thin),
@@ -87,7 +96,8 @@ def report_outline(record: RunRecord) -> dict[str, Any]:
         "hidden": deflection_views(shown, thin),
     }
     panels = [
-        f"{section} / {view.label} / {panel.title} [{panel.figure.layout.yaxis.title.text}]: {len(panel.figure.data)}"
+        f"{section} / {view.label} / {panel.title} [{panel.figure.layout.yaxis.title.text}]: "
+        f"{len(panel.figure.data)}"
         for section, views in sections.items()
         for view in views
         for panel in view.panels
@@ -97,7 +107,9 @@ def report_outline(record: RunRecord) -> dict[str, Any]:
 
 
 def schema() -> Any:
-    """What ``ffsm schema`` prints, without the keys of Drake's own struct, which its releases change."""
+    """What ``ffsm schema`` prints, without the keys of Drake's own struct, which its releases
+    change.
+    """
     found = json.loads(CliRunner().invoke(ffsm, ["schema"], catch_exceptions=False).output)
     del found["properties"]["simulator_config"]["properties"]
     return found
@@ -116,7 +128,11 @@ def run(scenario: str, controller: str | None = None) -> RunRecord:
 def results(record: RunRecord) -> dict[str, Any]:
     """The numbers of a run."""
     dataset = record.dataset.isel(time=slice(None, None, EVERY))
-    numeric = {str(name): variable for name, variable in dataset.data_vars.items() if variable.dtype.kind in "fiub"}
+    numeric = {
+        str(name): variable
+        for name, variable in dataset.data_vars.items()
+        if variable.dtype.kind in "fiub"
+    }
     return {
         "outcome": record.outcome.message,
         "metrics": record.metrics,
@@ -133,7 +149,9 @@ def _rounded(values: np.ndarray) -> Any:
 
 
 def runs(scenario: str) -> dict[str, Any]:
-    """The runs of a scenario, by controller; of further laws only the variables that are not as with its own."""
+    """The runs of a scenario, by controller; of further laws only the variables that are not as
+    with its own.
+    """
     own = run(scenario)
     found = {own.scenario.controller: results(own)}
     reference = found[own.scenario.controller]["samples"]
@@ -146,7 +164,8 @@ def runs(scenario: str) -> dict[str, Any]:
             found[controller] = {"refused": str(error)}
             continue
         of_law["samples"] = {
-            name: "as above" if values == reference.get(name) else values for name, values in of_law["samples"].items()
+            name: "as above" if values == reference.get(name) else values
+            for name, values in of_law["samples"].items()
         }
         found[controller] = of_law
     return {"outline": outline(own), "runs": found}
@@ -228,7 +247,9 @@ def text(tree: Any, indent: str = "") -> str:
     """JSON with one line for each row of numbers."""
     further = indent + " "
     if isinstance(tree, dict) and tree:
-        rows = (f"{further}{json.dumps(key)}: {text(value, further)}" for key, value in tree.items())
+        rows = (
+            f"{further}{json.dumps(key)}: {text(value, further)}" for key, value in tree.items()
+        )
     elif isinstance(tree, list) and any(isinstance(item, (dict, list)) for item in tree):
         rows = (f"{further}{text(item, further)}" for item in tree)
     else:

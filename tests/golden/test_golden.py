@@ -1,4 +1,6 @@
-"""Nothing that a user reads of a run moves unnoticed. Meant changes: ``python tests/golden/golden.py``, and review."""
+"""Nothing that a user reads of a run moves unnoticed. Meant changes: ``python
+tests/golden/golden.py``, and review.
+"""
 
 import copy
 

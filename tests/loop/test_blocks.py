@@ -1,4 +1,6 @@
-"""Replacing the blocks of the closed loop, from YAML and from Python, and repeating such a run from its record."""
+"""Replacing the blocks of the closed loop, from YAML and from Python, and repeating such a run from
+its record.
+"""
 
 import json
 import shutil
@@ -36,9 +38,11 @@ class Rest(LeafSystem):
         model, posture = setup.nominal, setup.scenario.initial_posture
         q = configuration(model.plant, posture, key="initial_posture")
         nv = len(setup.coordinates.names)
-        self.values = {"desired_state": np.r_[q, np.zeros(nv)], "desired_acceleration": np.zeros(nv)}
+        self.values = {"desired_state": np.r_[q, np.zeros(nv)],
+                       "desired_acceleration": np.zeros(nv)}
         for name, value in self.values.items():
-            self.DeclareVectorOutputPort(name, value.size, getattr(self, name), {self.nothing_ticket()})
+            self.DeclareVectorOutputPort(name, value.size, getattr(self, name),
+                                         {self.nothing_ticket()})
 
     def desired_state(self, context, output):
         output.SetFromVector(self.values["desired_state"])
@@ -149,7 +153,10 @@ def test_every_block_is_replaced_from_yaml(lab):
     assert np.array_equal(applied, 0.5 * commanded)
     k_p = np.r_[np.full(6, 40.0), np.full(5, 30.0)]
     measured = data["desired_position"].values[:, 4:] - data["measured_position"].values[:, 4:]
-    spring = k_p[3:] * measured + 20 * (data["desired_velocity"] - data["measured_velocity"]).values[:, 3:]
+    spring = (
+        k_p[3:] * measured
+        + 20 * (data["desired_velocity"] - data["measured_velocity"]).values[:, 3:]
+    )
     assert commanded[:, 3:] == pytest.approx(spring, abs=1e-12)
     joints = [name for name in data["coordinate"].values if name.startswith("joint")]
     friction = data["force_friction"].sel(coordinate=joints).values
@@ -160,7 +167,9 @@ def test_every_block_is_replaced_from_yaml(lab):
 
 @pytest.mark.slow
 def test_it_repeats_from_its_record_in_another_folder_bit_for_bit(lab):
-    done = CliRunner().invoke(main, ["run", str(lab / "mine.yaml"), "--out", str(lab / "out/mine"), "--no-report"])
+    done = CliRunner().invoke(
+        main, ["run", str(lab / "mine.yaml"), "--out", str(lab / "out/mine"), "--no-report"]
+    )
     assert done.exit_code == 0, done.output
     manifest = (lab / "out/mine/manifest.json").read_text()
     assert str(lab) not in manifest
@@ -177,31 +186,56 @@ def test_it_repeats_from_its_record_in_another_folder_bit_for_bit(lab):
         return ["run", str(moved / source), "--out", str(lab / "again"), "--no-report"]
 
     again = subprocess.run(  # a process of its own: the module is found by what the record says
-        [sys.executable, "-m", "ffsm_drake", *command("out/mine")], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "ffsm_drake", *command("out/mine")],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert again.returncode == 0, again.stderr
     assert (lab / "again/record.nc").read_bytes() == (moved / "out/mine/record.nc").read_bytes()
     assert "the same record, bit for bit" in again.stdout
     del sys.modules["lab_blocks"]
-    assert "the same record, bit for bit" in CliRunner().invoke(main, command("out/mine/manifest.json")).stdout
+    assert (
+        "the same record, bit for bit"
+        in CliRunner().invoke(main, command("out/mine/manifest.json")).stdout
+    )
 
 
 @pytest.mark.slow
 def test_it_goes_through_a_campaign(lab):
     (lab / "spec.yaml").write_text(
-        """{scenario: mine.yaml, controllers: ["lab_blocks:Springs", tdc], cases: 2, settled: {hold: 0.1},
+        """{scenario: mine.yaml, controllers: ["lab_blocks:Springs", tdc], cases: 2,
+        settled: {hold: 0.1},
         parameters: {payload.truth.mass: {distribution: uniform, low: 80, high: 120}}}"""
     )
     database = lab / "campaign/spec.db"
-    arguments = ["campaign", "run", str(lab / "spec.yaml"), "--database", str(database), "--workers", "1"]
+    arguments = [
+        "campaign",
+        "run",
+        str(lab / "spec.yaml"),
+        "--database",
+        str(database),
+        "--workers",
+        "1",
+    ]
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 0, done.output
     assert "4 of 4 runs" in done.stdout
     # Each run of the table is that of the record.
-    rerun = ["campaign", "rerun", str(database), "--case", "1", "--controller", "lab_blocks:Springs"]
+    rerun = [
+        "campaign",
+        "rerun",
+        str(database),
+        "--case",
+        "1",
+        "--controller",
+        "lab_blocks:Springs",
+    ]
     again = CliRunner().invoke(main, [*rerun, "--out", str(lab / "rerun"), "--no-recording"])
     assert again.exit_code == 0, again.output
-    assert RunRecord.load(lab / "rerun/Springs").scenario.blocks.sensing.system == "lab_blocks:Vicon"
+    assert (
+        RunRecord.load(lab / "rerun/Springs").scenario.blocks.sensing.system == "lab_blocks:Vicon"
+    )
 
 
 def pulse(setup):
@@ -249,24 +283,57 @@ class Fails(LeafSystem):
 
 
 def test_a_failing_block_gets_one_line():
-    with pytest.raises(BlockError, match=r"forces.disturbance 'Fails' failed at t = 0.0\d s: RuntimeError: .*NaN"):
-        simulate(load_scenario("postcapture", ["duration=0.1"]), blocks={"forces.disturbance": Fails})
+    with pytest.raises(
+        BlockError,
+        match=r"forces.disturbance 'Fails' failed at t = 0.0\d s: "
+        r"RuntimeError: .*NaN",
+    ):
+        simulate(
+            load_scenario("postcapture", ["duration=0.1"]), blocks={"forces.disturbance": Fails}
+        )
 
 
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("blocks.sensing=nowhere:Vicon", "blocks.sensing 'nowhere:Vicon' cannot be loaded: No module named 'nowhere'"),
+        (
+            "blocks.sensing=nowhere:Vicon",
+            "blocks.sensing 'nowhere:Vicon' cannot be loaded: No module named 'nowhere'",
+        ),
         ("blocks.sensing=vicon", "blocks.sensing: 'vicon' is unknown; give module:attribute"),
-        ("blocks.sensing=two words", "blocks.sensing.system: 'two words' must be a name or module:attribute"),
-        ("blocks.sensing.settings={a: 1}", "blocks.sensing.system: '' must be a name or module:attribute"),
-        ("blocks.sensing=math:pi", "blocks.sensing 'math:pi' must be a class or function, not float"),
+        (
+            "blocks.sensing=two words",
+            "blocks.sensing.system: 'two words' must be a name or module:attribute",
+        ),
+        (
+            "blocks.sensing.settings={a: 1}",
+            "blocks.sensing.system: '' must be a name or module:attribute",
+        ),
+        (
+            "blocks.sensing=math:pi",
+            "blocks.sensing 'math:pi' must be a class or function, not float",
+        ),
         ("blocks.sensing=math:tau.x", "math has no 'tau.x'"),
-        ("blocks.forces.drag=builtins:repr", "blocks.forces.drag 'builtins:repr' must be a Drake system, not str"),
-        ("blocks.forces.my drag=builtins:repr", "a force's name must be letters, digits and underscores"),
-        ("blocks.sensor=x:y", "blocks.sensor: unknown key; valid here: reference, sensing, actuation, forces"),
-        ("blocks.sensing={system: 'a:b', settings: [1]}", "blocks.sensing.settings: must be a mapping, not [1]"),
-        ("blocks.sensing={system: 'a:b', settings: {x: .nan}}", "blocks.sensing.settings.x: must be finite"),
+        (
+            "blocks.forces.drag=builtins:repr",
+            "blocks.forces.drag 'builtins:repr' must be a Drake system, not str",
+        ),
+        (
+            "blocks.forces.my drag=builtins:repr",
+            "a force's name must be letters, digits and underscores",
+        ),
+        (
+            "blocks.sensor=x:y",
+            "blocks.sensor: unknown key; valid here: reference, sensing, actuation, forces",
+        ),
+        (
+            "blocks.sensing={system: 'a:b', settings: [1]}",
+            "blocks.sensing.settings: must be a mapping, not [1]",
+        ),
+        (
+            "blocks.sensing={system: 'a:b', settings: {x: .nan}}",
+            "blocks.sensing.settings.x: must be finite",
+        ),
     ],
 )
 def test_bad_ones_get_one_line(override, expected):
@@ -291,10 +358,26 @@ class WithPorts(LeafSystem):
     ("block", "ports", "expected"),
     [
         ("sensing", {"inputs": [("state", 22)]}, "input port 'state' must have size 23, not 22"),
-        ("sensing", {"inputs": [("state", 23)]}, "needs an output port 'estimated_state' of size 23"),
-        ("sensing", {"inputs": [("stat", 23)]}, "unknown input port 'stat'; known: state; did you mean 'state'?"),
-        ("actuation", {"inputs": [("commanded_force", 11)]}, "needs an output port 'applied_force' of size 11"),
-        ("reference", {"outputs": [("desired_state", 23)]}, "needs an output port 'desired_acceleration' of size 11"),
+        (
+            "sensing",
+            {"inputs": [("state", 23)]},
+            "needs an output port 'estimated_state' of size 23",
+        ),
+        (
+            "sensing",
+            {"inputs": [("stat", 23)]},
+            "unknown input port 'stat'; known: state; did you mean 'state'?",
+        ),
+        (
+            "actuation",
+            {"inputs": [("commanded_force", 11)]},
+            "needs an output port 'applied_force' of size 11",
+        ),
+        (
+            "reference",
+            {"outputs": [("desired_state", 23)]},
+            "needs an output port 'desired_acceleration' of size 11",
+        ),
         ("forces.wind", {"outputs": [("generalized_force", 6)]}, "must have size 11, not 6"),
     ],
 )
@@ -309,7 +392,9 @@ def test_the_kit_passes_good_blocks_and_finds_hidden_memory(lab):
     try:
         import lab_blocks
 
-        assert "finite signals" in str(check_block("sensing", lab_blocks.Vicon, settings={"offset": 0.0}))
+        assert "finite signals" in str(
+            check_block("sensing", lab_blocks.Vicon, settings={"offset": 0.0})
+        )
         check_block("forces.friction", lab_blocks.Friction)
         check_block("actuation", lab_blocks.Half)
         check_block("reference", lab_blocks.Rest)
@@ -320,13 +405,17 @@ def test_the_kit_passes_good_blocks_and_finds_hidden_memory(lab):
         def __init__(self, setup):
             super().__init__()
             self.calls = 0
-            self.DeclareVectorOutputPort("generalized_force", len(setup.coordinates.names), self.calc)
+            self.DeclareVectorOutputPort(
+                "generalized_force", len(setup.coordinates.names), self.calc
+            )
 
         def calc(self, context, output):
             self.calls += 1
             output.SetFromVector(np.full(output.size(), 1e-6 * self.calls))
 
-    with pytest.raises(ConformanceError, match="a second run differs from the first: keep memory in the context"):
+    with pytest.raises(
+        ConformanceError, match="a second run differs from the first: keep memory in the context"
+    ):
         check_block("forces.counts", Counts)
 
 
@@ -334,5 +423,9 @@ def test_an_unknown_block_is_refused():
     from ffsm_drake import make_nominal_plant
 
     scenario = load_scenario("postcapture")
-    with pytest.raises(ScenarioError, match=r"blocks.sensors: is no block; choose reference, sensing, controller, "):
+    with pytest.raises(
+        ScenarioError,
+        match=r"blocks.sensors: is no block; choose reference, "
+        r"sensing, controller, ",
+    ):
         make_blocks(scenario, make_nominal_plant(scenario), {"sensors": pulse})

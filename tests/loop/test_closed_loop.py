@@ -1,4 +1,6 @@
-"""The wiring: its names, its pictures in diagrams/, and a controller of one's own in the same sockets."""
+"""The wiring: its names, its pictures in diagrams/, and a controller of one's own in the same
+sockets.
+"""
 
 import re
 import shutil
@@ -23,7 +25,9 @@ def test_systems_and_signals_have_names():
     assert names == {
         "plant", "reference", "tde_aismc", "disturbance", "sensing", "measurement", "total_force",
     }  # fmt: skip
-    outputs = [loop.diagram.get_output_port(i).get_name() for i in range(loop.diagram.num_output_ports())]
+    outputs = [
+        loop.diagram.get_output_port(i).get_name() for i in range(loop.diagram.num_output_ports())
+    ]
     assert outputs == [*SIGNALS, "sliding_variable", "reaching_gain", "switching_gain"]
 
 
@@ -34,28 +38,43 @@ def test_the_geometry_is_loaded_only_to_be_shown():
         shown = Rollout(scenario, meshcat=start_meshcat()).loop
     names = {system.get_name() for system in shown.diagram.GetSystems()}
     plain = Rollout(scenario).loop
-    assert names - {system.get_name() for system in plain.diagram.GetSystems()} == {"scene_graph", "meshcat_visualizer"}
+    assert names - {system.get_name() for system in plain.diagram.GetSystems()} == {
+        "scene_graph",
+        "meshcat_visualizer",
+    }
 
 
 def test_showing_the_bodies_does_not_make_them_collide(tmp_path):
     """A box that reaches deep into another leaves it alone, with the picture and without."""
     box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
-    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    inertial = (
+        '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" '
+        'iyz="0"/></inertial>'
+    )
     (tmp_path / "robot.urdf").write_text(
         f"""<robot name="robot"><link name="base">{inertial}{box}</link>
         <link name="middle">{inertial}</link><link name="debris">{inertial}{box}</link>
-        <joint name="joint_1" type="revolute"><parent link="base"/><child link="middle"/><axis xyz="0 0 1"/></joint>
+        <joint name="joint_1" type="revolute"><parent link="base"/><child link="middle"/>
+        <axis xyz="0 0 1"/></joint>
         <joint name="joint_2" type="revolute"><parent link="middle"/><child link="debris"/>
         <origin xyz="0.8 0 0"/><axis xyz="0 0 1"/></joint></robot>"""
     )
     directives = tmp_path / "robot.dmd.yaml"
-    directives.write_text(f"directives:\n- add_model: {{name: robot, file: file://{tmp_path / 'robot.urdf'}}}\n")
+    directives.write_text(
+        f"directives:\n- add_model: {{name: robot, file: file://{tmp_path / 'robot.urdf'}}}\n"
+    )
     zero = "{joint_1: 0, joint_2: 0}"
     scenario = load_scenario(
         "postcapture",
-        [f"model.directives={directives}", "model.end_effector=robot::debris", "payload.body=robot::debris",
-         f"initial_posture.joints={zero}", f"target_posture.joints={zero}", "disturbance.harmonics={}"],
-    )  # fmt: skip
+        [
+            f"model.directives={directives}",
+            "model.end_effector=robot::debris",
+            "payload.body=robot::debris",
+            f"initial_posture.joints={zero}",
+            f"target_posture.joints={zero}",
+            "disturbance.harmonics={}",
+        ],
+    )
     for meshcat in (None, start_meshcat()):
         with quiet_drake():
             loop = Rollout(scenario, meshcat=meshcat).loop
@@ -75,7 +94,9 @@ def test_the_plant_is_continuous_weightless_and_free():
 
 
 def test_initialize_sets_posture_payload_and_seed():
-    loop = make_closed_loop(load_scenario("postcapture", ["random_seed=5", "payload.truth.mass=123"]))
+    loop = make_closed_loop(
+        load_scenario("postcapture", ["random_seed=5", "payload.truth.mass=123"])
+    )
     noise = []
     for _ in range(2):
         context = loop.diagram.CreateDefaultContext()
@@ -103,7 +124,9 @@ def test_the_pictures_in_diagrams_show_the_wiring_of_today(name):
 
 def test_a_changed_wiring_changes_the_picture():
     scenario = load_scenario("postcapture", ["controller=tdc"])
-    assert block_diagram.closed_loop_dot(scenario) != block_diagram.shipped_diagrams()["closed_loop"]
+    assert (
+        block_diagram.closed_loop_dot(scenario) != block_diagram.shipped_diagrams()["closed_loop"]
+    )
     assert block_diagram.closed_loop_dot(scenario) == block_diagram.closed_loop_dot(scenario)
 
 
@@ -123,7 +146,9 @@ def test_pictures_are_drawn(tmp_path):
         assert (tmp_path / f"{name}.svg").read_text().count("<polygon") > 3
 
 
-def test_without_graphviz_the_dot_file_is_written_and_one_line_says_what_to_do(tmp_path, monkeypatch, capsys):
+def test_without_graphviz_the_dot_file_is_written_and_one_line_says_what_to_do(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(shutil, "which", lambda _: None)
     assert block_diagram.main(tmp_path) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["closed_loop.dot", "controller.dot"]

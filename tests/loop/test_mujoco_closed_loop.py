@@ -1,7 +1,9 @@
-"""The whole closed loop against one written again from the paper, on MuJoCo, sharing nothing with the package.
+"""The whole closed loop against one written again from the paper, on MuJoCo, sharing nothing with
+the package.
 
-Plant, nominal model, reference, disturbance, the four laws and the integrator are stated here a second time, position
-first as in the paper; only the gains are read from the scenario. See mujoco_oracle for the coordinates.
+Plant, nominal model, reference, disturbance, the four laws and the integrator are stated here a
+second time, position first as in the paper; only the gains are read from the scenario. See
+mujoco_oracle for the coordinates.
 """
 
 import abc
@@ -53,14 +55,21 @@ def disturbance(t: float) -> np.ndarray:
 
 @functools.cache
 def quintic() -> np.polynomial.Polynomial:
-    """The fifth-order polynomial in t from 0 to 1 over DURATION, at rest and without acceleration at both ends."""
+    """The fifth-order polynomial in t from 0 to 1 over DURATION, at rest and without acceleration
+    at both ends.
+    """
     powers = np.arange(6)
     conditions = [
-        [factor * x ** float(max(power - order, 0)) for power, factor in zip(powers, factors, strict=True)]
+        [
+            factor * x ** float(max(power - order, 0))
+            for power, factor in zip(powers, factors, strict=True)
+        ]
         for x in (0.0, 1.0)
         for order, factors in enumerate((np.ones(6), powers, powers * (powers - 1)))
     ]
-    return np.polynomial.Polynomial(np.linalg.solve(conditions, [0, 0, 0, 1, 0, 0]) / DURATION**powers)
+    return np.polynomial.Polynomial(
+        np.linalg.solve(conditions, [0, 0, 0, 1, 0, 0]) / DURATION**powers
+    )
 
 
 @functools.cache
@@ -69,7 +78,8 @@ def reference(t: float) -> tuple[np.ndarray, Rotation, np.ndarray, np.ndarray, n
     polynomial = quintic()
     blend, rate, acceleration = polynomial(t), polynomial.deriv(1)(t), polynomial.deriv(2)(t)
     roll, pitch, yaw = START_RPY + blend * (TARGET_RPY - START_RPY)
-    # R = R_z(yaw) R_y(pitch) R_x(roll): each angle turns about an axis that the later ones carry along.
+    # R = R_z(yaw) R_y(pitch) R_x(roll): each angle turns about an axis that the later ones carry
+    # along.
     axis_z = np.array([0.0, 0.0, 1.0])
     axis_y = Rotation.from_euler("z", yaw).apply([0.0, 1.0, 0.0])
     axis_x = Rotation.from_euler("ZY", [yaw, pitch]).apply([1.0, 0.0, 0.0])
@@ -93,7 +103,9 @@ def attitude(configuration: np.ndarray) -> Rotation:
 
 
 def rotation_vector_rate(e: np.ndarray, w_d: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """de/dt of e = log(R_d R^T): R_d R^T turns with w_d - exp(e) w, which is the left Jacobian of e times de/dt."""
+    """de/dt of e = log(R_d R^T): R_d R^T turns with w_d - exp(e) w, which is the left Jacobian of e
+    times de/dt.
+    """
     cross = np.cross(np.eye(3), e)
     jacobian = np.eye(3) + cross / 2 + cross @ cross / 6 + cross @ cross @ cross / 24  # e is small
     return np.linalg.solve(jacobian, w_d - Rotation.from_rotvec(e).apply(w))
@@ -103,7 +115,9 @@ class Law(abc.ABC):
     """The injected dynamics u of a controller; subclasses hold K_s, G and the error's integral."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self.gains = types.SimpleNamespace(**complete_gains(scenario).controllers[scenario.controller])
+        self.gains = types.SimpleNamespace(
+            **complete_gains(scenario).controllers[scenario.controller]
+        )
         self.K_D = self.diagonal(self.gains.k_d)
 
     @staticmethod
@@ -192,12 +206,20 @@ class Proposed(Aismc):
     def switching(self, s: np.ndarray) -> np.ndarray:
         term = self.G * np.sign(s)
         direction = np.sign(np.max(np.abs(s)) - self.gains.epsilon["all"])
-        grow_from_zero, adapt = self.phi * self.gains.epsilon["all"], self.phi * np.abs(s) * direction
+        grow_from_zero, adapt = (
+            self.phi * self.gains.epsilon["all"],
+            self.phi * np.abs(s) * direction,
+        )
         self.G = np.maximum(0, self.G + PERIOD * np.where(self.G > 0, adapt, grow_from_zero))
         return term
 
 
-LAWS: dict[str, Callable[[Scenario], Law]] = {"tdc": Tdc, "asmc": Asmc, "aismc": Aismc, "tde_aismc": Proposed}
+LAWS: dict[str, Callable[[Scenario], Law]] = {
+    "tdc": Tdc,
+    "asmc": Asmc,
+    "aismc": Aismc,
+    "tde_aismc": Proposed,
+}
 
 
 def configuration_rate(configuration: np.ndarray, rates: np.ndarray) -> np.ndarray:
@@ -224,7 +246,9 @@ class Series(NamedTuple):
 
 def run_on_mujoco(scenario: Scenario, *, substeps: int = 1) -> Series:
     """The closed loop, by fourth-order Runge-Kutta steps of PERIOD / substeps."""
-    plant, nominal = (oracle.MujocoSpacecraft(target) for target in (oracle.TRUE_TARGET, oracle.BELIEVED_TARGET))
+    plant, nominal = (
+        oracle.MujocoSpacecraft(target) for target in (oracle.TRUE_TARGET, oracle.BELIEVED_TARGET)
+    )
     law = LAWS[scenario.controller](scenario)
 
     def derivative(t: float, state: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -269,7 +293,8 @@ def run_on_mujoco(scenario: Scenario, *, substeps: int = 1) -> Series:
 def run(controller: str) -> tuple[RunRecord, Series]:
     """The package's record, and the loop above, both without measurement noise."""
     scenario = load_scenario(
-        "postcapture", [f"controller={controller}", "sensing.velocity_noise=0", f"duration={COMPARED}"]
+        "postcapture",
+        [f"controller={controller}", "sensing.velocity_noise=0", f"duration={COMPARED}"],
     )
     record = simulate(scenario)
     assert record.outcome.completed, record.outcome.message
@@ -290,14 +315,18 @@ def itae(errors: np.ndarray) -> float:
 SLOW = ("asmc", "aismc", "tdc")
 
 
-@pytest.fixture(scope="module", params=[pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in LAWS])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in LAWS],
+)
 def both(request: pytest.FixtureRequest) -> tuple[RunRecord, Series]:
     return run(request.param)
 
 
 def test_errors_agree_at_every_sample(both: tuple[RunRecord, Series]) -> None:
-    """To 1e-8, and to 1e-3 of what the coordinate ever reaches: many errors are no more than 1e-8 themselves, and
-    one per cent in a mass would hide in the former."""
+    """To 1e-8, and to 1e-3 of what the coordinate ever reaches: many errors are no more than 1e-8
+    themselves, and one per cent in a mass would hide in the former.
+    """
     record, expected = both
     error = recorded(record, "error")
     assert error.shape == expected.error.shape == (1201, 11)

@@ -1,4 +1,6 @@
-"""Runs through a grasp: what is carried over it, what is recorded, and what the record keeps of mechanics."""
+"""Runs through a grasp: what is carried over it, what is recorded, and what the record keeps of
+mechanics.
+"""
 
 import dataclasses
 
@@ -29,9 +31,11 @@ NEAR = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.7
 SHORT = [
     "duration=6",
     "reference.duration=3",
-    f"capture.approach={{duration: 2, posture: {{base_position: [0.1, 0.3, -0.2], joints: {NEAR}}}}}",
+    f"capture.approach={{duration: 2, posture: "
+    f"{{base_position: [0.1, 0.3, -0.2], joints: {NEAR}}}}}",
     "capture.approach.posture.base_rpy=[0.11, 0.08, -0.1]",
-    "target_posture.joints={joint_1: 0.2, joint_2: 0.35, joint_3: 0.95, joint_4: 0.8, joint_5: -0.6}",
+    "target_posture.joints={joint_1: 0.2, joint_2: 0.35, joint_3: 0.95, joint_4: 0.8, joint_5: "
+    "-0.6}",
     "target_posture.base_position=[0.1, 0.3, -0.2]",
     "target_posture.base_rpy=[0.11, 0.08, -0.1]",
 ]
@@ -76,7 +80,8 @@ def test_momentum_is_that_of_both_on_both_sides(record):
         assert np.linalg.norm(after - before) <= 1e-12 * np.linalg.norm(before)
         assert np.linalg.norm(before) > 0.05
     assert ledger["after"]["kinetic_energy"] < ledger["before"]["kinetic_energy"]
-    # The record's sums agree with it, from each side; between two samples the thrusters give a little.
+    # The record's sums agree with it, from each side; between two samples the thrusters give a
+    # little.
     for name in ("linear_momentum", "angular_momentum"):
         values = data[name].values
         assert_allclose(values[GRASP], ledger["after"][name], rtol=1e-12)
@@ -93,14 +98,22 @@ def test_momentum_is_that_of_both_on_both_sides(record):
 
 
 def test_the_ledger_counts_the_wheels(run):
-    """No torque acts on a wheel about its axis at the grasp: its momentum is the same on both sides of it."""
-    units = "{x: {axis: [1, 0, 0], initial_momentum: 3}, y: {axis: [0, 1, 0]}, z: {axis: [0, 0, 1]}}"
-    record = run("tumbling_capture", *SHORT[1:], "duration=2.2", f"actuation.wheels={{units: {units}}}")
+    """No torque acts on a wheel about its axis at the grasp: its momentum is the same on both sides
+    of it.
+    """
+    units = (
+        "{x: {axis: [1, 0, 0], initial_momentum: 3}, y: {axis: [0, 1, 0]}, z: {axis: [0, 0, 1]}}"
+    )
+    record = run(
+        "tumbling_capture", *SHORT[1:], "duration=2.2", f"actuation.wheels={{units: {units}}}"
+    )
     data, ledger = record.dataset, record.grasp
     stored = np.array(ledger["stored_momentum"])
     assert np.linalg.norm(stored) > 1.0
     assert np.array_equal(stored, data["stored_momentum"].values[GRASP])
-    assert_allclose(data["angular_momentum"].values[GRASP], ledger["after"]["angular_momentum"], rtol=1e-12)
+    assert_allclose(
+        data["angular_momentum"].values[GRASP], ledger["after"]["angular_momentum"], rtol=1e-12
+    )
     for name in ("angular_momentum", "spin"):
         assert_allclose(ledger["after"][name], ledger["before"][name], atol=1e-12)
     # Between two samples torques and forces of a few N m and N act.
@@ -109,14 +122,18 @@ def test_the_ledger_counts_the_wheels(run):
     section = grasp_of(results_of([record])[0])
     assert section["budget"][0].startswith("After the grasp as planned: ")
     rows = {row[0]: row[1:3] for row in section["ledger"]}
-    assert rows["of which in the wheels [N m s]"] == [", ".join(number(each) for each in stored)] * 2
+    assert (
+        rows["of which in the wheels [N m s]"] == [", ".join(number(each) for each in stored)] * 2
+    )
 
 
 def test_the_target_tumbles_freely_up_to_the_grasp(record):
     data = record.dataset.isel(time=slice(GRASP))
     # Alike about every axis, it turns about a fixed one, and its centre rests.
     assert_allclose(
-        data["target_position"].values, data["target_position"].values[:1] + np.zeros((GRASP, 3)), atol=1e-12
+        data["target_position"].values,
+        data["target_position"].values[:1] + np.zeros((GRASP, 3)),
+        atol=1e-12,
     )
     turns = Rotation.from_quat(data["target_quaternion"].values, scalar_first=True)
     w = turns[0].apply(SCENARIO.capture.rate)
@@ -132,7 +149,9 @@ def test_the_target_tumbles_freely_up_to_the_grasp(record):
 
 def test_what_the_arm_misses_by_stays_in_the_payload(log):
     model = make_true_plant(
-        dataclasses.replace(SCENARIO, payload=dataclasses.replace(SCENARIO.payload, truth=log.grasp.payload))
+        dataclasses.replace(
+            SCENARIO, payload=dataclasses.replace(SCENARIO.payload, truth=log.grasp.payload)
+        )
     )
     model.plant.SetPositions(model.context, log.grasp.contact.q)
     body = model.plant.GetBodyByName("debris")
@@ -141,17 +160,27 @@ def test_what_the_arm_misses_by_stays_in_the_payload(log):
 
 
 def test_mass_properties_in_another_frame():
-    properties = MassProperties(mass=3.0, center_of_mass=[0.1, -0.2, 0.3], inertia=[1.0, 1.2, 1.4, 0.1, -0.05, 0.2])
-    X_QP = RigidTransform(RotationMatrix(Rotation.from_rotvec([0.3, -0.5, 0.7]).as_matrix()), [0.4, 0.1, -0.2])
+    properties = MassProperties(
+        mass=3.0, center_of_mass=[0.1, -0.2, 0.3], inertia=[1.0, 1.2, 1.4, 0.1, -0.05, 0.2]
+    )
+    X_QP = RigidTransform(
+        RotationMatrix(Rotation.from_rotvec([0.3, -0.5, 0.7]).as_matrix()), [0.4, 0.1, -0.2]
+    )
     moved = spatial_inertia(properties).ReExpress(X_QP.rotation()).Shift(-X_QP.translation())
     assert_allclose(
-        spatial_inertia(seen_from(properties, X_QP)).CopyToFullMatrix6(), moved.CopyToFullMatrix6(), atol=1e-12
+        spatial_inertia(seen_from(properties, X_QP)).CopyToFullMatrix6(),
+        moved.CopyToFullMatrix6(),
+        atol=1e-12,
     )
 
 
 def test_a_free_target_keeps_its_momentum_and_energy():
-    properties = MassProperties(mass=50.0, center_of_mass=[0.2, -0.1, 0.3], inertia=[12.0, 9.0, 7.0, 1.5, -0.8, 0.6])
-    X_WP = RigidTransform(RotationMatrix(Rotation.from_rotvec([0.2, 0.4, -0.9]).as_matrix()), [1.0, 2.0, 3.0])
+    properties = MassProperties(
+        mass=50.0, center_of_mass=[0.2, -0.1, 0.3], inertia=[12.0, 9.0, 7.0, 1.5, -0.8, 0.6]
+    )
+    X_WP = RigidTransform(
+        RotationMatrix(Rotation.from_rotvec([0.2, 0.4, -0.9]).as_matrix()), [1.0, 2.0, 3.0]
+    )
     twist = np.array([0.1, -0.2, 0.15, 0.02, 0.01, -0.03])
     states = coast(properties, X_WP, twist, samples=1000, sample_time=0.01)
     assert states.shape == (1000, 13)
@@ -174,21 +203,29 @@ def test_a_free_target_keeps_its_momentum_and_energy():
 def test_the_first_force_after_the_grasp_is_no_other_than_before(log):
     force = log.generalized_force
     steps = np.abs(force[GRASP] - force[GRASP - 1])
-    # 0.1 N m on the bare wrist is 25 rad/s^2; taken for an acceleration of wrist and target it would be 1000 N m.
+    # 0.1 N m on the bare wrist is 25 rad/s^2; taken for an acceleration of wrist and target it
+    # would be 1000 N m.
     assert steps.max() < 5.0
     assert np.abs(force[GRASP : GRASP + 100]).max() < 8.0
 
 
 @pytest.mark.parametrize("controller", ["tdc", "asmc", "aismc", "computed_torque"])
 def test_every_controller_goes_through_the_grasp(controller):
-    # One without an estimate holds nothing against 0.1 N m on the bare wrist, and feels the noise as it is.
+    # One without an estimate holds nothing against 0.1 N m on the bare wrist, and feels the noise
+    # as it is.
     overrides = ["disturbance.amplitude_scale=0", f"controller={controller}", "duration=2.5"]
     gains = "{k_d: 14, k_s: 14}" if controller == "asmc" else "{k_d: 10, k_p: 25}"
     overrides += [f"controllers.{controller}={gains}"]
     overrides += (
-        ["sensing.velocity_noise=1e-6", "sensing.position_noise=1e-6"] if controller == "computed_torque" else []
+        ["sensing.velocity_noise=1e-6", "sensing.position_noise=1e-6"]
+        if controller == "computed_torque"
+        else []
     )
-    overrides += ["controllers.aismc.k_s_initial=5", "controllers.aismc.k_s_max=5"] if controller == "aismc" else []
+    overrides += (
+        ["controllers.aismc.k_s_initial=5", "controllers.aismc.k_s_max=5"]
+        if controller == "aismc"
+        else []
+    )
     log = make_rollout(override_scenario(SCENARIO, overrides)).run()
     assert log.outcome.completed
     assert log.time.size == 251
@@ -201,37 +238,53 @@ ESTIMATORS = {"kalman": [], "late": ["sensing.delay=2"], "coupled": ["estimator.
 @pytest.mark.parametrize("kind", ESTIMATORS)
 @pytest.mark.parametrize("controller", ["tde_aismc", "aismc", "asmc"])
 def test_accelerations_go_on_as_the_forces_that_they_took(kind, controller):
-    scenario = override_scenario(SCENARIO, ["estimator.kind=kalman", f"controller={controller}", *ESTIMATORS[kind]])
+    scenario = override_scenario(
+        SCENARIO, ["estimator.kind=kalman", f"controller={controller}", *ESTIMATORS[kind]]
+    )
     held = make_nominal_plant(scenario)
     alone = make_nominal_plant(scenario)
     set_payload(alone.plant, alone.context, body="debris::debris", properties=NOTHING)
     after, before = make_law(scenario, held), make_law(scenario, alone)
     rng = np.random.default_rng(4)
-    state = {name: rng.uniform(0.1, 1.0, np.shape(value)) for name, value in before.initial_state().items()}
+    state = {
+        name: rng.uniform(0.1, 1.0, np.shape(value))
+        for name, value in before.initial_state().items()
+    }
     contact = planned_contact(scenario, make_true_plant(scenario))
     q, v_d = contact.q, contact.grasp.velocity
     new = after.resume(state, before, np.concatenate([q, v_d]))
     assert set(new) == set(state)
     H, H_alone = held.calc_mass_matrix(q), alone.calc_mass_matrix(q)
-    for name in ("estimated_negative_n", "estimated_error_rate"):  # the same force, the same momentum
+    # the same force, the same momentum
+    for name in ("estimated_negative_n", "estimated_error_rate"):
         assert_allclose(H @ new[name], H_alone @ state[name], rtol=1e-9)
     assert np.array_equal(new["estimated_error"], state["estimated_error"])
     if "integral_error" in state:
         scale = after.dynamics.k_p * state["reaching_gain"]
-        assert_allclose(H @ (scale * new["integral_error"]), H_alone @ (scale * state["integral_error"]), rtol=1e-9)
+        assert_allclose(
+            H @ (scale * new["integral_error"]),
+            H_alone @ (scale * state["integral_error"]),
+            rtol=1e-9,
+        )
     if "switching_gain" in state:  # bounds every force that it bounded before
         signs = rng.choice([-1.0, 1.0], (100, 11))
         needed = np.linalg.solve(H, H_alone @ (signs * state["switching_gain"]).T).T
         assert (np.abs(needed) <= new["switching_gain"] * (1 + 1e-9)).all()
     if kind == "late":
-        # The last sample's errors were made with the velocity before: they count from the one after.
+        # The last sample's errors were made with the velocity before: they count from the one
+        # after.
         past = new["past"].reshape(2, 11, 2)
         jump = v_d - state["delayed_desired_velocity"]
         assert_allclose(past[1, :, 0], state["estimated_error_rate"] + jump, rtol=1e-12)
 
 
 def test_late_sensors_bring_what_was_before_the_grasp():
-    settings = ["sensing.delay=3", "estimator.kind=kalman", "disturbance.amplitude_scale=0", "controller=tdc"]
+    settings = [
+        "sensing.delay=3",
+        "estimator.kind=kalman",
+        "disturbance.amplitude_scale=0",
+        "controller=tdc",
+    ]
     settings += ["controllers.tdc={k_d: 6, k_p: 9}", "duration=3", "estimator.walk=0.01"]
     log = make_rollout(override_scenario(SCENARIO, settings)).run()
     assert log.outcome.completed
@@ -258,10 +311,14 @@ def test_a_run_has_the_bits_of_a_fresh_build(rollout, log):
 
 
 def test_another_centre_of_mass_needs_another_plan():
-    scenario = load_scenario("tumbling_capture", ["capture.approach=null", "controller=tdc", "duration=0.05"])
+    scenario = load_scenario(
+        "tumbling_capture", ["capture.approach=null", "controller=tdc", "duration=0.05"]
+    )
     with_truth = lambda **values: dataclasses.replace(  # noqa: E731
         scenario,
-        payload=dataclasses.replace(scenario.payload, truth=dataclasses.replace(scenario.payload.truth, **values)),
+        payload=dataclasses.replace(
+            scenario.payload, truth=dataclasses.replace(scenario.payload.truth, **values)
+        ),
     )
     rollout = make_rollout(scenario)
     assert rollout.accepts(with_truth(mass=120.0))
@@ -272,7 +329,9 @@ def test_another_centre_of_mass_needs_another_plan():
 
 
 def test_without_an_approach_it_begins_with_the_grasp():
-    scenario = override_scenario(from_grasp(SCENARIO), ["duration=1", "initial_velocity.joint_2=0.001"])
+    scenario = override_scenario(
+        from_grasp(SCENARIO), ["duration=1", "initial_velocity.joint_2=0.001"]
+    )
     record = simulate(scenario, check_stability=False)
     contact = planned_contact(scenario, make_true_plant(scenario))
     assert set(record.dataset["phase"].values.tolist()) == {"stop"}

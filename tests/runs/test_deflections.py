@@ -10,7 +10,9 @@ PERIOD, END = 0.01, 5.0
 
 
 def dataset(duration):
-    """A reference that ends at END, and two hidden coordinates: one swings on, the other has come to rest aside."""
+    """A reference that ends at END, and two hidden coordinates: one swings on, the other has come
+    to rest aside.
+    """
     time = PERIOD * np.arange(round(duration / PERIOD) + 1)
     moves = time < END - 1e-9
     velocity = np.stack([np.where(moves, 0.1, 0.0), np.zeros_like(time)], axis=1)
@@ -29,15 +31,21 @@ def test_what_is_left_after_the_motion_is_measured_about_its_mean():
     found = deflection_metrics(dataset(9.0))
     assert found["peak"] == pytest.approx({"port": 0.03, "slosh": 0.4}, rel=1e-3)
     assert found["residual_since"] == pytest.approx(END)
-    assert found["residual_amplitude"] == pytest.approx({"port": 2e-3, "slosh": 0.0}, rel=1e-3, abs=1e-15)
-    assert found["residual_rms"] == pytest.approx({"port": 2e-3 / np.sqrt(2.0), "slosh": 0.0}, rel=5e-3, abs=1e-15)
+    assert found["residual_amplitude"] == pytest.approx(
+        {"port": 2e-3, "slosh": 0.0}, rel=1e-3, abs=1e-15
+    )
+    assert found["residual_rms"] == pytest.approx(
+        {"port": 2e-3 / np.sqrt(2.0), "slosh": 0.0}, rel=5e-3, abs=1e-15
+    )
 
 
 @pytest.mark.parametrize("duration", [4.0, END])
 def test_a_run_that_ends_with_the_motion_leaves_nothing_to_measure(duration):
     found = deflection_metrics(dataset(duration))
     assert found["peak"]["slosh"] == pytest.approx(0.4)
-    assert [found[key] for key in ("residual_since", "residual_rms", "residual_amplitude")] == [None] * 3
+    assert [found[key] for key in ("residual_since", "residual_rms", "residual_amplitude")] == [
+        None
+    ] * 3
 
 
 def test_a_reference_that_pauses_is_not_over():

@@ -16,13 +16,18 @@ TIME = PERIOD * np.arange(2000)
 
 def test_constant_error_and_constant_effort():
     error, effort = np.full((2000, 11), -0.3), np.tile(np.arange(11.0), (2000, 1))
-    assert itae(TIME, error, PERIOD) == pytest.approx(11 * 0.3 * DURATION**2 / 2, rel=1e-3)  # left sums: L / t_f off
+    # left sums: L / t_f off
+    assert itae(TIME, error, PERIOD) == pytest.approx(11 * 0.3 * DURATION**2 / 2, rel=1e-3)
     assert isv(effort, PERIOD) == pytest.approx(385 * DURATION)
 
 
 @pytest.mark.parametrize(
     ("scales", "expected"),
-    [([], 6.921), (["disturbance.frequency_scale=3"], 6.875), (["disturbance.amplitude_scale=3"], 9 * 6.921)],
+    [
+        ([], 6.921),
+        (["disturbance.frequency_scale=3"], 6.875),
+        (["disturbance.amplitude_scale=3"], 9 * 6.921),
+    ],
 )
 def test_energy_of_the_disturbances(scales, expected):
     loop = make_closed_loop(load_scenario("paper", scales))
@@ -80,11 +85,16 @@ def test_metrics_of_a_run(run):
         ("thrusters_and_wheels", []),
         ("flexible_panels", []),
         ("free_floating", []),
-        ("postcapture", ["actuation.limit=5", "actuation.drives={rate_limit: 0.5, coulomb_friction: 0.1}"]),
+        (
+            "postcapture",
+            ["actuation.limit=5", "actuation.drives={rate_limit: 0.5, coulomb_friction: 0.1}"],
+        ),
     ],
 )
 def test_metrics_need_no_dataset(name, overrides):
-    """Those of the table are those of the dataset that is made of it, and the dataset loses nothing."""
+    """Those of the table are those of the dataset that is made of it, and the dataset loses
+    nothing.
+    """
     table = make_table(make_rollout(load_scenario(name, ["duration=2", *overrides])).run())
     dataset = table.to_dataset()
     assert compute_metrics(table) == compute_metrics(dataset)
@@ -106,17 +116,27 @@ def test_impulse_of_a_smooth_force(rate):
     names = [f"base_{part}_{axis}" for part in ("rotation", "position") for axis in "xyz"]
     force, held, zero = np.zeros((500, 6)), np.zeros((500, 6)), np.zeros((500, 6))
     force[:, 4], held[:, 3] = np.sin(rate * time + 1.0), 2.0
-    impulse = np.stack([2.0 * time, (np.cos(1.0) - np.cos(rate * time + 1.0)) / rate, 0.0 * time], axis=1)
+    impulse = np.stack(
+        [2.0 * time, (np.cos(1.0) - np.cos(rate * time + 1.0)) / rate, 0.0 * time], axis=1
+    )
     path = np.stack([0.0 * time, np.cos(time), 0.0 * time], axis=1)  # of the point where both act
     moment = np.stack([0.0 * time, 0.0 * time, -2.0 * np.sin(time)], axis=1)
     velocity = zero.copy()
     velocity[:, 4] = -np.sin(time)
     along = ("time", "coordinate")
-    table = Table().assign_coords({"coordinate": ("coordinate", names), "position_name": ("position_name", names[3:])})
-    table = table.assign_coords({"time": ("time", time)}).assign({
-        "position": (("time", "position_name"), path), "velocity": (along, velocity),
-        "applied_force": (along, held), "disturbance_force": (along, force),
-        "linear_momentum": (("time", "axis"), impulse), "angular_momentum": (("time", "axis"), moment),
-    })  # fmt: skip
+    table = Table().assign_coords(
+        {"coordinate": ("coordinate", names), "position_name": ("position_name", names[3:])}
+    )
+    table = table.assign_coords({"time": ("time", time)}).assign(
+        {
+            "position": (("time", "position_name"), path),
+            "velocity": (along, velocity),
+            "applied_force": (along, held),
+            "disturbance_force": (along, force),
+            "linear_momentum": (("time", "axis"), impulse),
+            "angular_momentum": (("time", "axis"), moment),
+        }
+    )
     for residual in momentum_residual(table).values():
-        assert np.abs(residual).max() < PERIOD**4 * max(rate, 1.0) ** 3 / 200  # that of a cubic, twice
+        # that of a cubic, twice
+        assert np.abs(residual).max() < PERIOD**4 * max(rate, 1.0) ** 3 / 200

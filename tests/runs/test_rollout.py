@@ -1,4 +1,6 @@
-"""Many runs of one build: the bits of a fresh build, what a run may change, and metrics without the dataset."""
+"""Many runs of one build: the bits of a fresh build, what a run may change, and metrics without the
+dataset.
+"""
 
 import dataclasses
 
@@ -31,7 +33,12 @@ def assert_same_bits(log, scenario):
 
 @pytest.mark.parametrize(
     "override",
-    ["random_seed=7", "duration=0.5", "payload.truth={mass: 140, inertia: [20, 20, 20]}", "divergence_speed=1e-3"],
+    [
+        "random_seed=7",
+        "duration=0.5",
+        "payload.truth={mass: 140, inertia: [20, 20, 20]}",
+        "divergence_speed=1e-3",
+    ],
 )
 def test_a_run_has_the_bits_of_a_fresh_build(rollout, override):
     scenario = override_scenario(SCENARIO, [override])
@@ -46,9 +53,16 @@ def test_a_run_has_the_bits_of_a_fresh_build(rollout, override):
 
 @pytest.mark.parametrize(
     "override",
-    ["controller=tdc", "controllers.tde_aismc.k_d=3", "sample_time=0.02", "payload.nominal.mass=70",
-     "sensing.velocity_noise=1e-5", "disturbance.amplitude_scale=2", "simulator_config.max_step_size=0.005"],
-)  # fmt: skip
+    [
+        "controller=tdc",
+        "controllers.tde_aismc.k_d=3",
+        "sample_time=0.02",
+        "payload.nominal.mass=70",
+        "sensing.velocity_noise=1e-5",
+        "disturbance.amplitude_scale=2",
+        "simulator_config.max_step_size=0.005",
+    ],
+)
 def test_what_needs_another_build_is_refused(rollout, override):
     scenario = override_scenario(SCENARIO, [override])
     assert not rollout.accepts(scenario)
@@ -79,8 +93,13 @@ def scenario_reference(setup):
 @pytest.mark.parametrize(
     "overrides",
     [
-        ["payload.nominal.mass=250", "payload.nominal.inertia=[42, 42, 42]"],  # numbers soon cease to be finite
-        ["controllers.tde_aismc.k_s_initial=105", "controllers.tde_aismc.k_s_max=105", "duration=5"],
+        # numbers soon cease to be finite
+        ["payload.nominal.mass=250", "payload.nominal.inertia=[42, 42, 42]"],
+        [
+            "controllers.tde_aismc.k_s_initial=105",
+            "controllers.tde_aismc.k_s_max=105",
+            "duration=5",
+        ],
         # Leaves the bound for a while only, and so is unremarkable at every stop.
         ["divergence_speed=0.012", "duration=20"],
     ],
@@ -101,7 +120,9 @@ def test_a_diverging_run_ends_where_a_monitor_of_every_step_stops_it(overrides, 
 
 def test_steps_between_the_samples_are_watched_too():
     """The velocity leaves the bound between two samples; the run stops there."""
-    scenario = load_scenario("postcapture", ["divergence_speed=0.012", "simulator_config.max_step_size=0.0025"])
+    scenario = load_scenario(
+        "postcapture", ["divergence_speed=0.012", "simulator_config.max_step_size=0.0025"]
+    )
     log = Rollout(scenario).run()
     assert log.outcome.status == "diverged"
     stopped = float(log.outcome.message.split("t = ")[1].split(" s:")[0])
@@ -138,7 +159,10 @@ def test_a_user_supplied_controller_needs_the_ports_only():
     record = simulate(scenario, blocks={"controller": Damper}, check_stability=False)
     assert record.outcome.completed
     assert not {"sliding_variable", "reaching_gain", "switching_gain"} & set(record.dataset)
-    force, velocity = record.dataset["generalized_force"].values, record.dataset["measured_velocity"].values
+    force, velocity = (
+        record.dataset["generalized_force"].values,
+        record.dataset["measured_velocity"].values,
+    )
     assert np.array_equal(force, -10.0 * velocity)
     assert force.any()
 
@@ -146,5 +170,11 @@ def test_a_user_supplied_controller_needs_the_ports_only():
 def test_a_run_that_diverges_stops_before_the_controller_refuses():
     scenario = load_scenario("postcapture", ["duration=3"])
     assert Rollout(scenario, blocks={"controller": Pusher}).run().outcome.status == "diverged"
-    with pytest.raises(BlockError, match=r"controller 'Pusher' failed at .*: ValueError: too fast for me"):
-        Rollout(override_scenario(scenario, ["divergence_speed=1e6"]), blocks={"controller": Pusher}).run()
+    with pytest.raises(
+        BlockError,
+        match=r"controller 'Pusher' failed at .*: ValueError: too fast "
+        r"for me",
+    ):
+        Rollout(
+            override_scenario(scenario, ["divergence_speed=1e6"]), blocks={"controller": Pusher}
+        ).run()

@@ -28,12 +28,29 @@ def test_dataset_is_labelled_and_complete(run):
     assert data["time"].values == pytest.approx(0.01 * np.arange(2001), abs=1e-9)
     assert data["coordinate"].values[0] == "base_rotation_x"
     assert set(data.data_vars) == {
-        "position", "velocity", "measured_position", "measured_velocity", "desired_position", "desired_velocity",
-        "desired_acceleration", "error", "error_rate", "generalized_force", "applied_force",
-        "disturbance_force", "sliding_variable",
-        "reaching_gain", "switching_gain", "end_effector_position", "desired_end_effector_position", "base_rpy",
-        "desired_base_rpy", "linear_momentum", "angular_momentum", "kinetic_energy",
-    }  # fmt: skip
+        "position",
+        "velocity",
+        "measured_position",
+        "measured_velocity",
+        "desired_position",
+        "desired_velocity",
+        "desired_acceleration",
+        "error",
+        "error_rate",
+        "generalized_force",
+        "applied_force",
+        "disturbance_force",
+        "sliding_variable",
+        "reaching_gain",
+        "switching_gain",
+        "end_effector_position",
+        "desired_end_effector_position",
+        "base_rpy",
+        "desired_base_rpy",
+        "linear_momentum",
+        "angular_momentum",
+        "kinetic_energy",
+    }
     for name, variable in data.data_vars.items():
         assert variable.attrs["units"], name
         assert variable.attrs["long_name"], name
@@ -42,7 +59,9 @@ def test_dataset_is_labelled_and_complete(run):
 
 @pytest.mark.parametrize("controller", ["tdc", "asmc", "aismc", "tde_aismc"])
 def test_every_sample_satisfies_the_control_law(run, controller):
-    """Recomputing the law from the recorded measurements gives the recorded force: the record is aligned."""
+    """Recomputing the law from the recorded measurements gives the recorded force: the record is
+    aligned.
+    """
     from ffsm_drake.systems.controllers import make_law
 
     record = run("postcapture", f"controller={controller}", "duration=3")
@@ -60,13 +79,21 @@ def test_every_sample_satisfies_the_control_law(run, controller):
         e_dot = error_rate(e, data["desired_velocity"].values[k], v[k])
         u, state = law.step(e, e_dot, data["desired_acceleration"].values[k], state)
         if "sliding_variable" in state:
-            assert data["sliding_variable"].values[k] == pytest.approx(state["sliding_variable"], abs=1e-12)
-        previous = tau[k - 1] - nominal.calc_mass_matrix(q[k]) @ ((v[k] - v[k - 1]) / 0.01) if k else np.zeros(11)
+            assert data["sliding_variable"].values[k] == pytest.approx(
+                state["sliding_variable"], abs=1e-12
+            )
+        previous = (
+            tau[k - 1] - nominal.calc_mass_matrix(q[k]) @ ((v[k] - v[k - 1]) / 0.01)
+            if k
+            else np.zeros(11)
+        )
         assert tau[k] == pytest.approx(previous + nominal.calc_mass_matrix(q[k]) @ u, abs=1e-9), k
 
 
 def test_motion_follows_from_the_recorded_forces(run):
-    """True plant, recorded tau and tau_d: the acceleration over a period is the change of velocity."""
+    """True plant, recorded tau and tau_d: the acceleration over a period is the change of
+    velocity.
+    """
     record = run("postcapture", "controller=tdc", "sensing.velocity_noise=0", "duration=5")
     data, scenario = record.dataset, record.scenario
     plant = make_plant(scenario.model)
@@ -74,12 +101,19 @@ def test_motion_follows_from_the_recorded_forces(run):
     set_payload(plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
     v = data["velocity"].values
     for k in range(0, 500, 24):
-        average = [0.5 * (data[name].values[k] + data[name].values[k + 1]) for name in ("position", "velocity")]
+        average = [
+            0.5 * (data[name].values[k] + data[name].values[k + 1])
+            for name in ("position", "velocity")
+        ]
         plant.SetPositions(context, average[0])
         plant.SetVelocities(context, average[1])
-        disturbance = 0.5 * (data["disturbance_force"].values[k] + data["disturbance_force"].values[k + 1])
+        disturbance = 0.5 * (
+            data["disturbance_force"].values[k] + data["disturbance_force"].values[k + 1]
+        )
         force = data["generalized_force"].values[k] + disturbance
-        acceleration = np.linalg.solve(plant.CalcMassMatrix(context), force - plant.CalcBiasTerm(context))
+        acceleration = np.linalg.solve(
+            plant.CalcMassMatrix(context), force - plant.CalcBiasTerm(context)
+        )
         assert (v[k + 1] - v[k]) / 0.01 == pytest.approx(acceleration, abs=2e-6), k
 
 
@@ -92,14 +126,18 @@ def test_same_seed_same_bits_other_seed_other_bits(tmp_path):
     second.save(tmp_path / "b")
     assert (tmp_path / "a/record.nc").read_bytes() == (tmp_path / "b/record.nc").read_bytes()
     other = simulate(override_scenario(scenario, ["random_seed=1"]), check_stability=False)
-    assert not np.array_equal(first.dataset["measured_velocity"], other.dataset["measured_velocity"])
+    assert not np.array_equal(
+        first.dataset["measured_velocity"], other.dataset["measured_velocity"]
+    )
     assert not np.array_equal(first.dataset["position"], other.dataset["position"])
 
 
 def test_without_noise_the_seed_does_not_matter():
     overrides = ["duration=1", "sensing.velocity_noise=0"]
     runs = [
-        simulate(load_scenario("postcapture", [*overrides, f"random_seed={seed}"]), check_stability=False)
+        simulate(
+            load_scenario("postcapture", [*overrides, f"random_seed={seed}"]), check_stability=False
+        )
         for seed in (1, 2)
     ]
     assert np.array_equal(runs[0].dataset["position"], runs[1].dataset["position"])
@@ -107,8 +145,12 @@ def test_without_noise_the_seed_does_not_matter():
 
 
 def test_noise_has_the_given_spread_and_is_white():
-    overrides = ["duration=20", "controller=tdc", "sensing.velocity_noise={all: 1e-6, base_position: 3e-6}",
-                 "sensing.position_noise={base_rotation: 2e-8, base_position: 1e-8, joint_2: 4e-8}"]  # fmt: skip
+    overrides = [
+        "duration=20",
+        "controller=tdc",
+        "sensing.velocity_noise={all: 1e-6, base_position: 3e-6}",
+        "sensing.position_noise={base_rotation: 2e-8, base_position: 1e-8, joint_2: 4e-8}",
+    ]
     data = simulate(load_scenario("postcapture", overrides), check_stability=False).dataset
     velocity = (data["measured_velocity"] - data["velocity"]).values
     assert velocity.std(axis=0) == pytest.approx([1e-6] * 3 + [3e-6] * 3 + [1e-6] * 5, rel=0.08)
@@ -117,7 +159,9 @@ def test_noise_has_the_given_spread_and_is_white():
     assert np.abs(neighbours).max() < 0.1
     pairs = zip(data["measured_position"].values, data["position"].values, strict=True)
     angles = np.array([position_error(measured, true) for measured, true in pairs])
-    assert angles.std(axis=0) == pytest.approx([2e-8] * 3 + [1e-8] * 3 + [0, 4e-8, 0, 0, 0], rel=0.08, abs=1e-20)
+    assert angles.std(axis=0) == pytest.approx(
+        [2e-8] * 3 + [1e-8] * 3 + [0, 4e-8, 0, 0, 0], rel=0.08, abs=1e-20
+    )
 
 
 def test_save_and_load(run, tmp_path):
@@ -153,11 +197,20 @@ def test_the_netcdf_file_is_plain_enough_for_matlab(run, tmp_path):
     ("damage", "expected"),
     [
         (lambda d: (d / "record.nc").unlink(), "record.nc: cannot be read"),
-        (lambda d: (d / "record.nc").write_bytes((d / "record.nc").read_bytes()[:5000]), "record.nc: cannot be read"),
+        (
+            lambda d: (d / "record.nc").write_bytes((d / "record.nc").read_bytes()[:5000]),
+            "record.nc: cannot be read",
+        ),
         (lambda d: (d / "manifest.json").unlink(), "manifest.json: cannot be read"),
         (lambda d: (d / "manifest.json").write_text("{"), "manifest.json: is not a run's manifest"),
-        (lambda d: (d / "manifest.json").write_text("{}"), "manifest.json: is not a run's manifest"),
-        (lambda d: (d / "manifest.json").write_text('{"format": 99}'), "format 99 is not the supported 3"),
+        (
+            lambda d: (d / "manifest.json").write_text("{}"),
+            "manifest.json: is not a run's manifest",
+        ),
+        (
+            lambda d: (d / "manifest.json").write_text('{"format": 99}'),
+            "format 99 is not the supported 3",
+        ),
     ],
 )
 def test_damaged_records_get_one_clear_line(run, tmp_path, damage, expected):
@@ -193,19 +246,25 @@ def test_interruption_keeps_the_record(run):
             raise KeyboardInterrupt
 
     whole = run("postcapture", "duration=2")
-    record = simulate(load_scenario("postcapture", ["duration=2"]), progress=interrupt, check_stability=False)
+    record = simulate(
+        load_scenario("postcapture", ["duration=2"]), progress=interrupt, check_stability=False
+    )
     assert record.outcome.status == "interrupted"
     assert 0.9 < record.outcome.time < 1.1
     n = record.dataset.sizes["time"]
     assert np.array_equal(record.dataset["position"], whole.dataset["position"][:n])
-    assert np.array_equal(record.dataset["generalized_force"][:-1], whole.dataset["generalized_force"][: n - 1])
+    assert np.array_equal(
+        record.dataset["generalized_force"][:-1], whole.dataset["generalized_force"][: n - 1]
+    )
     assert record.metrics["itae"] > 0
 
 
 def test_watching_does_not_change_the_bits():
     times = []
     scenario = load_scenario("postcapture", ["duration=2"])
-    watched = simulate(scenario, progress=lambda time, duration: times.append(time), check_stability=False)
+    watched = simulate(
+        scenario, progress=lambda time, duration: times.append(time), check_stability=False
+    )
     assert watched.dataset.identical(simulate(scenario, check_stability=False).dataset)
     assert times == pytest.approx([0.0, 1.0, 2.0], abs=0.02)
 
@@ -222,7 +281,9 @@ class Faulty(ControlLaw):
 
 def test_a_state_that_is_not_finite_stops_the_run():
     """A force that is not a number ends the run with a message that names the coordinate."""
-    record = simulate(load_scenario("postcapture", ["duration=1"]), blocks={"controller": NanOnJoint2})
+    record = simulate(
+        load_scenario("postcapture", ["duration=1"]), blocks={"controller": NanOnJoint2}
+    )
     assert record.outcome.status == "diverged"
     assert record.outcome.coordinate == "joint_2"
     assert "diverged at t = 0.00 s: the force on joint_2 is nan" in record.outcome.message
@@ -231,19 +292,28 @@ def test_a_state_that_is_not_finite_stops_the_run():
 
 
 def test_other_faults_are_not_taken_for_divergence():
-    with pytest.raises(BlockError, match=r"controller 'Faulty' failed at t = 0.00 s: RuntimeError: a fault of its own"):
+    with pytest.raises(
+        BlockError,
+        match=r"controller 'Faulty' failed at t = 0.00 s: "
+        r"RuntimeError: a fault of its own",
+    ):
         simulate(load_scenario("postcapture", ["duration=1"]), blocks={"controller": Faulty})
 
 
 def test_momentum_and_energy_balance(run):
-    """The exact plant keeps momentum to rounding; the work of all forces is the change of energy."""
+    """The exact plant keeps momentum to rounding; the work of all forces is the change of
+    energy.
+    """
     record = run("postcapture", "sensing.velocity_noise=0", "controller=aismc", "duration=5")
     residual = record.metrics["momentum_residual"]
     assert residual["linear"] < 1e-8
     assert residual["angular"] < 1e-7
-    assert run("paper", "duration=5").metrics["momentum_residual"]["linear"] > 1e-4  # Euler's error is seen
+    # Euler's error is seen
+    assert run("paper", "duration=5").metrics["momentum_residual"]["linear"] > 1e-4
     data = record.dataset
-    v, tau, tau_d = (data[name].values for name in ("velocity", "generalized_force", "disturbance_force"))
+    v, tau, tau_d = (
+        data[name].values for name in ("velocity", "generalized_force", "disturbance_force")
+    )
     average = 0.5 * (v[1:] + v[:-1])
     work = np.sum(average * (tau[:-1] + 0.5 * (tau_d[1:] + tau_d[:-1]))) * 0.01
     energy = data["kinetic_energy"].values
@@ -272,13 +342,17 @@ def test_payload_nominal_reaches_the_nominal_plant_only():
     context = loop.diagram.CreateDefaultContext()
     loop.initialize(loop.diagram, context)
     assert nominal.plant.CalcTotalMass(nominal.context) == pytest.approx(486.0)
-    assert loop.plant.CalcTotalMass(loop.plant.GetMyContextFromRoot(context)) == pytest.approx(526.0)
+    assert loop.plant.CalcTotalMass(loop.plant.GetMyContextFromRoot(context)) == pytest.approx(
+        526.0
+    )
 
 
 def test_truth_of_the_payload_shapes_the_motion():
     overrides = ["duration=3", "controller=aismc", "sensing.velocity_noise=0"]
     published = simulate(load_scenario("postcapture", overrides), check_stability=False)
-    heavy = simulate(load_scenario("postcapture", [*overrides, "payload.truth.mass=200"]), check_stability=False)
+    heavy = simulate(
+        load_scenario("postcapture", [*overrides, "payload.truth.mass=200"]), check_stability=False
+    )
     assert published.outcome.completed
     assert heavy.outcome.completed
     assert heavy.metrics["isv"] > 1.2 * published.metrics["isv"]

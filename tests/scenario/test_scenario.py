@@ -2,7 +2,14 @@
 
 import pytest
 
-from ffsm_drake import ModelError, ScenarioError, load_scenario, make_closed_loop, override_scenario, simulate
+from ffsm_drake import (
+    ModelError,
+    ScenarioError,
+    load_scenario,
+    make_closed_loop,
+    override_scenario,
+    simulate,
+)
 from ffsm_drake.scenario import scenario_from_dict, scenario_to_dict, shipped_scenarios
 
 
@@ -23,7 +30,9 @@ def test_shipped_scenarios():
 
 
 def test_the_two_scenarios_differ_only_where_they_say():
-    paper, postcapture = (scenario_to_dict(load_scenario(name)) for name in ("paper", "postcapture"))
+    paper, postcapture = (
+        scenario_to_dict(load_scenario(name)) for name in ("paper", "postcapture")
+    )
 
     def differences(a, b, path=""):
         if isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys():
@@ -93,7 +102,8 @@ directives:
     )
     file = tmp_path / "mine.yaml"
     file.write_text(
-        "duration: 0.1\nmodel: {directives: mine.dmd.yaml}\ncontrollers: {tdc: {k_d: 50}}\ncontroller: tdc\n"
+        "duration: 0.1\nmodel: {directives: mine.dmd.yaml}\ncontrollers: {tdc: {k_d: "
+        "50}}\ncontroller: tdc\n"
     )
     scenario = load_scenario(file)
     assert scenario.controllers["tdc"]["k_d"] == {"all": 50.0}
@@ -105,43 +115,88 @@ directives:
     [
         ("controler=tdc", "override: controler: unknown key; valid here: description, random_seed"),
         ("duration.x=3", "override: duration.x: unknown key; duration holds a single value"),
-        ("controllers.tdc.k_d=fast", "override: controllers.tdc.k_d.all: must be a number, not 'fast'"),
-        ("controllers.tdc.k_d=[1, 2]", "override: controllers.tdc.k_d.all: must be a number, not [1, 2]"),
+        (
+            "controllers.tdc.k_d=fast",
+            "override: controllers.tdc.k_d.all: must be a number, not 'fast'",
+        ),
+        (
+            "controllers.tdc.k_d=[1, 2]",
+            "override: controllers.tdc.k_d.all: must be a number, not [1, 2]",
+        ),
         ("controllers.tde_aismc=3", "override: controllers.tde_aismc: must be a mapping, not 3"),
-        ("controller=two words", "override: controller: 'two words' must be a name or module:attribute"),
-        ("blocks=3", "override: blocks: is a group of settings; set one of them: reference, sensing"),
+        (
+            "controller=two words",
+            "override: controller: 'two words' must be a name or module:attribute",
+        ),
+        (
+            "blocks=3",
+            "override: blocks: is a group of settings; set one of them: reference, sensing",
+        ),
         ("duration=-1", "override: duration: must be > 0 s"),
         ("duration=0.001", "must be at most duration"),
         ("duration=nan", "override: duration: must be finite, not 'nan'"),
         ("sample_time=0", "override: sample_time: must be > 0 s"),
         ("random_seed=1.5", "override: random_seed: must be a whole number, not 1.5"),
         ("random_seed=-1", "override: random_seed: must be from 0 to 2147483647"),
-        ("simulator_config.integration_scheme=rk9", "'rk9' is unknown; choose one of bogacki_shampine3"),
-        ("simulator_config.max_step_size=0", "override: simulator_config.max_step_size: must be > 0 s"),
+        (
+            "simulator_config.integration_scheme=rk9",
+            "'rk9' is unknown; choose one of bogacki_shampine3",
+        ),
+        (
+            "simulator_config.max_step_size=0",
+            "override: simulator_config.max_step_size: must be > 0 s",
+        ),
         ("simulator_config.use_error_control=maybe", "must be true or false, not 'maybe'"),
         ("payload.truth.mass=-5", "override: payload.truth.mass: must be > 0 kg, not -5.0"),
         ("payload.nominal.inertia=[1, 1, 5]", "violate the triangle inequality"),
         ("payload.nominal.inertia=[1, 1]", "must hold three moments [Ixx, Iyy, Izz]"),
-        ("payload.nominal.inertia=[1, 1, 1, 2, 0, 0]", "override: payload.nominal.inertia: must be positive definite"),
+        (
+            "payload.nominal.inertia=[1, 1, 1, 2, 0, 0]",
+            "override: payload.nominal.inertia: must be positive definite",
+        ),
         ("payload.truth.center_of_mass=[1]", "must hold three numbers [x, y, z]"),
-        ("initial_posture.base_rpy=[0, 0]", "override: initial_posture.base_rpy: must hold three numbers"),
+        (
+            "initial_posture.base_rpy=[0, 0]",
+            "override: initial_posture.base_rpy: must hold three numbers",
+        ),
         ("sensing.velocity_noise=-1e-6", "a standard deviation must be >= 0"),
-        ("sensing.velocity_noise", "override: 'sensing.velocity_noise': must have the form key=value"),
+        (
+            "sensing.velocity_noise",
+            "override: 'sensing.velocity_noise': must have the form key=value",
+        ),
         ("=3", "must have the form key=value"),
         ("duration=[1", "override: duration: value is not valid YAML"),
         ("disturbance.frequency_scale=-1", "override: disturbance.frequency_scale: must be >= 0"),
-        ("disturbance.harmonics.joint_1.amp=1", "unknown key; valid here: amplitude, frequency, phase, bias"),
+        (
+            "disturbance.harmonics.joint_1.amp=1",
+            "unknown key; valid here: amplitude, frequency, phase, bias",
+        ),
         ("reference.duration=0", "override: reference.duration: must be > 0 s"),
-        ("reference.base_rotation=eigen", "reference.base_rotation: 'eigen' is unknown; choose one of eigenaxis, rpy"),
-        ("reference.kind=best", "reference.kind: 'best' is unknown; choose one of quintic, septic, optimal"),
+        (
+            "reference.base_rotation=eigen",
+            "reference.base_rotation: 'eigen' is unknown; choose one of eigenaxis, rpy",
+        ),
+        (
+            "reference.kind=best",
+            "reference.kind: 'best' is unknown; choose one of quintic, septic, optimal",
+        ),
         ("reference.kind=optimal", "reference.plan: name the plan's file"),
         ("clearance=-1", "override: clearance: must be >= 0 m, not -1"),
-        ("reference.goal=rest", "reference.goal: 'rest' is unknown; choose one of target_posture, stop"),
+        (
+            "reference.goal=rest",
+            "reference.goal: 'rest' is unknown; choose one of target_posture, stop",
+        ),
         ("planning.reserve=1", "override: planning.reserve: must be from 0 to below 1, not 1"),
         ("planning.segments=1", "override: planning.segments: must be from 4 to 100, not 1"),
-        ("planning.impulse_limit.joints=0", "override: planning.impulse_limit.joints: must be > 0, not 0"),
+        (
+            "planning.impulse_limit.joints=0",
+            "override: planning.impulse_limit.joints: must be > 0, not 0",
+        ),
         ("planning.end_rate=-1", "override: planning.end_rate: must be >= 0, not -1"),
-        ("planning={time_weight: 0, effort_weight: 0}", "planning.time_weight: must be > 0 where effort_weight is 0"),
+        (
+            "planning={time_weight: 0, effort_weight: 0}",
+            "planning.time_weight: must be > 0 where effort_weight is 0",
+        ),
         ("divergence_speed=0", "override: divergence_speed: must be > 0"),
         ("tolerance.joints=0", "override: tolerance.joints: must be > 0, not 0"),
     ],
@@ -156,20 +211,44 @@ def test_wrong_overrides_get_one_clear_line(override, expected):
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("sensing.velocity_noise.joint_9=1", "sensing.velocity_noise.joint_9: unknown coordinate; valid here: all,"),
-        ("controllers.tdc.kd=3", "controllers.tdc.kd: unknown gain; tdc has k_d, k_p; did you mean 'k_d'?"),
-        ("controllers.tde_aimsc.k_d=3", "controllers.tde_aimsc: unknown controller; did you mean 'tde_aismc'?"),
-        ("controller=foo", "controller: 'foo' is unknown; choose one of tdc, asmc, aismc, tde_aismc"),
+        (
+            "sensing.velocity_noise.joint_9=1",
+            "sensing.velocity_noise.joint_9: unknown coordinate; valid here: all,",
+        ),
+        (
+            "controllers.tdc.kd=3",
+            "controllers.tdc.kd: unknown gain; tdc has k_d, k_p; did you mean 'k_d'?",
+        ),
+        (
+            "controllers.tde_aimsc.k_d=3",
+            "controllers.tde_aimsc: unknown controller; did you mean 'tde_aismc'?",
+        ),
+        (
+            "controller=foo",
+            "controller: 'foo' is unknown; choose one of tdc, asmc, aismc, tde_aismc",
+        ),
         ("controllers.tdc.k_d=-1", "controllers.tdc.k_d.all: must be >= 0, not -1"),
         ("controllers.aismc.beta=0", "controllers.aismc.beta.all: must be > 0"),
         ("controllers.asmc.epsilon=0", "controllers.asmc.epsilon: must be > 0"),
         ("controllers.tdc.k_d.elbow=1", "controllers.tdc.k_d.elbow: unknown coordinate"),
         ("disturbance.harmonics.arm.bias=1", "disturbance.harmonics.arm: unknown coordinate"),
         ("initial_posture.joints.joint_6=1", "initial_posture.joints.joint_6: unknown coordinate"),
-        ("sensing.position_noise.base_rotation_x=1", "must be the same for the three base_rotation coordinates"),
-        ("model.directives=package://ffsm_drake/none.yaml", "model.directives: package://ffsm_drake/none.yaml: "),
-        ("model.directives=package://other/none.yaml", "model.directives: package://other/none.yaml: "),
-        ("model.end_effector=servicer::hand", "model.end_effector: no frame 'servicer::hand'; choose one of"),
+        (
+            "sensing.position_noise.base_rotation_x=1",
+            "must be the same for the three base_rotation coordinates",
+        ),
+        (
+            "model.directives=package://ffsm_drake/none.yaml",
+            "model.directives: package://ffsm_drake/none.yaml: ",
+        ),
+        (
+            "model.directives=package://other/none.yaml",
+            "model.directives: package://other/none.yaml: ",
+        ),
+        (
+            "model.end_effector=servicer::hand",
+            "model.end_effector: no frame 'servicer::hand'; choose one of",
+        ),
         ("payload.body=rock", "payload.body: no body 'rock'; choose one of"),
     ],
 )
@@ -187,8 +266,14 @@ def test_values_that_only_the_model_can_judge(override, expected):
         ("- 1", "must be a mapping with keys description"),
         ("payload: {truth: 3}", "payload.truth: must be a mapping with keys mass"),
         ("disturbance: {harmonics: [1]}", "disturbance.harmonics: must be a mapping"),
-        ("initial_posture: {base_position: 3}", "initial_posture.base_position: must be a list, not 3"),
-        ("initial_posture: {base_position: [1, x, 2]}", "initial_posture.base_position[1]: must be a number, not 'x'"),
+        (
+            "initial_posture: {base_position: 3}",
+            "initial_posture.base_position: must be a list, not 3",
+        ),
+        (
+            "initial_posture: {base_position: [1, x, 2]}",
+            "initial_posture.base_position[1]: must be a number, not 'x'",
+        ),
         ("description: 3", "description: must be text, not 3"),
         ("controler: tdc", "controler: unknown key"),
     ],
@@ -205,7 +290,9 @@ def test_broken_files_name_the_file_and_the_key(tmp_path, text, expected):
 
 def test_unknown_scenarios():
     with pytest.raises(
-        ScenarioError, match=r"choose one of .*paper, planar_detumble, postcapture, .*or give a YAML file"
+        ScenarioError,
+        match=r"choose one of .*paper, planar_detumble, postcapture, .*or give a "
+        r"YAML file",
     ):
         load_scenario("postcaptur")
     with pytest.raises(ScenarioError, match=r"none\.yaml: no such scenario file"):
@@ -253,6 +340,8 @@ def test_a_controller_that_is_nowhere_near_may_be_a_users():
 
 
 def test_numbers_are_numbers_with_an_exponent_too(tmp_path):
-    (tmp_path / "mine.yaml").write_text("blocks: {sensing: {system: 'a:b', settings: {x: 1e-5, y: 1.5E3, z: 2e+1}}}\n")
+    (tmp_path / "mine.yaml").write_text(
+        "blocks: {sensing: {system: 'a:b', settings: {x: 1e-5, y: 1.5E3, z: 2e+1}}}\n"
+    )
     settings = load_scenario(tmp_path / "mine.yaml").blocks.sensing.settings
     assert settings == {"x": 1e-5, "y": 1500.0, "z": 20.0}

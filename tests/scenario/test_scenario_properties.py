@@ -1,4 +1,6 @@
-"""Properties of the scenario loader: it reads back what it wrote, and loads whatever it is given or says one line."""
+"""Properties of the scenario loader: it reads back what it wrote, and loads whatever it is given or
+says one line.
+"""
 
 import copy
 import math
@@ -38,7 +40,9 @@ SETTINGS = settings(
 )
 FEW = settings(SETTINGS, max_examples=15)
 
-COORDINATES = st.sampled_from(("all", *GROUPS, *BASE_ROTATION, *BASE_POSITION, "joint_1", "joint_2"))
+COORDINATES = st.sampled_from(
+    ("all", *GROUPS, *BASE_ROTATION, *BASE_POSITION, "joint_1", "joint_2")
+)
 POSITIVE = st.floats(1e-6, 1e6)
 SIGNED = st.floats(-1e6, 1e6)
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)
@@ -60,14 +64,17 @@ SPECIAL = {
     "random_seed": st.integers(0, 2**31 - 1),
     "duration": st.floats(1.0, 100.0),
     "divergence_speed": st.floats(1.0, 1e6),
-    "initial_velocity": st.floats(-1.0, 1.0) | st.dictionaries(COORDINATES, st.floats(-1.0, 1.0), max_size=3),
+    "initial_velocity": st.floats(-1.0, 1.0)
+    | st.dictionaries(COORDINATES, st.floats(-1.0, 1.0), max_size=3),
     "sample_time": st.floats(1e-3, 1.0),
     "start_time": st.just(0.0),
     "max_step_size": st.floats(1e-3, 1.0),
     "integration_scheme": st.sampled_from(("runge_kutta3", "implicit_euler")),
     "controller": st.sampled_from(("tdc", "pd_plus", "mine:Law", "a.b:c.d")),
     "system": st.sampled_from(("mine", "mine:Block", "a.b:c.d")),
-    "forces": st.dictionaries(st.sampled_from(("drag", "wind_2")), st.just("mine:Block"), max_size=2),
+    "forces": st.dictionaries(
+        st.sampled_from(("drag", "wind_2")), st.just("mine:Block"), max_size=2
+    ),
     "kind": st.sampled_from(ESTIMATOR_KINDS),
     "base_rotation": st.sampled_from(BASE_ROTATIONS),
     "inertia": moments(),
@@ -83,7 +90,10 @@ SPECIAL = {
     "capture": st.none()
     | st.fixed_dictionaries(
         {"rate": st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3)},
-        optional={"axes": st.sampled_from(CAPTURE_AXES), "servicer": st.sampled_from(("rest", "track_all"))},
+        optional={
+            "axes": st.sampled_from(CAPTURE_AXES),
+            "servicer": st.sampled_from(("rest", "track_all")),
+        },
     ),
     "thrusters": st.none()
     | st.fixed_dictionaries(
@@ -94,7 +104,10 @@ SPECIAL = {
     | st.fixed_dictionaries(
         {
             "units": st.dictionaries(
-                NAME, st.fixed_dictionaries({"axis": st.just([0.0, 3.0, 4.0])}), min_size=1, max_size=3
+                NAME,
+                st.fixed_dictionaries({"axis": st.just([0.0, 3.0, 4.0])}),
+                min_size=1,
+                max_size=3,
             )
         },
         optional={"desaturation_time": st.floats(1.0, 100.0)},
@@ -102,25 +115,42 @@ SPECIAL = {
     "drives": st.none()
     | st.fixed_dictionaries(
         {},
-        optional={"gear_ratio": st.floats(1.0, 200.0), "knee": st.floats(0.0, 0.9), "rate_limit": st.none() | POSITIVE},
+        optional={
+            "gear_ratio": st.floats(1.0, 200.0),
+            "knee": st.floats(0.0, 0.9),
+            "rate_limit": st.none() | POSITIVE,
+        },
     ),
     "command_filter": st.fixed_dictionaries(
-        {}, optional={"low_pass": st.floats(0.0, 50.0), "notch": st.dictionaries(COORDINATES, st.floats(0.0, 50.0))}
+        {},
+        optional={
+            "low_pass": st.floats(0.0, 50.0),
+            "notch": st.dictionaries(COORDINATES, st.floats(0.0, 50.0)),
+        },
     ),
     "environment": st.none()
     | st.fixed_dictionaries(
         {"altitude": st.floats(1.0, 1e9)},
         optional={
             "tidal": st.booleans(),
-            "solar_pressure": st.fixed_dictionaries({}, optional={"area": POSITIVE, "sun": st.just([0.0, 3.0, 4.0])}),
+            "solar_pressure": st.fixed_dictionaries(
+                {}, optional={"area": POSITIVE, "sun": st.just([0.0, 3.0, 4.0])}
+            ),
         },
     ),
     "model": st.fixed_dictionaries(
-        {}, optional={"directives": NAME, "end_effector": TEXT, "packages": st.dictionaries(NAME, NAME, max_size=2)}
+        {},
+        optional={
+            "directives": NAME,
+            "end_effector": TEXT,
+            "packages": st.dictionaries(NAME, NAME, max_size=2),
+        },
     )
     | st.fixed_dictionaries({"servicer": NAME}, optional={"debris": NAME, "grasp": TEXT}),
     "harmonics": st.dictionaries(
-        COORDINATES, st.fixed_dictionaries({}, optional={"amplitude": SIGNED, "frequency": SIGNED}), max_size=3
+        COORDINATES,
+        st.fixed_dictionaries({}, optional={"amplitude": SIGNED, "frequency": SIGNED}),
+        max_size=3,
     ),
 }
 
@@ -151,7 +181,9 @@ def values(kind, key=""):
         return st.none() | st.booleans() | SIGNED | TEXT | st.lists(SIGNED, max_size=3)
     fields = schema_fields(kind)
     if fields is not None:
-        return st.fixed_dictionaries({}, optional={name: values(inner, name) for name, inner in fields.items()})
+        return st.fixed_dictionaries(
+            {}, optional={name: values(inner, name) for name, inner in fields.items()}
+        )
     origin, args = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         return st.none() | values(args[0])
@@ -181,17 +213,29 @@ JSON = st.recursive(
     | st.floats()
     | st.text(max_size=8)
     | st.sampled_from(("nan", "-inf", "1e999", "tdc", "kalman", "", "\n", "a\u2028b", "\ud800")),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6) | COORDINATES, inner, max_size=4),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.text(max_size=6) | COORDINATES, inner, max_size=4)
+    ),
     max_leaves=6,
 )
 VALID = scenario_to_dict(
-    load_scenario("postcapture", ["controllers={Law: {k: 1, d: {joints: 2}, m: null}}", "blocks.forces={drag: 'a:b'}"])
+    load_scenario(
+        "postcapture",
+        ["controllers={Law: {k: 1, d: {joints: 2}, m: null}}", "blocks.forces={drag: 'a:b'}"],
+    )
 )
 
 
 def places(data, path=()):
     """Paths of every mapping entry and list item in plain data."""
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    items = (
+        data.items()
+        if isinstance(data, dict)
+        else enumerate(data)
+        if isinstance(data, list)
+        else ()
+    )
     for key, value in items:
         yield (*path, key)
         yield from places(value, (*path, key))
@@ -227,14 +271,18 @@ def test_plain_data_round_trip(scenario):
 @FEW
 @given(SCENARIOS)
 def test_yaml_round_trip(scenario):
-    assert scenario_to_dict(scenario_from_yaml(scenario_to_yaml(scenario))) == scenario_to_dict(scenario)
+    assert scenario_to_dict(scenario_from_yaml(scenario_to_yaml(scenario))) == scenario_to_dict(
+        scenario
+    )
 
 
 @FEW
 @given(SCENARIOS, st.integers(0, 2**31 - 1))
 def test_an_override_changes_its_key_alone(scenario, seed):
     data = scenario_to_dict(scenario)
-    assert scenario_to_dict(override_scenario(scenario, [f"random_seed={seed}"])) == data | {"random_seed": seed}
+    assert scenario_to_dict(override_scenario(scenario, [f"random_seed={seed}"])) == data | {
+        "random_seed": seed
+    }
     assert scenario_to_dict(scenario) == data
 
 
@@ -242,7 +290,9 @@ def test_an_override_changes_its_key_alone(scenario, seed):
 @SETTINGS
 @given(
     st.lists(
-        st.tuples(st.sampled_from(PLACES), st.sampled_from(("replace", "delete", "add")), JSON), min_size=1, max_size=3
+        st.tuples(st.sampled_from(PLACES), st.sampled_from(("replace", "delete", "add")), JSON),
+        min_size=1,
+        max_size=3,
     )
 )
 @example([(("duration",), "replace", 10**400)])
@@ -275,11 +325,15 @@ def test_anything_as_a_scenario(data):
     check_loads_or_says_one_line(scenario_from_dict, data)
 
 
-# Separated by blanks, after which come the pieces that hold blanks or control characters themselves.
-_WORDS = """duration payload truth mass : { } [ ] 1 .nan *a << ' " | > # --- ... 0x 0b 1:30 2020-13-45 ~ = _a"""
+# Separated by blanks, after which come the pieces that hold blanks or control characters
+# themselves.
+_WORDS = """duration payload truth mass : { } [ ] 1 .nan *a << ' " | > # --- ... 0x 0b
+1:30 2020-13-45 ~ = _a"""
 _BLANKS = (": ", "\n", "  ", "\n  ", "- ", ", ", "? ", "\t", "%YAML 1.1\n", "\u2028", "\x00", "&a ")
 _TAGS = tuple(f"!!{name} " for name in ("int", "float", "timestamp", "binary", "python/none"))
-YAML_PIECES = st.lists(st.sampled_from((*_WORDS.split(), *_BLANKS, *_TAGS)), max_size=12).map("".join)
+YAML_PIECES = st.lists(st.sampled_from((*_WORDS.split(), *_BLANKS, *_TAGS)), max_size=12).map(
+    "".join
+)
 
 
 @SETTINGS

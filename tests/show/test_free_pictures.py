@@ -55,7 +55,9 @@ def test_the_table_says_what_is_tracked(record, by_joints):
     heads = {row.head: row for row in table(results_of([record]))}
     frame, drift = record.metrics["frame"], record.metrics["drift"]
     assert heads["Final error of the frame"].cells[0].text == number(frame["final"]["position"])
-    assert heads["Largest drift of the base from its start"].cells[0].text == number(drift["largest"]["base_rotation"])
+    assert heads["Largest drift of the base from its start"].cells[0].text == number(
+        drift["largest"]["base_rotation"]
+    )
     accuracy = next(iter(alone.values())).cells[0].text
     assert accuracy == number(record.metrics["itae"], 4)
 

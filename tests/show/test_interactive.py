@@ -1,4 +1,6 @@
-"""The operator's panel: what it does to a run, and that the record tells it. The tests play the operator's hands."""
+"""The operator's panel: what it does to a run, and that the record tells it. The tests play the
+operator's hands.
+"""
 
 import dataclasses
 import re
@@ -52,9 +54,11 @@ def plain(run):
 
 
 class Hands:
-    """Does the next step of a script whenever the session waits (about once per control sample), and quits at its end.
+    """Does the next step of a script whenever the session waits (about once per control sample),
+    and quits at its end.
 
-    A step is a function of the hands; if it returns a function, that must be true before the next step.
+    A step is a function of the hands; if it returns a function, that must be true before the next
+    step.
     """
 
     def __init__(self, meshcat, *steps):
@@ -91,7 +95,9 @@ def operate(meshcat, scenario, *steps):
     meshcat.Delete()
     told = []
     hands = Hands(meshcat, lambda _: dial(meshcat, told), *steps)
-    return run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands)
+    return run_interactive(
+        scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands
+    )
 
 
 def dial(meshcat, told):
@@ -141,7 +147,9 @@ def test_pauses_and_pace_do_not_touch_the_run(meshcat, scenario):
     def note(hands):
         moments.append((hands.meshcat.GetSliderValue(TIME), hands.status))
 
-    scenario = dataclasses.replace(scenario, simulator_config=load_scenario("paper").simulator_config)
+    scenario = dataclasses.replace(
+        scenario, simulator_config=load_scenario("paper").simulator_config
+    )
     scenario.simulator_config.target_realtime_rate = 2.0
     steps = [
         start(),
@@ -166,7 +174,9 @@ def test_the_rate_slider_paces_the_run(meshcat, scenario):
         asked = []
         told = []
         unlock = lambda _: dial(meshcat, told)  # noqa: E731
-        hands = Hands(meshcat, unlock, let_pass(2), move(RATE, rate), start(), lambda hands: asked.clear())
+        hands = Hands(
+            meshcat, unlock, let_pass(2), move(RATE, rate), start(), lambda hands: asked.clear()
+        )
 
         def wait(seconds):
             if not hands.idle:
@@ -174,7 +184,9 @@ def test_the_rate_slider_paces_the_run(meshcat, scenario):
             hands(seconds)
 
         meshcat.Delete()
-        run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=wait)
+        run_interactive(
+            scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=wait
+        )
         return sum(asked)
 
     # A sample takes 20 ms of wall time at rate 0.5, less than its computation at rate 10.
@@ -183,9 +195,17 @@ def test_the_rate_slider_paces_the_run(meshcat, scenario):
 
 
 def test_a_push_acts_with_its_impulse_and_is_recorded(meshcat, scenario, plain):
-    """Momentum, computed from the state, gains what the recorded force says, and the push's share is the slider's."""
+    """Momentum, computed from the state, gains what the recorded force says, and the push's share
+    is the slider's.
+    """
     (record,) = operate(
-        meshcat, scenario, start(), move(IMPULSE, -4.0), let_pass(20), press(push_button("y")), let_pass(40)
+        meshcat,
+        scenario,
+        start(),
+        move(IMPULSE, -4.0),
+        let_pass(20),
+        press(push_button("y")),
+        let_pass(40),
     )
     push = (record.dataset["disturbance_force"] - plain.dataset["disturbance_force"]).values
     acting = np.flatnonzero(np.abs(push).max(axis=1) > 1e-12)
@@ -210,7 +230,9 @@ def test_a_push_acts_with_its_impulse_and_is_recorded(meshcat, scenario, plain):
     smooth = plain.dataset["disturbance_force"].values[:, 3:6]
     gained = PERIOD * (external + 0.5 * (smooth[:-1] + smooth[1:]) + push[:-1, 3:6])
     assert np.diff(momentum, axis=0) == pytest.approx(gained, abs=2e-7)
-    assert np.array_equal(record.dataset["position"][: acting[0] + 1], plain.dataset["position"][: acting[0] + 1])
+    assert np.array_equal(
+        record.dataset["position"][: acting[0] + 1], plain.dataset["position"][: acting[0] + 1]
+    )
 
     started = record.dataset["time"].values[acting[0]]
     assert record.dataset.attrs[OPERATOR_ATTRIBUTE] == (
@@ -227,7 +249,9 @@ def test_two_pushes_at_once_add_up(meshcat, scenario, plain):
 
 
 def test_the_scale_acts_from_the_next_sample_and_is_recorded(meshcat, scenario, plain):
-    (record,) = operate(meshcat, scenario, start(), let_pass(20), move(DISTURBANCE, 2.5), let_pass(30))
+    (record,) = operate(
+        meshcat, scenario, start(), let_pass(20), move(DISTURBANCE, 2.5), let_pass(30)
+    )
     plain = plain.dataset
     force, published = record.dataset["disturbance_force"].values, plain["disturbance_force"].values
     changed = int(np.argmax(np.any(force != published, axis=1)))
@@ -235,16 +259,24 @@ def test_the_scale_acts_from_the_next_sample_and_is_recorded(meshcat, scenario, 
     assert np.array_equal(force[:changed], published[:changed])
     assert np.array_equal(force[changed:], 2.5 * published[changed:])
     # From that very sample on it moves the spacecraft.
-    assert np.array_equal(record.dataset["position"][: changed + 1], plain["position"][: changed + 1])
-    assert not np.array_equal(record.dataset["position"][changed + 1], plain["position"][changed + 1])
-    assert record.dataset.attrs[OPERATOR_ATTRIBUTE] == f"from t = {changed * PERIOD:.2f} s: disturbance x 2.5"
+    assert np.array_equal(
+        record.dataset["position"][: changed + 1], plain["position"][: changed + 1]
+    )
+    assert not np.array_equal(
+        record.dataset["position"][changed + 1], plain["position"][changed + 1]
+    )
+    assert record.dataset.attrs[OPERATOR_ATTRIBUTE] == (
+        f"from t = {changed * PERIOD:.2f} s: disturbance x 2.5"
+    )
 
 
 def test_a_scale_set_before_the_start_is_that_of_the_scenario(meshcat, scenario):
     (record,) = operate(meshcat, scenario, move(DISTURBANCE, 2.0), start())
     assert record.scenario.disturbance.amplitude_scale == 1.0
     scenario = load_scenario("postcapture", ["duration=1", "disturbance.amplitude_scale=2"])
-    assert np.array_equal(record.dataset["position"], simulate(scenario, check_stability=False).dataset["position"])
+    assert np.array_equal(
+        record.dataset["position"], simulate(scenario, check_stability=False).dataset["position"]
+    )
     assert record.dataset.attrs[OPERATOR_ATTRIBUTE] == "from the start: disturbance x 2"
 
 
@@ -252,7 +284,10 @@ def test_controller_and_mass_are_those_of_the_next_run(meshcat, scenario, tmp_pa
     steps = [start(), let_pass(10), move(MASS, 150.0), until_idle, start("tdc"), until_idle]
     records = operate(meshcat, scenario, *steps)
     assert [record.scenario.controller for record in records] == ["tde_aismc", "tdc"]
-    assert [record.scenario.payload.truth.mass for record in records] == [100.0, pytest.approx(150.0)]
+    assert [record.scenario.payload.truth.mass for record in records] == [
+        100.0,
+        pytest.approx(150.0),
+    ]
     assert OPERATOR_ATTRIBUTE not in records[0].dataset.attrs
     assert records[0].dataset.identical(plain.dataset)
     said = records[1].dataset.attrs[OPERATOR_ATTRIBUTE]
@@ -295,7 +330,9 @@ def test_ctrl_c_ends_the_session(meshcat, scenario):
 
 
 def test_ctrl_c_between_two_controls_keeps_the_records(meshcat, scenario, monkeypatch):
-    """The panel's status line is taken away and put back; an interrupt in between must not cost the session."""
+    """The panel's status line is taken away and put back; an interrupt in between must not cost the
+    session.
+    """
     add_button = Controls.add_button
 
     def interrupted(controls, label, **options):
@@ -370,7 +407,12 @@ def test_a_foreign_page_cannot_start_a_run(meshcat, scenario):
 
     steps = [clicks, guess, guess, guess, is_barred, clicks, let_pass(2), interrupt]
     hands = Hands(meshcat, *steps)
-    assert run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands) == []
+    assert (
+        run_interactive(
+            scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands
+        )
+        == []
+    )
     assert len(told) == 4
     page.close()
 
@@ -389,9 +431,21 @@ def test_a_foreign_page_cannot_push_or_stop_a_run(meshcat, scenario, plain):
         foreign_clicks(meshcat, pages[0])
 
     meshcat.Delete()
-    steps = [lambda _: dial(meshcat, told), let_pass(2), start(), let_pass(20), come, until_idle, interrupt]
+    steps = [
+        lambda _: dial(meshcat, told),
+        let_pass(2),
+        start(),
+        let_pass(20),
+        come,
+        until_idle,
+        interrupt,
+    ]
     (record,) = run_interactive(
-        scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=Hands(meshcat, *steps)
+        scenario,
+        meshcat=meshcat,
+        check_stability=False,
+        tell=told.append,
+        wait=Hands(meshcat, *steps),
     )
     pages[0].close()
     assert "A page has joined or left, so the controls are locked" in told[-1]
@@ -400,21 +454,31 @@ def test_a_foreign_page_cannot_push_or_stop_a_run(meshcat, scenario, plain):
     assert record.dataset.identical(plain.dataset)
 
 
-def test_a_page_that_comes_while_the_controls_are_read_is_not_obeyed(meshcat, scenario, monkeypatch, plain):
+def test_a_page_that_comes_while_the_controls_are_read_is_not_obeyed(
+    meshcat, scenario, monkeypatch, plain
+):
     until(lambda: meshcat.GetNumActiveConnections() == 0)
     pages, told = [], []
     moved = Controls.moved
 
     def come(controls, label):
-        if label == MASS and not pages and any(name.startswith("[ running") for name in meshcat.GetButtonNames()):
+        if (
+            label == MASS
+            and not pages
+            and any(name.startswith("[ running") for name in meshcat.GetButtonNames())
+        ):
             pages.append(ForeignPage(meshcat))
             foreign_clicks(meshcat, pages[0])
         return moved(controls, label)
 
     meshcat.Delete()
     monkeypatch.setattr(Controls, "moved", come)
-    hands = Hands(meshcat, lambda _: dial(meshcat, told), let_pass(2), start(), until_idle, interrupt)
-    (record,) = run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands)
+    hands = Hands(
+        meshcat, lambda _: dial(meshcat, told), let_pass(2), start(), until_idle, interrupt
+    )
+    (record,) = run_interactive(
+        scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands
+    )
     pages[0].close()
     assert "A page has joined or left" in told[-1]
     assert record.dataset.identical(plain.dataset)
@@ -451,7 +515,9 @@ def test_a_run_that_is_watched_obeys_nobody(meshcat, scenario, plain):
     def wait(seconds):
         foreign_clicks(meshcat, page)  # at every sample
 
-    record = watch(dataclasses.replace(scenario, simulator_config=config), meshcat=meshcat, wait=wait)
+    record = watch(
+        dataclasses.replace(scenario, simulator_config=config), meshcat=meshcat, wait=wait
+    )
     assert meshcat.GetButtonNames() == []
     assert meshcat.GetSliderNames() == []
     page.close()
@@ -462,7 +528,15 @@ def test_a_run_that_is_watched_obeys_nobody(meshcat, scenario, plain):
 def test_the_command_line_only_watches(run, tmp_path, monkeypatch):
     opened = []
     monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url))  # there is no browser
-    words = ["run", "--meshcat", "--no-report", "--set", "duration=0.05", "--out", str(tmp_path / "run")]
+    words = [
+        "run",
+        "--meshcat",
+        "--no-report",
+        "--set",
+        "duration=0.05",
+        "--out",
+        str(tmp_path / "run"),
+    ]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     assert urlsplit(opened[0]).hostname in ("127.0.0.1", "localhost")
@@ -481,11 +555,14 @@ def test_controls_are_served_where_no_other_page_can_know():
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path, plain):
-    """Neither a run that the operator has started nor afterwards, though it is told the address and never rests."""
+    """Neither a run that the operator has started nor afterwards, though it is told the address and
+    never rests.
+    """
     until(lambda: meshcat.GetNumActiveConnections() == 0)
     messages = [slider_message(CODE, 12345.0), *map(click_message, [UNLOCK, *COMMANDS, "arrived"])]
     script = f"""<script>const s = new WebSocket("{meshcat.web_url().replace("http", "ws")}");
-        const send = () => {{ for (const m of {[list(m) for m in messages]}) s.send(new Uint8Array(m)) }};
+        const send = () => {{ for (const m of {[list(m) for m in messages]})
+          s.send(new Uint8Array(m)) }};
         s.onopen = () => {{ send(); setInterval(send, 20) }};</script>"""
     (tmp_path / "foreign.html").write_text(script)
     started, told = [], []
@@ -494,11 +571,19 @@ def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path,
         meshcat.AddButton("arrived")
         started.append(
             subprocess.Popen(
-                [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}",
-                 "--remote-debugging-port=0", (tmp_path / "foreign.html").as_uri()],
-                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                [
+                    CHROMIUM,
+                    "--headless",
+                    "--no-sandbox",
+                    "--disable-gpu",
+                    f"--user-data-dir={tmp_path / 'profile'}",
+                    "--remote-debugging-port=0",
+                    (tmp_path / "foreign.html").as_uri(),
+                ],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
             )
-        )  # fmt: skip
+        )
         until(lambda: meshcat.GetButtonClicks("arrived") >= 1, seconds=60.0)
 
     def is_still_sending(hands):
@@ -506,12 +591,22 @@ def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path,
         return lambda hands: meshcat.GetButtonClicks("arrived") > clicks
 
     meshcat.Delete()
-    steps = [lambda _: dial(meshcat, told), let_pass(2), start(), let_pass(20), come, until_idle, is_still_sending]
+    steps = [
+        lambda _: dial(meshcat, told),
+        let_pass(2),
+        start(),
+        let_pass(20),
+        come,
+        until_idle,
+        is_still_sending,
+    ]
     hands = Hands(meshcat, *steps, let_pass(20), interrupt)
     own = ForeignPage(meshcat)  # the operator's
     until(lambda: meshcat.GetNumActiveConnections() == 1)
     try:
-        (record,) = run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands)
+        (record,) = run_interactive(
+            scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands
+        )
     finally:
         own.close()
         for process in started:

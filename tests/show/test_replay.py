@@ -1,4 +1,6 @@
-"""A record on the screen: the recorded page, the force arrows, and the live replay under its controls."""
+"""A record on the screen: the recorded page, the force arrows, and the live replay under its
+controls.
+"""
 
 import base64
 import dataclasses
@@ -14,7 +16,14 @@ from pydrake.math import RotationMatrix
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.scenario import thruster_layouts
-from ffsm_drake.show.meshcat import LiveReplay, live, recording_html, replay_live, start_meshcat, write_recording
+from ffsm_drake.show.meshcat import (
+    LiveReplay,
+    live,
+    recording_html,
+    replay_live,
+    start_meshcat,
+    write_recording,
+)
 from ffsm_drake.show.meshcat.actuators import Plumes
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.live import PLAY, QUIT, SPEED, TIME
@@ -36,11 +45,15 @@ def record(run):
 
 def view(meshcat, record, **options):
     meshcat.Delete()
-    return ReplayView(meshcat, record, **({"ghost": False, "path": False, "forces": False} | options))
+    return ReplayView(
+        meshcat, record, **({"ghost": False, "path": False, "forces": False} | options)
+    )
 
 
 def transform(meshcat, path):
-    """The 4 x 4 matrix that the browser was last told; msgpack stores it as the last 16 doubles or floats."""
+    """The 4 x 4 matrix that the browser was last told; msgpack stores it as the last 16 doubles or
+    floats.
+    """
     packed = meshcat._GetPackedTransform(path)
     numbers = re.search(rb"matrix(.*)", packed, re.DOTALL)[1]
     assert numbers[0] == 0xDC  # an array of 16
@@ -60,8 +73,13 @@ def transform(meshcat, path):
 
 def animation_of(page):
     """(frames per second, last frame) of the animation in a recorded page."""
-    commands = b"".join(base64.b64decode(text) for text in re.findall(r"base64,([A-Za-z0-9+/]{40,}=*)", page))
-    (fps,) = {float(np.frombuffer(number, ">f8")[0]) for number in re.findall(rb"\xa3fps\xcb(.{8})", commands, re.S)}
+    commands = b"".join(
+        base64.b64decode(text) for text in re.findall(r"base64,([A-Za-z0-9+/]{40,}=*)", page)
+    )
+    (fps,) = {
+        float(np.frombuffer(number, ">f8")[0])
+        for number in re.findall(rb"\xa3fps\xcb(.{8})", commands, re.S)
+    }
     # msgpack's integers: one byte below 128, else a length byte and the number.
     frames = re.findall(rb"\xa4time([\x00-\x7f]|\xcc.|\xcd..)", commands, re.S)
     return fps, max(int.from_bytes(number if len(number) == 1 else number[1:]) for number in frames)
@@ -104,7 +122,12 @@ def test_the_page_holds_what_was_asked_for(record):
 
 def test_the_caption_is_text_not_markup(record, tmp_path):
     scenario = dataclasses.replace(record.scenario, description="<script>alert(1)</script> & more")
-    write_recording(dataclasses.replace(record, scenario=scenario), tmp_path / "page.html", speed=4.0, ghost=False)
+    write_recording(
+        dataclasses.replace(record, scenario=scenario),
+        tmp_path / "page.html",
+        speed=4.0,
+        ghost=False,
+    )
     page = (tmp_path / "page.html").read_text()
     assert "<script>alert" not in page
     assert "&lt;script&gt;alert(1)&lt;/script&gt; &amp; more</b>" in page
@@ -123,7 +146,9 @@ def test_parts_that_are_not_asked_for_are_not_there(meshcat, record):
     assert not any(map(meshcat.HasPath, ("target_posture", "end_effector_path", "forces")))
     assert meshcat.HasPath("visualizer")
     view(meshcat, record, ghost=True, path=True, forces=True)
-    assert all(map(meshcat.HasPath, ("target_posture", "end_effector_path", "forces", "visualizer")))
+    assert all(
+        map(meshcat.HasPath, ("target_posture", "end_effector_path", "forces", "visualizer"))
+    )
 
 
 def test_arrows_point_along_their_forces_and_measure_them(meshcat, record):
@@ -172,7 +197,9 @@ def test_the_legend_names_colour_magnification_and_peak(meshcat, record):
 
 
 def test_a_run_without_disturbance_has_arrows(meshcat, run):
-    shown = view(meshcat, run("postcapture", "duration=0.2", "disturbance.amplitude_scale=0"), forces=True)
+    shown = view(
+        meshcat, run("postcapture", "duration=0.2", "disturbance.amplitude_scale=0"), forces=True
+    )
     assert shown.arrows.magnifications == [1, 1, 1, 1]
     assert transform(meshcat, f"{ARROW_KINDS[2].path}/tip")[2, 3] == 0.0
 
@@ -202,7 +229,8 @@ def test_thrusters_and_wheels_are_drawn_on_the_base(meshcat, firing):
         for kind in ("thrusters", "plumes"):
             pose = transform(meshcat, f"{base}/{kind}/{name}")
             assert pose[:3, 3] == pytest.approx(unit.position)
-            assert pose[:3, 2] == pytest.approx(-np.array(unit.direction))  # the cone opens against the force
+            # the cone opens against the force
+            assert pose[:3, 2] == pytest.approx(-np.array(unit.direction))
     wheel = transform(meshcat, f"{base}/wheels/up")
     assert wheel[:3, 2] == pytest.approx([0.0, 0.0, 1.0])
     page = recording_html(firing)
@@ -239,7 +267,10 @@ def test_a_recording_tells_only_when_plumes_change():
     opened = np.array([[0, 1], [0, 1], [0.3, 1], [0, 1], [0, 0], [0, 0], [0, 0]])
     plumes = Plumes(Page(), "base", units, opened, longest=1.0)
     plumes.show(0, 2)  # before the recording
-    assert told == [("base/plumes/a_x", "visible", False, None), ("base/plumes/a_y", "visible", True, None)]
+    assert told == [
+        ("base/plumes/a_x", "visible", False, None),
+        ("base/plumes/a_y", "visible", True, None),
+    ]
     told.clear()
     for frame in range(4):
         plumes.show(2 * frame, 2, time_in_recording=frame)
@@ -307,7 +338,11 @@ def test_it_pauses_at_the_end_and_starts_over(replay):
 
 
 def test_arrow_buttons_hide_and_show(replay):
-    labels = [name for name in replay.meshcat.GetButtonNames() if name.startswith("red: disturbance force")]
+    labels = [
+        name
+        for name in replay.meshcat.GetButtonNames()
+        if name.startswith("red: disturbance force")
+    ]
     assert len(labels) == 1
     shown = {}
     for state in ("hidden", "shown"):
@@ -348,12 +383,18 @@ def test_replay_live_runs_until_it_is_told_to_stop(meshcat, record, monkeypatch,
 def captured(run):
     near = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
     posture = f"{{base_position: [0.1, 0.3, -0.2], base_rpy: [0.11, 0.08, -0.1], joints: {near}}}"
-    return run("tumbling_capture", "duration=2.5", f"capture.approach={{duration: 2, posture: {posture}}}")
+    return run(
+        "tumbling_capture", "duration=2.5", f"capture.approach={{duration: 2, posture: {posture}}}"
+    )
 
 
 def test_up_to_the_grasp_the_target_is_apart(meshcat, captured):
     shown, data = view(meshcat, captured), captured.dataset
-    path = "/drake/visualizer/debris/debris" if meshcat.HasPath("/drake/visualizer/debris/debris") else None
+    path = (
+        "/drake/visualizer/debris/debris"
+        if meshcat.HasPath("/drake/visualizer/debris/debris")
+        else None
+    )
     path = path or "visualizer/debris/debris"
     for time, phase in ((1.0, "approach"), (2.3, "stop")):
         shown.show(time)
@@ -363,7 +404,9 @@ def test_up_to_the_grasp_the_target_is_apart(meshcat, captured):
         assert matrix[:3, 3] == pytest.approx(sample["target_position"].values, abs=1e-6)
         attitude = RotationMatrix(Quaternion(sample["target_quaternion"].values)).matrix()
         assert matrix[:3, :3] == pytest.approx(attitude, abs=1e-6)
-    apart = np.linalg.norm(data["target_position"].values - data["end_effector_position"].values, axis=1)
+    apart = np.linalg.norm(
+        data["target_position"].values - data["end_effector_position"].values, axis=1
+    )
     assert np.abs(apart[:50] - 0.5).min() > 0.01  # not yet at the grasp, 0.5 m from its centre
     assert apart[200:] == pytest.approx(0.5, abs=2e-3)
     assert "grasp at t = 2 s" in recording_html(captured)
@@ -373,7 +416,9 @@ def test_a_live_run_shows_the_target_apart(meshcat, captured):
     meshcat.Delete()
     seen = []
     rollout = make_rollout(captured.scenario, meshcat=meshcat)
-    rollout.run(progress=lambda time, _: seen.append((time, transform(meshcat, "visualizer/debris/debris"))))
+    rollout.run(
+        progress=lambda time, _: seen.append((time, transform(meshcat, "visualizer/debris/debris")))
+    )
     assert [time for time, _ in seen] == pytest.approx([0.0, 1.0, 2.0, 2.0, 2.5], abs=0.5)
     for time, matrix in seen[:2]:
         sample = captured.dataset.isel(time=round(time / 0.01))
@@ -386,9 +431,13 @@ def test_a_live_run_shows_the_target_apart(meshcat, captured):
 def test_the_ghost_stands_where_a_plan_ends(meshcat, run):
     record = run("planar_detumble", "duration=0.5")
     view(meshcat, record, ghost=True)
-    plan = load_plan(record.scenario.reference.plan, Coordinates(("joint_1", "joint_2", "joint_3"), ("rad",) * 3))
+    plan = load_plan(
+        record.scenario.reference.plan, Coordinates(("joint_1", "joint_2", "joint_3"), ("rad",) * 3)
+    )
     last = plan.rows(np.array([plan.end]))[0]
-    assert transform(meshcat, "target_posture/servicer/base")[:3, 3] == pytest.approx(last[4:7], abs=1e-6)
+    assert transform(meshcat, "target_posture/servicer/base")[:3, 3] == pytest.approx(
+        last[4:7], abs=1e-6
+    )
     assert np.linalg.norm(last[4:7]) > 0.01  # it starts at the origin
 
 

@@ -1,5 +1,7 @@
 # ruff: noqa: RUF001 (the page uses mathematical signs)
-"""The run report: its numbers, its honesty about runs that did not go well, its safety, and that it draws."""
+"""The run report: its numbers, its honesty about runs that did not go well, its safety, and that it
+draws.
+"""
 
 import base64
 import dataclasses
@@ -26,7 +28,10 @@ from ffsm_drake.show.style import label_of, labels_of, styles_of
 from ffsm_drake.show.tables import number
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-HOSTILE = "</script><script>document.title='taken'</script><img src=x onerror=alert(1)> & \"quotes\" </title>"
+HOSTILE = (
+    "</script><script>document.title='taken'</script><img src=x onerror=alert(1)> & "
+    '"quotes" </title>'
+)
 
 
 class Page(HTMLParser):
@@ -113,7 +118,10 @@ def plain(monkeypatch, without_stability):
 @pytest.fixture(scope="module")
 def diverged(run):
     return run(
-        "postcapture", "duration=6", "controllers.tde_aismc.k_s_initial=80", "controllers.tde_aismc.k_s_max=null"
+        "postcapture",
+        "duration=6",
+        "controllers.tde_aismc.k_s_initial=80",
+        "controllers.tde_aismc.k_s_max=null",
     )
 
 
@@ -122,7 +130,10 @@ def table_rows(text):
     table = re.search(r"<table class=\"numbers.*?</table>", text, re.DOTALL).group()
     rows, head = {}, ""
     for row in re.findall(r"<tr.*?</tr>", table, re.DOTALL):
-        strip = [html.unescape(re.sub("<[^>]*>", "", cell)).strip() for cell in re.findall(r"<t[hd].*?</t[hd]>", row)]
+        strip = [
+            html.unescape(re.sub("<[^>]*>", "", cell)).strip()
+            for cell in re.findall(r"<t[hd].*?</t[hd]>", row)
+        ]
         if 'class="head"' in row:
             head = strip[0]
         else:
@@ -154,9 +165,17 @@ def test_table_holds_the_metrics(short, text):
     metrics = short.metrics
     assert value(rows["Accuracy, ITAE"][0]) == pytest.approx(metrics["itae"], rel=5e-4)
     assert value(rows["Effort, ISV"][0]) == pytest.approx(metrics["isv"], rel=5e-5)
-    heads = {"peak_error": "Peak error", "final_error": "Final error", "peak_effort": "Peak commanded force or torque"}
+    heads = {
+        "peak_error": "Peak error",
+        "final_error": "Final error",
+        "peak_effort": "Peak commanded force or torque",
+    }
     units = {"base_rotation": ("rad", "N m"), "base_position": ("m", "N"), "joints": ("rad", "N m")}
-    titles = {"base_rotation": "Base attitude", "base_position": "Base position", "joints": "Joints"}
+    titles = {
+        "base_rotation": "Base attitude",
+        "base_position": "Base position",
+        "joints": "Joints",
+    }
     for key, head in heads.items():
         for group, title in titles.items():
             label = f"{head}: {title} [{units[group][key == 'peak_effort']}]"
@@ -173,13 +192,20 @@ def test_numbers_as_text():
 def test_verdicts_in_words(short, diverged):
     assert results_of([short])[0].status == "settled"
     # A run that ends in the middle of the motion has not settled, however well it tracks.
-    assert results_of([with_scenario(short, reference=load_scenario("postcapture").reference)])[0].status == "unsettled"
+    assert (
+        results_of([with_scenario(short, reference=load_scenario("postcapture").reference)])[
+            0
+        ].status
+        == "unsettled"
+    )
     off = short.dataset.copy(deep=True)
     off["error"].loc[{"coordinate": "joint_2"}] = 0.0021
     result = results_of([dataclasses.replace(short, dataset=off)])[0]
     assert result.status == "unsettled"
     assert "the error of joint_2 reaches 0.00210 rad" in result.verdict
-    lenient = with_scenario(dataclasses.replace(short, dataset=off), tolerance={"all": 1e-3, "joint_2": 0.003})
+    lenient = with_scenario(
+        dataclasses.replace(short, dataset=off), tolerance={"all": 1e-3, "joint_2": 0.003}
+    )
     assert results_of([lenient])[0].status == "settled"
     assert diverged.outcome.message in page_of(diverged).text
 
@@ -211,7 +237,9 @@ def test_interrupted_after_few_samples(short, samples, monkeypatch):
         monkeypatch.setattr("ffsm_drake.show.report.page.stability", absent)
     page = page_of(shortened(short, samples))
     assert "interrupted" in page.text
-    assert {0: "no sample was recorded", 1: "1 sample was", 2: "2 samples were"}[samples] in page.text
+    assert {0: "no sample was recorded", 1: "1 sample was", 2: "2 samples were"}[
+        samples
+    ] in page.text
     if samples == 0:
         assert "The record has no sample to analyse." in page.text
         assert "error-0-0" not in page.figures
@@ -221,7 +249,9 @@ def test_interrupted_after_few_samples(short, samples, monkeypatch):
 
 @pytest.mark.usefixtures("without_stability")
 def test_missing_variables_cost_only_their_section(short):
-    bare = dataclasses.replace(short, dataset=short.dataset.drop_vars(["disturbance_force", "error", "base_rpy"]))
+    bare = dataclasses.replace(
+        short, dataset=short.dataset.drop_vars(["disturbance_force", "error", "base_rpy"])
+    )
     text = render_report([bare])
     page, rows = Page(text), table_rows(text)
     assert rows["Accuracy, ITAE"] == ["–"]
@@ -303,24 +333,35 @@ def test_same_records_same_bytes(short, text, tmp_path):
 
 def test_same_controller_twice_is_told_apart(short):
     other = with_scenario(short, random_seed=7)
-    assert [label.rpartition(", ")[2] for label in labels_of([short, other])] == ["random_seed = 0", "random_seed = 7"]
+    assert [label.rpartition(", ")[2] for label in labels_of([short, other])] == [
+        "random_seed = 0",
+        "random_seed = 7",
+    ]
     assert len({result.style.color for result in results_of([short, other, short])}) == 3
     assert len(set(labels_of([short, short, other]))) == 3
-    gains = scenario_from_dict(scenario_to_dict(short.scenario), ["controllers.tde_aismc.k_s_max.all=65"])
-    assert labels_of([short, dataclasses.replace(short, scenario=gains)])[1] == "TDE-AISMC (proposed), k_s_max = 65"
+    gains = scenario_from_dict(
+        scenario_to_dict(short.scenario), ["controllers.tde_aismc.k_s_max.all=65"]
+    )
+    assert labels_of([short, dataclasses.replace(short, scenario=gains)])[1] == (
+        "TDE-AISMC (proposed), k_s_max = 65"
+    )
 
 
 def write_arm(directory, joints):
-    """A base with an arm of so many links, every other joint prismatic; names as no program likes them."""
+    """A base with an arm of so many links, every other joint prismatic; names as no program likes
+    them.
+    """
     inertial = (
-        '<inertial><mass value="{0}"/><inertia ixx="{0}" iyy="{0}" izz="{0}" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '<inertial><mass value="{0}"/><inertia ixx="{0}" iyy="{0}" izz="{0}" ixy="0" ixz="0" '
+        'iyz="0"/></inertial>'
     )
     parts = [f'<link name="link_0">{inertial.format(400)}</link>']
     for k in range(joints):
         kind = ("revolute", "prismatic")[k % 2]
         parts.append(
             f'<link name="link_{k + 1}">{inertial.format(5)}</link>'
-            f'<joint name="Gelenk &lt;{k}&gt; é" type="{kind}"><parent link="link_{k}"/><child link="link_{k + 1}"/>'
+            f'<joint name="Gelenk &lt;{k}&gt; é" type="{kind}"><parent link="link_{k}"/><child '
+            f'link="link_{k + 1}"/>'
             f'<origin xyz="0 0 0.3"/><axis xyz="{k % 3 == 0:d} {k % 3 == 1:d} {k % 3 == 2:d}"/>'
             '<limit lower="-3" upper="3" effort="1e9" velocity="1e9"/></joint>'
         )
@@ -329,7 +370,8 @@ def write_arm(directory, joints):
         f"directives:\n- add_model: {{name: arm, file: 'file://{directory}/arm.urdf'}}\n"
     )
     (directory / "arm.yaml").write_text(
-        "duration: 0.2\nreference: {duration: 0.2}\ncontroller: tdc\nmodel: {directives: arm.dmd.yaml, end_effector: "
+        "duration: 0.2\nreference: {duration: 0.2}\ncontroller: tdc\nmodel: {directives: "
+        "arm.dmd.yaml, end_effector: "
         f"'arm::link_{joints}'}}\npayload: {{body: 'arm::link_{joints}'}}\n"
     )
     return directory / "arm.yaml"
@@ -340,7 +382,10 @@ def test_any_arm(joints, tmp_path):
     record = simulate(load_scenario(write_arm(tmp_path, joints)), check_stability=False)
     page = page_of(record)
     assert page.titles("force-0")[6:] == [f"Gelenk <{k}> é" for k in range(joints)]
-    units = [page.figures[f"force-0-{k}"]["layout"]["yaxis"]["title"]["text"] for k in range(6, 6 + joints)]
+    units = [
+        page.figures[f"force-0-{k}"]["layout"]["yaxis"]["title"]["text"]
+        for k in range(6, 6 + joints)
+    ]
     assert units == [("N m", "N")[k % 2] for k in range(joints)]
     assert ("Joints, prismatic" in page.text) == (joints > 1)
     assert "not available" not in page.text
@@ -354,7 +399,8 @@ def test_thinning_keeps_ends_and_extremes():
     assert len(kept) <= 1000
     assert {0, 17, 99_999, values.size - 1} <= set(kept.tolist())
     assert np.all(np.diff(kept) > 0)
-    # No value is more than two pixels of a thousand from one that is drawn and at least as large, or as small.
+    # No value is more than two pixels of a thousand from one that is drawn and at least as large,
+    # or as small.
     for k in rng.integers(0, values.size, 300):
         near = values[kept[np.abs(kept - k) <= 2 * values.size // 1000]]
         assert near.min() <= values[k] <= near.max()
@@ -370,46 +416,83 @@ def test_curves_are_the_record(short, page):
     assert page.captions["error-0-7"] == "joint 2"
     x, y = (decoded(page.figures["error-0-7"]["data"][0][axis]) for axis in "xy")
     np.testing.assert_allclose(x, short.dataset["time"].values, rtol=1e-6)
-    np.testing.assert_allclose(y, short.dataset["error"].sel(coordinate="joint_2").values, rtol=1e-6)
+    np.testing.assert_allclose(
+        y, short.dataset["error"].sel(coordinate="joint_2").values, rtol=1e-6
+    )
 
 
 @pytest.mark.usefixtures("plain")
 def test_long_runs_are_thinned_and_the_page_says_so(short):
     times = 60
     dataset = short.dataset.isel(time=np.tile(np.arange(100), times))
-    dataset = dataset.assign_coords(time=("time", 0.01 * np.arange(100 * times), dataset["time"].attrs))
+    dataset = dataset.assign_coords(
+        time=("time", 0.01 * np.arange(100 * times), dataset["time"].attrs)
+    )
     page = page_of(dataclasses.replace(short, dataset=dataset))
     assert "(the longest has 6000)" in page.text
     assert decoded(page.figures["error-0-0"]["data"][0]["y"]).size <= 4000
 
 
 def test_command_and_scenario_make_the_same_run(short, text):
-    command = html.unescape(re.search(r'<pre class="command">(.*?)</pre>', text, re.DOTALL).group(1))
+    command = html.unescape(
+        re.search(
+            r"<pre "
+            r'class="command">(.*?)</pre>',
+            text,
+            re.DOTALL,
+        ).group(1)
+    )
     words = shlex.split(command)
     assert words[:3] == ["ffsm", "run", "postcapture"]
-    overrides = [word for flag, word in zip(words[3::2], words[4::2], strict=True) if flag == "--set"]
-    assert scenario_to_dict(load_scenario("postcapture", overrides)) == scenario_to_dict(short.scenario)
+    overrides = [
+        word for flag, word in zip(words[3::2], words[4::2], strict=True) if flag == "--set"
+    ]
+    assert scenario_to_dict(load_scenario("postcapture", overrides)) == scenario_to_dict(
+        short.scenario
+    )
     saved = re.search(r'href="data:application/yaml;base64,([^"]*)"', text).group(1)
     again = scenario_from_yaml(base64.b64decode(saved).decode())
     assert scenario_to_dict(again) == scenario_to_dict(short.scenario)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: the page cannot be looked at")
+@pytest.mark.skipif(
+    CHROMIUM is None, reason="chromium is not installed: the page cannot be looked at"
+)
 def test_draws_in_a_browser_without_complaint(short, tmp_path):
     records = [with_scenario(short, description=HOSTILE), shortened(short, 1)]
     path = write_report(records, tmp_path / "report.html")
     done = subprocess.run(
         [
-            CHROMIUM, "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
-            "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-background-networking",
-            "--disable-component-update", "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}",
-            "--enable-logging=stderr", "--window-size=1400,9000", "--force-device-scale-factor=0.25",
-            "--virtual-time-budget=30000", "--dump-dom", path.as_uri(),
+            CHROMIUM,
+            "--headless",
+            "--no-sandbox",
+            "--use-gl=angle",
+            "--use-angle=swiftshader",
+            "--enable-unsafe-swiftshader",
+            "--disable-quic",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--enable-logging=stderr",
+            "--window-size=1400,9000",
+            "--force-device-scale-factor=0.25",
+            "--virtual-time-budget=30000",
+            "--dump-dom",
+            path.as_uri(),
         ],
-        capture_output=True, text=True, timeout=180, check=False,
-    )  # fmt: skip
-    complaints = [line for line in done.stderr.splitlines() if "CONSOLE" in line and "willReadFrequently" not in line]
+        capture_output=True,
+        text=True,
+        timeout=180,
+        check=False,
+    )
+    complaints = [
+        line
+        for line in done.stderr.splitlines()
+        if "CONSOLE" in line and "willReadFrequently" not in line
+    ]
     assert not complaints, complaints[0][:500]
     # Of each section the first view is in sight: of its panels all are drawn, one of them by WebGL.
     open_panels = sum(key.split("-")[1] == "0" for key in page_of(*records).figures)
@@ -417,4 +500,9 @@ def test_draws_in_a_browser_without_complaint(short, tmp_path):
     drawn = done.stdout.count("js-plotly-plot")
     assert drawn >= open_panels
     assert done.stdout.count("scatterlayer") >= drawn - 1
-    assert "taken" not in re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL).group(1).partition("&lt;")[0]
+    assert (
+        "taken"
+        not in re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
+        .group(1)
+        .partition("&lt;")[0]
+    )

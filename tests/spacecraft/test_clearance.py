@@ -26,11 +26,15 @@ def names(clearance):
 def test_neighbours_and_what_is_grasped_are_left_out(planar):
     assert frozenset(("hand", "target")) not in names(planar)  # welded
     assert frozenset(("link_1", "link_2")) not in names(planar)  # a joint connects them
-    assert {frozenset(pair) for pair in (("base", "target"), ("link_1", "hand"), ("base", "link_2"))} <= names(planar)
+    assert {
+        frozenset(pair) for pair in (("base", "target"), ("link_1", "hand"), ("base", "link_2"))
+    } <= names(planar)
 
 
 def test_distance_of_a_stretched_arm(planar):
-    """The hand starts 0.7 + 0.3 - 0.01 m from the second joint; the tube of the second link ends after 0.7 m."""
+    """The hand starts 0.7 + 0.3 - 0.01 m from the second joint; the tube of the second link ends
+    after 0.7 m.
+    """
     nearest = planar.nearest(np.r_[1.0, np.zeros(9)])
     assert {nearest.first, nearest.second} == {"hand", "link_2"}
     assert nearest.distance == pytest.approx(0.7 + 0.3 - 0.01 - 0.7, abs=1e-3)
@@ -53,8 +57,14 @@ def points_on(shape):
         return np.array(list(itertools.product(*[(-s / 2, s / 2) for s in shape.size()])))
     if isinstance(shape, Cylinder):
         ring = shape.radius() * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        return np.vstack([np.c_[ring, np.full(24, z)] for z in (-shape.length() / 2, shape.length() / 2)])
-    axes = np.array([shape.radius()] * 3) if isinstance(shape, Sphere) else np.array([shape.a(), shape.b(), shape.c()])
+        return np.vstack(
+            [np.c_[ring, np.full(24, z)] for z in (-shape.length() / 2, shape.length() / 2)]
+        )
+    axes = (
+        np.array([shape.radius()] * 3)
+        if isinstance(shape, Sphere)
+        else np.array([shape.a(), shape.b(), shape.c()])
+    )
     assert isinstance(shape, (Sphere, Ellipsoid))
     rings = [
         np.c_[np.sin(u) * np.cos(turn), np.sin(u) * np.sin(turn), 0 * turn + np.cos(u)]
@@ -64,17 +74,25 @@ def points_on(shape):
 
 
 @pytest.mark.parametrize(
-    "scenario", ["postcapture", pytest.param("seven_joint", marks=pytest.mark.slow), "planar_detumble"]
+    "scenario",
+    ["postcapture", pytest.param("seven_joint", marks=pytest.mark.slow), "planar_detumble"],
 )
 def test_shapes_hold_the_pictures(scenario):
-    """Every point of a picture lies in one of its body's shapes, or within a finger's breadth of it."""
+    """Every point of a picture lies in one of its body's shapes, or within a finger's breadth of
+    it.
+    """
     clearance = Clearance(load_scenario(scenario).model)
-    plant, query = clearance.plant, clearance.plant.get_geometry_query_input_port().Eval(clearance.plant_context)
+    plant, query = (
+        clearance.plant,
+        clearance.plant.get_geometry_query_input_port().Eval(clearance.plant_context),
+    )
     inspector = query.inspector()
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
         body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
         own = set(inspector.GetGeometries(inspector.GetFrameId(geometry), Role.kProximity))
-        X_WG = plant.EvalBodyPoseInWorld(clearance.plant_context, body) @ inspector.GetPoseInFrame(geometry)
+        X_WG = plant.EvalBodyPoseInWorld(clearance.plant_context, body) @ inspector.GetPoseInFrame(
+            geometry
+        )
         assert isinstance(X_WG, RigidTransform)
         for point in points_on(inspector.GetShape(geometry)):
             found = query.ComputeSignedDistanceToPoint(X_WG @ point)
@@ -92,7 +110,9 @@ def test_the_shipped_targets_fold_in_without_touching(scenario, distance):
 
 
 def test_a_target_apart_is_measured_where_it_is():
-    """Held where the gripper holds it, its distances are those of the stack; elsewhere the gripper counts, too."""
+    """Held where the gripper holds it, its distances are those of the stack; elsewhere the gripper
+    counts, too.
+    """
     scenario = load_scenario("tumbling_capture")
     held, apart = Clearance(scenario.model), ApproachClearance(scenario.model, "debris::debris")
     q = configuration(held.plant, scenario.initial_posture, key="")
@@ -103,9 +123,11 @@ def test_a_target_apart_is_measured_where_it_is():
         return np.r_[q, X_WP.rotation().ToQuaternion().wxyz(), X_WP @ np.array(shift)]
 
     near = apart.nearest(pose([0.0, 0.0, 0.0]))
-    assert {near.first, near.second} == {"debris", "link_4"}  # which no motion of the wrist takes from the target
+    # which no motion of the wrist takes from the target
+    assert {near.first, near.second} == {"debris", "link_4"}
     assert near.distance == pytest.approx(0.05, abs=0.01)
     away = apart.nearest(pose([0.0, 0.0, 0.2]))
     assert {away.first, away.second} == {"debris", "link_5"}
-    assert away.distance == pytest.approx(0.2 - 0.045, abs=0.01)  # at the grasp the fingers reach 45 mm around the ring
+    # at the grasp the fingers reach 45 mm around the ring
+    assert away.distance == pytest.approx(0.2 - 0.045, abs=0.01)
     assert apart.nearest(pose([0.0, 0.0, -0.15])).distance < -0.05

@@ -24,9 +24,17 @@ def test_the_more_specific_key_wins():
 
 def test_defaults_and_missing_values():
     assert COORDINATES.vector({"joints": 1.0}, key="k", default=0.0).tolist() == [0] * 6 + [1, 1]
-    with pytest.raises(ScenarioError, match=r"k: gives no value for base_rotation_x, .*base_position_z; add"):
+    with pytest.raises(
+        ScenarioError,
+        match=r"k: gives no value for base_rotation_x, "
+        r".*base_position_z; add",
+    ):
         COORDINATES.vector({"joints": 1.0}, key="k")
-    with pytest.raises(ScenarioError, match=r"k\.joint_9: unknown coordinate; valid here: all, base_rotation"):
+    with pytest.raises(
+        ScenarioError,
+        match=r"k\.joint_9: unknown coordinate; valid here: all, "
+        r"base_rotation",
+    ):
         COORDINATES.vector({"all": 1.0, "joint_9": 2.0}, key="k")
 
 
@@ -42,24 +50,34 @@ def test_rotation_error_is_the_world_frame_logarithm():
     for _ in range(200):
         desired, actual = Rotation.random(2, rng=rng)
         expected = (desired * actual.inv()).as_rotvec()
-        scaled = 1.3 * actual.as_quat(scalar_first=True)  # measured quaternions are not of unit length
-        assert rotation_error(desired.as_quat(scalar_first=True), scaled) == pytest.approx(expected, abs=1e-12)
-        assert rotation_error(-desired.as_quat(scalar_first=True), scaled) == pytest.approx(expected, abs=1e-12)
+        # measured quaternions are not of unit length
+        scaled = 1.3 * actual.as_quat(scalar_first=True)
+        assert rotation_error(desired.as_quat(scalar_first=True), scaled) == pytest.approx(
+            expected, abs=1e-12
+        )
+        assert rotation_error(-desired.as_quat(scalar_first=True), scaled) == pytest.approx(
+            expected, abs=1e-12
+        )
 
 
 def test_tiny_rotations_keep_their_precision():
     desired = Rotation.from_rotvec([1e-9, -2e-9, 3e-9]).as_quat(scalar_first=True)
-    assert rotation_error(desired, np.array([1.0, 0, 0, 0])) == pytest.approx((1e-9, -2e-9, 3e-9), rel=1e-9)
+    assert rotation_error(desired, np.array([1.0, 0, 0, 0])) == pytest.approx(
+        (1e-9, -2e-9, 3e-9), rel=1e-9
+    )
     assert rotation_error(desired, desired) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.0999, 0.1001, 1.0, 3.0, 3.14])
 def test_rate_of_the_rotation_error_is_its_derivative(angle):
-    """By central differences, both attitudes turning at constant angular velocities in the world frame."""
+    """By central differences, both attitudes turning at constant angular velocities in the world
+    frame.
+    """
     rng, h = np.random.default_rng(7), 1e-5
     for _ in range(20):
         actual, (axis, w_d, w) = Rotation.random(rng=rng), rng.normal(size=(3, 3))
-        w_d, w = 1e-3 * w_d, 1e-3 * w  # so slow that the difference's own error is small up to angles near pi
+        # so slow that the difference's own error is small up to angles near pi
+        w_d, w = 1e-3 * w_d, 1e-3 * w
         desired = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)) * actual
 
         def error(t, desired=desired, actual=actual, w_d=w_d, w=w):
@@ -67,8 +85,11 @@ def test_rate_of_the_rotation_error_is_its_derivative(angle):
             return np.array(rotation_error(*(each.as_quat(scalar_first=True) for each in moved)))
 
         rate = rotation_error_rate(tuple(error(0.0)), w_d, w)
-        assert rate == pytest.approx((error(h / 1e-3) - error(-h / 1e-3)) / (2 * h / 1e-3), abs=1e-9)
-        assert np.dot(rate, error(0.0)) == pytest.approx(np.dot(w_d - w, error(0.0)), abs=1e-15)  # the angle's own rate
+        assert rate == pytest.approx(
+            (error(h / 1e-3) - error(-h / 1e-3)) / (2 * h / 1e-3), abs=1e-9
+        )
+        # the angle's own rate
+        assert np.dot(rate, error(0.0)) == pytest.approx(np.dot(w_d - w, error(0.0)), abs=1e-15)
 
 
 def test_rate_of_an_error_is_a_difference_but_for_the_rotation():

@@ -18,7 +18,12 @@ from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Flexible, Model, Scenario, load_scenario
-from ffsm_drake.spacecraft.flexible import add_flexible, cantilever_modes, hidden_modes, set_flexible
+from ffsm_drake.spacecraft.flexible import (
+    add_flexible,
+    cantilever_modes,
+    hidden_modes,
+    set_flexible,
+)
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration, hidden_of
 
@@ -28,7 +33,9 @@ MASS, LENGTH, FREQUENCY = 6.0, 3.0, 0.25
 
 def panel(side: float, **changes) -> Flexible:
     changes = {"mass": MASS, "length": LENGTH, "frequency": FREQUENCY} | changes
-    return Flexible(position=[0.0, side * ARM, 0.0], direction=[0.0, side, 0.0], body="hub::hub", **changes)
+    return Flexible(
+        position=[0.0, side * ARM, 0.0], direction=[0.0, side, 0.0], body="hub::hub", **changes
+    )
 
 
 def panels(mass: float, frequency: float = 0.25) -> list[str]:
@@ -37,15 +44,23 @@ def panels(mass: float, frequency: float = 0.25) -> list[str]:
     return [
         f"model.flexible.{name}.{key}={value}"
         for name, side in (("port", 1.0), ("starboard", -1.0))
-        for key, value in (values | {"position": [0.0, side, 0.0], "direction": [0.0, side, 0.0]}).items()
+        for key, value in (
+            values | {"position": [0.0, side, 0.0], "direction": [0.0, side, 0.0]}
+        ).items()
     ]
 
 
-def free_hub(mass: float = HUB_MASS, inertia: float = HUB_INERTIA, **parts: Flexible) -> tuple[MultibodyPlant, Context]:
-    """A rigid hub that carries parts, and its context; with them at rest it has the given mass and inertia."""
+def free_hub(
+    mass: float = HUB_MASS, inertia: float = HUB_INERTIA, **parts: Flexible
+) -> tuple[MultibodyPlant, Context]:
+    """A rigid hub that carries parts, and its context; with them at rest it has the given mass and
+    inertia.
+    """
     plant = MultibodyPlant(time_step=0.0)
     instance = plant.AddModelInstance("hub")
-    plant.AddRigidBody("hub", instance, SpatialInertia.SolidSphereWithMass(mass, math.sqrt(2.5 * inertia / mass)))
+    plant.AddRigidBody(
+        "hub", instance, SpatialInertia.SolidSphereWithMass(mass, math.sqrt(2.5 * inertia / mass))
+    )
     model = Model(flexible=parts)
     add_flexible(plant, model)
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
@@ -64,15 +79,21 @@ def test_two_panels_on_a_free_hub_vibrate_as_the_closed_form_says():
     plant, context = free_hub(port=panel(1.0), starboard=panel(-1.0))
     hinge, arm = MASS * LENGTH**2 / 3.0, MASS * (LENGTH**2 / 3.0 + ARM * LENGTH / 2.0)
     k = (2.0 * math.pi * FREQUENCY) ** 2 * hinge
-    # The hub moves along z against both, or turns against both; its mass and inertia are those of all.
+    # The hub moves along z against both, or turns against both; its mass and inertia are those of
+    # all.
     along = math.sqrt(2.0 * k / (2.0 * hinge - (MASS * LENGTH) ** 2 / HUB_MASS)) / (2.0 * math.pi)
     about = math.sqrt(2.0 * k / (2.0 * hinge - (2.0 * arm) ** 2 / HUB_INERTIA)) / (2.0 * math.pi)
     found = modes_of(plant, context)
     assert_allclose([mode.frequency for mode in found], [along, about], rtol=1e-10)
     assert_allclose([mode.clamped_frequency for mode in found], FREQUENCY, rtol=1e-10)
-    # What the hub's turning would be without what the springs hold: the mode carries that share of its inertia.
-    assert found[1].share[0] == pytest.approx((2.0 * arm) ** 2 / (2.0 * hinge) / HUB_INERTIA, rel=1e-10)
-    assert found[0].share[5] == pytest.approx((MASS * LENGTH) ** 2 / (2.0 * hinge) / HUB_MASS, rel=1e-10)
+    # What the hub's turning would be without what the springs hold: the mode carries that share of
+    # its inertia.
+    assert found[1].share[0] == pytest.approx(
+        (2.0 * arm) ** 2 / (2.0 * hinge) / HUB_INERTIA, rel=1e-10
+    )
+    assert found[0].share[5] == pytest.approx(
+        (MASS * LENGTH) ** 2 / (2.0 * hinge) / HUB_MASS, rel=1e-10
+    )
     assert found[0].damping_ratio == pytest.approx(0.005 * along / FREQUENCY, rel=1e-9)
 
 
@@ -93,7 +114,11 @@ def test_held_fast_the_lowest_frequency_is_the_given_one(part):
     if part.kind == "beam":
         assert_allclose(found, part.frequencies, rtol=1e-6)
     # Locked it is the hub alone.
-    bodies = [i for name in ("hub", "flexible") for i in plant.GetBodyIndices(plant.GetModelInstanceByName(name))]
+    bodies = [
+        i
+        for name in ("hub", "flexible")
+        for i in plant.GetBodyIndices(plant.GetModelInstanceByName(name))
+    ]
     M_BBo_B = plant.CalcSpatialInertia(context, plant.GetBodyByName("hub").body_frame(), bodies)
     assert M_BBo_B.get_mass() == pytest.approx(1e9, rel=1e-12)
     assert_allclose(M_BBo_B.get_com(), 0.0, atol=1e-12)
@@ -118,11 +143,17 @@ def test_a_released_panel_rings_down_as_an_oscillator():
     joint, w = plant.GetJointByName("flexible.part"), 2.0 * math.pi * FREQUENCY
     joint.set_angle(context, 0.01)
     simulator = Simulator(plant, context)
-    config = SimulatorConfig(integration_scheme="runge_kutta3", max_step_size=2e-3, use_error_control=False)
+    config = SimulatorConfig(
+        integration_scheme="runge_kutta3", max_step_size=2e-3, use_error_control=False
+    )
     ApplySimulatorConfig(config, simulator)
     simulator.AdvanceTo(time)
     damped = w * math.sqrt(1.0 - zeta**2)
-    angle = 0.01 * math.exp(-zeta * w * time) * (math.cos(damped * time) + zeta * w / damped * math.sin(damped * time))
+    angle = (
+        0.01
+        * math.exp(-zeta * w * time)
+        * (math.cos(damped * time) + zeta * w / damped * math.sin(damped * time))
+    )
     assert joint.get_angle(context) == pytest.approx(angle, rel=1e-6)
 
 
@@ -131,13 +162,20 @@ def with_all() -> Scenario:
     """Every kind of part on the servicer."""
     data = [
         *panels(3.0),
-        "model.flexible.boom={kind: beam, position: [0, 0, -1], direction: [0, 0, -1], mass: 2, frequencies: [0.5, 3]}",
-        "model.flexible.fuel={kind: mass, position: [0, 0, -0.5], direction: [1, 0, 0], mass: 5, frequency: 0.3}",
-        "model.flexible.tank={kind: pendulum, direction: [0, 0, -1], mass: 4, length: 0.3, frequency: 0.4}",
+        "model.flexible.boom={kind: beam, position: [0, 0, -1], direction: [0, 0, -1], mass: 2, "
+        "frequencies: [0.5, 3]}",
+        "model.flexible.fuel={kind: mass, position: [0, 0, -0.5], direction: [1, 0, 0], mass: 5, "
+        "frequency: 0.3}",
+        "model.flexible.tank={kind: pendulum, direction: [0, 0, -1], mass: 4, length: 0.3, "
+        "frequency: 0.4}",
         "model.flexible.elbow={kind: gear, joint: joint_3, stiffness: 2.0e3}",
         "actuation.drives.rotor_inertia={joint_3: 20}",
     ]
-    gains = ["controller=pd_plus", "controllers.pd_plus.k_d={all: 20}", "controllers.pd_plus.k_p={all: 20}"]
+    gains = [
+        "controller=pd_plus",
+        "controllers.pd_plus.k_d={all: 20}",
+        "controllers.pd_plus.k_p={all: 20}",
+    ]
     return load_scenario("postcapture", [*data, *gains, "duration=1", "sample_time=0.0025"])
 
 
@@ -146,16 +184,29 @@ def test_locked_it_is_the_spacecraft_that_the_controller_knows(with_all):
     q = configuration(locked.plant, with_all.initial_posture, key="initial_posture")
     v = np.linspace(-0.3, 0.4, 11)
     known = whole.hidden.known
-    assert sorted(whole.hidden.names) == ["boom_1", "boom_2", "elbow", "fuel", "port", "starboard", "tank"]
+    assert sorted(whole.hidden.names) == [
+        "boom_1",
+        "boom_2",
+        "elbow",
+        "fuel",
+        "port",
+        "starboard",
+        "tank",
+    ]
     mass_matrix = whole.calc_mass_matrix(whole.hidden.whole_positions(q))
-    assert_allclose(mass_matrix[np.ix_(known, known)], locked.calc_mass_matrix(q), rtol=1e-12, atol=1e-10)
+    assert_allclose(
+        mass_matrix[np.ix_(known, known)], locked.calc_mass_matrix(q), rtol=1e-12, atol=1e-10
+    )
     bias = whole.calc_bias(whole.hidden.whole_positions(q), whole.hidden.whole_velocities(v))
     assert_allclose(bias[known], locked.calc_bias(q, v), rtol=1e-10, atol=1e-10)
-    # The apparent mass is that of no spring: a force on the known coordinates alone, the others free.
+    # The apparent mass is that of no spring: a force on the known coordinates alone, the others
+    # free.
     force = np.linspace(1.0, 2.0, 11)
     acceleration = np.linalg.solve(mass_matrix, whole.hidden.whole_velocities(force))
     assert_allclose(whole.calc_apparent_mass_matrix(q) @ acceleration[known], force, rtol=1e-10)
-    assert_allclose(locked.calc_apparent_mass_matrix(q), locked.calc_mass_matrix(q), rtol=0.0, atol=0.0)
+    assert_allclose(
+        locked.calc_apparent_mass_matrix(q), locked.calc_mass_matrix(q), rtol=0.0, atol=0.0
+    )
 
 
 def test_momentum_and_energy_balance_with_every_kind_of_part(with_all):
@@ -177,12 +228,21 @@ def test_momentum_and_energy_balance_with_every_kind_of_part(with_all):
 
 @pytest.mark.parametrize(
     ("controller", "mass", "diverges"),
-    # Times by an independent simulation, to its 0.05 s: the last before divergence; None: it completes.
-    [("tdc", 2.0, None), ("tdc", 8.0, 0.25), ("asmc", 2.0, 0.70), ("aismc", 2.0, 0.40), ("tde_aismc", 8.0, 0.10)],
+    # Times by an independent simulation, to its 0.05 s: the last before divergence; None: it
+    # completes.
+    [
+        ("tdc", 2.0, None),
+        ("tdc", 8.0, 0.25),
+        ("asmc", 2.0, 0.70),
+        ("aismc", 2.0, 0.40),
+        ("tde_aismc", 8.0, 0.10),
+    ],
 )
 def test_published_gains_diverge_with_panels_that_they_do_not_know(controller, mass, diverges):
     duration = "duration=1" if diverges is None else "duration=20"
-    log = Rollout(load_scenario("postcapture", [*panels(mass), f"controller={controller}", duration])).run()
+    log = Rollout(
+        load_scenario("postcapture", [*panels(mass), f"controller={controller}", duration])
+    ).run()
     if diverges is None:
         assert log.outcome.completed
     else:
@@ -194,12 +254,19 @@ def test_the_radius_of_the_wired_loop_knows_the_panels():
     """Spectral radii and the boundary in mass by an independent linearisation."""
     quiet = ["sensing.velocity_noise=0", "disturbance.amplitude_scale=0"]
     for controller, mass, radius in (
-        ("asmc", 2.0, 1.213), ("asmc", 4.0, 1.699), ("tde_aismc", 2.0, 0.9999), ("tde_aismc", 4.0, 1.418),
-    ):  # fmt: skip
-        with Linearizer(load_scenario("postcapture", [*panels(mass), *quiet, f"controller={controller}"])) as loop:
+        ("asmc", 2.0, 1.213),
+        ("asmc", 4.0, 1.699),
+        ("tde_aismc", 2.0, 0.9999),
+        ("tde_aismc", 4.0, 1.418),
+    ):
+        with Linearizer(
+            load_scenario("postcapture", [*panels(mass), *quiet, f"controller={controller}"])
+        ) as loop:
             assert loop.at(0.0).spectral_radius == pytest.approx(radius, rel=1e-3)
     for mass, stable in ((5.37, True), (5.40, False)):
-        with Linearizer(load_scenario("postcapture", [*panels(mass), *quiet, "controller=tdc"])) as loop:
+        with Linearizer(
+            load_scenario("postcapture", [*panels(mass), *quiet, "controller=tdc"])
+        ) as loop:
             assert (loop.at(0.0).spectral_radius < 1.0) is stable
 
 
@@ -218,7 +285,10 @@ def test_a_grasp_shakes_the_panels_and_keeps_momentum(run):
     data, grasp = record.dataset, record.grasp
     assert grasp is not None
     at = int(np.argmax(data["phase"].values == "stop"))
-    assert np.abs(data["hidden_velocity"].values[at] - data["hidden_velocity"].values[at - 1]).max() > 5e-5
+    assert (
+        np.abs(data["hidden_velocity"].values[at] - data["hidden_velocity"].values[at - 1]).max()
+        > 5e-5
+    )
     for part in ("linear_momentum", "angular_momentum"):
         assert_allclose(grasp["after"][part], grasp["before"][part], rtol=1e-9, atol=1e-9)
     assert record.metrics["peak_error"]["base_rotation"] < 0.1
@@ -228,7 +298,10 @@ def test_a_grasp_shakes_the_panels_and_keeps_momentum(run):
     ("changes", "message"),
     [
         (panels(300.0), "carries 600 kg on springs as a part of its own 400 kg"),
-        (["model.flexible.x={body: servicer::bass, frequency: 1}"], "did you mean 'servicer::base'"),
+        (
+            ["model.flexible.x={body: servicer::bass, frequency: 1}"],
+            "did you mean 'servicer::base'",
+        ),
         (["model.flexible.x={kind: joint, joint: joint_9, stiffness: 1e4}"], "no revolute joint"),
     ],
 )
@@ -243,7 +316,10 @@ def test_what_cannot_be_built_is_said_in_one_line(changes, message):
         ("{frequency: 1, stiffness: 2}", "model.flexible.x.frequency: give either"),
         ("{kind: sail, frequency: 1}", "model.flexible.x.kind: 'sail' is unknown"),
         ("{kind: beam, frequency: 1}", "model.flexible.x.frequency: a beam takes frequencies"),
-        ("{kind: gear, joint: joint_3, stiffness: 1e4}", "actuation.drives.rotor_inertia: give that of joint_3"),
+        (
+            "{kind: gear, joint: joint_3, stiffness: 1e4}",
+            "actuation.drives.rotor_inertia: give that of joint_3",
+        ),
         ("{axis: [0, 1, 0], frequency: 1}", "model.flexible.x.axis: must be across direction"),
         ("{frequency: 1, damping_ratio: 1.5}", "model.flexible.x.damping_ratio"),
         ("{kind: joint, frequency: 1}", "model.flexible.x.joint: name the joint"),

@@ -1,4 +1,6 @@
-"""Free floating: J*, H*, momentum and reaction null space against Pinocchio, MuJoCo and free motion of the plant."""
+"""Free floating: J*, H*, momentum and reaction null space against Pinocchio, MuJoCo and free motion
+of the plant.
+"""
 
 import dataclasses
 import itertools
@@ -29,7 +31,9 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.plant import base_body
 
 SCENARIOS = ("postcapture", "seven_joint", "planar_detumble")
-OFF_CENTRE = MassProperties(mass=70.0, center_of_mass=[0.2, -0.3, 0.15], inertia=[12.0, 9.0, 7.0, 1.5, -0.8, 0.6])
+OFF_CENTRE = MassProperties(
+    mass=70.0, center_of_mass=[0.2, -0.3, 0.15], inertia=[12.0, 9.0, 7.0, 1.5, -0.8, 0.6]
+)
 BASE_CENTRE = np.array([0.21, -0.13, 0.17])  # m, of mass, from the base's frame
 STATES = 334  # of each spacecraft: 1,000 in all
 
@@ -48,8 +52,14 @@ def make_case(scenario: str) -> Case:
     set_payload(model.plant, model.context, body=loaded.payload.body, properties=OFF_CENTRE)
     base = base_body(model.plant)
     mass = base.default_mass()
-    inertia = RotationalInertia(Ixx=0.5 * mass, Iyy=0.6 * mass, Izz=0.4 * mass, Ixy=0.03 * mass, Ixz=-0.02 * mass,
-                                Iyz=0.01 * mass)  # fmt: skip
+    inertia = RotationalInertia(
+        Ixx=0.5 * mass,
+        Iyy=0.6 * mass,
+        Izz=0.4 * mass,
+        Ixy=0.03 * mass,
+        Ixz=-0.02 * mass,
+        Iyz=0.01 * mass,
+    )
     moved = SpatialInertia.MakeFromCentralInertia(mass=mass, p_PScm_E=BASE_CENTRE, I_SScm_E=inertia)
     base.SetSpatialInertiaInBodyFrame(model.context, moved)
     return Case(model=model, payload=loaded.payload.body)
@@ -70,7 +80,9 @@ def random_states(model: PlantModel, count: int) -> tuple[np.ndarray, np.ndarray
     rng = np.random.default_rng(17)
     joints = len(model.coordinates.joints)
     attitudes = Rotation.random(count, random_state=17).as_quat()[:, [3, 0, 1, 2]]
-    q = np.hstack([attitudes, rng.uniform(-3, 3, (count, 3)), rng.uniform(-np.pi, np.pi, (count, joints))])
+    q = np.hstack(
+        [attitudes, rng.uniform(-3, 3, (count, 3)), rng.uniform(-np.pi, np.pi, (count, joints))]
+    )
     return q, rng.normal(size=(count, 6 + joints))
 
 
@@ -89,11 +101,17 @@ class Link:
 def links_of(case: Case) -> tuple[list[Link], RigidTransform]:
     """The tree as numbers, and the payload's frame in its last link."""
     plant, context = case.model.plant, case.model.context
-    joints = [joint for joint in map(plant.get_joint, plant.GetJointIndices()) if joint.num_velocities() == 1]
+    joints = [
+        joint
+        for joint in map(plant.get_joint, plant.GetJointIndices())
+        if joint.num_velocities() == 1
+    ]
     joints.sort(key=lambda joint: joint.velocity_start())
     bodies = [base_body(plant), *(joint.child_body() for joint in joints)]
     plant.SetPositions(context, np.r_[1.0, np.zeros(plant.num_positions() - 1)])
-    link_of = {each.index(): i for i, body in enumerate(bodies) for each in plant.GetBodiesWeldedTo(body)}
+    link_of = {
+        each.index(): i for i, body in enumerate(bodies) for each in plant.GetBodiesWeldedTo(body)
+    }
     links = []
     for i, body in enumerate(bodies):
         parts = [index for index, link in link_of.items() if link == i]
@@ -110,12 +128,16 @@ def links_of(case: Case) -> tuple[list[Link], RigidTransform]:
         ))  # fmt: skip
     payload = plant.GetBodyByName(case.payload.rpartition("::")[2])
     assert link_of[payload.index()] == len(links) - 1
-    return links, plant.CalcRelativeTransform(context, bodies[-1].body_frame(), payload.body_frame())
+    return links, plant.CalcRelativeTransform(
+        context, bodies[-1].body_frame(), payload.body_frame()
+    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Found:
-    """What another library says of a state; base velocities in its own order and axes, joints last."""
+    """What another library says of a state; base velocities in its own order and axes, joints
+    last.
+    """
 
     jacobian: np.ndarray  # (6, nv) of the payload's frame, [w; v] in world axes
     base_to_drake: np.ndarray  # (6, 6): [w_WB; v_WB] of its own base velocities
@@ -126,7 +148,9 @@ class Found:
 
 
 def pinocchio_states(case: Case, q: np.ndarray, v: np.ndarray) -> Iterator[Found]:
-    """Base velocities (v_B, w_B), in the base's axes; the coupling is from the centroidal momentum matrix."""
+    """Base velocities (v_B, w_B), in the base's axes; the coupling is from the centroidal momentum
+    matrix.
+    """
     pin = pytest.importorskip("pinocchio", reason="needs the extra 'oracles'")
     links, place = links_of(case)
 
@@ -140,7 +164,9 @@ def pinocchio_states(case: Case, q: np.ndarray, v: np.ndarray) -> Iterator[Found
         kind = pin.JointModelRevoluteUnaligned(link.axis) if i else pin.JointModelFreeFlyer()
         parent = joints[link.parent] if i else 0
         joints.append(model.addJoint(parent, kind, se3(link.place), f"j{i}"))
-        model.appendBodyToJoint(joints[-1], pin.Inertia(link.mass, link.center, link.inertia), pin.SE3.Identity())
+        model.appendBodyToJoint(
+            joints[-1], pin.Inertia(link.mass, link.center, link.inertia), pin.SE3.Identity()
+        )
     frame = model.addFrame(pin.Frame("payload", joints[-1], 0, se3(place), pin.FrameType.OP_FRAME))
     data = model.createData()
     for q_i, v_i in zip(q, v, strict=True):
@@ -150,7 +176,9 @@ def pinocchio_states(case: Case, q: np.ndarray, v: np.ndarray) -> Iterator[Found
         acceleration = pin.aba(model, data, qp, vp, np.zeros(model.nv)).copy()
         inverse = np.array(pin.computeMinverse(model, data, qp))
         inverse = np.triu(inverse) + np.triu(inverse, 1).T
-        jacobian = pin.computeFrameJacobian(model, data, qp, frame, pin.LOCAL_WORLD_ALIGNED)[[3, 4, 5, 0, 1, 2]]
+        jacobian = pin.computeFrameJacobian(model, data, qp, frame, pin.LOCAL_WORLD_ALIGNED)[
+            [3, 4, 5, 0, 1, 2]
+        ]
         central = np.array(pin.computeCentroidalMap(model, data, qp))
         h = np.array(pin.computeCentroidalMomentum(model, data, qp, vp))
         yield Found(
@@ -180,7 +208,8 @@ def mujoco_states(case: Case, q: np.ndarray, v: np.ndarray) -> Iterator[Found]:
         turn = Rotation.from_matrix(axes * np.sign(np.linalg.det(axes))).as_quat()[[3, 0, 1, 2]]
         joint = f'<joint type="hinge" axis="{text(link.axis)}"/>' if i else "<freejoint/>"
         inside[link.parent] = inside.get(link.parent, "") + (
-            f'<body name="b{i}" {pose(link.place)}>{joint}<inertial pos="{text(link.center)}" quat="{text(turn)}" '
+            f'<body name="b{i}" {pose(link.place)}>{joint}<inertial pos="{text(link.center)}" '
+            f'quat="{text(turn)}" '
             f'mass="{link.mass!r}" diaginertia="{text(moments)}"/>{inside.get(i, "")}</body>'
         )
     spec = f'<mujoco><option gravity="0 0 0"/><worldbody>{inside[-1]}</worldbody></mujoco>'
@@ -213,7 +242,9 @@ def mujoco_states(case: Case, q: np.ndarray, v: np.ndarray) -> Iterator[Found]:
 
 
 Library = Callable[[Case, np.ndarray, np.ndarray], Iterator[Found]]
-of_each_library = pytest.mark.parametrize("library", [pinocchio_states, mujoco_states], ids=["pinocchio", "mujoco"])
+of_each_library = pytest.mark.parametrize(
+    "library", [pinocchio_states, mujoco_states], ids=["pinocchio", "mujoco"]
+)
 
 
 def stacked(library: Library, case: Case, q: np.ndarray, v: np.ndarray) -> Found:
@@ -229,7 +260,9 @@ def assert_near(mine: np.ndarray, theirs: np.ndarray, *, vectors: bool = False) 
         return assert_near(mine[:, 3:6], theirs[:, 3:6])
     assert mine.shape == theirs.shape
     axes = tuple(range(1, theirs.ndim))
-    assert (np.abs(mine - theirs).max(axis=axes) / np.maximum(np.abs(theirs).max(axis=axes), 1e-3)).max() < 1e-10
+    assert (
+        np.abs(mine - theirs).max(axis=axes) / np.maximum(np.abs(theirs).max(axis=axes), 1e-3)
+    ).max() < 1e-10
     return None
 
 
@@ -247,7 +280,8 @@ def test_generalized_jacobian_reduced_dynamics_and_projectors(case: Case, librar
     generalized = ours.generalized_jacobian(jacobian)
     expected = theirs.jacobian[..., 6:] + theirs.jacobian[..., :6] @ theirs.coupling
     assert_near(generalized, expected, vectors=True)
-    reduced = np.linalg.inv(theirs.inverse_mass_matrix[:, 6:, 6:])  # the joints' accelerations under their torques
+    # the joints' accelerations under their torques
+    reduced = np.linalg.inv(theirs.inverse_mass_matrix[:, 6:, 6:])
     assert_near(ours.reduced_mass_matrix, reduced)
     bias = ours.reduced_bias(model.calc_bias(q, v))
     assert_near(bias, -applied(reduced, theirs.free_acceleration[:, 6:]))
@@ -259,7 +293,10 @@ def test_generalized_jacobian_reduced_dynamics_and_projectors(case: Case, librar
     their_twist = applied(theirs.jacobian, np.hstack([base, v[:, 6:]]))
     assert_near(twist, their_twist, vectors=True)
     coupling = theirs.base_to_drake @ theirs.coupling
-    for held, rows in ((("base_rotation",), coupling[:, :3]), (("base_rotation", "base_position"), coupling)):
+    for held, rows in (
+        (("base_rotation",), coupling[:, :3]),
+        (("base_rotation", "base_position"), coupling),
+    ):
         projector = np.eye(v.shape[1] - 6) - np.linalg.pinv(rows, rcond=1e-9) @ rows
         assert np.abs(ours.reaction_null_space(held) - projector).max() < 1e-10
 
@@ -277,12 +314,14 @@ def test_with_driven_attitude_the_position_follows(case: Case, library: Library)
     inverse = turn @ theirs.inverse_mass_matrix @ turn.transpose(0, 2, 1)
     reduced = np.linalg.inv(inverse[:, driven[:, None], driven])
     assert_near(ours.reduced_mass_matrix, reduced)
-    # Under forces on driven coordinates alone, accelerations from rest are in the proportion of the velocities.
+    # Under forces on driven coordinates alone, accelerations from rest are in the proportion of the
+    # velocities.
     following = inverse[:, 3:6, driven] @ reduced
     their_jacobian = theirs.jacobian @ turn.transpose(0, 2, 1)
     expected = their_jacobian[..., driven] + their_jacobian[..., 3:6] @ following
     assert_near(ours.generalized_jacobian(jacobian), expected, vectors=True)
-    # dw/dt in world axes is R times that in the base's: no further term for the rows that are driven.
+    # dw/dt in world axes is R times that in the base's: no further term for the rows that are
+    # driven.
     accelerations = applied(turn, theirs.free_acceleration)[:, driven]
     assert_near(ours.reduced_bias(model.calc_bias(q, v)), -applied(reduced, accelerations))
     assert_near(ours.velocity(v[:, driven], theirs.momentum), v)
@@ -301,7 +340,9 @@ def test_angular_momentum_about_the_centre_of_mass(case: Case) -> None:
 
 
 def test_a_free_plant_moves_as_momentum_says(case: Case) -> None:
-    """Torques on the joints alone: the frame's velocity, by differences of its pose, is J* q' + drift."""
+    """Torques on the joints alone: the frame's velocity, by differences of its pose, is J* q' +
+    drift.
+    """
     model, plant, context = case.model, case.model.plant, case.model.context.Clone()
     q, v = (each[0] for each in random_states(model, 1))
     v = 0.3 * v
@@ -312,7 +353,10 @@ def test_a_free_plant_moves_as_momentum_says(case: Case) -> None:
     plant.get_applied_generalized_force_input_port().FixValue(context, torques)
     simulator = Simulator(plant, context)
     config = SimulatorConfig(
-        integration_scheme="runge_kutta5", max_step_size=0.05, accuracy=1e-13, use_error_control=True
+        integration_scheme="runge_kutta5",
+        max_step_size=0.05,
+        accuracy=1e-13,
+        use_error_control=True,
     )
     ApplySimulatorConfig(config, simulator)
     step, states, poses = 2e-3, [], []
@@ -325,7 +369,10 @@ def test_a_free_plant_moves_as_momentum_says(case: Case) -> None:
     spacecraft, jacobian = free_floating(model, q), model.calc_jacobian(q, case.payload)
     twist = spacecraft.generalized_jacobian(jacobian) @ v[6:] + spacecraft.drift(jacobian, momentum)
     places = [X.translation() for X in poses]
-    turns = [Rotation.from_matrix((X.rotation() @ poses[2].rotation().inverse()).matrix()).as_rotvec() for X in poses]
+    turns = [
+        Rotation.from_matrix((X.rotation() @ poses[2].rotation().inverse()).matrix()).as_rotvec()
+        for X in poses
+    ]
     for part, values in ((twist[:3], turns), (twist[3:], places)):
         measured = (8 * (values[3] - values[1]) - (values[4] - values[0])) / (12 * step)
         assert np.linalg.norm(measured) > 0.05
@@ -349,7 +396,10 @@ def test_singular_values_of_the_planar_servicer(planar: PlantModel) -> None:
     assert manipulability(generalized, task="position").smallest == pytest.approx(0.0, abs=1e-12)
     # Lengths of rotations: in attitude alone they scale all, in position none.
     for task, factor in (("attitude", 2.0), ("position", 1.0)):
-        near, far = (manipulability(generalized, task=task, length=length).singular_values for length in (1.0, 2.0))
+        near, far = (
+            manipulability(generalized, task=task, length=length).singular_values
+            for length in (1.0, 2.0)
+        )
         assert_allclose(far, factor * near, rtol=1e-12, atol=1e-15)
 
 
@@ -357,7 +407,9 @@ def test_a_circle_of_the_joints_turns_the_base(planar: PlantModel) -> None:
     """A closed path of the joints at zero momentum; the sum over a period is exact to rounding."""
     s = np.arange(200) / 200
     turn = 2 * np.pi * s
-    joints = np.stack([-0.72 + 0.5 * np.sin(turn), 1.2 + 0.5 * (1 - np.cos(turn)), np.full_like(s, 0.72)], axis=1)
+    joints = np.stack(
+        [-0.72 + 0.5 * np.sin(turn), 1.2 + 0.5 * (1 - np.cos(turn)), np.full_like(s, 0.72)], axis=1
+    )
     rates = np.pi * np.stack([np.cos(turn), np.sin(turn), np.zeros_like(s)], axis=1)
     q = np.hstack([np.tile(np.r_[1.0, np.zeros(6)], (s.size, 1)), joints])
     v = free_floating(planar, q).velocity(rates)
@@ -367,7 +419,9 @@ def test_a_circle_of_the_joints_turns_the_base(planar: PlantModel) -> None:
 
 
 def test_null_space_motion_leaves_the_bases_attitude_alone() -> None:
-    """30 s of joint motion of the seven-joint arm; the same rates without the projector turn the base."""
+    """30 s of joint motion of the seven-joint arm; the same rates without the projector turn the
+    base.
+    """
     scenario = load_scenario("seven_joint")
     model = make_true_plant(scenario)
     wanted = np.array([0.1, -0.08, 0.06, 0.05, -0.07, 0.09, 0.04])  # rad/s
@@ -395,8 +449,11 @@ def test_null_space_motion_leaves_the_bases_attitude_alone() -> None:
 def test_with_no_freedom_left_the_projector_is_zero(planar: PlantModel) -> None:
     q, _ = random_states(planar, 3)
     spacecraft = free_floating(planar, q)
-    assert_allclose(spacecraft.reaction_null_space(("base_rotation", "base_position")), 0.0, rtol=0, atol=1e-9)
-    assert_allclose(np.trace(spacecraft.reaction_null_space(), axis1=1, axis2=2), 2.0)  # three joints, one angle
+    assert_allclose(
+        spacecraft.reaction_null_space(("base_rotation", "base_position")), 0.0, rtol=0, atol=1e-9
+    )
+    # three joints, one angle
+    assert_allclose(np.trace(spacecraft.reaction_null_space(), axis1=1, axis2=2), 2.0)
     everything = free_floating(planar, q, ("all",))
     assert_allclose(everything.reduced_mass_matrix, everything.mass_matrix, rtol=0, atol=0)
     assert_allclose(
@@ -408,17 +465,23 @@ def test_with_no_freedom_left_the_projector_is_zero(planar: PlantModel) -> None:
 
 
 def test_singularities_along_a_motion(planar: PlantModel) -> None:
-    """Joint 2 swings through the stretched arm; the fixed-base arm is singular at another instant than the free one."""
+    """Joint 2 swings through the stretched arm; the fixed-base arm is singular at another instant
+    than the free one.
+    """
     times = np.linspace(0.0, 4.0, 21)
 
     def positions(some: np.ndarray) -> np.ndarray:
-        joints = np.stack([np.full_like(some, -0.72), 1.2 - 0.6 * some, np.full_like(some, 0.72)], axis=1)
+        joints = np.stack(
+            [np.full_like(some, -0.72), 1.2 - 0.6 * some, np.full_like(some, 0.72)], axis=1
+        )
         return np.hstack([np.tile(np.r_[1.0, np.zeros(6)], (some.size, 1)), joints])
 
     def determinant(time: float) -> float:
         q = positions(np.array([time]))[0]
         jacobian = planar.calc_jacobian(q, "debris::target")
-        return float(np.linalg.det(free_floating(planar, q).generalized_jacobian(jacobian)[[1, 3, 5]]))
+        return float(
+            np.linalg.det(free_floating(planar, q).generalized_jacobian(jacobian)[[1, 3, 5]])
+        )
 
     found = singularities_along(planar, positions, times, "debris::target", below=1e-6)
     crossings = [
@@ -432,7 +495,9 @@ def test_singularities_along_a_motion(planar: PlantModel) -> None:
     sampled = manipulability_along(planar, positions(times), "debris::target")
     assert sampled.smallest.min() > 1e-4  # between the samples
     q = positions(np.array([found[0].time]))[0]
-    jacobian = free_floating(planar, q).generalized_jacobian(planar.calc_jacobian(q, "debris::target"))
+    jacobian = free_floating(planar, q).generalized_jacobian(
+        planar.calc_jacobian(q, "debris::target")
+    )
     assert_allclose(found[0].lost @ jacobian, 0.0, rtol=0, atol=1e-6)
     assert not singularities_along(planar, positions, times, "debris::target", below=1e-12)
 
@@ -441,7 +506,9 @@ def test_dynamic_singularities_do_not_depend_on_the_bases_pose(case: Case) -> No
     q, _ = random_states(case.model, 20)
     moved = q.copy()
     moved[:, :4], moved[:, 4:7] = q[::-1, :4], -q[:, 4:7]
-    here, there = (manipulability_along(case.model, each, case.payload).singular_values for each in (q, moved))
+    here, there = (
+        manipulability_along(case.model, each, case.payload).singular_values for each in (q, moved)
+    )
     assert_allclose(there, here, rtol=1e-10, atol=1e-12)
 
 

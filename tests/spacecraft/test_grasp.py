@@ -1,4 +1,6 @@
-"""The grasp of a moving target: conservation laws, MuJoCo's weld, and figures from an independent prototype."""
+"""The grasp of a moving target: conservation laws, MuJoCo's weld, and figures from an independent
+prototype.
+"""
 
 import mujoco
 import mujoco_oracle as oracle
@@ -20,9 +22,15 @@ AXIS = np.array([0.6, 0.48, 0.64])
 
 
 def tumbling(degrees: float, *overrides: str) -> Scenario:
-    """The shipped posture, the target at rest at its centre, the joints following its grasp frame."""
+    """The shipped posture, the target at rest at its centre, the joints following its grasp
+    frame.
+    """
     rate = (np.radians(degrees) * AXIS).tolist()
-    own = ["reference.base_rotation=eigenaxis", f"capture.rate={rate}", "capture.servicer=track_joints"]
+    own = [
+        "reference.base_rotation=eigenaxis",
+        f"capture.rate={rate}",
+        "capture.servicer=track_joints",
+    ]
     return load_scenario("postcapture", [*own, "capture.tracking_length=0.3", *overrides])
 
 
@@ -37,19 +45,25 @@ def random_target(rng: np.random.Generator) -> MassProperties:
     turn = Rotation.random(random_state=rng).as_matrix()
     inertia = turn @ np.diag(mass / 12 * (size @ size - size**2)) @ turn.T
     i, j = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
-    return MassProperties(mass=mass, center_of_mass=rng.uniform(-0.5, 0.5, 3).tolist(), inertia=inertia[i, j].tolist())
+    return MassProperties(
+        mass=mass, center_of_mass=rng.uniform(-0.5, 0.5, 3).tolist(), inertia=inertia[i, j].tolist()
+    )
 
 
 def momentum_and_energy(
     target: MassProperties, X_WP: RigidTransform, V: np.ndarray, *, about: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Of the target alone, from its mass properties: (6; angular about a point (3) of the world, linear), and J."""
+    """Of the target alone, from its mass properties: (6; angular about a point (3) of the world,
+    linear), and J.
+    """
     R = X_WP.rotation().matrix()
     arm, inertia = R @ target.center_of_mass, R @ inertia_matrix(target) @ R.T
     velocity = V[3:] + np.cross(V[:3], arm)
     linear = target.mass * velocity
     angular = inertia @ V[:3] + np.cross(X_WP.translation() + arm - about, linear)
-    return np.concatenate([angular, linear]), 0.5 * float(V[:3] @ inertia @ V[:3] + linear @ velocity)
+    return np.concatenate([angular, linear]), 0.5 * float(
+        V[:3] @ inertia @ V[:3] + linear @ velocity
+    )
 
 
 def test_momentum_is_kept_and_energy_never_rises_in_random_grasps(model: PlantModel) -> None:
@@ -61,7 +75,9 @@ def test_momentum_is_kept_and_energy_never_rises_in_random_grasps(model: PlantMo
         target, braked = random_target(rng), range(6, 6 + case % 6)
         body.SetSpatialInertiaInBodyFrame(context, spatial_inertia(target))
         quaternion = rng.normal(size=4)
-        q = np.concatenate([quaternion / np.linalg.norm(quaternion), rng.uniform(-2, 2, 3), rng.uniform(-3, 3, 5)])
+        q = np.concatenate(
+            [quaternion / np.linalg.norm(quaternion), rng.uniform(-2, 2, 3), rng.uniform(-3, 3, 5)]
+        )
         v, V = rng.normal(scale=0.1, size=11), rng.normal(scale=0.2, size=6)
         plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
         X_WP = body.EvalPoseInWorld(context)
@@ -75,11 +91,15 @@ def test_momentum_is_kept_and_energy_never_rises_in_random_grasps(model: PlantMo
             target_velocity=V,
             braked=braked,
         )
-        # Of the servicer alone by Drake, of the target from its mass properties; both about the base.
+        # Of the servicer alone by Drake, of the target from its mass properties; both about the
+        # base.
         before = plant.CalcSpatialMomentumInWorldAboutPoint(context, servicer, q[4:7]).get_coeffs()
         _, energy_of_held = momentum_and_energy(target, X_WP, twist_of(model, body), about=q[4:7])
         of_target, energy = momentum_and_energy(target, X_WP, V, about=q[4:7])
-        before, energy = before + of_target, plant.CalcKineticEnergy(context) - energy_of_held + energy
+        before, energy = (
+            before + of_target,
+            plant.CalcKineticEnergy(context) - energy_of_held + energy,
+        )
         plant.SetVelocities(context, grasp.velocity)
         after = plant.CalcSpatialMomentumInWorldAboutPoint(context, q[4:7]).get_coeffs()
         for part in (slice(0, 3), slice(3, 6)):
@@ -96,14 +116,20 @@ def test_momentum_is_kept_and_energy_never_rises_in_random_grasps(model: PlantMo
         if case % 10:
             continue
         # The target goes on with what it was given.
-        given, _ = momentum_and_energy(target, X_WP, twist_of(model, body), about=X_WP.translation())
+        given, _ = momentum_and_energy(
+            target, X_WP, twist_of(model, body), about=X_WP.translation()
+        )
         of_target, _ = momentum_and_energy(target, X_WP, V, about=X_WP.translation())
-        assert np.linalg.norm(given - of_target - grasp.impulse) <= 1e-11 * np.linalg.norm(of_target)
+        assert np.linalg.norm(given - of_target - grasp.impulse) <= 1e-11 * np.linalg.norm(
+            of_target
+        )
     assert np.min(spins) > 1.0  # none of the grasps was of something at rest
 
 
 def test_a_contact_is_told_about_the_points_that_it_names(model: PlantModel) -> None:
-    scenario = tumbling(5.0, "capture.joints=braked", "payload.truth.center_of_mass=[0.1, 0.2, -0.1]")
+    scenario = tumbling(
+        5.0, "capture.joints=braked", "payload.truth.center_of_mass=[0.1, 0.2, -0.1]"
+    )
     model, origin = make_true_plant(scenario), np.zeros(3)
     contact = planned_contact(scenario, model)
     plant, context = model.plant, model.context
@@ -120,7 +146,8 @@ def test_a_contact_is_told_about_the_points_that_it_names(model: PlantModel) -> 
     body, end_effector = plant.GetBodyByName("debris"), plant.GetFrameByName("end_effector")
     X_WP, held = body.EvalPoseInWorld(context), twist_of(model, body)
     gained, lost = (
-        momentum_and_energy(scenario.payload.truth, X_WP, V, about=origin)[0] for V in (held, contact.target_velocity)
+        momentum_and_energy(scenario.payload.truth, X_WP, V, about=origin)[0]
+        for V in (held, contact.target_velocity)
     )
     arm = end_effector.CalcPoseInWorld(context).translation()
     impulse = contact.impulse + np.concatenate([np.cross(arm, contact.impulse[3:]), origin])
@@ -133,9 +160,14 @@ def twist_of(model: PlantModel, body: RigidBody) -> np.ndarray:
 
 def test_a_target_that_moves_with_the_arm_is_grasped_without_impulse(model: PlantModel) -> None:
     scenario = tumbling(0.0)
-    q, rng = np.concatenate([[1.0, 0, 0, 0], np.zeros(3), [0.3, 0.2, 0.9, 0.6, -0.7]]), np.random.default_rng(2)
+    q, rng = (
+        np.concatenate([[1.0, 0, 0, 0], np.zeros(3), [0.3, 0.2, 0.9, 0.6, -0.7]]),
+        np.random.default_rng(2),
+    )
     v = rng.normal(size=11)
-    set_payload(model.plant, model.context, body="debris::debris", properties=scenario.payload.truth)
+    set_payload(
+        model.plant, model.context, body="debris::debris", properties=scenario.payload.truth
+    )
     model.plant.SetPositions(model.context, q)
     model.plant.SetVelocities(model.context, v)
     twist = twist_of(model, model.plant.GetBodyByName("debris"))
@@ -144,7 +176,8 @@ def test_a_target_that_moves_with_the_arm_is_grasped_without_impulse(model: Plan
     assert_allclose(contact.impulse, 0.0, atol=1e-12)
 
 
-# Largest joint rate before, deg/s; impulse, N s and, about the target's centre, N m s; energy before and after, J.
+# Largest joint rate before, deg/s; impulse, N s and, about the target's centre, N m s; energy
+# before and after, J.
 PROTOTYPE = {
     2: (3.0, 0.08, 0.17, 0.011, 0.010),
     5: (7.5, 0.21, 0.42, 0.069, 0.063),
@@ -169,7 +202,11 @@ def test_base_and_joints_together_follow_the_grasp_frame_exactly(model: PlantMod
     contact = planned_contact(scenario, make_true_plant(scenario))
     assert_allclose(contact.impulse, 0.0, atol=1e-11)
     assert contact.grasp.energy_after == pytest.approx(contact.grasp.energy_before, rel=1e-12)
-    dear = tumbling(5.0, "capture.servicer=track_all", "capture.tracking_cost={base_rotation: 100, base_position: 100}")
+    dear = tumbling(
+        5.0,
+        "capture.servicer=track_all",
+        "capture.tracking_cost={base_rotation: 100, base_position: 100}",
+    )
     moves = planned_contact(dear, make_true_plant(dear))
     assert_allclose(moves.impulse, 0.0, atol=1e-10)  # as exactly, with less of the base
     assert np.abs(moves.velocity[:3]).max() < 0.5 * np.abs(contact.velocity[:3]).max()
@@ -190,7 +227,11 @@ def test_rate_and_velocity_are_in_the_axes_that_are_named(model: PlantModel) -> 
 
 def test_a_target_of_several_bodies_is_refused() -> None:
     scenario = tumbling(1.0, "payload.body=servicer::base")
-    with pytest.raises(ModelError, match=r"payload\.body: 'servicer::base' is a body of the servicer; capture takes"):
+    with pytest.raises(
+        ModelError,
+        match=r"payload\.body: 'servicer::base' is a body of the "
+        r"servicer; capture takes",
+    ):
         planned_contact(scenario, make_true_plant(tumbling(1.0)))
     unknown = tumbling(1.0, "capture.tracking_cost.joint_9=2")
     with pytest.raises(ScenarioError, match=r"capture\.tracking_cost\.joint_9: unknown coordinate"):
@@ -200,22 +241,31 @@ def test_a_target_of_several_bodies_is_refused() -> None:
 def test_the_base_has_no_brakes() -> None:
     with pytest.raises(ValueError, match="have the indices 6 to 6, not \\[5\\]"):
         plastic_grasp(
-            mass_matrix=np.eye(7), jacobian=np.zeros((6, 7)), target_inertia=np.eye(6), velocity=np.zeros(7),
-            target_velocity=np.zeros(6), braked=[5],
-        )  # fmt: skip
+            mass_matrix=np.eye(7),
+            jacobian=np.zeros((6, 7)),
+            target_inertia=np.eye(6),
+            velocity=np.zeros(7),
+            target_velocity=np.zeros(6),
+            braked=[5],
+        )
 
 
 @pytest.mark.parametrize("joints", ["free", "braked"])
 def test_a_stiff_gripper_gives_the_impulse_of_the_plastic_grasp(joints: str) -> None:
-    scenario = tumbling(5.0, "capture.compliance.stiffness=5e4", f"capture.joints={joints}", "capture.servicer=rest")
+    scenario = tumbling(
+        5.0, "capture.compliance.stiffness=5e4", f"capture.joints={joints}", "capture.servicer=rest"
+    )
     contact = planned_contact(scenario, make_true_plant(scenario))
     assert contact.compliant is not None
     # The brakes act on joints that are at rest already.
     assert_allclose(contact.compliant.impulse, contact.impulse, rtol=1e-9, atol=1e-12)
     stiffer = tumbling(
-        5.0, f"capture.joints={joints}", "capture.servicer=rest",
-        "capture.compliance={stiffness: 2e5, damping: 2e3, rotational_stiffness: 4e4, rotational_damping: 1000}",
-    )  # fmt: skip
+        5.0,
+        f"capture.joints={joints}",
+        "capture.servicer=rest",
+        "capture.compliance={stiffness: 2e5, damping: 2e3, rotational_stiffness: 4e4, "
+        "rotational_damping: 1000}",
+    )
     other = planned_contact(stiffer, make_true_plant(stiffer)).compliant
     assert other is not None
     # Four times as stiff, twice as damped: everything happens twice as fast, with twice the force.
@@ -226,14 +276,20 @@ def test_a_stiff_gripper_gives_the_impulse_of_the_plastic_grasp(joints: str) -> 
 
 
 def test_a_gripper_between_two_masses_is_a_damped_oscillator() -> None:
-    """One direction of a free base of 3 kg and a target of 6 kg, weakly damped: F = v sqrt(k m), m the reduced mass."""
+    """One direction of a free base of 3 kg and a target of 6 kg, weakly damped: F = v sqrt(k m), m
+    the reduced mass.
+    """
     base, target, k = np.eye(7) * 3.0, np.eye(6) * 6.0, 50.0
     jacobian = np.eye(6, 7)
     grasp = compliant_grasp(
-        mass_matrix=base + jacobian.T @ target @ jacobian, jacobian=jacobian, target_inertia=target,
-        velocity=np.zeros(7), target_velocity=np.array([0.0, 0, 0, 0.7, 0, 0]), stiffness=np.full(6, k),
+        mass_matrix=base + jacobian.T @ target @ jacobian,
+        jacobian=jacobian,
+        target_inertia=target,
+        velocity=np.zeros(7),
+        target_velocity=np.array([0.0, 0, 0, 0.7, 0, 0]),
+        stiffness=np.full(6, k),
         damping=np.full(6, 1e-4),
-    )  # fmt: skip
+    )
     reduced = 3.0 * 6.0 / 9.0
     assert grasp.peak_force == pytest.approx(0.7 * np.sqrt(k * reduced), rel=1e-3)
     assert grasp.peak_stretch == pytest.approx(0.7 * np.sqrt(reduced / k), rel=1e-3)
@@ -246,7 +302,9 @@ def test_a_gripper_between_two_masses_is_a_damped_oscillator() -> None:
 def mujoco_weld(
     q: np.ndarray, v: np.ndarray, X_WP: RigidTransform, V: np.ndarray, *, time_constant: float
 ) -> np.ndarray:
-    """Rates (11, Drake's order) of MuJoCo's own bodies, 12 time constants after its weld takes hold."""
+    """Rates (11, Drake's order) of MuJoCo's own bodies, 12 time constants after its weld takes
+    hold.
+    """
     servicer, _, target = oracle.mjcf(oracle.TRUE_TARGET).partition('<body name="target"')
     held, end, rest = target.partition("</body>")
     free = '<body name="target"><freejoint/>' + held.partition(">")[2] + end
@@ -255,7 +313,9 @@ def mujoco_weld(
     text = servicer + rest.replace("</worldbody>", f"{free}</worldbody>" + f"""
       <equality><weld body1="link_5" body2="target" relpose="0 0 {reach} 1 0 0 0"
         solref="{time_constant} 1" solimp="0.9999 0.9999 1 0.5 2"/></equality>""")  # fmt: skip
-    text = text.replace('gravity="0 0 0"', f'gravity="0 0 0" timestep="{time_constant / 20}" tolerance="1e-15"')
+    text = text.replace(
+        'gravity="0 0 0"', f'gravity="0 0 0" timestep="{time_constant / 20}" tolerance="1e-15"'
+    )
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     configuration, rates = q[oracle.Q_FROM_DRAKE], v[oracle.V_FROM_DRAKE]
@@ -275,10 +335,13 @@ def test_it_is_the_limit_of_mujocos_weld() -> None:
     X_WP = model.plant.GetBodyByName("debris").EvalPoseInWorld(model.context)
     jump = np.linalg.norm(contact.grasp.velocity - contact.velocity)
     first, second = (
-        mujoco_weld(contact.q, contact.velocity, X_WP, contact.target_velocity, time_constant=constant)
+        mujoco_weld(
+            contact.q, contact.velocity, X_WP, contact.target_velocity, time_constant=constant
+        )
         for constant in (2e-3, 1e-3)
     )
     errors = [np.linalg.norm(rates - contact.grasp.velocity) / jump for rates in (first, second)]
-    assert errors[0] == pytest.approx(2.0 * errors[1], rel=0.1)  # of first order in the time constant
+    # of first order in the time constant
+    assert errors[0] == pytest.approx(2.0 * errors[1], rel=0.1)
     limit = 2.0 * second - first
     assert np.linalg.norm(limit - contact.grasp.velocity) / jump < 1e-3

@@ -1,4 +1,6 @@
-"""Inverse dynamics of many states at once against Drake's, and its derivatives against differences."""
+"""Inverse dynamics of many states at once against Drake's, and its derivatives against
+differences.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +21,10 @@ def model(request):
 
 def states(model, count=20):
     rng = np.random.default_rng(3)
-    return rng.normal(size=(3, len(model.coordinates.names), count)) * np.array([0.8, 0.5, 0.5])[:, None, None]
+    return (
+        rng.normal(size=(3, len(model.coordinates.names), count))
+        * np.array([0.8, 0.5, 0.5])[:, None, None]
+    )
 
 
 def test_force_is_drakes_with_the_joints_damping(model):
@@ -35,7 +40,9 @@ def test_force_is_drakes_with_the_joints_damping(model):
         plant.SetVelocities(context, np.r_[w[:, k], rate[3:, k]])
         damping = MultibodyForces(plant)
         plant.CalcForceElementsContribution(context, damping)
-        expected = plant.CalcInverseDynamics(context, np.r_[alpha[:, k], acceleration[3:, k]], damping)
+        expected = plant.CalcInverseDynamics(
+            context, np.r_[alpha[:, k], acceleration[3:, k]], damping
+        )
         assert tau[:, k] == pytest.approx(expected, rel=1e-11, abs=1e-10)
 
 

@@ -60,7 +60,10 @@ def test_a_shape_goes_with_the_plate_that_is_nearest(plates, of_the_model):
         if body.startswith("port_"):
             center = (int(body.removeprefix("port_")) - 0.5) * length + HINGE[1]
             # The last panel of the model reaches beyond the plates.
-            assert abs(X_WG.translation()[1] - center) <= 0.5 * length + 0.05 or body == f"port_{plates}"
+            assert (
+                abs(X_WG.translation()[1] - center) <= 0.5 * length + 0.05
+                or body == f"port_{plates}"
+            )
             assert (name in rigid) == of_the_model
     on_plates = {body for body, _ in chain.values() if body.startswith("port_")}
     assert len(on_plates) == plates
@@ -71,7 +74,11 @@ def test_a_shape_goes_with_the_plate_that_is_nearest(plates, of_the_model):
 
 def test_a_panel_elsewhere_is_drawn_as_a_plate():
     # There are thrusters' nozzles beside its root, which stay where they are.
-    model = Model(flexible={"fin": Flexible(position=[0.0, 0.0, -1.0], direction=[0.0, 0.0, -1.0], frequency=1.0)})
+    model = Model(
+        flexible={
+            "fin": Flexible(position=[0.0, 0.0, -1.0], direction=[0.0, 0.0, -1.0], frequency=1.0)
+        }
+    )
     found = shapes(model)
     assert [name for name, (body, _) in found.items() if body == "fin"] == ["flexible::fin_visual"]
     assert len(found) == len(shapes(Model(), flexible=False)) + 1

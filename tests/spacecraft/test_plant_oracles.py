@@ -1,4 +1,6 @@
-"""The plant against MuJoCo and Pinocchio (models built from the paper's numbers), and against the laws of mechanics."""
+"""The plant against MuJoCo and Pinocchio (models built from the paper's numbers), and against the
+laws of mechanics.
+"""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -24,10 +26,13 @@ from ffsm_drake.spacecraft.plant import make_plant
 
 DEBRIS = "debris::debris"
 TOTAL_MASS = 400 + 3 + 10 + 10 + 1.5 + 1.5 + 100
-OFF_CENTRE = oracle.Target(70.0, center_of_mass=(0.2, -0.3, 0.15), inertia=(12.0, 9.0, 7.0, 1.5, -0.8, 0.6))
+OFF_CENTRE = oracle.Target(
+    70.0, center_of_mass=(0.2, -0.3, 0.15), inertia=(12.0, 9.0, 7.0, 1.5, -0.8, 0.6)
+)
 
 State = tuple[np.ndarray, np.ndarray, np.ndarray]  # q, v and generalized force
-Dynamics = tuple[np.ndarray, np.ndarray, np.ndarray]  # mass matrix, bias term, acceleration; all in Drake's order
+# mass matrix, bias term, acceleration; all in Drake's order
+Dynamics = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def random_states(number: int) -> Iterator[State]:
@@ -83,7 +88,9 @@ def drake_dynamics(plant: MultibodyPlant, context: Context, state: State) -> Dyn
     return plant.CalcMassMatrix(context), plant.CalcBiasTerm(context), acceleration
 
 
-def mujoco_dynamics(target: oracle.Target, rotors: np.ndarray | float = 0.0) -> Callable[[State], Dynamics]:
+def mujoco_dynamics(
+    target: oracle.Target, rotors: np.ndarray | float = 0.0
+) -> Callable[[State], Dynamics]:
     """``rotors``: inertia of the joints' drives, seen at the joints (5), kg m^2."""
     spacecraft = oracle.MujocoSpacecraft(target)
     spacecraft.model.dof_armature[6:] = rotors
@@ -104,7 +111,9 @@ def mujoco_dynamics(target: oracle.Target, rotors: np.ndarray | float = 0.0) -> 
 def pinocchio_dynamics(
     pin: Any, target: oracle.Target, rotors: np.ndarray | float = 0.0
 ) -> Callable[[State], Dynamics]:
-    """Pinocchio takes q = (p_WB, quaternion xyzw, joints) and v = (v_B, w_B, joint rates), both base vectors in B."""
+    """Pinocchio takes q = (p_WB, quaternion xyzw, joints) and v = (v_B, w_B, joint rates), both
+    base vectors in B.
+    """
 
     def at(z: float) -> Any:
         return pin.SE3(np.eye(3), np.array([0.0, 0.0, z]))
@@ -112,7 +121,9 @@ def pinocchio_dynamics(
     model = pin.Model()
     model.gravity = pin.Motion.Zero()
     body = model.addJoint(0, pin.JointModelFreeFlyer(), at(0.0), "base")
-    model.appendBodyToJoint(body, pin.Inertia(oracle.BASE_MASS, np.zeros(3), oracle.BASE_INERTIA * np.eye(3)), at(0.0))
+    model.appendBodyToJoint(
+        body, pin.Inertia(oracle.BASE_MASS, np.zeros(3), oracle.BASE_INERTIA * np.eye(3)), at(0.0)
+    )
     mounts = (oracle.ARM_MOUNT, *oracle.LINK_LENGTHS[:-1])
     for i, (mass, length, axis) in enumerate(
         zip(oracle.LINK_MASSES, oracle.LINK_LENGTHS, oracle.JOINT_AXES, strict=True)
@@ -129,7 +140,8 @@ def pinocchio_dynamics(
     def dynamics(state: State) -> Dynamics:
         q, v, force = state
         rotation = Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix()
-        # v_pin = to_pin v, and to_pin's rate times v is the rest of the acceleration: R^T (-w x v) for the base.
+        # v_pin = to_pin v, and to_pin's rate times v is the rest of the acceleration: R^T (-w x v)
+        # for the base.
         to_pin = np.zeros((11, 11))
         to_pin[0:3, 3:6] = to_pin[3:6, 0:3] = rotation.T
         to_pin[6:, 6:] = np.eye(5)
@@ -153,7 +165,9 @@ def pinocchio_dynamics(
 def assert_same_dynamics(
     ours: tuple[MultibodyPlant, Context, oracle.Target], theirs: Callable[[State], Dynamics]
 ) -> None:
-    """Each block by kind of coordinate agrees to 1e-10 of its own largest element, on 100 states."""
+    """Each block by kind of coordinate agrees to 1e-10 of its own largest element, on 100
+    states.
+    """
     plant, context, _ = ours
     groups = (slice(0, 3), slice(3, 6), slice(6, 11))
     for state in random_states(100):
@@ -161,7 +175,10 @@ def assert_same_dynamics(
             drake_dynamics(plant, context, state),
             theirs(state),
         )
-        pairs = [(mass_matrix[i, j], their_mass_matrix[i, j]) for i, j in itertools.product(groups, groups)]
+        pairs = [
+            (mass_matrix[i, j], their_mass_matrix[i, j])
+            for i, j in itertools.product(groups, groups)
+        ]
         pairs += [(a[i], b[i]) for a, b in zip(vectors, their_vectors, strict=True) for i in groups]
         for mine, expected in pairs:
             assert_allclose(mine, expected, rtol=0, atol=1e-10 * np.abs(expected).max() + 1e-14)
@@ -181,9 +198,13 @@ ROTORS = np.array([2.0, 0.5, 0.1, 3.0, 0.02])  # kg m^2, of a ratio of 100
 
 @pytest.mark.parametrize("name", ["mujoco", "pinocchio"])
 def test_rotors_of_drives_are_armature(name: str) -> None:
-    """Mass matrix, bias and acceleration; the mass matrix to 1e-12 of its largest element by kind of coordinate."""
+    """Mass matrix, bias and acceleration; the mass matrix to 1e-12 of its largest element by kind
+    of coordinate.
+    """
     rotors = {f"joint_{i + 1}": float(1e-4 * value) for i, value in enumerate(ROTORS)}
-    scenario = load_scenario("postcapture", [f"actuation.drives={{gear_ratio: 100, rotor_inertia: {rotors}}}"])
+    scenario = load_scenario(
+        "postcapture", [f"actuation.drives={{gear_ratio: 100, rotor_inertia: {rotors}}}"]
+    )
     model = make_true_plant(scenario)
     ours = (model.plant, model.context, oracle.TRUE_TARGET)
     if name == "mujoco":
@@ -195,10 +216,17 @@ def test_rotors_of_drives_are_armature(name: str) -> None:
     for state in random_states(20):
         mine, expected = drake_dynamics(model.plant, model.context, state)[0], theirs(state)[0]
         for i, j in itertools.product(groups, groups):
-            assert_allclose(mine[i, j], expected[i, j], rtol=0, atol=1e-12 * np.abs(expected[i, j]).max() + 1e-13)
+            assert_allclose(
+                mine[i, j],
+                expected[i, j],
+                rtol=0,
+                atol=1e-12 * np.abs(expected[i, j]).max() + 1e-13,
+            )
 
 
-def test_mass_matrix_is_symmetric_positive_definite(ours: tuple[MultibodyPlant, Context, oracle.Target]) -> None:
+def test_mass_matrix_is_symmetric_positive_definite(
+    ours: tuple[MultibodyPlant, Context, oracle.Target],
+) -> None:
     plant, context, _ = ours
     for q, _, _ in random_states(100):
         plant.SetPositions(context, q)
@@ -207,7 +235,9 @@ def test_mass_matrix_is_symmetric_positive_definite(ours: tuple[MultibodyPlant, 
         assert np.linalg.eigvalsh(mass_matrix).min() > 1e-3
 
 
-def mass_matrix_rate(plant: MultibodyPlant, context: Context, q: np.ndarray, q_dot: np.ndarray) -> np.ndarray:
+def mass_matrix_rate(
+    plant: MultibodyPlant, context: Context, q: np.ndarray, q_dot: np.ndarray
+) -> np.ndarray:
     """dH/dt (11, 11) along q_dot, by central differences of fourth order."""
     step = 1e-3
 
@@ -218,10 +248,14 @@ def mass_matrix_rate(plant: MultibodyPlant, context: Context, q: np.ndarray, q_d
     return (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * step)
 
 
-def test_power_of_all_forces_is_the_rate_of_kinetic_energy(plant: MultibodyPlant, context: Context) -> None:
-    """v.(H' v / 2 + H v') = v.f in forced motion, which is v.(H' - 2C) v = 0 with C v the bias term.
+def test_power_of_all_forces_is_the_rate_of_kinetic_energy(
+    plant: MultibodyPlant, context: Context
+) -> None:
+    """v.(H' v / 2 + H v') = v.f in forced motion, which is v.(H' - 2C) v = 0 with C v the bias
+    term.
 
-    Both forms hold in quasi-velocities too, as dT/dt and the power do not depend on the choice of coordinates.
+    Both forms hold in quasi-velocities too, as dT/dt and the power do not depend on the choice of
+    coordinates.
     """
     for state in random_states(100):
         q, v, force = state
@@ -233,8 +267,10 @@ def test_power_of_all_forces_is_the_rate_of_kinetic_energy(plant: MultibodyPlant
 
 
 def test_bias_term_is_that_of_christoffel_symbols(plant: MultibodyPlant, context: Context) -> None:
-    """In true coordinates x = (roll, pitch, yaw, p_WB, joints) the bias is C x' with C of Christoffel symbols of the
-    mass matrix M; only for that C is M' - 2C skew whatever multiplies it."""
+    """In true coordinates x = (roll, pitch, yaw, p_WB, joints) the bias is C x' with C of
+    Christoffel symbols of the mass matrix M; only for that C is M' - 2C skew whatever multiplies
+    it.
+    """
 
     def rates_map(x: np.ndarray) -> np.ndarray:
         """E (11, 11) of v = E x'."""
@@ -251,7 +287,9 @@ def test_bias_term_is_that_of_christoffel_symbols(plant: MultibodyPlant, context
         place(x)
         return rates_map(x).T @ plant.CalcMassMatrix(context) @ rates_map(x)
 
-    def derivative(of: Callable[[np.ndarray], np.ndarray], x: np.ndarray, along: np.ndarray) -> np.ndarray:
+    def derivative(
+        of: Callable[[np.ndarray], np.ndarray], x: np.ndarray, along: np.ndarray
+    ) -> np.ndarray:
         step = 1e-3
         near, far = (of(x + h * along) - of(x - h * along) for h in (step, 2 * step))
         return (8 * near - far) / (12 * step)
@@ -259,7 +297,8 @@ def test_bias_term_is_that_of_christoffel_symbols(plant: MultibodyPlant, context
     rng = np.random.default_rng(7)
     for _ in range(10):
         x, x_dot = rng.uniform(-1, 1, 11), rng.normal(size=11)
-        gradient = np.array([derivative(mass_matrix, x, unit) for unit in np.eye(11)])  # [k, i, j] = dM_ij / dx_k
+        # [k, i, j] = dM_ij / dx_k
+        gradient = np.array([derivative(mass_matrix, x, unit) for unit in np.eye(11)])
         coriolis = 0.5 * (
             np.einsum("kij,k->ij", gradient, x_dot)
             + np.einsum("jik,k->ij", gradient, x_dot)
@@ -268,7 +307,9 @@ def test_bias_term_is_that_of_christoffel_symbols(plant: MultibodyPlant, context
         to_v, to_v_rate = rates_map(x), derivative(rates_map, x, x_dot)
         place(x)
         plant.SetVelocities(context, to_v @ x_dot)
-        bias = to_v.T @ (plant.CalcBiasTerm(context) + plant.CalcMassMatrix(context) @ to_v_rate @ x_dot)
+        bias = to_v.T @ (
+            plant.CalcBiasTerm(context) + plant.CalcMassMatrix(context) @ to_v_rate @ x_dot
+        )
         assert_allclose(coriolis @ x_dot, bias, rtol=0, atol=1e-10 * np.abs(bias).max())
 
 
@@ -282,8 +323,12 @@ def simulate_tightly(system: Any, context: Context, duration: float) -> None:
     simulator.AdvanceTo(duration)
 
 
-@pytest.mark.parametrize("number", [0, *(pytest.param(number, marks=pytest.mark.slow) for number in (1, 2))])
-def test_free_motion_conserves_momentum_and_energy(plant: MultibodyPlant, context: Context, number: int) -> None:
+@pytest.mark.parametrize(
+    "number", [0, *(pytest.param(number, marks=pytest.mark.slow) for number in (1, 2))]
+)
+def test_free_motion_conserves_momentum_and_energy(
+    plant: MultibodyPlant, context: Context, number: int
+) -> None:
     set_target(plant, context, OFF_CENTRE)
 
     def conserved() -> tuple[np.ndarray, np.ndarray, float]:
@@ -306,7 +351,9 @@ def test_free_motion_conserves_momentum_and_energy(plant: MultibodyPlant, contex
 
 
 class WorkMeter(LeafSystem):
-    """Integrates the power of forces: inputs ``state`` (it ends in the velocities) and ``force_0``, ``force_1``..."""
+    """Integrates the power of forces: inputs ``state`` (it ends in the velocities) and ``force_0``,
+    ``force_1``...
+    """
 
     def __init__(self, state_size: int, num_forces: int) -> None:
         super().__init__()
@@ -327,7 +374,9 @@ def test_work_of_a_sine_force_is_the_gain_of_kinetic_energy() -> None:
     rng = np.random.default_rng(3)
     builder = DiagramBuilder()
     plant = builder.AddSystem(make_plant(Model()))
-    sine = builder.AddSystem(Sine(rng.normal(scale=5, size=11), rng.uniform(0.5, 3, 11), rng.uniform(0, 6, 11)))
+    sine = builder.AddSystem(
+        Sine(rng.normal(scale=5, size=11), rng.uniform(0.5, 3, 11), rng.uniform(0, 6, 11))
+    )
     meter = builder.AddSystem(WorkMeter(23, 1))
     builder.Connect(sine.get_output_port(0), plant.get_applied_generalized_force_input_port())
     builder.Connect(plant.get_state_output_port(), meter.GetInputPort("state"))
@@ -346,12 +395,18 @@ def test_work_of_a_sine_force_is_the_gain_of_kinetic_energy() -> None:
 
 
 def test_work_of_control_and_disturbance_is_the_gain_of_kinetic_energy() -> None:
-    """In the shipped closed loop, as integrated there: the work of control and disturbance, added."""
+    """In the shipped closed loop, as integrated there: the work of control and disturbance,
+    added.
+    """
     loop = make_closed_loop(load_scenario("postcapture"))
     builder = DiagramBuilder()
     builder.AddSystem(loop.diagram)
     meter = builder.AddSystem(WorkMeter(23, 2))
-    for output, name in (("state", "state"), ("generalized_force", "force_0"), ("disturbance_force", "force_1")):
+    for output, name in (
+        ("state", "state"),
+        ("generalized_force", "force_0"),
+        ("disturbance_force", "force_1"),
+    ):
         builder.Connect(loop.diagram.GetOutputPort(output), meter.GetInputPort(name))
     root = builder.Build()
     simulator = Simulator(root)
@@ -365,11 +420,15 @@ def test_work_of_control_and_disturbance_is_the_gain_of_kinetic_energy() -> None
     assert_allclose(work_done(meter, root, context), energy, rtol=1e-7)
 
 
-def test_centre_of_mass_accelerates_by_the_external_force_alone(plant: MultibodyPlant, context: Context) -> None:
+def test_centre_of_mass_accelerates_by_the_external_force_alone(
+    plant: MultibodyPlant, context: Context
+) -> None:
     for state in random_states(100):
         drake_dynamics(plant, context, state)
         acceleration = plant.CalcCenterOfMassTranslationalAccelerationInWorld(context)
-        assert_allclose(TOTAL_MASS * acceleration, state[2][3:6], rtol=0, atol=1e-10 * np.abs(state[2]).max())
+        assert_allclose(
+            TOTAL_MASS * acceleration, state[2][3:6], rtol=0, atol=1e-10 * np.abs(state[2]).max()
+        )
 
 
 def test_mass_properties_are_those_of_table_1(plant: MultibodyPlant, context: Context) -> None:
@@ -386,8 +445,14 @@ def test_mass_properties_are_those_of_table_1(plant: MultibodyPlant, context: Co
         "link_5": rod(1.5, 0.09),
         "debris": (100.0, 0.0, [16.7] * 3),
     }
-    bodies = [plant.get_body(index) for index in plant.GetBodyIndices(plant.GetModelInstanceByName("servicer"))]
-    bodies += [plant.get_body(index) for index in plant.GetBodyIndices(plant.GetModelInstanceByName("debris"))]
+    bodies = [
+        plant.get_body(index)
+        for index in plant.GetBodyIndices(plant.GetModelInstanceByName("servicer"))
+    ]
+    bodies += [
+        plant.get_body(index)
+        for index in plant.GetBodyIndices(plant.GetModelInstanceByName("debris"))
+    ]
     assert sorted(body.name() for body in bodies) == sorted(expected)
     for body in bodies:
         mass, height, moments = expected[body.name()]
@@ -401,7 +466,14 @@ def test_mass_properties_are_those_of_table_1(plant: MultibodyPlant, context: Co
 
 def test_geometry_at_the_zero_posture(plant: MultibodyPlant, context: Context) -> None:
     plant.SetPositions(context, [1, 0, 0, 0] + [0] * 8)
-    heights = {"link_1": 1.0, "link_2": 1.18, "link_3": 1.8, "link_4": 2.42, "link_5": 2.51, "debris": 3.1}
+    heights = {
+        "link_1": 1.0,
+        "link_2": 1.18,
+        "link_3": 1.8,
+        "link_4": 2.42,
+        "link_5": 2.51,
+        "debris": 3.1,
+    }
     for name, height in heights.items():
         pose = plant.GetBodyByName(name).EvalPoseInWorld(context)
         assert pose.IsNearlyEqualTo(RigidTransform([0, 0, height]), 1e-12), name
@@ -415,7 +487,9 @@ def test_geometry_at_the_zero_posture(plant: MultibodyPlant, context: Context) -
         assert_allclose(joint.revolute_axis(), np.eye(3)["XYZ".index(axis)], rtol=0, atol=1e-15)
 
 
-def test_arm_turns_about_its_axes_the_right_way_round(plant: MultibodyPlant, context: Context) -> None:
+def test_arm_turns_about_its_axes_the_right_way_round(
+    plant: MultibodyPlant, context: Context
+) -> None:
     """The target's pose at a bent posture, from a chain of elementary rotations."""
     angles = np.array([0.3, -0.5, 0.9, 1.1, -0.7])
     plant.SetPositions(context, [1, 0, 0, 0, 0, 0, 0, *angles])
@@ -441,7 +515,9 @@ def test_there_is_no_gravity(plant: MultibodyPlant, context: Context) -> None:
         assert plant.CalcBiasTerm(context).tolist() == [0] * 11  # at rest nothing is left
 
 
-def test_payload_of_one_context_leaves_others_alone(plant: MultibodyPlant, context: Context) -> None:
+def test_payload_of_one_context_leaves_others_alone(
+    plant: MultibodyPlant, context: Context
+) -> None:
     q, _, _ = next(random_states(1))
     other = plant.CreateDefaultContext()
     for each in (context, other):

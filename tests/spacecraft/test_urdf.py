@@ -24,7 +24,8 @@ def read(folder, text, **options):
 
 def test_tips_masses_and_reach(tmp_path):
     six, arms, hand, seven = (
-        read(tmp_path, OUTSIDE[name]()) for name in ("six_joints", "two_arms", "gripper", "seven_joints")
+        read(tmp_path, OUTSIDE[name]())
+        for name in ("six_joints", "two_arms", "gripper", "seven_joints")
     )
     assert (six.tip.frame, len(six.tip.joints)) == ("tool0", 6)
     assert six.tip.reach == pytest.approx(0.2 + 0.8 + 0.7 + 0.15 + 0.15 + 0.1)
@@ -41,7 +42,9 @@ def test_tip_can_be_chosen(tmp_path):
     urdf = tmp_path / "arms.urdf"
     urdf.write_text(two_arms())
     assert read_urdf(urdf, tip="right_elbow_link").tip.joints == ("right_shoulder", "right_elbow")
-    with pytest.raises(ModelError, match="no link or frame 'nose' for the tip; choose one of right_shoulder_link, "):
+    with pytest.raises(
+        ModelError, match="no link or frame 'nose' for the tip; choose one of right_shoulder_link, "
+    ):
         read_urdf(urdf, tip="nose")
     with pytest.raises(ModelError, match="tip 'torso' does not move"):
         read_urdf(urdf, tip="torso")
@@ -49,10 +52,18 @@ def test_tip_can_be_chosen(tmp_path):
 
 def test_what_is_left_out_is_said(tmp_path):
     six, hand, arms = (
-        write_urdf(read(tmp_path, OUTSIDE[name]()), tmp_path / name, file_name="copy.urdf", packages={})
+        write_urdf(
+            read(tmp_path, OUTSIDE[name]()), tmp_path / name, file_name="copy.urdf", packages={}
+        )
         for name in ("six_joints", "gripper", "two_arms")
     )
-    for text in ("damping and friction", "<transmission> (6 times)", "<gazebo>", "package://nowhere/a.stl", "contact"):
+    for text in (
+        "damping and friction",
+        "<transmission> (6 times)",
+        "<gazebo>",
+        "package://nowhere/a.stl",
+        "contact",
+    ):
         assert text in " ".join(six)
     assert "<mimic>" in " ".join(hand)
     assert arms == ("links without a picture drawn as plain bodies: 7",)
@@ -60,9 +71,12 @@ def test_what_is_left_out_is_said(tmp_path):
 
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_plain_bodies_touch_at_every_joint(tmp_path, name):
-    """A joint's origin lies within what is drawn of its parent and of its child, whatever the posture."""
+    """A joint's origin lies within what is drawn of its parent and of its child, whatever the
+    posture.
+    """
     write_urdf(read(tmp_path, OUTSIDE[name]()), tmp_path, file_name="copy.urdf", packages={})
-    solid = (tmp_path / "copy.urdf").read_text().replace("visual>", "collision>")  # distances need collision shapes
+    # distances need collision shapes
+    solid = (tmp_path / "copy.urdf").read_text().replace("visual>", "collision>")
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     Parser(plant).AddModelsFromString(solid, "urdf")
@@ -70,20 +84,29 @@ def test_plain_bodies_touch_at_every_joint(tmp_path, name):
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
     plant_context = plant.GetMyContextFromRoot(context)
-    moving = [each for each in map(plant.get_joint, plant.GetJointIndices()) if each.num_velocities() == 1]
+    moving = [
+        each for each in map(plant.get_joint, plant.GetJointIndices()) if each.num_velocities() == 1
+    ]
     for share in (0.0, 0.37, 1.0):
         q = plant.GetPositions(plant_context)
         for each in moving:
-            low, high = np.clip([each.position_lower_limits()[0], each.position_upper_limits()[0]], -3.0, 3.0)
+            low, high = np.clip(
+                [each.position_lower_limits()[0], each.position_upper_limits()[0]], -3.0, 3.0
+            )
             q[each.position_start()] = low + share * (high - low)
         plant.SetPositions(plant_context, q)
         query = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
         for each in moving:
             origin = each.frame_on_parent().CalcPoseInWorld(plant_context).translation()
             near = [n for n in query.ComputeSignedDistanceToPoint(origin, 1.0) if n.distance < 1e-6]
-            reached = {plant.GetBodyFromFrameId(query.inspector().GetFrameId(n.id_G)).index() for n in near}
+            reached = {
+                plant.GetBodyFromFrameId(query.inspector().GetFrameId(n.id_G)).index() for n in near
+            }
             for side in (each.parent_body(), each.child_body()):
-                assert reached & {body.index() for body in plant.GetBodiesWeldedTo(side)}, (each.name(), share)
+                assert reached & {body.index() for body in plant.GetBodiesWeldedTo(side)}, (
+                    each.name(),
+                    share,
+                )
 
 
 def mesh(file):
@@ -91,7 +114,9 @@ def mesh(file):
 
 
 def test_meshes_come_along(tmp_path):
-    """Drawable meshes with what they need, found by package address or path; the author's header stays."""
+    """Drawable meshes with what they need, found by package address or path; the author's header
+    stays.
+    """
     package = tmp_path / "my_package"
     shape = "mtllib hull.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"
     files = {
@@ -111,7 +136,9 @@ def test_meshes_come_along(tmp_path):
         gripper()
         .replace("</link>", mesh("package://my_package/meshes/hull.obj") + "</link>", 1)
         .replace('<link name="hand">', '<link name="hand">' + mesh("../meshes/hand.stl"))
-        .replace('<link name="upper">', '<link name="upper">' + mesh(f"file://{package}/more/hull.obj"))
+        .replace(
+            '<link name="upper">', '<link name="upper">' + mesh(f"file://{package}/more/hull.obj")
+        )
         .replace("<robot", "<!-- By its author. -->\n<robot")
     )
     urdf = package / "urdf" / "gripper.urdf"
@@ -121,14 +148,20 @@ def test_meshes_come_along(tmp_path):
     remarks = write_urdf(read_urdf(urdf), out, file_name="gripper.urdf", packages={})
     copied = {str(path.relative_to(out)) for path in out.rglob("*.*")}
     assert copied == {
-        "gripper.urdf", "meshes/1/hull.obj", "meshes/1/hull.mtl", "meshes/1/skin.png", "meshes/2/hull.obj",
+        "gripper.urdf",
+        "meshes/1/hull.obj",
+        "meshes/1/hull.mtl",
+        "meshes/1/skin.png",
+        "meshes/2/hull.obj",
         "meshes/2/my paint.mtl",
-    }  # fmt: skip
+    }
     assert any("hand.stl" in remark for remark in remarks)
     assert "<!-- By its author. -->" in (out / "gripper.urdf").read_text()
     assert str(tmp_path) not in (out / "gripper.urdf").read_text()
     shutil.rmtree(package)
-    model = Model(directives=None, servicer=str(out / "gripper.urdf"), end_effector="servicer::hand")
+    model = Model(
+        directives=None, servicer=str(out / "gripper.urdf"), end_effector="servicer::hand"
+    )
     add_combined_plant(DiagramBuilder(), model)
 
     # Elsewhere, only an option can say where the package is.
@@ -140,13 +173,18 @@ def test_meshes_come_along(tmp_path):
     assert str(tmp_path) not in lost
     (out / "meshes" / "1").rename(out / "meshes" / "meshes")
     remarks = write_urdf(
-        read_urdf(urdf), tmp_path / "found", file_name="gripper.urdf", packages={"my_package": out / "meshes"}
+        read_urdf(urdf),
+        tmp_path / "found",
+        file_name="gripper.urdf",
+        packages={"my_package": out / "meshes"},
     )
     assert (tmp_path / "found" / "meshes" / "1" / "hull.obj").read_text() == shape
 
 
 def test_colors(tmp_path):
-    """The first definition of a name holds; what has no colour, and textures, go; unnamed colours stay apart."""
+    """The first definition of a name holds; what has no colour, and textures, go; unnamed colours
+    stay apart.
+    """
 
     def visual(material):
         return f'<visual><geometry><sphere radius="0.1"/></geometry>{material}</visual>'
@@ -161,7 +199,9 @@ def test_colors(tmp_path):
         f"<material>{red}</material>",
         f"<material>{blue}</material>",
     )
-    text = simple_arm().replace('<link name="upper">', '<link name="upper">' + "".join(map(visual, materials)))
+    text = simple_arm().replace(
+        '<link name="upper">', '<link name="upper">' + "".join(map(visual, materials))
+    )
     text = text.replace("</robot>", '<material name="nowhere else"/></robot>')
     write_urdf(read(tmp_path, text), tmp_path, file_name="copy.urdf", packages={})
     builder = DiagramBuilder()
@@ -174,7 +214,9 @@ def test_colors(tmp_path):
         plant.GetBodyFrameIdOrThrow(plant.GetBodyByName("upper").index()), Role.kIllustration
     )
     colors = [
-        properties.GetProperty("phong", "diffuse").rgba.tolist() if properties.HasProperty("phong", "diffuse") else None
+        properties.GetProperty("phong", "diffuse").rgba.tolist()
+        if properties.HasProperty("phong", "diffuse")
+        else None
         for properties in (inspector.GetIllustrationProperties(shape) for shape in shapes)
     ]
     red, blue = [1, 0, 0, 1], [0, 0, 1, 1]
@@ -201,32 +243,57 @@ REFUSED = {
     "no moving joint": (replaced(FIRST, 'type="fixed"'), "has no joint that moves"),
     "planar": (
         replaced(FIRST, 'type="planar"', 1),
-        "joint 'shoulder' must be revolute, continuous, prismatic or fixed, not 'planar'; replace several degrees",
+        "joint 'shoulder' must be revolute, continuous, prismatic or fixed, not 'planar'; replace "
+        "several degrees",
     ),
     "unknown kind": (
         replaced(FIRST, 'type="hinge"', 1),
         "joint 'shoulder' must be revolute, continuous, prismatic or fixed, not 'hinge'",
     ),
-    "massless base": (replaced(link("bus", **BOX), link("bus")), "the base 'bus' has no mass; give it an <inertial>"),
-    "massless moving link": (plus(link("lamp"), PAN), "link 'lamp' moves but has no mass, and carries none"),
-    "inertia without mass": (replaced('mass value="300.0"', 'mass value="0"'), "link 'bus': has inertia but no mass"),
-    "negative mass": (replaced('mass value="10.0"', 'mass value="-1"'), "link 'upper': mass -1 kg must be positive"),
-    "impossible inertia": (replaced('izz="90.0"', 'izz="900.0"'), "no body has the principal moments 120, 120, 900"),
+    "massless base": (
+        replaced(link("bus", **BOX), link("bus")),
+        "the base 'bus' has no mass; give it an <inertial>",
+    ),
+    "massless moving link": (
+        plus(link("lamp"), PAN),
+        "link 'lamp' moves but has no mass, and carries none",
+    ),
+    "inertia without mass": (
+        replaced('mass value="300.0"', 'mass value="0"'),
+        "link 'bus': has inertia but no mass",
+    ),
+    "negative mass": (
+        replaced('mass value="10.0"', 'mass value="-1"'),
+        "link 'upper': mass -1 kg must be positive",
+    ),
+    "impossible inertia": (
+        replaced('izz="90.0"', 'izz="900.0"'),
+        "no body has the principal moments 120, 120, 900",
+    ),
     "two roots": (plus(link("lost", mass=1)), "not 2 (bus, lost)"),
     "loop": (
         plus(link("a"), link("b"), joint("p", "a", "b"), joint("q", "b", "a")),
         "link 'a' does not hang on the base 'bus'",
     ),
     "two parents": (plus(joint("again", "bus", "fore")), "link 'fore' is the child of 2 joints"),
-    "missing link": (replaced('child link="fore"', 'child link="hand"'), "its child link 'hand' does not exist"),
-    "repeated joint": (replaced('"elbow"', '"shoulder"'), "more than one joint is called 'shoulder'"),
+    "missing link": (
+        replaced('child link="fore"', 'child link="hand"'),
+        "its child link 'hand' does not exist",
+    ),
+    "repeated joint": (
+        replaced('"elbow"', '"shoulder"'),
+        "more than one joint is called 'shoulder'",
+    ),
     "repeated link": (plus(link("fore")), "more than one link is called 'fore'"),
     "reserved name": (replaced('"elbow"', '"joints"'), "joint 'joints': the name clashes"),
     "bad number": (
         replaced('lower="-2"', 'lower="low"'),
         "joint 'shoulder': <limit lower> must be a number, not 'low'",
     ),
-    "limits crossed": (replaced('lower="-2"', 'lower="3"'), "its lower limit 3 lies above its upper limit 2"),
+    "limits crossed": (
+        replaced('lower="-2"', 'lower="3"'),
+        "its lower limit 3 lies above its upper limit 2",
+    ),
     "negative velocity": (replaced('lower="-2"', 'velocity="-1"'), "limits must not be negative"),
     "bad damping": (
         plus(link("lamp", mass=1), PAN.replace("</joint>", '<dynamics damping="x"/></joint>')),
@@ -236,7 +303,10 @@ REFUSED = {
         replaced('origin xyz="0.0 0.0 0.5"', 'origin xyz="0"'),
         "link 'upper': xyz must be three numbers",
     ),
-    "lost frame": (plus('<frame name="eye" link="head" xyz="0 0 0" rpy="0 0 0"/>'), "its link 'head' does not exist"),
+    "lost frame": (
+        plus('<frame name="eye" link="head" xyz="0 0 0" rpy="0 0 0"/>'),
+        "its link 'head' does not exist",
+    ),
     "not XML": ("<robot", "is not valid XML"),
     "other XML": ("<sdf/>", "its root element is <sdf>"),
     "xacro": (

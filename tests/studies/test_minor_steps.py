@@ -24,7 +24,9 @@ QUIET = ("sensing.velocity_noise=0", "duration=2")
     ],
 )
 def test_the_loop_is_the_simulations(scheme, held, overrides, tolerance):
-    """A scheme without minor steps, and a force held over the period, are what the closed loop does."""
+    """A scheme without minor steps, and a force held over the period, are what the closed loop
+    does.
+    """
     made = run(load_scenario("paper", QUIET), scheme, held=held)
     record = simulate(load_scenario("paper", [*QUIET, *overrides]), check_stability=False)
     assert made.itae == pytest.approx(record.metrics["itae"], rel=tolerance)
@@ -39,7 +41,9 @@ def test_minor_steps_change_the_force():
 
 @pytest.mark.slow
 def test_where_the_published_gains_complete():
-    """Without a held force it depends on the scheme; with one, the gain leaves the sampled loop's limit of 100 1/s."""
+    """Without a held force it depends on the scheme; with one, the gain leaves the sampled loop's
+    limit of 100 1/s.
+    """
     made = {(one.scheme, one.held): one for one in minor_step_runs()}
     completing = [key for key, one in made.items() if one.diverged is None]
     assert completing == [(EULER, False), (BOGACKI_SHAMPINE, False), (RUNGE_KUTTA, False)]
@@ -48,5 +52,14 @@ def test_where_the_published_gains_complete():
     assert 4.0 < made[HEUN, False].diverged < 8.0
     assert made[EULER, False].isv == pytest.approx(393.9, rel=0.01)  # Table 2
     _, rows = minor_step_table()
-    assert [row[2].split()[0] for row in rows] == ["completes", "diverges", "completes", "completes", "diverges"]
-    assert rows[3][4:] == [f"{made[RUNGE_KUTTA, False].isv:.1f}", f"{made[RUNGE_KUTTA, False].largest_k_s:.1f}"]
+    assert [row[2].split()[0] for row in rows] == [
+        "completes",
+        "diverges",
+        "completes",
+        "completes",
+        "diverges",
+    ]
+    assert rows[3][4:] == [
+        f"{made[RUNGE_KUTTA, False].isv:.1f}",
+        f"{made[RUNGE_KUTTA, False].largest_k_s:.1f}",
+    ]

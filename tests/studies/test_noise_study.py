@@ -1,4 +1,6 @@
-"""The study of sensor noise: a reduced sweep, judged against single runs and against the predicted slope."""
+"""The study of sensor noise: a reduced sweep, judged against single runs and against the predicted
+slope.
+"""
 
 import csv
 import functools
@@ -21,7 +23,9 @@ DURATION = 1.0
 @functools.cache
 def study() -> NoiseStudy:
     done = []
-    found = study_noise(sigmas=SIGMAS, duration=DURATION, progress=lambda *call: done.append(call[:2]))
+    found = study_noise(
+        sigmas=SIGMAS, duration=DURATION, progress=lambda *call: done.append(call[:2])
+    )
     assert done == [(k + 1, len(found.rows)) for k in range(len(found.rows))]
     return found
 
@@ -79,7 +83,8 @@ def test_the_sensor_set_is_that_of_flight_sensors():
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", ["tde_aismc", "asmc", "tdc"])
 def test_effort_of_the_published_estimate_grows_with_the_square_of_the_noise(controller):
-    # 1e-5 is too little for TDC's noise to drown what else its effort holds, the first samples for instance.
+    # 1e-5 is too little for TDC's noise to drown what else its effort holds, the first samples for
+    # instance.
     ideal = study().ideal_isv
     small, large = (only(controller, "one_sample", sigma).isv - ideal for sigma in SIGMAS)
     assert large / small == pytest.approx(100.0, rel=0.15)
@@ -98,7 +103,8 @@ def test_noise_gains_are_those_of_the_published_gains():
 @pytest.mark.parametrize("controller", ["tde_aismc", "asmc", "tdc"])
 def test_the_kalman_estimate_is_cheaper_and_takes_its_gains_to_be_so(controller):
     published, exchanged = (
-        only(controller, "one_sample", 1e-4, gains=gains).isv for gains in ("published", "bandwidth")
+        only(controller, "one_sample", 1e-4, gains=gains).isv
+        for gains in ("published", "bandwidth")
     )
     kalman = only(controller, "kalman", 1e-4).isv
     assert kalman < exchanged / 10.0
@@ -130,7 +136,12 @@ def test_every_file_is_written_whole(tmp_path):
     assert text.count("**diverged at") >= 3
     assert "nan" not in text
     picture = imread(path.parent / "noise.png")[..., :3]
-    for panel in (picture[:600, :780], picture[:600, 780:], picture[600:, :780], picture[600:, 780:]):
+    for panel in (
+        picture[:600, :780],
+        picture[:600, 780:],
+        picture[600:, :780],
+        picture[600:, 780:],
+    ):
         dark = (panel.max(axis=2) < 0.5).mean()
         coloured = (np.ptp(panel, axis=2) > 0.3).mean()
         assert dark > 0.002
@@ -149,14 +160,24 @@ def test_one_sigma_and_several_seeds_can_be_written(tmp_path):
 
 @pytest.mark.slow
 def test_same_seeds_same_table_whatever_the_workers():
-    there = study_noise(sigmas=SIGMAS[1:], duration=DURATION, controllers=("aismc",), workers=2).rows
+    there = study_noise(
+        sigmas=SIGMAS[1:], duration=DURATION, controllers=("aismc",), workers=2
+    ).rows
     here = [row for row in study().rows if row.controller == "aismc" and row.sigma != SIGMAS[0]]
     assert any(row.diverged for row in there)
-    assert sorted(map(repr, there)) == sorted(map(repr, here))  # a diverged run's NaN equals nothing
+    # a diverged run's NaN equals nothing
+    assert sorted(map(repr, there)) == sorted(map(repr, here))
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"sigmas": ()}, {"sigmas": (0.0,)}, {"sigmas": (1e-5, 1e-5)}, {"seeds": 0}, {"controllers": ("pid",)}]
+    "wrong",
+    [
+        {"sigmas": ()},
+        {"sigmas": (0.0,)},
+        {"sigmas": (1e-5, 1e-5)},
+        {"seeds": 0},
+        {"controllers": ("pid",)},
+    ],
 )
 def test_bad_arguments_are_refused(wrong):
     with pytest.raises(ScenarioError):

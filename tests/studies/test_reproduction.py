@@ -1,5 +1,7 @@
 # ruff: noqa: RUF001 (the texts use mathematical signs)
-"""The paper's table, figures and claims from a reduced matrix of short runs: what is shown is what was simulated."""
+"""The paper's table, figures and claims from a reduced matrix of short runs: what is shown is what
+was simulated.
+"""
 
 import csv
 import dataclasses
@@ -15,7 +17,18 @@ import pytest
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, simulate
 from ffsm_drake.runs.record import Outcome
 from ffsm_drake.show import block_diagram
-from ffsm_drake.studies.paper import PARTS, accuracy, effort, figures, page, reproduce, robustness, runs, schemes, table
+from ffsm_drake.studies.paper import (
+    PARTS,
+    accuracy,
+    effort,
+    figures,
+    page,
+    reproduce,
+    robustness,
+    runs,
+    schemes,
+    table,
+)
 from ffsm_drake.studies.paper.claims import CLAIMS, by_topic, counts, evaluate
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS
 
@@ -38,7 +51,8 @@ def unstable():
 
 @pytest.fixture(scope="module")
 def verdicts(results):
-    with pytest.MonkeyPatch.context() as patch:  # two postures of the motion instead of five, for eight loops
+    # two postures of the motion instead of five, for eight loops
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ffsm_drake.control_design.stability.margins.POSTURES", (0.0, 0.5))
         return evaluate(results)
 
@@ -62,7 +76,11 @@ def written(results, verdicts, tmp_path_factory):
 
 
 def row_of(rows, setting, disturbance, controller):
-    (row,) = [r for r in rows if (r.setting, r.disturbance, r.controller) == (setting, disturbance, controller)]
+    (row,) = [
+        r
+        for r in rows
+        if (r.setting, r.disturbance, r.controller) == (setting, disturbance, controller)
+    ]
     return row
 
 
@@ -80,9 +98,25 @@ def test_the_table_is_complete(results):
     ("setting", "disturbance", "controller", "scenario", "overrides", "paper_itae", "paper_isv"),
     [
         ("euler", "tau_d2", "tdc", "paper", ["disturbance.frequency_scale=3"], 6.263e-3, 351.3),
-        ("exact", "tau_d1", PROPOSED, "paper", ["simulator_config.integration_scheme=runge_kutta3"], 1.041e-3, 393.9),
+        (
+            "exact",
+            "tau_d1",
+            PROPOSED,
+            "paper",
+            ["simulator_config.integration_scheme=runge_kutta3"],
+            1.041e-3,
+            393.9,
+        ),
         # Shared between two settings: the postcapture scenario itself must give the same.
-        ("bounded", "tau_d3", "aismc", "postcapture", ["disturbance.amplitude_scale=3"], 1.914e-3, 482.4),
+        (
+            "bounded",
+            "tau_d3",
+            "aismc",
+            "postcapture",
+            ["disturbance.amplitude_scale=3"],
+            1.914e-3,
+            482.4,
+        ),
         ("bounded", "tau_d1", PROPOSED, "postcapture", [], 1.041e-3, 393.9),
     ],
 )
@@ -90,7 +124,10 @@ def test_the_table_shows_what_simulate_gives(
     results, setting, disturbance, controller, scenario, overrides, paper_itae, paper_isv
 ):
     row = row_of(table.make_table(results), setting, disturbance, controller)
-    record = simulate(load_scenario(scenario, [*overrides, *SHORT, f"controller={controller}"]), check_stability=False)
+    record = simulate(
+        load_scenario(scenario, [*overrides, *SHORT, f"controller={controller}"]),
+        check_stability=False,
+    )
     assert row.itae.mean == record.metrics["itae"]
     assert row.isv.mean == record.metrics["isv"]
     assert row.itae.ratio == pytest.approx(record.metrics["itae"] / paper_itae)
@@ -117,28 +154,40 @@ def test_a_single_seed_has_no_spread(results):
 
 def test_the_differences_of_effort_are_told(results):
     measured = effort.values_of_isv(results).measured
-    assert "the paper has proposed +16.7 to +16.9, AISMC +10.0, ASMC +0.4; ours: with explicit Euler " in measured
+    assert (
+        "the paper has proposed +16.7 to +16.9, AISMC +10.0, ASMC +0.4; ours: with explicit Euler "
+        in measured
+    )
     isv = {name: results.run("euler", name).isv for name in ("asmc", "tdc")}
     assert f"{isv['asmc'] - isv['tdc']:+.1f}" in measured
 
 
 def test_high_precision_depends_on_what_was_simulated(results, unstable):
-    """The same runs, those of the published gains on the exact plant taken from where they diverge."""
+    """The same runs, those of the published gains on the exact plant taken from where they
+    diverge.
+    """
 
     def accurate(run):
         return dataclasses.replace(
-            run, metrics={**run.metrics, "final_error": dict.fromkeys(run.metrics["final_error"], 0.0)}
+            run,
+            metrics={**run.metrics, "final_error": dict.fromkeys(run.metrics["final_error"], 0.0)},
         )
 
-    settled = dataclasses.replace(results, runs={case: accurate(run) for case, run in results.runs.items()})
+    settled = dataclasses.replace(
+        results, runs={case: accurate(run) for case, run in results.runs.items()}
+    )
     claim = accuracy.target_is_reached_with_high_precision
     assert claim(settled).verdict == "holds"
     assert "0 of 3 runs diverge." in claim(settled).measured
     diverging = {
-        case: run for case, run in unstable.runs.items() if (case.setting, case.controller) == ("exact", PROPOSED)
+        case: run
+        for case, run in unstable.runs.items()
+        if (case.setting, case.controller) == ("exact", PROPOSED)
     }
     mixed = claim(dataclasses.replace(settled, runs={**settled.runs, **diverging}))
-    assert mixed.verdict == "holds only with explicit Euler at the control period, or with K_s bounded"
+    assert mixed.verdict == (
+        "holds only with explicit Euler at the control period, or with K_s bounded"
+    )
     assert re.search(r"3 of 3 runs diverge, at 0\.\d+", mixed.measured)
 
 
@@ -149,7 +198,9 @@ def test_a_claim_without_samples_is_not_tested(verdicts):
 
 
 def test_agreement_of_outcomes_is_no_proof(verdicts, results):
-    """The runs end well in the short time they have; the premise of Lemma 1 is false all the same."""
+    """The runs end well in the short time they have; the premise of Lemma 1 is false all the
+    same.
+    """
     (found,) = [one for one in verdicts if one.claim.startswith("The Lyapunov criterion proves")]
     assert results.run("exact", PROPOSED).outcome.completed
     assert found.verdict == "does not hold"
@@ -171,15 +222,25 @@ def test_a_diverged_run_is_shown_as_such(unstable):
         assert re.fullmatch(r"diverged at 0\.\d+ s", row.diverged)
         assert not row_of(rows, "euler", disturbance, PROPOSED).diverged
     lines = list(csv.DictReader(io.StringIO(table.table_csv(rows))))
-    line = next(line for line in lines if (line["setting"], line["controller"]) == ("exact", PROPOSED))
+    line = next(
+        line for line in lines if (line["setting"], line["controller"]) == ("exact", PROPOSED)
+    )
     assert (line["diverged_runs"], line["itae_mean"], line["itae_rank"]) == ("1", "", "4")
     cells = table.markdown_rows([row_of(rows, "exact", "tau_d1", PROPOSED)])[0]
     assert cells[3].startswith("diverged at 0.")
     assert cells[7] == "diverged"
     verdict = robustness.published_gains_are_stable(unstable)
-    assert re.search(r"^holds only with the law in every minor step of explicit Euler.*, not where", verdict.verdict)
+    assert re.search(
+        r"^holds only with the law in every minor step of explicit Euler.*, not "
+        r"where",
+        verdict.verdict,
+    )
     assert "0 of 3 runs diverge" in verdict.measured
-    assert re.search(r"3 of 3 do, at 0\.\d+( to 0\.\d+)? s: the force is held over the period", verdict.measured)
+    assert re.search(
+        r"3 of 3 do, at 0\.\d+( to 0\.\d+)? s: the force is held over the "
+        r"period",
+        verdict.measured,
+    )
     assert "law (9) carries K_s from 150 to" in verdict.measured
 
 
@@ -194,7 +255,9 @@ def test_the_papers_slips_are_marked(written):
 
 def test_the_same_seeds_give_the_same_table(written, tmp_path):
     told = []
-    path = reproduce("table2", tmp_path, seeds=1, overrides=SHORT, progress=lambda *args: told.append(args))
+    path = reproduce(
+        "table2", tmp_path, seeds=1, overrides=SHORT, progress=lambda *args: told.append(args)
+    )
     assert path == tmp_path / "table2.html"
     for file in ("table2.csv", "table2.md"):
         assert (tmp_path / file).read_bytes() == (written / file).read_bytes()
@@ -203,9 +266,12 @@ def test_the_same_seeds_give_the_same_table(written, tmp_path):
 
 
 def test_workers_give_the_same_results():
-    cases = [case for case in runs.table_cases(2) if (case.setting, case.controller) == ("euler", "tdc")]
+    cases = [
+        case for case in runs.table_cases(2) if (case.setting, case.controller) == ("euler", "tdc")
+    ]
     alone, together = (
-        runs.run_cases(cases, num_seeds=2, overrides=["duration=0.1"], workers=workers) for workers in (1, 2)
+        runs.run_cases(cases, num_seeds=2, overrides=["duration=0.1"], workers=workers)
+        for workers in (1, 2)
     )
     assert list(alone.runs) == list(together.runs) == cases
     for case in cases:
@@ -233,7 +299,9 @@ def test_verdicts_follow_the_runs(results):
     def scaled(results, setting, factor):
         """The results with the ITAE of the proposed controller scaled in one setting."""
         changed = {
-            case: dataclasses.replace(run, metrics={**run.metrics, "itae": factor * run.metrics["itae"]})
+            case: dataclasses.replace(
+                run, metrics={**run.metrics, "itae": factor * run.metrics["itae"]}
+            )
             if (case.setting, case.controller) == (setting, PROPOSED)
             else run
             for case, run in results.runs.items()
@@ -251,7 +319,9 @@ def test_verdicts_follow_the_runs(results):
 
 
 def test_the_laws_degenerate_as_notes_say(results):
-    """(6) with G = 0 is (20) but for the law of K_s; (6) with K_P = 0 is (18), but (20) with K_P = 0 is not (17)."""
+    """(6) with G = 0 is (20) but for the law of K_s; (6) with K_P = 0 is (18), but (20) with K_P =
+    0 is not (17).
+    """
     assert schemes._law_gap(results, PROPOSED, "aismc", keep_k_p=True, keep_g=False) == 0.0
     assert schemes._law_gap(results, PROPOSED, "aismc", keep_k_p=True, keep_g=True) > 0.0
     assert schemes._law_gap(results, PROPOSED, "asmc", keep_k_p=False, keep_g=True) == 0.0
@@ -260,7 +330,9 @@ def test_the_laws_degenerate_as_notes_say(results):
 
 
 def test_condition_8_admits_what_diverges(results):
-    """Nominal 110 kg, truly 100: (8) is satisfied with a wide margin, and the sampled loop has an eigenvalue of 1.1."""
+    """Nominal 110 kg, truly 100: (8) is satisfied with a wide margin, and the sampled loop has an
+    eigenvalue of 1.1.
+    """
     ratio = robustness._mass_ratio(results, "nominal 110 kg")
     assert ratio.norm < 0.5
     assert ratio.high == pytest.approx(1.1, abs=1e-4)
@@ -277,7 +349,11 @@ class Addresses(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         self.tags.append(tag)
-        self.addresses += [value for name, value in attributes if name in ("src", "href", "srcset", "data", "action")]
+        self.addresses += [
+            value
+            for name, value in attributes
+            if name in ("src", "href", "srcset", "data", "action")
+        ]
 
 
 def test_the_page_is_self_contained(written):
@@ -343,7 +419,9 @@ def test_without_graphviz_the_figure_says_so(tmp_path, monkeypatch):
 
 
 def test_wrong_requests_get_one_line(tmp_path):
-    with pytest.raises(FfsmError, match=re.escape(f"what: 'fig9' is unknown; choose one of {', '.join(PARTS)}")):
+    with pytest.raises(
+        FfsmError, match=re.escape(f"what: 'fig9' is unknown; choose one of {', '.join(PARTS)}")
+    ):
         reproduce("fig9", tmp_path)
     with pytest.raises(FfsmError, match=r"^seeds: must be at least 1, not 0$"):
         reproduce("table2", tmp_path, seeds=0)
@@ -356,11 +434,15 @@ def test_an_interrupted_reproduction_writes_nothing(tmp_path, monkeypatch):
 
     def interrupted(scenario, **_):
         record = simulate(scenario, check_stability=False)
-        return dataclasses.replace(record, outcome=Outcome(status="interrupted", time=0.1, message="interrupted"))
+        return dataclasses.replace(
+            record, outcome=Outcome(status="interrupted", time=0.1, message="interrupted")
+        )
 
     monkeypatch.setattr(runs, "simulate", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        reproduce("table2", tmp_path, overrides=["duration=0.1"], progress=lambda *args: told.append(args))
+        reproduce(
+            "table2", tmp_path, overrides=["duration=0.1"], progress=lambda *args: told.append(args)
+        )
     assert not told
     assert not list(tmp_path.iterdir())
 
@@ -372,15 +454,28 @@ def test_the_page_in_a_browser(written, tmp_path):
     picture = tmp_path / "picture.png"
     subprocess.run(
         [
-            CHROMIUM, "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-sync",
-            "--disable-background-networking", "--disable-component-update", f"--user-data-dir={tmp_path / 'profile'}",
-            "--window-size=1200,2000", "--virtual-time-budget=3000", f"--screenshot={picture}",
+            CHROMIUM,
+            "--headless",
+            "--no-sandbox",
+            "--disable-quic",
+            "--no-first-run",
+            "--disable-sync",
+            "--disable-background-networking",
+            "--disable-component-update",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--window-size=1200,2000",
+            "--virtual-time-budget=3000",
+            f"--screenshot={picture}",
             (written / "reproduction.html").as_uri(),
         ],
-        capture_output=True, timeout=120, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        timeout=120,
+        check=True,
+    )
     pixels = image.imread(picture)[..., :3]
-    orange = (pixels[..., 0] > 0.75) & (pixels[..., 1] < 0.5) & (pixels[..., 2] < 0.2)  # marks of the overview
-    green = (pixels[..., 1] > pixels[..., 0] + 0.2) & (pixels[..., 1] > pixels[..., 2] + 0.1)  # verdicts
+    # marks of the overview
+    orange = (pixels[..., 0] > 0.75) & (pixels[..., 1] < 0.5) & (pixels[..., 2] < 0.2)
+    # verdicts
+    green = (pixels[..., 1] > pixels[..., 0] + 0.2) & (pixels[..., 1] > pixels[..., 2] + 0.1)
     assert orange.sum() > 500
     assert green.sum() > 200

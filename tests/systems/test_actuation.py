@@ -1,4 +1,6 @@
-"""What the actuators make of the commanded force, what the plant gets of it, and that the estimate knows."""
+"""What the actuators make of the commanded force, what the plant gets of it, and that the estimate
+knows.
+"""
 
 import dataclasses
 
@@ -31,7 +33,9 @@ def forces(record):
 
 
 def limits(record):
-    return make_nominal_plant(record.scenario).coordinates.vector(record.scenario.actuation.limit, key="")
+    return make_nominal_plant(record.scenario).coordinates.vector(
+        record.scenario.actuation.limit, key=""
+    )
 
 
 def assert_the_plant_got_the_applied_force(record):
@@ -114,7 +118,9 @@ def without_feedback(setup):
     builder = DiagramBuilder()
     law = Tdc.from_setup(dataclasses.replace(setup, settings=setup.scenario.controllers["tdc"]))
     inner = builder.AddSystem(
-        SampledController(law, name="tdc", coordinates=setup.coordinates, sample_time=setup.sample_time)
+        SampledController(
+            law, name="tdc", coordinates=setup.coordinates, sample_time=setup.sample_time
+        )
     )
     for name in ("estimated_state", "desired_state", "desired_acceleration"):
         builder.ExportInput(inner.GetInputPort(name), name)
@@ -123,7 +129,8 @@ def without_feedback(setup):
 
 
 def replay(record, *, applied):
-    """N and the commands (n, nv), from the record's measurements and the force that the controller takes to have acted.
+    """N and the commands (n, nv), from the record's measurements and the force that the controller
+    takes to have acted.
 
     By the scenario's estimator as a pure function, and TDC.
     """
@@ -132,9 +139,17 @@ def replay(record, *, applied):
     gains = gain_vectors(dataclasses.replace(scenario, controller="tdc"), nominal.coordinates)
     estimator = make_estimator(scenario, nominal.coordinates)
     state = estimator.initial_state()
-    names = ("measured_position", "measured_velocity", "desired_position", "desired_velocity", "desired_acceleration")
+    names = (
+        "measured_position",
+        "measured_velocity",
+        "desired_position",
+        "desired_velocity",
+        "desired_acceleration",
+    )
     n, commands = [], []
-    for k, (q, v, q_d, v_d, a_d) in enumerate(zip(*(data[name].values for name in names), strict=True)):
+    for k, (q, v, q_d, v_d, a_d) in enumerate(
+        zip(*(data[name].values for name in names), strict=True)
+    ):
         mass_matrix = nominal.calc_mass_matrix(q)
         e, before = position_error(q_d, q), applied[k - 1] if k else np.zeros(v.size)
         sample = Sample(q, v, q_d, v_d, a_d, e, error_rate(e, v_d, v), before, k == 0)
@@ -152,8 +167,14 @@ def test_a_limit_that_binds_for_a_while_does_not_wind_up_the_estimate(run, kind)
     assert fed.outcome.completed
     assert fed.metrics["peak_error"]["base_position"] < 0.01
     assert fed.metrics["final_error"]["base_position"] < 2e-4
-    assert blind.metrics["peak_error"]["base_position"] > 5 * fed.metrics["peak_error"]["base_position"]
-    assert blind.metrics["final_error"]["base_position"] > 100 * fed.metrics["final_error"]["base_position"]
+    assert (
+        blind.metrics["peak_error"]["base_position"]
+        > 5 * fed.metrics["peak_error"]["base_position"]
+    )
+    assert (
+        blind.metrics["final_error"]["base_position"]
+        > 100 * fed.metrics["final_error"]["base_position"]
+    )
     # Blind, what the limit withheld is taken for an uncertainty.
     n_fed, _ = replay(fed, applied=forces(fed)[1])
     n_blind, commands = replay(blind, applied=forces(blind)[0])
@@ -173,7 +194,9 @@ def test_a_limit_that_binds_for_a_while_does_not_wind_up_the_estimate(run, kind)
     ],
 )
 def test_the_estimate_is_fed_the_applied_force(run, kind, override):
-    """With the applied force the pure functions give the recorded commands; with the commanded they do not."""
+    """With the applied force the pure functions give the recorded commands; with the commanded they
+    do not.
+    """
     record = run(*FLIGHT, *QUIET, "duration=5", f"estimator.kind={kind}", override)
     commanded, applied = forces(record)
     assert np.abs(commanded - applied).max() > 1e-3
@@ -187,7 +210,10 @@ def test_the_estimate_is_fed_the_applied_force(run, kind, override):
         ("actuation.limit=0", "actuation.limit.all: must be > 0, not 0"),
         ("actuation.limit.joint_1=-2", "actuation.limit.joint_1: must be > 0, not -2"),
         ("actuation.limit.elbow=1", "actuation.limit.elbow: unknown coordinate; valid here: all"),
-        ("actuation.quantization=-0.1", "actuation.quantization.all: must be >= 0 (0: none), not -0.1"),
+        (
+            "actuation.quantization=-0.1",
+            "actuation.quantization.all: must be >= 0 (0: none), not -0.1",
+        ),
         ("actuation.quantization.elbow=1", "actuation.quantization.elbow: unknown coordinate"),
         ("actuation.delay=-1", "actuation.delay: must be from 0 to 1000 control samples, not -1"),
     ],

@@ -1,4 +1,5 @@
-"""Wheels, thrusters, modulation, panels and slosh against Basilisk: its results in a table, and it where installed.
+"""Wheels, thrusters, modulation, panels and slosh against Basilisk: its results in a table, and it
+where installed.
 
 Both sides integrate the bus to about 1e-12, so that what is compared is models.
 """
@@ -21,7 +22,10 @@ def basilisk(request):
     if request.param == "table":
         return json.loads((Path(__file__).parent / "basilisk.json").read_text())
     if importlib.util.find_spec("Basilisk") is None:
-        pytest.skip("needs Basilisk (pip install bsk), which holds Matplotlib back; its results are in the table")
+        pytest.skip(
+            "needs Basilisk (pip install bsk), which holds Matplotlib back; its results "
+            "are in the table"
+        )
     import basilisk_oracle
 
     return basilisk_oracle.results()
@@ -33,7 +37,9 @@ def largest_difference(found, expected, *names):
 
 def test_wheels_and_torque_mapping(basilisk):
     found, expected = bus.wheels(), basilisk["wheels"]
-    assert np.array(expected["motor_torque"]) == pytest.approx(found["wheel_torque"][:-1][::SECOND], abs=1e-12)
+    assert np.array(expected["motor_torque"]) == pytest.approx(
+        found["wheel_torque"][:-1][::SECOND], abs=1e-12
+    )
     assert largest_difference(found, expected, "rate", "wheel_speed") < 1e-8
     assert np.ptp(found["rate"], axis=0).min() > 0.01
     assert np.abs(found["wheel_speed"][-1] - found["wheel_speed"][0]).min() > 5.0
@@ -57,9 +63,14 @@ def test_coulomb_friction(basilisk):
 
 @pytest.mark.slow
 def test_viscous_friction(basilisk):
-    """Held over a sample it is right to first order: half the period halves the difference, and both together none."""
+    """Held over a sample it is right to first order: half the period halves the difference, and
+    both together none.
+    """
     expected = basilisk["viscous"]
-    whole, half = bus.coasting(viscous=bus.VISCOUS), bus.coasting(viscous=bus.VISCOUS, period=bus.PERIOD / 2)
+    whole, half = (
+        bus.coasting(viscous=bus.VISCOUS),
+        bus.coasting(viscous=bus.VISCOUS, period=bus.PERIOD / 2),
+    )
     half = {name: rows[::2] for name, rows in half.items()}
     for name, largest in (("rate", 1e-8), ("wheel_speed", 2e-5)):
         once, twice = (largest_difference(found, expected, name) for found in (half, whole))
@@ -70,15 +81,23 @@ def test_viscous_friction(basilisk):
 
 
 def test_thrusters(basilisk):
-    """As long as both fire alike: on another processor rounding may move a pulse, and with it all that follow."""
+    """As long as both fire alike: on another processor rounding may move a pulse, and with it all
+    that follow.
+    """
     found, expected = bus.thrusters(), basilisk["thrusters"]
-    fired = ({(i, *pulse) for i, unit in enumerate(of) for pulse in unit} for of in (bus.pulses(), basilisk["pulses"]))
+    fired = (
+        {(i, *pulse) for i, unit in enumerate(of) for pulse in unit}
+        for of in (bus.pulses(), basilisk["pulses"])
+    )
     ours, theirs = fired
     moved = min((start for _, start, _ in ours ^ theirs), default=len(found["rate"]))
     assert sum(start < moved for _, start, _ in ours) > 200
     seconds = 1 + moved // SECOND
     for name in ("rate", "velocity"):
-        assert np.abs(found[name][::SECOND][:seconds] - np.array(expected[name])[:seconds]).max() < 1e-8
+        assert (
+            np.abs(found[name][::SECOND][:seconds] - np.array(expected[name])[:seconds]).max()
+            < 1e-8
+        )
 
 
 def test_pulse_widths_are_a_schmitt_trigger_of_equal_levels(basilisk):

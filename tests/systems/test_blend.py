@@ -22,7 +22,9 @@ def blend(order="quintic", duration=DURATION, **shaper):
 
 
 def residual(signal, frequency, damping, *, end=DURATION):
-    """Amplitude of the vibration that an acceleration leaves at its end, of a unit oscillator at rest before."""
+    """Amplitude of the vibration that an acceleration leaves at its end, of a unit oscillator at
+    rest before.
+    """
     w, times = 2.0 * np.pi * frequency, np.linspace(0.0, end, 40001)
     damped = w * np.sqrt(1 - damping**2)
     left = np.exp((-damping * w + 1j * damped) * (end - times))
@@ -30,8 +32,14 @@ def residual(signal, frequency, damping, *, end=DURATION):
 
 
 def closed_form(impulses, frequency, damping):
-    """The share of a vibration that a shaper leaves (Singer and Seering): of the last impulse's time on."""
-    w, delays, shares = 2.0 * np.pi * frequency, np.array(impulses.delays), np.array(impulses.shares)
+    """The share of a vibration that a shaper leaves (Singer and Seering): of the last impulse's
+    time on.
+    """
+    w, delays, shares = (
+        2.0 * np.pi * frequency,
+        np.array(impulses.delays),
+        np.array(impulses.shares),
+    )
     phases = 1j * w * np.sqrt(1 - damping**2) * delays
     return abs((shares * np.exp(damping * w * (delays - impulses.length) + phases)).sum())
 
@@ -70,12 +78,17 @@ def test_rates_are_derivatives_and_the_ends_exact(kind, shaper):
         before, now, after = of(times - h), of(times), of(times + h)
         np.testing.assert_allclose((after[0] - before[0]) / (2 * h), now[1], rtol=0, atol=1e-6)
         np.testing.assert_allclose((after[1] - before[1]) / (2 * h), now[2], rtol=0, atol=1e-5)
-    for of, value, rate in ((made.blend, [0.0, 1.0], [0.0, 0.0]), (made.stop, [0.0, 0.0], [1.0, 0.0])):
+    for of, value, rate in (
+        (made.blend, [0.0, 1.0], [0.0, 0.0]),
+        (made.stop, [0.0, 0.0], [1.0, 0.0]),
+    ):
         found = of(END)
         np.testing.assert_allclose(found[0], value, rtol=0, atol=1e-14)
         np.testing.assert_allclose(found[1], rate, rtol=0, atol=1e-14)
         np.testing.assert_allclose(found[2], 0.0, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(of(np.array([-1.0, DURATION + 1.0]))[0], value, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(
+            of(np.array([-1.0, DURATION + 1.0]))[0], value, rtol=0, atol=1e-14
+        )
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.005, 0.1])
@@ -95,7 +108,10 @@ def test_two_frequencies_at_once():
 
 def test_zvd_is_good_near_its_frequency():
     """10 % off: ZV leaves |cos(0.55 pi)|, 15.6 %, ZVD its square, 2.4 %."""
-    zv, zvd = (make_impulses(Shaper(kind=kind, frequencies=[1.0], damping_ratio=0.0)) for kind in ("zv", "zvd"))
+    zv, zvd = (
+        make_impulses(Shaper(kind=kind, frequencies=[1.0], damping_ratio=0.0))
+        for kind in ("zv", "zvd")
+    )
     for off in (0.9, 1.1):
         left = abs(np.cos(0.5 * np.pi * off))
         assert closed_form(zv, off, 0.0) == pytest.approx(left, abs=1e-9)
@@ -114,11 +130,18 @@ def test_the_residual_is_the_closed_forms_share_of_the_unshaped_one():
 
 
 def test_a_backwards_motion_is_shaped_backwards():
-    """What is run backwards leaves no vibration where it ends, which is where it was planned from."""
+    """What is run backwards leaves no vibration where it ends, which is where it was planned
+    from.
+    """
     reference = Reference(shaper=Shaper(frequencies=[FREQUENCY], damping_ratio=0.1))
     made = Blend(reference, DURATION, backwards=True)
     assert residual(lambda times: made.blend(DURATION - times), FREQUENCY, 0.1) < 1e-7
-    assert residual(lambda times: blend(**vars(reference.shaper)).blend(DURATION - times), FREQUENCY, 0.1) > 1e-5
+    assert (
+        residual(
+            lambda times: blend(**vars(reference.shaper)).blend(DURATION - times), FREQUENCY, 0.1
+        )
+        > 1e-5
+    )
 
 
 @pytest.mark.parametrize("kind", ["quintic", "septic"])
@@ -141,7 +164,9 @@ def test_the_shortest_duration_counts_the_shaper():
             "quintic": scenario.reference,
             "septic": dataclasses.replace(scenario.reference, kind="septic"),
             "zv": dataclasses.replace(scenario.reference, shaper=Shaper(frequencies=[FREQUENCY])),
-            "slow": dataclasses.replace(scenario.reference, shaper=Shaper(kind="zvd", frequencies=[0.02])),
+            "slow": dataclasses.replace(
+                scenario.reference, shaper=Shaper(kind="zvd", frequencies=[0.02])
+            ),
         }.items()
     }
     # Peak accelerations alone would give 1.14.
@@ -166,7 +191,8 @@ def test_a_capture_is_shaped_on_both_sides_of_the_grasp():
     make_rollout(scenario).check()
     motion = make_motion(scenario, make_nominal_plant(scenario).coordinates)
     plain = make_motion(load_scenario("tumbling_capture"), motion.coordinates)
-    for time in (0.0, scenario.grasp_time, motion.end):  # where it is, and how fast, at the ends of both parts
+    # where it is, and how fast, at the ends of both parts
+    for time in (0.0, scenario.grasp_time, motion.end):
         for mine, its in zip(motion.evaluate(time)[:2], plain.evaluate(time)[:2], strict=True):
             np.testing.assert_allclose(mine, its, rtol=0, atol=1e-12)
 
@@ -174,13 +200,32 @@ def test_a_capture_is_shaped_on_both_sides_of_the_grasp():
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
-        (("reference.kind=sextic",), "reference.kind: 'sextic' is unknown; choose one of quintic, septic, optimal"),
-        (("reference.shaper={}",), "reference.shaper.frequencies: give 1 to 4 frequencies in Hz, not 0"),
-        (("reference.shaper={frequencies: [0]}",), "reference.shaper.frequencies: must be > 0, at most 1000 Hz, not 0"),
-        (("reference.shaper={kind: zvx, frequencies: [1]}",), "shaper.kind: 'zvx' is unknown; choose one of zv, zvd"),
-        (("reference.shaper={frequencies: [1], damping_ratio: 1}",), "damping_ratio: must be from 0 to below 1, not 1"),
         (
-            ("reference.shaper={frequencies: [1]}", "reference.kind=optimal", "reference.plan=x.yaml"),
+            ("reference.kind=sextic",),
+            "reference.kind: 'sextic' is unknown; choose one of quintic, septic, optimal",
+        ),
+        (
+            ("reference.shaper={}",),
+            "reference.shaper.frequencies: give 1 to 4 frequencies in Hz, not 0",
+        ),
+        (
+            ("reference.shaper={frequencies: [0]}",),
+            "reference.shaper.frequencies: must be > 0, at most 1000 Hz, not 0",
+        ),
+        (
+            ("reference.shaper={kind: zvx, frequencies: [1]}",),
+            "shaper.kind: 'zvx' is unknown; choose one of zv, zvd",
+        ),
+        (
+            ("reference.shaper={frequencies: [1], damping_ratio: 1}",),
+            "damping_ratio: must be from 0 to below 1, not 1",
+        ),
+        (
+            (
+                "reference.shaper={frequencies: [1]}",
+                "reference.kind=optimal",
+                "reference.plan=x.yaml",
+            ),
             "reference.shaper: has no effect on a plan",
         ),
         (

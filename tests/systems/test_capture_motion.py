@@ -1,4 +1,6 @@
-"""The planned motion around a grasp: through the velocities before and after it, to rest, within limits."""
+"""The planned motion around a grasp: through the velocities before and after it, to rest, within
+limits.
+"""
 
 import copy
 
@@ -64,7 +66,10 @@ def test_angular_velocity_and_acceleration_of_a_rotation_vector():
 
 @pytest.mark.parametrize("goal", ["target_posture", "stop"])
 def test_it_goes_through_the_grasp_with_the_velocities_of_both_sides(goal):
-    approach = "capture.approach={duration: 12, posture: {base_rpy: [0.5, -0.3, 0.2], joints: {joint_2: -1}}}"
+    approach = (
+        "capture.approach={duration: 12, posture: {base_rpy: [0.5, -0.3, 0.2], joints: "
+        "{joint_2: -1}}}"
+    )
     motion, contact, scenario = motion_of("duration=40", f"reference.goal={goal}", approach)
     assert (motion.begin, motion.end) == (12.0, 32.0)
     assert np.abs(contact.velocity[:6]).min() > 1e-5  # the base moves, too
@@ -121,33 +126,54 @@ def test_the_shortest_duration_reaches_a_limit_with_the_nominal_payload(goal):
         return np.abs(model.calc_inverse_dynamics(*rows) / limit).max()
 
     assert share(motion.end) <= 0.7 < share(motion.end - 0.01)
-    longer, *_ = motion_of("reference.duration=auto", LIMITS, f"reference.goal={goal}", "reference.reserve=0.6")
+    longer, *_ = motion_of(
+        "reference.duration=auto", LIMITS, f"reference.goal={goal}", "reference.reserve=0.6"
+    )
     assert longer.end > motion.end + 0.1
 
 
 def test_the_shortest_duration_keeps_the_positions(tmp_path):
-    """joint_4 goes from 0.611 to 1.134 rad: an upper limit below that is named, one above changes nothing."""
+    """joint_4 goes from 0.611 to 1.134 rad: an upper limit below that is named, one above changes
+    nothing.
+    """
     text = (models_dir() / "urdf" / "servicer.urdf").read_text()
     head, joint, tail = text.partition('<joint name="joint_4" type="continuous">')
     for upper, free in ((1.12, False), (1.2, True)):
         limit = f'<limit lower="-1" upper="{upper}" effort="0" velocity="0"/>'
         servicer = tmp_path / f"{upper}.urdf"
         servicer.write_text(head + joint.replace("continuous", "revolute") + limit + tail)
-        model = (f"model.servicer={servicer}", "model.directives=null", "reference.duration=auto", LIMITS)
+        model = (
+            f"model.servicer={servicer}",
+            "model.directives=null",
+            "reference.duration=auto",
+            LIMITS,
+        )
         if free:
             assert motion_of(*model)[0].end == motion_of("reference.duration=auto", LIMITS)[0].end
         else:
-            with pytest.raises(ScenarioError, match=r"nearest is [\d.]+ s, in which the position of joint_4 takes"):
+            with pytest.raises(
+                ScenarioError,
+                match=r"nearest is [\d.]+ s, in which the position "
+                r"of joint_4 takes",
+            ):
                 motion_of(*model)
 
 
 def test_a_duration_without_limits_is_refused():
-    with pytest.raises(ScenarioError, match=r"reference\.duration: auto needs a limit of force or velocity"):
+    with pytest.raises(
+        ScenarioError,
+        match=r"reference\.duration: auto needs a limit of force or "
+        r"velocity",
+    ):
         motion_of("reference.duration=auto", "actuation.limit=null")
 
 
 def test_where_no_duration_will_do_the_limit_is_named():
     feeble = "actuation.limit={base_position: 22, base_rotation: 10, joints: 50, joint_4: 1.0e-6}"
-    with pytest.raises(ScenarioError, match=r"nearest is [\d.e+]+ s, in which the force on joint_4 takes") as refusal:
+    with pytest.raises(
+        ScenarioError,
+        match=r"nearest is [\d.e+]+ s, in which the force on "
+        r"joint_4 takes",
+    ) as refusal:
         motion_of("reference.duration=auto", feeble)
     assert refusal.value.key == "reference.duration"

@@ -1,4 +1,6 @@
-"""The four laws against hand-derived facts: poles, stability limits, time-delay estimation, signs, degeneracies."""
+"""The four laws against hand-derived facts: poles, stability limits, time-delay estimation, signs,
+degeneracies.
+"""
 
 import dataclasses
 import math
@@ -41,13 +43,19 @@ def asmc_law(k_s=80.0):
 def aismc_law(k_s=80.0, k_p=200.0):
     zero = 0.0 * ONE
     return Aismc(
-        sample_time=PERIOD, k_d=100 * ONE, k_p=k_p * ONE, k_s_initial=k_s * ONE, alpha=zero, beta=ONE,
+        sample_time=PERIOD,
+        k_d=100 * ONE,
+        k_p=k_p * ONE,
+        k_s_initial=k_s * ONE,
+        alpha=zero,
+        beta=ONE,
         k_s_max=math.inf * ONE,
-    )  # fmt: skip
+    )
 
 
 class AxisLoop:
-    """One axis under a sampled law: plant H a = tau - n(t), estimate Hhat = eta H, zero-order hold, exact integration.
+    """One axis under a sampled law: plant H a = tau - n(t), estimate Hhat = eta H, zero-order hold,
+    exact integration.
 
     ``euler`` integrates the plant as the paper does: position with the old velocity.
     """
@@ -62,7 +70,9 @@ class AxisLoop:
     def step(self):
         e, e_dot = np.array([-self.q]), np.array([-self.v])
         u, self.state = self.law.step(e, e_dot, np.zeros(1), self.state)
-        delayed = 0.0 if self.delayed_velocity is None else (self.v - self.delayed_velocity) / PERIOD
+        delayed = (
+            0.0 if self.delayed_velocity is None else (self.v - self.delayed_velocity) / PERIOD
+        )
         self.delayed_velocity = self.v
         self.tau = time_delay_force(
             delayed_force=np.array([self.tau]),
@@ -78,7 +88,9 @@ class AxisLoop:
 
 
 def poles(law):
-    """Nonzero eigenvalues of the sampled loop at eta = 1, from its response: with H = Hhat the delayed terms cancel."""
+    """Nonzero eigenvalues of the sampled loop at eta = 1, from its response: with H = Hhat the
+    delayed terms cancel.
+    """
     size = 2 + (1 if "integral_error" in law.initial_state() else 0)
     columns = []
     for i in range(size):
@@ -136,12 +148,18 @@ def test_sliding_variable_on_the_euler_plant():
         loop.step()
         s.append(loop.state["sliding_variable"][0])
     for k in range(49):
-        assert s[k + 1] == pytest.approx((1 - 80 * PERIOD) * s[k] - PERIOD * loop.tde_error[k], abs=1e-13)
+        assert s[k + 1] == pytest.approx(
+            (1 - 80 * PERIOD) * s[k] - PERIOD * loop.tde_error[k], abs=1e-13
+        )
 
 
-@pytest.mark.parametrize(("lumped", "expected"), [(lambda k: 3.0, 0.0), (lambda k: 0.25 * k, -0.25)])
+@pytest.mark.parametrize(
+    ("lumped", "expected"), [(lambda k: 3.0, 0.0), (lambda k: 0.25 * k, -0.25)]
+)
 def test_time_delay_estimation_error(lumped, expected):
-    """A constant lumped uncertainty is met exactly from the second step; a ramp leaves its increment per sample."""
+    """A constant lumped uncertainty is met exactly from the second step; a ramp leaves its
+    increment per sample.
+    """
     loop = AxisLoop(tdc_law(), lumped=lumped)
     for _ in range(40):
         loop.step()
@@ -149,10 +167,13 @@ def test_time_delay_estimation_error(lumped, expected):
 
 
 def coordinates_and_laws(**changes):
-    scenario = load_scenario("paper", [f"controllers.{key}={value}" for key, value in changes.items()])
+    scenario = load_scenario(
+        "paper", [f"controllers.{key}={value}" for key, value in changes.items()]
+    )
     nominal = make_nominal_plant(scenario)
     return nominal.coordinates, {
-        name: make_law(dataclasses.replace(scenario, controller=name), nominal).dynamics for name in PAPER_LAWS
+        name: make_law(dataclasses.replace(scenario, controller=name), nominal).dynamics
+        for name in PAPER_LAWS
     }
 
 
@@ -230,7 +251,12 @@ def test_gains_never_become_negative_or_infinite(name, scale):
 
 def test_upper_bounds_hold():
     _, laws = coordinates_and_laws(
-        **{"tde_aismc.k_s_max": 81, "tde_aismc.g_max": 3e-4, "aismc.k_s_max.joint_2": 82, "asmc.g_max": 1e-9}
+        **{
+            "tde_aismc.k_s_max": 81,
+            "tde_aismc.g_max": 3e-4,
+            "aismc.k_s_max.joint_2": 82,
+            "asmc.g_max": 1e-9,
+        }
     )
     bounded = (
         ("tde_aismc", "reaching_gain", 81),
@@ -248,11 +274,18 @@ def test_upper_bounds_hold():
 
 def test_reaching_gain_laws_rest_at_their_threshold():
     k_s, beta = np.array([80.0]), np.array([4e7])
-    for rate, threshold in ((tde_aismc.reaching_gain_rate, k_s / beta), (aismc.reaching_gain_rate, k_s**2 / beta)):
+    for rate, threshold in (
+        (tde_aismc.reaching_gain_rate, k_s / beta),
+        (aismc.reaching_gain_rate, k_s**2 / beta),
+    ):
         alpha = np.array([3e4])
         assert rate(threshold, k_s, alpha=alpha, beta=beta) == 0.0
-        assert rate(-1.01 * threshold, k_s, alpha=alpha, beta=beta) == pytest.approx(alpha * 1.01 * threshold)
-        assert rate(0.99 * threshold, k_s, alpha=alpha, beta=beta) == pytest.approx(-alpha * 0.99 * threshold)
+        assert rate(-1.01 * threshold, k_s, alpha=alpha, beta=beta) == pytest.approx(
+            alpha * 1.01 * threshold
+        )
+        assert rate(0.99 * threshold, k_s, alpha=alpha, beta=beta) == pytest.approx(
+            -alpha * 0.99 * threshold
+        )
 
 
 def test_switching_gain_law_10():
@@ -274,12 +307,19 @@ def test_switching_gain_law_19():
 
 def test_published_gains_are_those_of_section_4():
     coordinates, laws = coordinates_and_laws()
-    position, rotation, joints = (coordinates.groups[name] for name in ("base_position", "base_rotation", "joints"))
+    position, rotation, joints = (
+        coordinates.groups[name] for name in ("base_position", "base_rotation", "joints")
+    )
     law = laws["tde_aismc"]
     expected = {
-        "k_d": (100, 100, 100), "k_p": (200, 100, 100), "k_s_initial": (80, 80, 80), "g_initial": (2e-4, 2e-4, 2e-4),
-        "alpha": (3e4, 18e4, 9e4), "beta": (4e7, 24e7, 12e7), "phi": (1e-2, 1e-1, 1e-1),
-    }  # fmt: skip
+        "k_d": (100, 100, 100),
+        "k_p": (200, 100, 100),
+        "k_s_initial": (80, 80, 80),
+        "g_initial": (2e-4, 2e-4, 2e-4),
+        "alpha": (3e4, 18e4, 9e4),
+        "beta": (4e7, 24e7, 12e7),
+        "phi": (1e-2, 1e-1, 1e-1),
+    }
     for name, values in expected.items():
         for group, value in zip((position, rotation, joints), values, strict=True):
             assert getattr(law, name)[group] == pytest.approx(value), name
@@ -293,7 +333,10 @@ def test_published_gains_are_those_of_section_4():
 def test_ports_and_state_of_the_leaf_system(name):
     scenario = load_scenario("postcapture", [f"controller={name}"])
     controller = make_controller(scenario, make_nominal_plant(scenario))
-    inputs = {controller.get_input_port(i).get_name(): controller.get_input_port(i).size() for i in range(3)}
+    inputs = {
+        controller.get_input_port(i).get_name(): controller.get_input_port(i).size()
+        for i in range(3)
+    }
     assert inputs == {"estimated_state": 23, "desired_state": 23, "desired_acceleration": 11}
     assert controller.GetOutputPort("generalized_force").size() == 11
     optional = {"tdc": set(), "asmc": {"sliding_variable", "switching_gain"}}

@@ -39,7 +39,9 @@ def test_the_errors_obey_the_linearised_equation(model):
 
         def error(t, q=q, v=v, a=a):
             """[e; e'] of two motions of constant acceleration, a little later."""
-            there, here = (moved(p, t * w + 0.5 * t * t * c) for p, w, c in ((q_d, v_d, a_d), (q, v, a)))
+            there, here = (
+                moved(p, t * w + 0.5 * t * t * c) for p, w, c in ((q_d, v_d, a_d), (q, v, a))
+            )
             e = position_error(there, here)
             return np.concatenate([e, error_rate(e, v_d + t * a_d, v + t * a)])
 
@@ -56,7 +58,9 @@ def test_its_gains_are_those_of_the_riccati_equation():
     end = make_motion(scenario, model.coordinates).evaluate(2.0)
     a, b = discretized(*linearized(model, *end), 0.01)
     effort = np.diag(law.force_size**-2.0)
-    cost = solve_discrete_are(a, b, np.diag(np.concatenate([law.error_size, law.rate_size]) ** -2.0), effort)
+    cost = solve_discrete_are(
+        a, b, np.diag(np.concatenate([law.error_size, law.rate_size]) ** -2.0), effort
+    )
     expected = -np.linalg.solve(effort + b.T @ cost @ b, b.T @ cost @ a)
     assert law.gains.shape == (201, 11, 22)
     assert law.gains[-1] == pytest.approx(expected, rel=1e-4, abs=1e-4 * np.abs(expected).max())
@@ -92,7 +96,8 @@ def test_torque_against_momentum_takes_the_least_time():
     scenario = load_scenario("planar_detumble", sets)
     log, true = Rollout(scenario).run(), make_true_plant(scenario)
     size = [
-        np.linalg.norm(angular_momentum(true.calc_mass_matrix(row[:10]), row[10:])) for row in log.series["state"][::10]
+        np.linalg.norm(angular_momentum(true.calc_mass_matrix(row[:10]), row[10:]))
+        for row in log.series["state"][::10]
     ]
     bound = size[0] / 0.6
     assert np.interp(0.5 * bound, log.time[::10], size) == pytest.approx(0.5 * size[0], rel=0.01)

@@ -1,7 +1,9 @@
-"""Drives of the joints: friction and rotor inertia against closed forms, the rate limit, what the forecast makes of it.
+"""Drives of the joints: friction and rotor inertia against closed forms, the rate limit, what the
+forecast makes of it.
 
-The spacecraft of the closed forms is two bodies that turn about one axis through both centres of mass, so that a torque
-T of the joint gives its rate T / M with the reduced inertia M = I J / (I + J).
+The spacecraft of the closed forms is two bodies that turn about one axis through both centres of
+mass, so that a torque T of the joint gives its rate T / M with the reduced inertia M = I J / (I +
+J).
 """
 
 import numpy as np
@@ -22,11 +24,15 @@ from ffsm_drake.systems.actuation.drives import DriveSet
 BASE, LINK = 10.0, 5.0  # kg m^2, about the axis; the link with its payload
 REDUCED = BASE * LINK / (BASE + LINK)
 
-INERTIAL = '<inertial><mass value="{m}"/><inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial>'
+INERTIAL = (
+    '<inertial><mass value="{m}"/><inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" '
+    'iyz="0"/></inertial>'
+)
 SERVICER = f"""<robot name="two_bodies">
   <link name="base">{INERTIAL.format(m=100, i=BASE)}</link>
   <link name="arm">{INERTIAL.format(m=5, i=2)}</link>
-  <joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint>
+  <joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/>
+    <axis xyz="0 0 1"/></joint>
 </robot>"""
 DEBRIS = f'<robot name="debris"><link name="debris">{INERTIAL.format(m=20, i=3)}</link></robot>'
 
@@ -36,11 +42,18 @@ class Torque(LeafSystem):
 
     def __init__(self, value):
         super().__init__()
-        for name, size in (("estimated_state", 15), ("desired_state", 15), ("desired_acceleration", 7)):
+        for name, size in (
+            ("estimated_state", 15),
+            ("desired_state", 15),
+            ("desired_acceleration", 7),
+        ):
             self.DeclareVectorInputPort(name, size)
         force = np.r_[np.zeros(6), value]
         self.DeclareVectorOutputPort(
-            "generalized_force", 7, lambda _, output: output.SetFromVector(force), {self.nothing_ticket()}
+            "generalized_force",
+            7,
+            lambda _, output: output.SetFromVector(force),
+            {self.nothing_ticket()},
         )
 
 
@@ -53,26 +66,38 @@ def two_bodies(tmp_path_factory):
 
     def make(rate=0.0, drives=None, *, duration=1.0, step=1e-3, limit=None, torque=0.0):
         payload = {"mass": 20.0, "center_of_mass": [0, 0, 0], "inertia": [3.0, 3.0, 3.0]}
-        return scenario_from_dict({
-            "duration": duration, "controller": "tdc", "controllers": {"tdc": {"k_d": 1.0, "k_p": 1.0}},
-            "model": {
-                "servicer": str(folder / "servicer.urdf"), "debris": str(folder / "debris.urdf"), "directives": None,
-                "end_effector": "servicer::arm", "grasp": "debris::debris",
-            },
-            "simulator_config": {"max_step_size": step},
-            "payload": {"truth": payload, "nominal": payload},
-            # at rest together: the joint's rate is of both bodies, against each other
-            "initial_velocity": {"hinge": rate, "base_rotation_z": -rate * LINK / (BASE + LINK)},
-            "actuation": {"drives": drives, "limit": limit},
-            "disturbance": {"harmonics": {"hinge": {"bias": torque}}},
-        })  # fmt: skip
+        return scenario_from_dict(
+            {
+                "duration": duration,
+                "controller": "tdc",
+                "controllers": {"tdc": {"k_d": 1.0, "k_p": 1.0}},
+                "model": {
+                    "servicer": str(folder / "servicer.urdf"),
+                    "debris": str(folder / "debris.urdf"),
+                    "directives": None,
+                    "end_effector": "servicer::arm",
+                    "grasp": "debris::debris",
+                },
+                "simulator_config": {"max_step_size": step},
+                "payload": {"truth": payload, "nominal": payload},
+                # at rest together: the joint's rate is of both bodies, against each other
+                "initial_velocity": {
+                    "hinge": rate,
+                    "base_rotation_z": -rate * LINK / (BASE + LINK),
+                },
+                "actuation": {"drives": drives, "limit": limit},
+                "disturbance": {"harmonics": {"hinge": {"bias": torque}}},
+            }
+        )
 
     return make
 
 
 def coast(scenario, torque=0.0):
     """The run with a constant torque of the drive: record and the joint's rate."""
-    record = simulate(scenario, blocks={"controller": lambda _: Torque(torque)}, check_stability=False)
+    record = simulate(
+        scenario, blocks={"controller": lambda _: Torque(torque)}, check_stability=False
+    )
     return record, record.dataset["velocity"].values[:, 6]
 
 
@@ -100,12 +125,19 @@ def test_viscous_friction_is_exponential(two_bodies):
 def test_coulomb_friction_stops_a_joint(two_bodies):
     """sinh(v / v_0) falls exponentially: v by F t / M until it is near v_0. Stops after M v / F."""
     coulomb, smoothing = 0.5, 2e-3
-    record, rate = coast(two_bodies(0.1, {"coulomb_friction": coulomb, "smoothing_rate": smoothing}, step=2.5e-4))
+    record, rate = coast(
+        two_bodies(0.1, {"coulomb_friction": coulomb, "smoothing_rate": smoothing}, step=2.5e-4)
+    )
     time = record.dataset["time"].values
-    exact = np.arcsinh(np.sinh(0.1 / smoothing) * np.exp(-coulomb * time / (REDUCED * smoothing))) * smoothing
+    exact = (
+        np.arcsinh(np.sinh(0.1 / smoothing) * np.exp(-coulomb * time / (REDUCED * smoothing)))
+        * smoothing
+    )
     assert rate == pytest.approx(exact, abs=1e-9)
     stop = REDUCED * 0.1 / coulomb  # 0.667 s
-    assert rate[time < stop - 0.05] == pytest.approx(0.1 - coulomb / REDUCED * time[time < stop - 0.05], abs=1e-6)
+    assert rate[time < stop - 0.05] == pytest.approx(
+        0.1 - coulomb / REDUCED * time[time < stop - 0.05], abs=1e-6
+    )
     assert 0.0 < rate[time > stop + 0.1].max() < 1e-3 * smoothing
     assert_balanced(record)
     assert record.metrics["drives"]["peak_friction"]["hinge"] == pytest.approx(coulomb)
@@ -116,7 +148,10 @@ def test_coulomb_and_viscous_friction_together(two_bodies):
     coulomb, viscous, smoothing = 0.3, 4.0, 2e-4
     drives = {"coulomb_friction": coulomb, "viscous_friction": viscous, "smoothing_rate": smoothing}
     record, rate = coast(two_bodies(0.1, drives, step=2e-4))
-    time, stop = record.dataset["time"].values, REDUCED / viscous * np.log(1.0 + viscous * 0.1 / coulomb)
+    time, stop = (
+        record.dataset["time"].values,
+        REDUCED / viscous * np.log(1.0 + viscous * 0.1 / coulomb),
+    )
     before = time < stop - 0.02
     assert before.sum() > 60
     exact = (0.1 + coulomb / viscous) * np.exp(-viscous * time / REDUCED) - coulomb / viscous
@@ -126,11 +161,19 @@ def test_coulomb_and_viscous_friction_together(two_bodies):
 
 
 def test_stiction_holds_but_for_a_creep(two_bodies):
-    """Below static friction the joint creeps at v_0 artanh(T / F); above it breaks away, and is held by less."""
-    drives = {"coulomb_friction": 0.4, "static_friction": 0.6, "stribeck_rate": 0.02, "smoothing_rate": 1e-3}
+    """Below static friction the joint creeps at v_0 artanh(T / F); above it breaks away, and is
+    held by less.
+    """
+    drives = {
+        "coulomb_friction": 0.4,
+        "static_friction": 0.6,
+        "stribeck_rate": 0.02,
+        "smoothing_rate": 1e-3,
+    }
     step = 2e-3
     held, rate = coast(two_bodies(0.0, drives, step=step), torque=0.3)
-    assert rate[-1] == pytest.approx(1e-3 * np.arctanh(0.3 / 0.6), rel=2e-3)  # exp(-(v / v_s)^2) is not quite 1
+    # exp(-(v / v_s)^2) is not quite 1
+    assert rate[-1] == pytest.approx(1e-3 * np.arctanh(0.3 / 0.6), rel=2e-3)
     assert held.dataset["position"].values[-1, 7] < 1e-3
     record, rate = coast(two_bodies(0.0, drives, step=step, duration=2.0), torque=0.65)
     assert rate[-1] > 0.1
@@ -141,7 +184,9 @@ def test_stiction_holds_but_for_a_creep(two_bodies):
 
 
 def test_a_rotor_adds_its_inertia_times_the_ratio_squared(two_bodies):
-    """Base and link feel the torque, the rotor turns with the joint: (J + N^2 J_r - J^2 / (I + J)) a = T."""
+    """Base and link feel the torque, the rotor turns with the joint: (J + N^2 J_r - J^2 / (I + J))
+    a = T.
+    """
     record, rate = coast(two_bodies(0.0, {"gear_ratio": 100, "rotor_inertia": 3e-4}), torque=2.0)
     data = record.dataset
     assert rate == pytest.approx(2.0 / (REDUCED + 3.0) * data["time"].values, rel=1e-11)
@@ -155,27 +200,40 @@ def test_the_controller_knows_the_rotors_as_the_scenario_says(two_bodies):
     drives = {"gear_ratio": 100, "rotor_inertia": 3e-4}
     q = np.array([1.0, *np.zeros(7)])
     plain = make_nominal_plant(two_bodies()).calc_mass_matrix(q)[6, 6]
-    for more, nominal in (({}, 3.0), ({"nominal_rotor_inertia": 1e-4}, 1.0), ({"nominal_rotor_inertia": 0.0}, 0.0)):
+    for more, nominal in (
+        ({}, 3.0),
+        ({"nominal_rotor_inertia": 1e-4}, 1.0),
+        ({"nominal_rotor_inertia": 0.0}, 0.0),
+    ):
         scenario = two_bodies(0.0, drives | more)
-        assert make_nominal_plant(scenario).calc_mass_matrix(q)[6, 6] == pytest.approx(plain + nominal)
+        assert make_nominal_plant(scenario).calc_mass_matrix(q)[6, 6] == pytest.approx(
+            plain + nominal
+        )
         assert make_true_plant(scenario).calc_mass_matrix(q)[6, 6] == pytest.approx(plain + 3.0)
 
 
 def test_inverse_dynamics_has_the_rotors():
-    scenario = load_scenario("postcapture", ["actuation.drives={gear_ratio: 50, rotor_inertia: 1e-3}"])
+    scenario = load_scenario(
+        "postcapture", ["actuation.drives={gear_ratio: 50, rotor_inertia: 1e-3}"]
+    )
     model = make_true_plant(scenario)
     rng = np.random.default_rng(2)
     q = np.r_[1.0, np.zeros(3), rng.normal(size=8)]
     v, a = np.r_[np.zeros(3), rng.normal(size=8)], np.r_[np.zeros(3), rng.normal(size=8)]
     model.plant.SetPositions(model.context, q)
     attitude = base_body(model.plant).EvalPoseInWorld(model.context).rotation()
-    tau = InverseDynamics(model, attitude).force(np.r_[np.zeros(3), q[4:]][:, None], v[:, None], a[:, None])
+    tau = InverseDynamics(model, attitude).force(
+        np.r_[np.zeros(3), q[4:]][:, None], v[:, None], a[:, None]
+    )
     assert tau[:, 0] == pytest.approx(model.calc_inverse_dynamics(q, v, a), rel=1e-11, abs=1e-10)
 
 
 def test_momentum_and_energy_of_the_whole_spacecraft(run):
     """Friction is inside the spacecraft: its momentum follows the base's force alone."""
-    friction = "actuation.drives={coulomb_friction: 0.05, static_friction: 0.06, viscous_friction: 0.2, rotor_inertia: 1e-5, gear_ratio: 100}"  # noqa: E501
+    friction = (
+        "actuation.drives={coulomb_friction: 0.05, static_friction: 0.06, "
+        "viscous_friction: 0.2, rotor_inertia: 1e-5, gear_ratio: 100}"
+    )
     record = run("postcapture", friction, "duration=5", "simulator_config.max_step_size=0.002")
     for residual in momentum_residual(record.dataset).values():
         assert np.linalg.norm(residual, axis=1).max() < 1e-9
@@ -198,7 +256,10 @@ def test_friction_is_no_force_of_the_controller(run):
 
 
 def test_drives_that_do_nothing_change_no_bit(run):
-    plain, empty = (run("postcapture", "duration=1", *more) for more in ((), ("actuation.drives={gear_ratio: 100}",)))
+    plain, empty = (
+        run("postcapture", "duration=1", *more)
+        for more in ((), ("actuation.drives={gear_ratio: 100}",))
+    )
     for name in plain.dataset.data_vars:
         assert np.array_equal(plain.dataset[name].values, empty.dataset[name].values), name
     assert "actuation" not in make_closed_loop(empty.scenario).blocks
@@ -210,7 +271,9 @@ def test_force_falls_to_nothing_at_the_rate_limit(two_bodies):
     record, rate = coast(scenario, torque=10.0)
     gain = 3.0 * 0.01 / (REDUCED * 0.2)
     assert rate == pytest.approx(0.2 * (1.0 - (1.0 - gain) ** np.arange(rate.size)), rel=1e-9)
-    assert record.dataset["applied_force"].values[:, 6] == pytest.approx(3.0 * (1.0 - rate / 0.2), rel=1e-9)
+    assert record.dataset["applied_force"].values[:, 6] == pytest.approx(
+        3.0 * (1.0 - rate / 0.2), rel=1e-9
+    )
     figures = record.metrics["drives"]
     assert figures["rate_used"]["hinge"] == pytest.approx(rate[-1] / 0.2)
     assert figures["force_used"]["hinge"] == pytest.approx(1.0)
@@ -230,9 +293,13 @@ def test_a_drive_brakes_at_any_rate():
     assert np.array_equal(drives.give(wanted, np.zeros(3)), wanted)
 
 
-@pytest.mark.parametrize(("drives", "slope"), [({"viscous_friction": 7.0}, 7.0), ({"coulomb_friction": 0.02}, 20.0)])
+@pytest.mark.parametrize(
+    ("drives", "slope"), [({"viscous_friction": 7.0}, 7.0), ({"coulomb_friction": 0.02}, 20.0)]
+)
 def test_the_forecast_sees_friction_at_its_slope(two_bodies, drives, slope):
-    """Over a control sample the joint's rate falls by exp(-slope L / M), the base's turns with it."""
+    """Over a control sample the joint's rate falls by exp(-slope L / M), the base's turns with
+    it.
+    """
     scenario = two_bodies(0.0, drives, limit={"hinge": 1.0})
     with Linearizer(scenario, blocks={"controller": lambda _: Torque(0.0)}) as linearizer:
         (sample,) = linearizer.at(0.0).samples
@@ -249,8 +316,10 @@ def test_a_step_that_does_not_resolve_friction_is_refused_before_the_run(two_bod
     with pytest.raises(ScenarioError) as error:
         simulate(coarse)
     assert str(error.value) == (
-        "simulator_config.max_step_size: 0.0326861 s does not resolve the friction of hinge, which near rest acts "
-        "within 0.032 s (initial_posture): take at most 0.029 s, or 1.1 times the actuation.drives.smoothing_rate"
+        "simulator_config.max_step_size: 0.0326861 s does not resolve the friction of hinge, "
+        "which near rest acts "
+        "within 0.032 s (initial_posture): take at most 0.029 s, or 1.1 times the "
+        "actuation.drives.smoothing_rate"
     )
     coarse.simulator_config.integration_scheme = "radau3"
     make_closed_loop(coarse).diagram.CreateDefaultContext()
@@ -260,7 +329,10 @@ def test_a_step_that_does_not_resolve_friction_is_refused_before_the_run(two_bod
     ("override", "expected"),
     [
         ("gear_ratio: 0", "actuation.drives.gear_ratio.all: must be > 0, not 0"),
-        ("rotor_inertia: {joint_1: -1}", "actuation.drives.rotor_inertia.joint_1: must be >= 0, not -1"),
+        (
+            "rotor_inertia: {joint_1: -1}",
+            "actuation.drives.rotor_inertia.joint_1: must be >= 0, not -1",
+        ),
         (
             "rotor_inertia: {elbow: 1}",
             "actuation.drives.rotor_inertia.elbow: is no joint; valid here: all, joints, joint",
@@ -270,10 +342,14 @@ def test_a_step_that_does_not_resolve_friction_is_refused_before_the_run(two_bod
             "actuation.drives.gear_ratio.base_rotation: is no joint; valid here: all, j",
         ),
         ("knee: 1", "actuation.drives.knee.all: must be from 0 to below 1, not 1"),
-        ("coulomb_friction: {joint_9: 1}", "actuation.drives.coulomb_friction.joint_9: is no joint"),
+        (
+            "coulomb_friction: {joint_9: 1}",
+            "actuation.drives.coulomb_friction.joint_9: is no joint",
+        ),
         (
             "{coulomb_friction: 0.2, static_friction: {joint_2: 0.1}}",
-            "actuation.drives.static_friction: joint_2 has 0.1, less than its coulomb_friction, 0.2",
+            "actuation.drives.static_friction: joint_2 has 0.1, less than its coulomb_friction, "
+            "0.2",
         ),
         ("smoothing_rate: 0", "actuation.drives.smoothing_rate.all: must be > 0, not 0"),
         (

@@ -20,19 +20,37 @@ from ffsm_drake.scenario import Approach, Environment, SolarPressure
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.environment import EARTH_GRAVITY, EnvironmentForce, OrbitalForce, mean_motion
+from ffsm_drake.systems.environment import (
+    EARTH_GRAVITY,
+    EnvironmentForce,
+    OrbitalForce,
+    mean_motion,
+)
 
-# D-SPOSE 1.0.0 (github.com/McGill-AML/D-SPOSE), input/ and output/expected-output/: Envisat, TEME axes.
-ENVISAT = np.array([[17023.3, 397.1, -2171.4], [397.1, 124825.7, 344.2], [-2171.4, 344.2, 129112.2]])  # kg m^2
+# D-SPOSE 1.0.0 (github.com/McGill-AML/D-SPOSE), input/ and output/expected-output/: Envisat, TEME
+# axes. kg m^2
+ENVISAT = np.array(
+    [[17023.3, 397.1, -2171.4], [397.1, 124825.7, 344.2], [-2171.4, 344.2, 129112.2]]
+)
 START = {
     "position": (-6.8513213592900028e06, -2.0360812531800000e06, 5.1209100002888590e01),  # m
     "velocity": (-3.0342360099999678e02, 1.0515137020000006e03, 7.3889006430000009e03),  # m/s
     "rate": (0.0, 0.0, 5.0614548307835558e-02),  # rad/s, body axes
-    "quaternion": (6.3385515879563592e-01, 3.4429412470306686e-01, 5.5596281630038358e-01, -4.1303091924752378e-01),
+    "quaternion": (
+        6.3385515879563592e-01,
+        3.4429412470306686e-01,
+        5.5596281630038358e-01,
+        -4.1303091924752378e-01,
+    ),
 }
 AFTER_10_S = {
     "rate": (4.7707658898355507e-04, 5.5383522698853780e-04, 5.0624151370082866e-02),
-    "quaternion": (7.1594026177812464e-01, 4.7380278817532273e-01, 4.5246184760099001e-01, -2.4128559001287089e-01),
+    "quaternion": (
+        7.1594026177812464e-01,
+        4.7380278817532273e-01,
+        4.5246184760099001e-01,
+        -2.4128559001287089e-01,
+    ),
 }
 
 
@@ -49,18 +67,26 @@ def free_plant(mass: float, inertia: np.ndarray) -> MultibodyPlant:
     return plant
 
 
-def coast(settings: Environment, state, *, duration, mass=1.0, inertia=UNIT, sample_time=0.1, step=0.1):
+def coast(
+    settings: Environment, state, *, duration, mass=1.0, inertia=UNIT, sample_time=0.1, step=0.1
+):
     """The state [q; v] of a free body after a time in the environment."""
     builder, own = DiagramBuilder(), free_plant(mass, inertia)
     plant = builder.AddSystem(free_plant(mass, inertia))
-    model = PlantModel(plant=own, context=own.CreateDefaultContext(), coordinates=Coordinates((), ()))
+    model = PlantModel(
+        plant=own, context=own.CreateDefaultContext(), coordinates=Coordinates((), ())
+    )
     system = EnvironmentForce(settings, model, sample_time=sample_time)
     builder.AddSystem(system)
     builder.Connect(plant.get_state_output_port(), system.GetInputPort("state"))
-    builder.Connect(system.GetOutputPort("generalized_force"), plant.get_applied_generalized_force_input_port())
+    builder.Connect(
+        system.GetOutputPort("generalized_force"), plant.get_applied_generalized_force_input_port()
+    )
     simulator = Simulator(builder.Build())
     config = SimulatorConfig(
-        integration_scheme="runge_kutta3", max_step_size=min(sample_time, step), use_error_control=False
+        integration_scheme="runge_kutta3",
+        max_step_size=min(sample_time, step),
+        use_error_control=False,
     )
     ApplySimulatorConfig(config, simulator)
     context = simulator.get_mutable_context()
@@ -83,7 +109,9 @@ def rotation(quaternion) -> np.ndarray:
 
 
 def envisat(**values) -> Environment:
-    """The environment of D-SPOSE's Envisat; its quaternion turns by its transpose, which is R_WB here."""
+    """The environment of D-SPOSE's Envisat; its quaternion turns by its transpose, which is R_WB
+    here.
+    """
     rate = np.sqrt(EARTH_GRAVITY / np.linalg.norm(START["position"]) ** 3)
     frame = hill_frame(START["position"], START["velocity"])
     return Environment(altitude=None, mean_motion=float(rate), hill_rpy=frame, **values)
@@ -99,7 +127,13 @@ def test_envisat_turns_as_in_d_spose():
     rate = rotation(after[:4]).T @ after[7:10]
     np.testing.assert_allclose(rate, AFTER_10_S["rate"], rtol=0, atol=5e-8)
     np.testing.assert_allclose(after[:4], AFTER_10_S["quaternion"], rtol=0, atol=1e-7)
-    free = coast(envisat(gravity_gradient=False), envisat_state(), duration=10.0, mass=7827.867, inertia=ENVISAT)
+    free = coast(
+        envisat(gravity_gradient=False),
+        envisat_state(),
+        duration=10.0,
+        mass=7827.867,
+        inertia=ENVISAT,
+    )
     without = rotation(free[:4]).T @ free[7:10]
     assert np.abs(without - AFTER_10_S["rate"]).max() > 5e-6  # what the gravity gradient is for
 
@@ -126,10 +160,14 @@ def drift(settings: Environment, start, time: float, **values) -> np.ndarray:
     turn = RotationMatrix(RollPitchYaw([0, 0, n * time])).matrix()
     position, velocity = np.split(np.array(start, dtype=float), 2)
     rate = np.array([0.0, 0.0, n])
-    state = np.concatenate([[1, 0, 0, 0], frame @ position, np.zeros(3), frame @ (velocity + np.cross(rate, position))])
+    state = np.concatenate(
+        [[1, 0, 0, 0], frame @ position, np.zeros(3), frame @ (velocity + np.cross(rate, position))]
+    )
     after = coast(settings, state, duration=time, **values)
     in_hill = (frame @ turn).T
-    return np.concatenate([in_hill @ after[4:7], in_hill @ after[10:] - np.cross(rate, in_hill @ after[4:7])])
+    return np.concatenate(
+        [in_hill @ after[4:7], in_hill @ after[10:] - np.cross(rate, in_hill @ after[4:7])]
+    )
 
 
 @pytest.mark.parametrize("time", [20.0, 300.0])
@@ -143,11 +181,18 @@ def test_a_metre_higher_drifts_away(time):
 
 
 def test_motion_about_the_orbit_is_clohessy_and_wiltshires():
-    settings, start = Environment(hill_rpy=[0.3, -0.4, 1.0]), np.array([10.0, -20.0, 5.0, 0.01, -0.02, 0.005])
+    settings, start = (
+        Environment(hill_rpy=[0.3, -0.4, 1.0]),
+        np.array([10.0, -20.0, 5.0, 0.01, -0.02, 0.005]),
+    )
     expected = clohessy_wiltshire(mean_motion(settings), start, 1400.0)  # a quarter of an orbit
     after = drift(settings, start, 1400.0, sample_time=1.0)
-    np.testing.assert_allclose(after[:3], expected[:3], rtol=0, atol=1e-5 * np.linalg.norm(expected[:3]))
-    np.testing.assert_allclose(after[3:], expected[3:], rtol=0, atol=1e-5 * np.linalg.norm(expected[3:]))
+    np.testing.assert_allclose(
+        after[:3], expected[:3], rtol=0, atol=1e-5 * np.linalg.norm(expected[:3])
+    )
+    np.testing.assert_allclose(
+        after[3:], expected[3:], rtol=0, atol=1e-5 * np.linalg.norm(expected[3:])
+    )
 
 
 def test_holding_the_force_costs_the_square_of_the_sample():
@@ -155,7 +200,15 @@ def test_holding_the_force_costs_the_square_of_the_sample():
     state = envisat_state()
     state[7:10] *= 10.0
     exact, coarse, fine = (
-        coast(envisat(), state, duration=4.0, mass=7827.867, inertia=ENVISAT, sample_time=period, step=0.01)[7:10]
+        coast(
+            envisat(),
+            state,
+            duration=4.0,
+            mass=7827.867,
+            inertia=ENVISAT,
+            sample_time=period,
+            step=0.01,
+        )[7:10]
         for period in (0.01, 0.2, 0.1)
     )
     errors = [np.linalg.norm(each - exact) for each in (coarse, fine)]
@@ -165,12 +218,17 @@ def test_holding_the_force_costs_the_square_of_the_sample():
 
 PANELS = (
     "model.flexible={left: {mass: 8, frequency: 0.25, position: [0, 1, 0]}, "
-    "right: {mass: 8, frequency: 0.25, position: [0, -1, 0], direction: [0, -1, 0], axis: [-1, 0, 0]}}"
+    "right: {mass: 8, frequency: 0.25, position: [0, -1, 0], direction: [0, -1, 0], axis: [-1, 0, "
+    "0]}}"
 )
-SOLAR = SolarPressure(area=20.0, coefficient=1.5, sun=[0.0, 3.0, 4.0], center_of_pressure=[0.1, -0.2, 1.0])
+SOLAR = SolarPressure(
+    area=20.0, coefficient=1.5, sun=[0.0, 3.0, 4.0], center_of_pressure=[0.1, -0.2, 1.0]
+)
 
 
-def force_body_by_body(settings: Environment, model: PlantModel, q: np.ndarray, time: float) -> np.ndarray:
+def force_body_by_body(
+    settings: Environment, model: PlantModel, q: np.ndarray, time: float
+) -> np.ndarray:
     """The generalized force from each body's force and torque, by the transpose of its Jacobian."""
     plant, context = model.plant, model.context
     n, R_WH = mean_motion(settings), RollPitchYaw(settings.hill_rpy).ToRotationMatrix().matrix()
@@ -196,10 +254,21 @@ def force_body_by_body(settings: Environment, model: PlantModel, q: np.ndarray, 
         total += J.T @ np.concatenate([torque, force])
         if settings.solar_pressure is not None and body.is_floating_base_body():
             solar = settings.solar_pressure
-            push = -solar.pressure * solar.coefficient * solar.area * np.array(solar.sun) / np.linalg.norm(solar.sun)
+            push = (
+                -solar.pressure
+                * solar.coefficient
+                * solar.area
+                * np.array(solar.sun)
+                / np.linalg.norm(solar.sun)
+            )
             total += (
                 plant.CalcJacobianTranslationalVelocity(
-                    context, JacobianWrtVariable.kV, body.body_frame(), solar.center_of_pressure, world, world
+                    context,
+                    JacobianWrtVariable.kV,
+                    body.body_frame(),
+                    solar.center_of_pressure,
+                    world,
+                    world,
                 ).T
                 @ push
             )
@@ -216,7 +285,9 @@ def force_body_by_body(settings: Environment, model: PlantModel, q: np.ndarray, 
         Environment(solar_pressure=SOLAR),
     ],
 )
-@pytest.mark.parametrize("scenario", [("postcapture",), ("planar_detumble",), ("postcapture", PANELS)])
+@pytest.mark.parametrize(
+    "scenario", [("postcapture",), ("planar_detumble",), ("postcapture", PANELS)]
+)
 def test_every_body_is_pulled_at(scenario, settings):
     model = make_flexible_plant(load_scenario(scenario[0], scenario[1:]))
     rng = np.random.default_rng(1)
@@ -228,12 +299,15 @@ def test_every_body_is_pulled_at(scenario, settings):
 
 
 def test_gravity_gradient_is_at_most_what_the_inertia_says():
-    """Of the shipped stack, about its centre of mass, over all attitudes: 1.5 n^2 of the difference of inertias."""
+    """Of the shipped stack, about its centre of mass, over all attitudes: 1.5 n^2 of the difference
+    of inertias.
+    """
     scenario = load_scenario("postcapture")
     model = make_true_plant(scenario)
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
     H = model.calc_mass_matrix(q)
-    arm = np.array([H[2, 4], H[0, 5], H[1, 3]]) / H[3, 3]  # of the centre of mass, from H's coupling m [arm x]
+    # of the centre of mass, from H's coupling m [arm x]
+    arm = np.array([H[2, 4], H[0, 5], H[1, 3]]) / H[3, 3]
     inertia = H[:3, :3] - H[3, 3] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     moments, axes = np.linalg.eigh(inertia)
     radial = (axes[:, 0] + axes[:, 2]) / np.sqrt(2.0)
@@ -259,7 +333,9 @@ def test_a_run_records_it_and_the_balances_close(run):
     force = OrbitalForce(scenario.environment, make_true_plant(scenario))
     for row in (0, 1, 77, 200):
         expected = force.calc(data["position"].values[row], float(data["time"][row]))
-        np.testing.assert_allclose(data["force_environment"].values[row], expected, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(
+            data["force_environment"].values[row], expected, rtol=0, atol=1e-15
+        )
     total = data["force_environment"] + data["force_disturbance"]
     np.testing.assert_allclose(data["disturbance_force"], total, rtol=0, atol=1e-15)
     parts = energy_residual(data)
@@ -273,7 +349,9 @@ def test_hidden_coordinates_are_pulled_at_and_the_balances_close(run):
     """With a fast orbit, so that what it does to the panels shows."""
     fast = "environment={altitude: null, mean_motion: 0.01}"
     soft = ("controllers.tdc.k_d=10", "controllers.tdc.k_p=10")
-    data, still = (run("postcapture", *QUIET, PANELS, *soft, *more).dataset for more in ((fast,), ()))
+    data, still = (
+        run("postcapture", *QUIET, PANELS, *soft, *more).dataset for more in ((fast,), ())
+    )
     scenario = load_scenario("postcapture", [*QUIET, PANELS, fast])
     model = make_flexible_plant(scenario)
     known = np.concatenate([data["position"], data["velocity"]], axis=1)
@@ -281,16 +359,28 @@ def test_hidden_coordinates_are_pulled_at_and_the_balances_close(run):
     row = 77
     q = model.hidden.whole(known, hidden)[row, : model.plant.num_positions()]
     expected = OrbitalForce(scenario.environment, model).calc(q, float(data["time"][row]))
-    np.testing.assert_allclose(data["force_environment"].values[row], expected[model.hidden.known], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(data["hidden_force"].values[row], expected[model.hidden.hidden], rtol=0, atol=1e-12)
-    work = 0.01 * (data["hidden_force"] * data["hidden_velocity"]).sum("hidden_coordinate").cumsum("time")
+    np.testing.assert_allclose(
+        data["force_environment"].values[row], expected[model.hidden.known], rtol=0, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        data["hidden_force"].values[row], expected[model.hidden.hidden], rtol=0, atol=1e-12
+    )
+    work = 0.01 * (data["hidden_force"] * data["hidden_velocity"]).sum("hidden_coordinate").cumsum(
+        "time"
+    )
     changed = energy_residual(data)["residual"] - energy_residual(still)["residual"]
     assert np.abs(changed).max() < 0.05 * np.abs(work).max()
 
 
 def test_without_control_it_moves_the_spacecraft(run):
     """The momentum is what the environment gives, to what integration makes of it."""
-    overrides = ("controller=tdc", "actuation.limit=1e-12", "disturbance.amplitude_scale=0", "duration=2", ORBIT)
+    overrides = (
+        "controller=tdc",
+        "actuation.limit=1e-12",
+        "disturbance.amplitude_scale=0",
+        "duration=2",
+        ORBIT,
+    )
     data = run("postcapture", *overrides, "initial_posture.base_position=[30, 0, 0]").dataset
     impulse = data["force_environment"].sel(coordinate="base_position_x").values[:-1].sum() * 0.01
     assert data["linear_momentum"].values[-1, 0] == pytest.approx(impulse, rel=1e-3)
@@ -310,27 +400,39 @@ def test_another_payload_in_the_same_build():
 
 def test_a_captured_target_is_pulled_at_from_the_grasp_on():
     shipped = load_scenario(
-        "tumbling_capture", ["capture.approach.duration=0.1", "duration=0.2", "reference.duration=5", ORBIT]
+        "tumbling_capture",
+        ["capture.approach.duration=0.1", "duration=0.2", "reference.duration=5", ORBIT],
     )
-    capture = dataclasses.replace(shipped.capture, approach=Approach(duration=0.1, posture=shipped.initial_posture))
+    capture = dataclasses.replace(
+        shipped.capture, approach=Approach(duration=0.1, posture=shipped.initial_posture)
+    )
     scenario = dataclasses.replace(shipped, capture=capture)
     log = make_rollout(scenario).run()
     whole = OrbitalForce(scenario.environment, make_true_plant(scenario))
     empty_handed = dataclasses.replace(scenario.payload, truth=NOTHING)
-    alone = OrbitalForce(scenario.environment, make_true_plant(dataclasses.replace(scenario, payload=empty_handed)))
+    alone = OrbitalForce(
+        scenario.environment, make_true_plant(dataclasses.replace(scenario, payload=empty_handed))
+    )
     for row, force in ((5, alone), (15, whole)):
-        expected = force.calc(log.series["state"][row, : len(log.coordinates.names) + 1], log.time[row])
+        expected = force.calc(
+            log.series["state"][row, : len(log.coordinates.names) + 1], log.time[row]
+        )
         difference = log.series["force_environment"][row] - expected
-        assert np.abs(difference).max() < 0.02 * np.abs(expected).max()  # the arm misses the target by a little
+        # the arm misses the target by a little
+        assert np.abs(difference).max() < 0.02 * np.abs(expected).max()
 
 
 def test_the_linear_loop_takes_it():
     """A slope of 1e-6 N/m per kg changes no pole that matters."""
     scenario = load_scenario("postcapture", [*QUIET, ORBIT])
-    with Linearizer(scenario) as whole, Linearizer(dataclasses.replace(scenario, environment=None)) as bare:
+    with (
+        Linearizer(scenario) as whole,
+        Linearizer(dataclasses.replace(scenario, environment=None)) as bare,
+    ):
         loop, without = whole.at(0.0), bare.at(0.0)
     size, before = loop.a.shape[0], without.a.shape[0]
-    assert size == before + 2 * len(loop.coordinates.names)  # what is held, and the force at the last sample
+    # what is held, and the force at the last sample
+    assert size == before + 2 * len(loop.coordinates.names)
     assert loop.spectral_radius == pytest.approx(without.spectral_radius, abs=1e-7)
     slope = loop.samples[0].a[-2 * 11 :, 3:6]  # of both by the base's position
     n = mean_motion(scenario.environment)
@@ -342,12 +444,21 @@ def test_the_linear_loop_takes_it():
     [
         ("altitude: null", "environment.altitude: give a number of metres, or mean_motion"),
         ("altitude: -1", "environment.altitude: must be > 0, at most 1e9 m, not -1"),
-        ("mean_motion: 1e-3", "environment.altitude: has no effect beside a mean_motion; set altitude: null"),
-        ("mean_motion: 1, altitude: null", "environment.mean_motion: must be > 0, at most 0.01 rad/s, not 1"),
+        (
+            "mean_motion: 1e-3",
+            "environment.altitude: has no effect beside a mean_motion; set altitude: null",
+        ),
+        (
+            "mean_motion: 1, altitude: null",
+            "environment.mean_motion: must be > 0, at most 0.01 rad/s, not 1",
+        ),
         ("hill_rpy: [1, 2]", "environment.hill_rpy: must hold three numbers [roll, pitch, yaw]"),
         ("solar_pressure: {area: -1}", "environment.solar_pressure.area: must be >= 0, not -1"),
         ("solar_pressure: {sun: [0, 0, 0]}", "environment.solar_pressure.sun: must not be zero"),
-        ("solar_pressure: {center_of_pressure: [0]}", "center_of_pressure: must hold three numbers [x, y, z]"),
+        (
+            "solar_pressure: {center_of_pressure: [0]}",
+            "center_of_pressure: must hold three numbers [x, y, z]",
+        ),
     ],
 )
 def test_errors_are_one_clear_line(settings, expected):

@@ -1,4 +1,6 @@
-"""The estimates of the lumped uncertainty: their gains, their limits, and what the loop makes of them."""
+"""The estimates of the lumped uncertainty: their gains, their limits, and what the loop makes of
+them.
+"""
 
 import numpy as np
 import pytest
@@ -13,7 +15,12 @@ from ffsm_drake.systems.controllers.estimators import (
     OneSampleEstimator,
     make_estimator,
 )
-from ffsm_drake.systems.controllers.filter_gains import LateAxis, coupled_gain, kalman_gain, late_gains
+from ffsm_drake.systems.controllers.filter_gains import (
+    LateAxis,
+    coupled_gain,
+    kalman_gain,
+    late_gains,
+)
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
 
 PERIOD = 0.01
@@ -23,7 +30,8 @@ NAMES = (
     *(f"base_{part}_{axis}" for part in ("rotation", "position") for axis in "xyz"),
     *(f"joint_{i}" for i in range(1, 6)),
 )
-# Velocities exact, positions useless and the walk fast, each beside the others; with these the gain is within 1e-7.
+# Velocities exact, positions useless and the walk fast, each beside the others; with these the gain
+# is within 1e-7.
 LIMIT = {"position_noise": 10.0, "velocity_noise": 1e-4, "walk": 1e4, "sample_time": PERIOD}
 # In units of acceleration all six entries are of order one.
 SCALE = np.array([1.0, PERIOD, PERIOD**2])[:, None] / np.array([1.0, PERIOD])
@@ -31,7 +39,9 @@ FLIGHT_GAINS, FLIGHT_FILTER = FLIGHT[1:4], FLIGHT[4:8]
 
 
 def smooth_motion(rng, count):
-    """Random smooth measured and desired velocities, their error, applied forces: each (count, SIZE)."""
+    """Random smooth measured and desired velocities, their error, applied forces: each (count,
+    SIZE).
+    """
     time = PERIOD * np.arange(count)[:, None, None]
 
     def smooth(size):
@@ -51,7 +61,9 @@ def random_spd(rng):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_one_sample_is_the_limit_of_kalman(seed):
-    """The same N = q'' - Hhat^-1 tau and, for the same u, the same force: through the pure functions, every sample."""
+    """The same N = q'' - Hhat^-1 tau and, for the same u, the same force: through the pure
+    functions, every sample.
+    """
     rng = np.random.default_rng(seed)
     mass_matrix = random_spd(rng)
     gain = np.tile(kalman_gain(**LIMIT), (SIZE, 1, 1))
@@ -76,7 +88,9 @@ def test_one_sample_is_the_limit_of_kalman(seed):
         u = 3.0 * e_dot[k] + 2.0 * e[k] + 0.1
         for i, estimator in enumerate((one_sample, kalman)):
             estimate, states[i] = estimator.step(sample, mass_matrix, states[i])
-            n[i].append(estimate.base_acceleration - np.linalg.solve(mass_matrix, estimate.base_force))
+            n[i].append(
+                estimate.base_acceleration - np.linalg.solve(mass_matrix, estimate.base_force)
+            )
             tau[i].append(
                 time_delay_force(
                     delayed_force=estimate.base_force,
@@ -102,7 +116,9 @@ def test_limit_of_the_gain():
 
 
 def test_gain_is_the_steady_state_of_the_riccati_iteration():
-    """Noise sets of the flight scenario (three groups), of postcapture, and others, against a loop of our own in SI."""
+    """Noise sets of the flight scenario (three groups), of postcapture, and others, against a loop
+    of our own in SI.
+    """
     position = np.array([1e-3, 5e-5, 1e-5, 1e-6, 1e-3, 2e-4])
     velocity = np.array([1e-3, 1.5e-5, 1e-4, 1e-6, 1e-2, 1e-4])
     walk = np.array([1e-3, 1e-3, 1e-2, 1e-2, 10.0, 0.3])
@@ -116,17 +132,29 @@ def test_gain_is_the_steady_state_of_the_riccati_iteration():
         for _ in range(4000):
             gain = covariance[:, :, :2] @ np.linalg.inv(covariance[:, :2, :2] + noise)
             keep = np.eye(3) - np.pad(gain, ((0, 0), (0, 0), (0, 1)))
-            covariance = keep @ covariance @ keep.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
+            covariance = keep @ covariance @ keep.transpose(
+                0, 2, 1
+            ) + gain @ noise @ gain.transpose(0, 2, 1)
             covariance = transition @ covariance @ transition.T + process
         for i in range(walk.size):
-            found = kalman_gain(position_noise=position[i], velocity_noise=velocity[i], walk=walk[i], sample_time=step)
+            found = kalman_gain(
+                position_noise=position[i],
+                velocity_noise=velocity[i],
+                walk=walk[i],
+                sample_time=step,
+            )
             assert found == pytest.approx(gain[i], rel=1e-7), (i, step)
             error_map = (np.eye(3) - found @ np.eye(3)[:2]) @ transition
             assert np.abs(np.linalg.eigvals(error_map)).max() < 1.0
 
 
 def test_a_more_trusted_sensor_and_a_faster_walk_weigh_more():
-    reference = {"position_noise": 1e-4, "velocity_noise": 1e-4, "walk": 1e-2, "sample_time": PERIOD}
+    reference = {
+        "position_noise": 1e-4,
+        "velocity_noise": 1e-4,
+        "walk": 1e-2,
+        "sample_time": PERIOD,
+    }
     gain = kalman_gain(**reference)
     assert kalman_gain(**reference | {"position_noise": 1e-5})[0, 0] > 2 * gain[0, 0]
     assert kalman_gain(**reference | {"velocity_noise": 1e-5})[1, 1] > 2 * gain[1, 1]
@@ -137,7 +165,9 @@ def test_each_coordinate_has_the_gain_of_its_own_noise():
     """That of the sensors unless another is given, which may differ by coordinate."""
     sensors = "sensing.position_noise={base_position: 1e-3, base_rotation: 5e-5, joints: 1e-5}"
     given = "estimator.velocity_noise={all: 1e-3, joint_2: 7e-4}"
-    scenario = load_scenario(FLIGHT[0], [*FLIGHT[1:], sensors, "estimator.position_noise=null", given])
+    scenario = load_scenario(
+        FLIGHT[0], [*FLIGHT[1:], sensors, "estimator.position_noise=null", given]
+    )
     coordinates = make_nominal_plant(scenario).coordinates
     estimator = make_estimator(scenario, coordinates)
     assert isinstance(estimator, KalmanEstimator)
@@ -148,12 +178,16 @@ def test_each_coordinate_has_the_gain_of_its_own_noise():
         ("joint_2", 1e-5, 7e-4, 1e-2),
         ("joint_3", 1e-5, 1e-3, 1e-2),
     ):
-        expected = kalman_gain(position_noise=position, velocity_noise=velocity, walk=walk, sample_time=PERIOD)
+        expected = kalman_gain(
+            position_noise=position, velocity_noise=velocity, walk=walk, sample_time=PERIOD
+        )
         assert np.array_equal(estimator.gain[coordinates.names.index(name)], expected), name
 
 
 def late_sample(k, *, v_d, e, e_dot, force, delay, is_new=None):
-    """What the controller reads at sample k when each coordinate's measurement is ``delay`` (SIZE) old."""
+    """What the controller reads at sample k when each coordinate's measurement is ``delay`` (SIZE)
+    old.
+    """
     position = np.vstack([np.zeros(SIZE), np.cumsum(0.5 * PERIOD * (v_d[1:] + v_d[:-1]), axis=0)])
     then, axis = np.maximum(k - delay, 0), np.arange(SIZE)
     return Sample(
@@ -171,32 +205,49 @@ def late_sample(k, *, v_d, e, e_dot, force, delay, is_new=None):
 
 
 def test_late_measurements_are_filtered_at_their_time_and_predicted():
-    """The filter runs at t - d, then predicts d samples with the force that acted; alone and two runs at once."""
+    """The filter runs at t - d, then predicts d samples with the force that acted; alone and two
+    runs at once.
+    """
     rng = np.random.default_rng(0)
     delay = np.array([0, 0, 1, 1, 2, 3, 5, 5, 5, 8, 8])
     mass_matrix = np.diag(rng.uniform(5.0, 50.0, SIZE))
     noise = {"position_noise": 1e-3, "velocity_noise": 1e-3, "walk": 1e-1}
-    plain = KalmanEstimator(sample_time=PERIOD, gain=np.tile(kalman_gain(**noise, sample_time=PERIOD), (SIZE, 1, 1)))
+    plain = KalmanEstimator(
+        sample_time=PERIOD, gain=np.tile(kalman_gain(**noise, sample_time=PERIOD), (SIZE, 1, 1))
+    )
     prediction = KalmanEstimator(sample_time=PERIOD, gain=np.zeros((SIZE, 3, 2)))
     settings, late = (
         [f"estimator.{name}={value}" for name, value in noise.items()],
         dict(zip(NAMES, delay, strict=True)),
     )
-    settings += [f"sensing.{part}_delay={{{', '.join(f'{n}: {d}' for n, d in late.items())}}}" for part in PARTS]
+    settings += [
+        f"sensing.{part}_delay={{{', '.join(f'{n}: {d}' for n, d in late.items())}}}"
+        for part in PARTS
+    ]
     scenario = load_scenario("postcapture", ["estimator.kind=kalman", *settings])
     late = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
     assert isinstance(late, LateKalmanEstimator)
     _, v_d, e, e_dot, force = smooth_motion(rng, 120)
-    at_its_time, given = [dict(plain.initial_state())], {"v_d": v_d, "e": e, "e_dot": e_dot, "force": force}
+    at_its_time, given = (
+        [dict(plain.initial_state())],
+        {"v_d": v_d, "e": e, "e_dot": e_dot, "force": force},
+    )
     none = np.zeros(SIZE, dtype=int)
     for k in range(120):
-        at_its_time.append(plain.step(late_sample(k, **given, delay=none), mass_matrix, at_its_time[-1])[1])
+        at_its_time.append(
+            plain.step(late_sample(k, **given, delay=none), mass_matrix, at_its_time[-1])[1]
+        )
     alone = dict(late.initial_state())
     together = {name: np.stack([value, value]) for name, value in alone.items()}
     for k in range(120):
         sample = late_sample(k, **given, delay=delay)
         estimate, alone = late.step(sample, mass_matrix, alone)
-        both = Sample(*(np.stack([value, value]) if isinstance(value, np.ndarray) else value for value in sample))
+        both = Sample(
+            *(
+                np.stack([value, value]) if isinstance(value, np.ndarray) else value
+                for value in sample
+            )
+        )
         estimates, together = late.step(both, np.stack([mass_matrix, mass_matrix]), together)
         assert np.array_equal(estimates.e, np.stack([estimate.e, estimate.e]))
         if k < delay.max():
@@ -204,22 +255,43 @@ def test_late_measurements_are_filtered_at_their_time_and_predicted():
         for d in set(delay.tolist()):
             state = at_its_time[k - d + 1]
             for later in range(k - d + 1, k + 1):
-                _, state = prediction.step(late_sample(later, **given, delay=none), mass_matrix, state)
+                _, state = prediction.step(
+                    late_sample(later, **given, delay=none), mass_matrix, state
+                )
             axes = delay == d
             for name in ("estimated_error", "estimated_error_rate", "estimated_negative_n"):
                 scale = np.abs(state[name]).max()
-                assert alone[name][axes] == pytest.approx(state[name][axes], abs=1e-9 * scale), (k, d, name)
+                assert alone[name][axes] == pytest.approx(state[name][axes], abs=1e-9 * scale), (
+                    k,
+                    d,
+                    name,
+                )
 
 
 @pytest.mark.parametrize(
-    ("period", "delay"), [((1, 1), (0, 0)), ((1, 1), (5, 2)), ((4, 4), (3, 3)), ((1, 6), (0, 4)), ((3, 2), (1, 5))]
+    ("period", "delay"),
+    [((1, 1), (0, 0)), ((1, 1), (5, 2)), ((4, 4), (3, 3)), ((1, 6), (0, 4)), ((3, 2), (1, 5))],
 )
 def test_late_gains_are_those_of_the_whole_filter(period, delay):
-    """Of the time-varying filter for [e, e', d, b] and everything that was, in SI; the mean by what is new."""
-    axis = LateAxis(position_noise=1e-3, velocity_noise=2e-3, walk=0.3, bias_walk=0.1, period=period, delay=delay)
+    """Of the time-varying filter for [e, e', d, b] and everything that was, in SI; the mean by what
+    is new.
+    """
+    axis = LateAxis(
+        position_noise=1e-3,
+        velocity_noise=2e-3,
+        walk=0.3,
+        bias_walk=0.1,
+        period=period,
+        delay=delay,
+    )
     size = 4 + sum(delay)
     transition = np.zeros((size, size))
-    transition[:4, :4] = [[1, PERIOD, PERIOD**2 / 2, 0], [0, 1, PERIOD, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    transition[:4, :4] = [
+        [1, PERIOD, PERIOD**2 / 2, 0],
+        [0, 1, PERIOD, 0],
+        [0, 0, 1, 0],
+        [0, 0, 0, 1],
+    ]
     output, first = np.zeros((2, size)), 4
     for entry, lag in enumerate(delay):
         for j in range(lag):
@@ -233,7 +305,9 @@ def test_late_gains_are_those_of_the_whole_filter(period, delay):
     for k in range(1800):
         new = [i for i in range(2) if (k - delay[i]) % period[i] == 0]
         of, gain = output[new], np.zeros((size, 2))
-        gain[:, new] = np.linalg.solve(of @ covariance @ of.T + np.diag(noise[new]), of @ covariance).T
+        gain[:, new] = np.linalg.solve(
+            of @ covariance @ of.T + np.diag(noise[new]), of @ covariance
+        ).T
         covariance = covariance - gain[:, new] @ of @ covariance
         covariance = transition @ covariance @ transition.T + process
         if k >= 1800 - np.lcm(*period):
@@ -242,19 +316,26 @@ def test_late_gains_are_those_of_the_whole_filter(period, delay):
     for kind, expected in enumerate(found):
         if expected:
             scale = np.abs(np.mean(expected, axis=0)).max()
-            assert gains[kind] == pytest.approx(np.mean(expected, axis=0), abs=1e-6 * scale, rel=1e-5), kind
+            assert gains[kind] == pytest.approx(
+                np.mean(expected, axis=0), abs=1e-6 * scale, rel=1e-5
+            ), kind
     assert not gains[0].any()
 
 
 def test_coupled_is_separate_where_nothing_couples():
-    """With a diagonal mass matrix M, and a force's walk of M times that of N; of several runs, each as alone."""
+    """With a diagonal mass matrix M, and a force's walk of M times that of N; of several runs, each
+    as alone.
+    """
     rng = np.random.default_rng(0)
     mass, axes = rng.uniform(5.0, 50.0, SIZE), np.array([0, 1, 2, 6, 7, 8, 9, 10])
     position, velocity, walk = (rng.uniform(1.0, 5.0, SIZE) * size for size in (1e-5, 1e-4, 1e-2))
     noises = zip(position, velocity, walk, strict=True)
-    gain = np.array([
-        kalman_gain(position_noise=p, velocity_noise=v, walk=w, sample_time=PERIOD) for p, v, w in noises
-    ])  # fmt: skip
+    gain = np.array(
+        [
+            kalman_gain(position_noise=p, velocity_noise=v, walk=w, sample_time=PERIOD)
+            for p, v, w in noises
+        ]
+    )
     separate = KalmanEstimator(sample_time=PERIOD, gain=gain)
     together = coupled_gain(
         np.diag(1.0 / mass[axes]),
@@ -277,21 +358,35 @@ def test_coupled_is_separate_where_nothing_couples():
         for name in ("e", "e_dot", "base_acceleration"):
             of, wanted = getattr(estimate, name), getattr(expected, name)
             assert of == pytest.approx(wanted, abs=1e-6 * np.abs(wanted).max()), (k, name)
-            assert getattr(estimates, name) == pytest.approx(np.stack([of, of]), rel=1e-12, abs=1e-15)
+            assert getattr(estimates, name) == pytest.approx(
+                np.stack([of, of]), rel=1e-12, abs=1e-15
+            )
 
 
 def test_what_is_not_new_is_not_looked_at():
     scenario = load_scenario("slow_navigation")
     estimator = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
     rng = np.random.default_rng(0)
-    state = {name: rng.normal(size=value.shape) for name, value in estimator.initial_state().items()}
+    state = {
+        name: rng.normal(size=value.shape) for name, value in estimator.initial_state().items()
+    }
     v_d, e, e_dot, force, wrong = rng.normal(size=(5, SIZE))
     is_new = np.ones(2 * SIZE, dtype=bool)
     is_new[[3, 4, 5, SIZE + 3, SIZE + 4, SIZE + 5]] = False
     position = np.isin(np.arange(SIZE), (3, 4, 5))
-    given = {"q": None, "v": None, "q_d": None, "v_d": v_d, "a_d": None, "applied_force": force, "is_first": False}
+    given = {
+        "q": None,
+        "v": None,
+        "q_d": None,
+        "v_d": v_d,
+        "a_d": None,
+        "applied_force": force,
+        "is_first": False,
+    }
     results = [
-        estimator.step(Sample(**given, e=e + error, e_dot=e_dot + error, is_new=new), np.eye(SIZE), state)[0]
+        estimator.step(
+            Sample(**given, e=e + error, e_dot=e_dot + error, is_new=new), np.eye(SIZE), state
+        )[0]
         for error, new in ((0.0, is_new), (wrong * position, is_new), (wrong * position, None))
     ]
     assert np.array_equal(results[0].e, results[1].e)
@@ -301,19 +396,28 @@ def test_what_is_not_new_is_not_looked_at():
 
 def test_a_gyros_bias_is_found(run):
     """Without a state of its own it becomes an error of attitude, or position."""
-    bias = ("sensing.velocity_bias={base_rotation_x: 1e-4, base_position_z: 2e-3}", *NO_NOISE, "duration=10")
+    bias = (
+        "sensing.velocity_bias={base_rotation_x: 1e-4, base_position_z: 2e-3}",
+        *NO_NOISE,
+        "duration=10",
+    )
     walk = "estimator.velocity_bias_walk={base_rotation_x: 1e-4, base_position_z: 3e-3}"
     without, estimated = (run(*FLIGHT, *bias, *more) for more in ((), (walk,)))
     for name in ("base_rotation_x", "base_position_z"):
         before, after = (
-            np.abs(record.dataset["error"].sel(coordinate=name).values[-1]) for record in (without, estimated)
+            np.abs(record.dataset["error"].sel(coordinate=name).values[-1])
+            for record in (without, estimated)
         )
         assert after < 0.03 * before, name
 
 
 def test_an_unknown_constant_disturbance_leaves_no_error(run):
-    """At rest the force cancels tau_d, and what is left of the error is nothing beside that of the law alone."""
-    record = run(*FLIGHT, "reference.duration=8", "duration=25", "disturbance.frequency_scale=0", *NO_NOISE)
+    """At rest the force cancels tau_d, and what is left of the error is nothing beside that of the
+    law alone.
+    """
+    record = run(
+        *FLIGHT, "reference.duration=8", "duration=25", "disturbance.frequency_scale=0", *NO_NOISE
+    )
     data, scenario = record.dataset, record.scenario
     disturbance = data["disturbance_force"].values
     assert np.ptp(disturbance, axis=0) == pytest.approx(np.zeros(11), abs=1e-15)
@@ -331,7 +435,9 @@ def test_an_unknown_constant_disturbance_leaves_no_error(run):
 
 @pytest.mark.parametrize("name", ["paper", "postcapture"])
 def test_the_published_estimate_is_the_default(name):
-    """And it is equation (5): the last force, and the differentiated velocity, zero at the very first sample."""
+    """And it is equation (5): the last force, and the differentiated velocity, zero at the very
+    first sample.
+    """
     scenario = load_scenario(name)
     assert scenario.estimator.kind == "one_sample"
     estimator = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
@@ -341,13 +447,23 @@ def test_the_published_estimate_is_the_default(name):
     e, e_dot, v, v_d, force, old = rng.normal(size=(6, 11))
     for is_first in (True, False):
         sample = Sample(
-            q=None, v=v, q_d=None, v_d=v_d, a_d=None, e=e, e_dot=e_dot, applied_force=force, is_first=is_first
+            q=None,
+            v=v,
+            q_d=None,
+            v_d=v_d,
+            a_d=None,
+            e=e,
+            e_dot=e_dot,
+            applied_force=force,
+            is_first=is_first,
         )
         estimate, kept = estimator.step(sample, np.eye(11), {"delayed_velocity": old})
         assert estimate.e is e
         assert estimate.e_dot is e_dot
         assert np.array_equal(estimate.base_force, force)
-        assert estimate.base_acceleration == pytest.approx((0 if is_first else 1) * (v - old) / 0.01, rel=1e-14)
+        assert estimate.base_acceleration == pytest.approx(
+            (0 if is_first else 1) * (v - old) / 0.01, rel=1e-14
+        )
         assert np.array_equal(kept["delayed_velocity"], v)
 
 
@@ -359,14 +475,18 @@ def test_settings_of_kalman_do_not_touch_the_published_run(run):
 
 
 def heavier(mass, inertia):
-    return f"payload.nominal.mass={mass}", f"payload.nominal.inertia=[{inertia}, {inertia}, {inertia}]"
+    return f"payload.nominal.mass={mass}", (
+        f"payload.nominal.inertia=[{inertia}, {inertia}, {inertia}]"
+    )
 
 
 @pytest.mark.parametrize("controller", ["tdc", "tde_aismc"])
 def test_an_over_estimated_payload_is_flown_with_kalman_and_flight_gains(run, controller):
     published = run("postcapture", f"controller={controller}", *heavier(150, 25))
     assert published.outcome.status == "diverged"
-    record = run("postcapture", *heavier(150, 25), *FLIGHT_GAINS, "estimator.kind=kalman", FLIGHT[5])
+    record = run(
+        "postcapture", *heavier(150, 25), *FLIGHT_GAINS, "estimator.kind=kalman", FLIGHT[5]
+    )
     assert record.outcome.completed
     assert max(record.metrics["peak_error"].values()) < 2e-5
     assert max(record.metrics["final_error"].values()) < 5e-6
@@ -385,20 +505,38 @@ def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("estimator.kind=foo", "estimator.kind: 'foo' is unknown; choose one of one_sample, kalman"),
+        (
+            "estimator.kind=foo",
+            "estimator.kind: 'foo' is unknown; choose one of one_sample, kalman",
+        ),
         ("estimator.walk=0", "estimator.walk.all: must be > 0, not 0"),
         ("estimator.walk.joint_1=-1", "estimator.walk.joint_1: must be > 0, not -1"),
-        ("estimator.walk={base_rotation: 1, joints: 1}", "estimator.walk: gives no value for base_position_x"),
+        (
+            "estimator.walk={base_rotation: 1, joints: 1}",
+            "estimator.walk: gives no value for base_position_x",
+        ),
         ("estimator.walk.elbow=1", "estimator.walk.elbow: unknown coordinate; valid here: all"),
-        ("estimator.velocity_noise={elbow: 1}", "estimator.velocity_noise.elbow: unknown coordinate"),
-        ("estimator.velocity_bias_walk.joint_1=-1", "velocity_bias_walk.joint_1: a standard deviation must be >= 0"),
-        ("estimator.velocity_bias_walk.elbow=1", "estimator.velocity_bias_walk.elbow: unknown coordinate"),
+        (
+            "estimator.velocity_noise={elbow: 1}",
+            "estimator.velocity_noise.elbow: unknown coordinate",
+        ),
+        (
+            "estimator.velocity_bias_walk.joint_1=-1",
+            "velocity_bias_walk.joint_1: a standard deviation must be >= 0",
+        ),
+        (
+            "estimator.velocity_bias_walk.elbow=1",
+            "estimator.velocity_bias_walk.elbow: unknown coordinate",
+        ),
         (
             "sensing.position_delay.joints=500",
             "estimator: has no stationary filter (a common period of 1 samples and 504",
         ),
         ("estimator.force_walk=0", "estimator.force_walk.all: must be > 0, not 0"),
-        ("estimator={kind: coupled, delay: 2}", "estimator.kind: coupled takes no slow or late sensors and no bias"),
+        (
+            "estimator={kind: coupled, delay: 2}",
+            "estimator.kind: coupled takes no slow or late sensors and no bias",
+        ),
         ("estimator.delay=-1", "estimator.delay: must be from 0 to 1000 control samples, not -1"),
     ],
 )
@@ -409,18 +547,28 @@ def test_errors_are_one_clear_line(override, expected):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(("position", "velocity"), [(1e-3, 0.0), (0.0, 1e-3), (0.0, 0.0), (1e-3, 1e-12), (1.0, 1e-9)])
+@pytest.mark.parametrize(
+    ("position", "velocity"), [(1e-3, 0.0), (0.0, 1e-3), (0.0, 0.0), (1e-3, 1e-12), (1.0, 1e-9)]
+)
 def test_gain_exists_for_exact_measurements(position, velocity):
     for walk in (1e-6, 1e-3, 1e2):
-        gain = kalman_gain(position_noise=position, velocity_noise=velocity, walk=walk, sample_time=0.01)
+        gain = kalman_gain(
+            position_noise=position, velocity_noise=velocity, walk=walk, sample_time=0.01
+        )
         assert np.isfinite(gain).all()
 
 
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("estimator.position_noise=-1", "override: estimator.position_noise.all: a standard deviation must be >= 0"),
-        ("estimator.velocity_noise.joint_1=-1", "estimator.velocity_noise.joint_1: a standard deviation must be >= 0"),
+        (
+            "estimator.position_noise=-1",
+            "override: estimator.position_noise.all: a standard deviation must be >= 0",
+        ),
+        (
+            "estimator.velocity_noise.joint_1=-1",
+            "estimator.velocity_noise.joint_1: a standard deviation must be >= 0",
+        ),
         ("sensing.velocity_noise.foo=1", "sensing.velocity_noise.foo: unknown coordinate"),
     ],
 )

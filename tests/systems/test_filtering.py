@@ -1,4 +1,6 @@
-"""Filters of the commanded force: their response, what a law hears of them, and what the linear loop makes of them."""
+"""Filters of the commanded force: their response, what a law hears of them, and what the linear
+loop makes of them.
+"""
 
 import dataclasses
 
@@ -26,7 +28,9 @@ class Tone(ControlLaw):
         return {"count": np.zeros(7)}
 
     def step(self, sample, state):
-        return np.sin(2 * np.pi * self.frequency * PERIOD * state["count"]), {"count": state["count"] + 1.0}
+        return np.sin(2 * np.pi * self.frequency * PERIOD * state["count"]), {
+            "count": state["count"] + 1.0
+        }
 
 
 def response(settings: CommandFilter, frequency: float) -> np.ndarray:
@@ -69,8 +73,15 @@ def test_without_filters_the_law_is_itself():
 
 def test_a_low_pass_is_a_smaller_nominal_inertia_to_time_delay_control(run):
     """tau_k = tau_{k-1} + a Hhat (u - q''): TDC with a Hhat, sample by sample."""
-    short = ("controller=tdc", "duration=0.3", "sensing.velocity_noise=0", "disturbance.amplitude_scale=0")
-    filtered = run("postcapture", *short, "command_filter.low_pass=5").dataset["generalized_force"].values
+    short = (
+        "controller=tdc",
+        "duration=0.3",
+        "sensing.velocity_noise=0",
+        "disturbance.amplitude_scale=0",
+    )
+    filtered = (
+        run("postcapture", *short, "command_filter.low_pass=5").dataset["generalized_force"].values
+    )
     share = 1.0 - np.exp(-2 * np.pi * 5.0 * PERIOD)
     scenario = load_scenario("postcapture", [*short])
     loop = make_closed_loop(scenario)
@@ -78,7 +89,9 @@ def test_a_low_pass_is_a_smaller_nominal_inertia_to_time_delay_control(run):
     data = run("postcapture", *short, "command_filter.low_pass=5").dataset
     force = np.zeros(filtered.shape[1])
     for k in range(1, 20):
-        acceleration = (data["measured_velocity"].values[k] - data["measured_velocity"].values[k - 1]) / PERIOD
+        acceleration = (
+            data["measured_velocity"].values[k] - data["measured_velocity"].values[k - 1]
+        ) / PERIOD
         e, e_dot = data["error"].values[k], data["error_rate"].values[k]
         u, _ = law.dynamics.step(e, e_dot, data["desired_acceleration"].values[k], {})
         inertia = law.model.calc_mass_matrix(data["measured_position"].values[k])
@@ -91,7 +104,9 @@ def test_the_linear_loop_has_its_phase():
     heavy = ["controller=tdc", "payload.nominal={mass: 400, inertia: [60, 60, 60]}"]
     radius = {}
     for cut in (0.0, 2.0, 0.05):
-        with Linearizer(load_scenario("postcapture", [*heavy, f"command_filter.low_pass={cut}"])) as linearizer:
+        with Linearizer(
+            load_scenario("postcapture", [*heavy, f"command_filter.low_pass={cut}"])
+        ) as linearizer:
             radius[cut] = linearizer.at(0.0).spectral_radius
     print(radius)
     assert radius[0.0] > 1.0 > radius[2.0]
@@ -99,7 +114,12 @@ def test_the_linear_loop_has_its_phase():
 
 
 def test_a_filter_goes_through_a_grasp(run):
-    overrides = ["capture.approach=null", "controller=tdc", "duration=0.3", "command_filter.notch=5"]
+    overrides = [
+        "capture.approach=null",
+        "controller=tdc",
+        "duration=0.3",
+        "command_filter.notch=5",
+    ]
     record = run("tumbling_capture", *overrides)
     assert record.outcome.completed
 
@@ -107,8 +127,14 @@ def test_a_filter_goes_through_a_grasp(run):
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
-        (("command_filter.notch=50",), "command_filter.notch.base_rotation_x: must be below half the control rate, 50"),
-        (("command_filter.low_pass=-1",), "command_filter.low_pass.all: must be >= 0 Hz (0: none), not -1"),
+        (
+            ("command_filter.notch=50",),
+            "command_filter.notch.base_rotation_x: must be below half the control rate, 50",
+        ),
+        (
+            ("command_filter.low_pass=-1",),
+            "command_filter.low_pass.all: must be >= 0 Hz (0: none), not -1",
+        ),
         (("command_filter.notch_width=0",), "command_filter.notch_width.all: must be > 0, not 0"),
         (("command_filter.notch.panel=1",), "command_filter.notch.panel: unknown coordinate"),
     ],

@@ -12,7 +12,11 @@ from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.frame_path import make_frame_path
 
-CAPTURE = ["capture.rate=[0.05, 0.04, 0.06]", "capture.servicer=track_all", "reference.base_rotation=eigenaxis"]
+CAPTURE = [
+    "capture.rate=[0.05, 0.04, 0.06]",
+    "capture.servicer=track_all",
+    "reference.base_rotation=eigenaxis",
+]
 
 
 def path_of(*overrides, scenario="flight_sensors"):
@@ -28,14 +32,18 @@ def attitude(rows):
 def assert_consistent(path, times, *, h=1e-4):
     """Velocities are those of the poses, accelerations those of the velocities."""
     before, now, after = (path.rows(times + step) for step in (-h, 0.0, h))
-    assert_allclose((attitude(after) * attitude(before).inv()).as_rotvec() / (2 * h), now[:, 7:10], atol=1e-8)
+    assert_allclose(
+        (attitude(after) * attitude(before).inv()).as_rotvec() / (2 * h), now[:, 7:10], atol=1e-8
+    )
     assert_allclose((after[:, 4:7] - before[:, 4:7]) / (2 * h), now[:, 10:13], atol=1e-8)
     assert_allclose((after[:, 7:13] - before[:, 7:13]) / (2 * h), now[:, 13:], atol=1e-8)
 
 
 @pytest.mark.parametrize("shaper", ["null", "{frequencies: [0.4]}"])
 def test_from_rest_along_a_line_and_about_the_eigenaxis_to_the_goal(shaper):
-    goal = "reference.frame={frame: 'debris::debris', position: [2, 0.3, -0.4], rpy: [0.3, -0.2, 0.9]}"
+    goal = (
+        "reference.frame={frame: 'debris::debris', position: [2, 0.3, -0.4], rpy: [0.3, -0.2, 0.9]}"
+    )
     path, scenario, model = path_of(goal, f"reference.shaper={shaper}")
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
     model.plant.SetPositions(model.context, q)
@@ -44,12 +52,21 @@ def test_from_rest_along_a_line_and_about_the_eigenaxis_to_the_goal(shaper):
     assert_allclose(first[4:7], pose.translation(), atol=1e-15)
     assert_allclose(attitude(first).as_matrix(), pose.rotation().matrix(), atol=1e-14)
     assert_allclose(last[4:7], [2, 0.3, -0.4], atol=1e-14)
-    assert_allclose(attitude(last).as_matrix(), RollPitchYaw(0.3, -0.2, 0.9).ToRotationMatrix().matrix(), atol=1e-14)
+    assert_allclose(
+        attitude(last).as_matrix(),
+        RollPitchYaw(0.3, -0.2, 0.9).ToRotationMatrix().matrix(),
+        atol=1e-14,
+    )
     assert_allclose(held, last, atol=1e-15)
     assert not last[7:].any()
     for part in (slice(4, 7), slice(10, 13), slice(16, 19)):  # all on one line
-        assert_allclose(np.cross(middle[part] - (first[part] if part.start == 4 else 0), last[4:7] - first[4:7]), 0,
-                        atol=1e-14)  # fmt: skip
+        assert_allclose(
+            np.cross(
+                middle[part] - (first[part] if part.start == 4 else 0), last[4:7] - first[4:7]
+            ),
+            0,
+            atol=1e-14,
+        )
     axis = (attitude(last) * attitude(first).inv()).as_rotvec()
     assert_allclose(np.cross(middle[7:10], axis), 0, atol=1e-14)
     assert_consistent(path, np.array([1.3, 7.3, 15.0]))
@@ -57,7 +74,11 @@ def test_from_rest_along_a_line_and_about_the_eigenaxis_to_the_goal(shaper):
 
 def test_where_nothing_is_asked_it_stays():
     path, _, _ = path_of("reference.frame={}")
-    assert_allclose(path.rows(np.array([0.0, 9.0])), np.tile(np.r_[path.first, np.zeros(12)], (2, 1)), atol=1e-15)
+    assert_allclose(
+        path.rows(np.array([0.0, 9.0])),
+        np.tile(np.r_[path.first, np.zeros(12)], (2, 1)),
+        atol=1e-15,
+    )
 
 
 @pytest.mark.parametrize("goal", ["target_posture", "stop"])
@@ -66,7 +87,9 @@ def test_after_a_capture_it_starts_as_the_grasp_leaves_the_frame(goal):
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
     jacobian = model.calc_jacobian(q, scenario.model.end_effector)
     rows = path.rows(np.array([0.0, path.end]))
-    assert_allclose(rows[0, 7:13], jacobian @ planned_contact(scenario, model).grasp.velocity, atol=1e-15)
+    assert_allclose(
+        rows[0, 7:13], jacobian @ planned_contact(scenario, model).grasp.velocity, atol=1e-15
+    )
     assert np.abs(rows[0, 7:13]).min() > 1e-4
     assert not rows[1, 7:].any()
     moved = (attitude(rows[1]) * attitude(rows[0]).inv()).magnitude()
@@ -98,7 +121,9 @@ def test_what_a_frame_does_not_go_with_is_named():
     with pytest.raises(ScenarioError, match=r"reference.duration: auto"):
         path_of("reference.frame={}", "reference.duration=auto")
     with pytest.raises(ScenarioError, match=r"reference.frame.position: .*goal: stop"):
-        load_scenario("postcapture", ["reference.frame={position: [1, 2, 3]}", "reference.goal=stop"])
+        load_scenario(
+            "postcapture", ["reference.frame={position: [1, 2, 3]}", "reference.goal=stop"]
+        )
     with pytest.raises(ScenarioError, match=r"reference.frame: .*plan"):
         load_scenario("planar_detumble", ["reference.frame={}"])
     with pytest.raises(ScenarioError, match=r"capture.approach"):

@@ -11,9 +11,17 @@ from ffsm_drake.systems.reference import make_motion
 
 JOINTS = ["actuation.driven=[joints]"]
 # The base stays where it is, by plan or by leave.
-FREE = ["target_posture.base_position=[0,0,0]", "target_posture.base_rpy=[0,0,0]", "disturbance.harmonics={}"]
+FREE = [
+    "target_posture.base_position=[0,0,0]",
+    "target_posture.base_rpy=[0,0,0]",
+    "disturbance.harmonics={}",
+]
 FREE += [f"initial_{override[7:]}" for override in FREE[:2]]
-TUMBLING = ["capture={rate: [0.02, -0.03, 0.04]}", "reference.goal=stop", "reference.base_rotation=eigenaxis"]
+TUMBLING = [
+    "capture={rate: [0.02, -0.03, 0.04]}",
+    "reference.goal=stop",
+    "reference.base_rotation=eigenaxis",
+]
 
 
 def make(*overrides):
@@ -79,7 +87,10 @@ def test_the_model_of_laws_accelerates_as_the_whole_plant(groups):
     reduced = driven_model(model)
     own = np.linalg.solve(reduced.calc_mass_matrix(q), force - reduced.calc_bias(q, v))
     assert own[driven] == pytest.approx(whole[driven], abs=1e-12)
-    several = reduced.calc_mass_matrix(np.stack([q, q])), reduced.calc_bias(np.stack([q, q]), np.stack([v, v]))
+    several = (
+        reduced.calc_mass_matrix(np.stack([q, q])),
+        reduced.calc_bias(np.stack([q, q]), np.stack([v, v])),
+    )
     assert np.array_equal(several[0][1], reduced.calc_mass_matrix(q))
     assert np.array_equal(several[1][1], reduced.calc_bias(q, v))
     law = make_law(scenario, model)
@@ -91,7 +102,11 @@ class Everything(LeafSystem):
 
     def __init__(self, setup):
         super().__init__()
-        for name, size in (("estimated_state", 23), ("desired_state", 23), ("desired_acceleration", 11)):
+        for name, size in (
+            ("estimated_state", 23),
+            ("desired_state", 23),
+            ("desired_acceleration", 11),
+        ):
             self.DeclareVectorInputPort(name, size)
         state = self.DeclareDiscreteState(np.ones(11))
         self.DeclareStateOutputPort("generalized_force", state)
@@ -112,7 +127,9 @@ def test_what_is_tracked_counts_and_what_drifts_is_reported():
     data, metrics = record.dataset, record.metrics
     assert data["driven"].values.tolist() == [False] * 6 + [True] * 5
     error, time = np.abs(data["error"].values), data["time"].values
-    assert metrics["itae"] == pytest.approx(np.sum(time[:-1] * error[:-1, 6:].sum(axis=1)) * 0.01, rel=1e-12)
+    assert metrics["itae"] == pytest.approx(
+        np.sum(time[:-1] * error[:-1, 6:].sum(axis=1)) * 0.01, rel=1e-12
+    )
     assert metrics["peak_error"]["joints"] < 1e-5
     # The true payload takes the base elsewhere than the nominal one, both far from the start.
     assert metrics["final_error"]["base_position"] > 1e-3
@@ -134,7 +151,9 @@ def test_momentum_through_a_minute_of_control():
     given = []
     for q, v in zip(data["position"].values[::100], data["velocity"].values[::100], strict=True):
         given.append(model.calc_mass_matrix(q)[:6, 6:] @ v[6:])
-    angular, linear = (np.linalg.norm(part, axis=1).max() for part in np.split(np.array(given), 2, axis=1))
+    angular, linear = (
+        np.linalg.norm(part, axis=1).max() for part in np.split(np.array(given), 2, axis=1)
+    )
     for name, size in (("linear", linear), ("angular", angular)):
         assert np.linalg.norm(data[f"{name}_momentum"].values, axis=1).max() < 1e-11 * size
 
@@ -145,7 +164,10 @@ def test_momentum_through_a_minute_of_control():
         (["actuation.driven=[base_position]"], "must be all, [base_rotation, joints] or [joints]"),
         (["actuation.driven=[joints, joints]"], "must be all"),
         ([*JOINTS, "actuation.thrusters={}"], "thrusters cannot act"),
-        (["actuation.driven=[joints, base_rotation]", "actuation.thrusters={}"], "thrusters cannot act"),
+        (
+            ["actuation.driven=[joints, base_rotation]", "actuation.thrusters={}"],
+            "thrusters cannot act",
+        ),
         ([*JOINTS, "actuation.wheels={units: {x: {}}}"], "wheels cannot act"),
         ([*JOINTS, "target_posture.base_rpy=[0,0,0.1]"], "base_rotation is not driven"),
         ([*JOINTS, *TUMBLING, "capture.approach={duration: 5}"], "needs every coordinate driven"),
@@ -158,7 +180,12 @@ def test_bad_input(overrides, problem):
 
 
 def test_a_target_turns_about_its_true_centre_of_mass():
-    """It moves the grasp point, and with it where the base goes, though the plans differ in nothing else."""
+    """It moves the grasp point, and with it where the base goes, though the plans differ in nothing
+    else.
+    """
     centers = ([0.0, 0.0, 0.0], [0.0, 0.3, 0.0])
-    rows = [make(*JOINTS, *TUMBLING, f"payload.truth.center_of_mass={center}")[2].row(5.0) for center in centers]
+    rows = [
+        make(*JOINTS, *TUMBLING, f"payload.truth.center_of_mass={center}")[2].row(5.0)
+        for center in centers
+    ]
     assert np.abs((rows[1] - rows[0])[:7]).max() > 1e-4

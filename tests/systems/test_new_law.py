@@ -1,4 +1,6 @@
-"""A new law is one file and one registration: it then works in run, compare, campaign and the live panel."""
+"""A new law is one file and one registration: it then works in run, compare, campaign and the live
+panel.
+"""
 
 import json
 import re
@@ -36,7 +38,9 @@ REGISTRATION = "[ffsm_drake.controllers]\nstiff = stiff_law:Stiff\n"
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
-    """A folder on Python's path with the law and, as an installed package has it, its entry point."""
+    """A folder on Python's path with the law and, as an installed package has it, its entry
+    point.
+    """
     folder = tmp_path_factory.mktemp("site")
     (folder / "stiff_law.py").write_text(LAW)
     information = folder / "stiff_law-1.0.dist-info"
@@ -69,24 +73,38 @@ def ffsm(known, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_run_and_compare(ffsm, tmp_path):
-    ffsm("run", "-c", "stiff", "--set", "duration=0.1", "--set", "controllers.stiff.k_p.joints=90", "--no-report")
+    ffsm(
+        "run",
+        "-c",
+        "stiff",
+        "--set",
+        "duration=0.1",
+        "--set",
+        "controllers.stiff.k_p.joints=90",
+        "--no-report",
+    )
     manifest = json.loads((tmp_path / "out/postcapture_stiff/manifest.json").read_text())
     assert manifest["blocks"]["controller"]["system"] == "stiff"
     assert manifest["scenario"]["controllers"]["stiff"]["k_p"] == {"all": 100.0, "joints": 90.0}
-    assert "stiff " in ffsm("compare", "-c", "stiff", "-c", "tdc", "--set", "duration=0.1", "--no-report")
+    assert "stiff " in ffsm(
+        "compare", "-c", "stiff", "-c", "tdc", "--set", "duration=0.1", "--no-report"
+    )
     assert "stiff" in json.loads(ffsm("schema"))["properties"]["controllers"]["properties"]
 
 
 @pytest.mark.slow
 def test_campaign(ffsm, tmp_path):
     (tmp_path / "spec.yaml").write_text(
-        """{scenario: postcapture, overrides: {duration: 0.1}, settled: {hold: 0.1}, controllers: [stiff, tdc],
+        """{scenario: postcapture, overrides: {duration: 0.1}, settled: {hold: 0.1},
+        controllers: [stiff, tdc],
         cases: 1,
         parameters: {payload.truth.mass: {distribution: uniform, low: 80, high: 120}}}"""
     )
     out = ffsm("campaign", "run", "spec.yaml", "--database", "spec.db", "--workers", "1")
     assert "2 of 2 runs" in out
-    rows = ffsm("campaign", "rerun", "spec.db", "--case", "0", "--controller", "stiff", "--no-recording")
+    rows = ffsm(
+        "campaign", "rerun", "spec.db", "--case", "0", "--controller", "stiff", "--no-recording"
+    )
     assert "all values equal the stored ones, bit for bit" in rows
 
 
@@ -105,6 +123,8 @@ def test_the_live_panel():
             click(meshcat, next(steps))
 
     scenario = load_scenario("postcapture", ["duration=0.1"])
-    (record,) = run_interactive(scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=wait)
+    (record,) = run_interactive(
+        scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=wait
+    )
     assert record.scenario.controller == "stiff"
     assert record.outcome.completed

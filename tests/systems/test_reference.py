@@ -53,7 +53,9 @@ def test_rest_at_and_beyond_both_ends(loop, motion, time):
     assert np.abs(v).max() < 1e-15
     assert np.abs(a).max() < 1e-15
     posture = loop.scenario.initial_posture if time <= 0 else loop.scenario.target_posture
-    assert Rotation.from_quat(q[:4], scalar_first=True).as_euler("xyz") == pytest.approx(posture.base_rpy, abs=1e-14)
+    assert Rotation.from_quat(q[:4], scalar_first=True).as_euler("xyz") == pytest.approx(
+        posture.base_rpy, abs=1e-14
+    )
     assert q[4:7] == pytest.approx(posture.base_position, abs=1e-15)
     assert q[7:] == pytest.approx(list(posture.joints.values()), abs=1e-15)
 
@@ -66,7 +68,9 @@ def test_peak_speed_of_a_joint_and_of_the_base(motion):
 
 
 @pytest.mark.parametrize("time", [2.0, 7.3, 11.0, 18.5])
-@pytest.mark.parametrize("angles", [None, ([-0.5, 0.3, -0.4], [1.2, 2.0, 2.6]), ([0.1] * 3, [0.1] * 3)])
+@pytest.mark.parametrize(
+    "angles", [None, ([-0.5, 0.3, -0.4], [1.2, 2.0, 2.6]), ([0.1] * 3, [0.1] * 3)]
+)
 def test_rates_are_the_derivatives_of_the_motion(loop, motion, angles, time):
     h = 1e-4
     if angles:
@@ -89,13 +93,18 @@ def test_attitude_follows_the_planned_angles(loop):
     for time in (3.0, 9.0, 16.0):
         s, _, _ = quintic_blend(time, DURATION)
         q, _, _ = motion.evaluate(time)
-        angles = Rotation.from_quat(q[:4], scalar_first=True).as_euler("xyz")  # fixed axes: roll, pitch, yaw
-        assert angles == pytest.approx((1 - s) * np.array(scenario.initial_posture.base_rpy), abs=1e-13)
+        # fixed axes: roll, pitch, yaw
+        angles = Rotation.from_quat(q[:4], scalar_first=True).as_euler("xyz")
+        assert angles == pytest.approx(
+            (1 - s) * np.array(scenario.initial_posture.base_rpy), abs=1e-13
+        )
 
 
 @pytest.mark.parametrize("target", [[1.2, 2.0, 2.6], [np.pi - 0.5, 0.3, -0.4], [0.2, 0.0, 0.0]])
 def test_attitude_turns_about_the_eigenaxis(loop, target):
-    """The angle from the start follows the blend, up to half a turn, and angular velocity stays along one axis."""
+    """The angle from the start follows the blend, up to half a turn, and angular velocity stays
+    along one axis.
+    """
     start = [-0.5, 0.3, -0.4]
     motion = slew(loop, start, target, "eigenaxis")
     first, last = (Rotation.from_euler("xyz", angles) for angles in (start, target))
@@ -115,15 +124,22 @@ def test_attitude_turns_about_the_eigenaxis(loop, target):
 
 @pytest.mark.parametrize(
     ("start", "target", "rpy", "eigenaxis", "peak"),
-    [([-0.5, 0.3, -0.4], [1.2, 2.0, 2.6], 19051, 2746, 13.2), ([0.0] * 3, [2.6] * 3, 55494, 2018, 10.7)],
+    [
+        ([-0.5, 0.3, -0.4], [1.2, 2.0, 2.6], 19051, 2746, 13.2),
+        ([0.0] * 3, [2.6] * 3, 55494, 2018, 10.7),
+    ],
 )
 def test_effort_of_large_slews(loop, start, target, rpy, eigenaxis, peak):
-    """Of perfect tracking: ISV of either motion, and the largest base torque about the eigenaxis, N m."""
+    """Of perfect tracking: ISV of either motion, and the largest base torque about the eigenaxis, N
+    m.
+    """
     true = make_true_plant(loop.scenario)
     for kind, expected in (("rpy", rpy), ("eigenaxis", eigenaxis)):
         motion = slew(loop, start, target, kind)
         samples = map(motion.evaluate, np.arange(0.0, DURATION, 0.1))
-        forces = np.array([true.calc_mass_matrix(q) @ a + true.calc_bias(q, v) for q, v, a in samples])
+        forces = np.array(
+            [true.calc_mass_matrix(q) @ a + true.calc_bias(q, v) for q, v, a in samples]
+        )
         assert np.sum(forces**2) * 0.1 == pytest.approx(expected, rel=2e-3)
     assert np.abs(forces[:, :3]).max() == pytest.approx(peak, abs=0.1)
 
@@ -136,7 +152,9 @@ def test_ports_give_the_same_motion(loop):
         context.SetTime(time)
         q, v, a = motion.evaluate(time)
         assert reference.GetOutputPort("desired_state").Eval(context).tolist() == [*q, *v], time
-        assert reference.GetOutputPort("desired_acceleration").Eval(context).tolist() == a.tolist(), time
+        assert (
+            reference.GetOutputPort("desired_acceleration").Eval(context).tolist() == a.tolist()
+        ), time
 
 
 def test_translation_alone_needs_the_known_effort(loop, motion):

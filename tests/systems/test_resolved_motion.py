@@ -1,4 +1,6 @@
-"""A frame along its path by the generalized Jacobian: followed, damped near singularities, the base left alone."""
+"""A frame along its path by the generalized Jacobian: followed, damped near singularities, the base
+left alone.
+"""
 
 import numpy as np
 import pytest
@@ -43,10 +45,15 @@ def assert_consistent(motion, times, *, h=1e-3, atol=1e-7):
 
 def test_the_damped_inverse_is_smooth_and_bounded():
     damping, step = 0.05, 1e-7
-    assert_allclose(damped_inverse(np.array([0.05, 0.2, 3.0]), damping), [20.0, 5.0, 1 / 3], rtol=1e-15)
+    assert_allclose(
+        damped_inverse(np.array([0.05, 0.2, 3.0]), damping), [20.0, 5.0, 1 / 3], rtol=1e-15
+    )
     sizes = np.linspace(0.0, 0.2, 4001)
     assert_allclose(damped_inverse(sizes, damping).max(), np.sqrt(32 / 27) / damping, rtol=1e-6)
-    slopes = [np.diff(damped_inverse(damping + step * np.array(sides), damping))[0] for sides in ((-1, 0), (0, 1))]
+    slopes = [
+        np.diff(damped_inverse(damping + step * np.array(sides), damping))[0]
+        for sides in ((-1, 0), (0, 1))
+    ]
     assert_allclose(slopes[0], slopes[1], rtol=1e-4)
     # Damped least squares: s / (s^2 + lambda^2).
     s = 0.02
@@ -82,7 +89,8 @@ def test_out_of_reach_it_is_damped_and_says_so():
 
 
 @pytest.mark.parametrize(
-    ("hold", "least", "most"), [("[base_rotation]", 0.0, 1e-12), pytest.param("[]", 0.45, 0.47, marks=pytest.mark.slow)]
+    ("hold", "least", "most"),
+    [("[base_rotation]", 0.0, 1e-12), pytest.param("[]", 0.45, 0.47, marks=pytest.mark.slow)],
 )
 def test_the_base_is_left_alone(hold, least, most):
     motion, _, _ = motion_of("reaction_null", f"reference.frame.hold={hold}")
@@ -94,9 +102,14 @@ def test_the_base_is_left_alone(hold, least, most):
 @pytest.mark.slow
 def test_what_comes_first_is_done():
     """Pose and attitude of the base take four degrees of freedom in the plane, of three."""
-    goal = "reference.frame={position: [0.15, 0, 2.4], rpy: [0, 1.1, 0], hold: [base_rotation_y], priority: %s}"
+    goal = (
+        "reference.frame={position: [0.15, 0, 2.4], rpy: [0, 1.1, 0], hold: [base_rotation_y], "
+        "priority: %s}"
+    )
     hold, frame = (
-        motion_of("planar_detumble", *PLANAR, *ARM_ALONE, goal % first)[0].resolution(np.linspace(0.0, 20.0, 31))
+        motion_of("planar_detumble", *PLANAR, *ARM_ALONE, goal % first)[0].resolution(
+            np.linspace(0.0, 20.0, 31)
+        )
         for first in ("hold", "frame")
     )
     assert hold.base_turn.max() < 1e-12
@@ -107,7 +120,9 @@ def test_what_comes_first_is_done():
 
 def test_a_motion_of_the_joints_in_the_reaction_null_space():
     target = "target_posture.joints={all: 0.5}"
-    motion, _, _ = motion_of("reaction_null", target, "reference.frame={task: none, hold: [base_rotation]}")
+    motion, _, _ = motion_of(
+        "reaction_null", target, "reference.frame={task: none, hold: [base_rotation]}"
+    )
     assert motion.resolution(np.linspace(0.0, 30.0, 31)).base_turn.max() < 1e-12
     q, v, _ = parts(motion, [0.0, 10.0, 30.0, 33.0])
     left = np.linalg.norm(q[:, 7:] - 0.5, axis=1)
@@ -119,14 +134,21 @@ def test_a_motion_of_the_joints_in_the_reaction_null_space():
 @pytest.mark.slow
 def test_after_a_capture_it_goes_on_with_the_momentum_of_both():
     motion, model, scenario = motion_of(
-        "postcapture", *AT_ORIGIN, *ARM_ALONE, "capture.rate=[0.01, 0.008, 0.012]", "reference.base_rotation=eigenaxis",
-        "reference.goal=stop", "reference.frame={task: attitude}",
-    )  # fmt: skip
+        "postcapture",
+        *AT_ORIGIN,
+        *ARM_ALONE,
+        "capture.rate=[0.01, 0.008, 0.012]",
+        "reference.base_rotation=eigenaxis",
+        "reference.goal=stop",
+        "reference.frame={task: attitude}",
+    )
     contact = planned_contact(scenario, model)
     times = np.array([0.0, 4.0, 15.0, 24.0])
     q, v, _ = parts(motion, times)
     assert_allclose(v[0], contact.grasp.velocity, atol=1e-15)
-    assert_allclose(free_floating(model, q).momentum(v), np.tile(contact.momentum_after, (4, 1)), atol=1e-12)
+    assert_allclose(
+        free_floating(model, q).momentum(v), np.tile(contact.momentum_after, (4, 1)), atol=1e-12
+    )
     assert motion.resolution(times).attitude_miss.max() < 1e-9
     assert np.abs(v[3]).max() > 1e-4  # the frame rests, the rest does not
     assert_consistent(motion, times[1:])
@@ -145,7 +167,9 @@ def test_with_the_base_driven_the_joints_do_it_and_the_base_keeps_its_motion():
 
 @pytest.mark.slow
 def test_a_run_leaves_the_base_alone():
-    """In the closed loop, with noise, the base turns by less than 1e-6 rad; with a wrong payload it says how much."""
+    """In the closed loop, with noise, the base turns by less than 1e-6 rad; with a wrong payload it
+    says how much.
+    """
     record = simulate(load_scenario("reaction_null"), check_stability=False)
     q = record.dataset["position"].values
     turned = np.linalg.norm(position_errors(q, np.tile(q[0], (len(q), 1)))[:, :3], axis=1)

@@ -52,24 +52,40 @@ def test_quantize():
 @pytest.mark.parametrize("name", ["paper", "postcapture"])
 def test_by_default_there_is_noise_and_nothing_else(name):
     sensing = make_closed_loop(load_scenario(name)).blocks["sensing"]
-    assert {system.get_name() for system in sensing.GetSystems()} == {"white", "standard_deviation", "noisy"}
+    assert {system.get_name() for system in sensing.GetSystems()} == {
+        "white",
+        "standard_deviation",
+        "noisy",
+    }
     every = ["position_bias=1e-3", "velocity_quantization=1e-3", "delay=1"]
-    sensing = make_closed_loop(load_scenario(name, [f"sensing.{one}" for one in every])).blocks["sensing"]
-    added = {system.get_name() for system in sensing.GetSystems()} - {"white", "standard_deviation", "noisy"}
+    sensing = make_closed_loop(load_scenario(name, [f"sensing.{one}" for one in every])).blocks[
+        "sensing"
+    ]
+    added = {system.get_name() for system in sensing.GetSystems()} - {
+        "white",
+        "standard_deviation",
+        "noisy",
+    }
     assert added == {"attitude_bias", "bias", "biased", "quantizer", "sampling"}
 
 
 def test_without_noise_the_measurement_is_the_state(run):
-    q, v, q_m, v_m = values(run(*SHORT, *NO_NOISE), "position", "velocity", "measured_position", "measured_velocity")
+    q, v, q_m, v_m = values(
+        run(*SHORT, *NO_NOISE), "position", "velocity", "measured_position", "measured_velocity"
+    )
     assert np.array_equal(q_m, q)
     assert np.array_equal(v_m, v)
 
 
 def test_bias_is_added_to_positions_and_velocities(run):
-    bias = ("sensing.position_bias={base_position: 1e-3, joint_2: -2e-3}",
-            "sensing.velocity_bias={base_rotation: 1e-4, base_position_z: 3e-4, joints: 2e-4}")  # fmt: skip
+    bias = (
+        "sensing.position_bias={base_position: 1e-3, joint_2: -2e-3}",
+        "sensing.velocity_bias={base_rotation: 1e-4, base_position_z: 3e-4, joints: 2e-4}",
+    )
     record = run(*SHORT, *NO_NOISE, *bias)
-    q, v, q_m, v_m = values(record, "position", "velocity", "measured_position", "measured_velocity")
+    q, v, q_m, v_m = values(
+        record, "position", "velocity", "measured_position", "measured_velocity"
+    )
     offset = np.array([0, 0, 0, 0, 1e-3, 1e-3, 1e-3, 0, -2e-3, 0, 0, 0])
     assert q_m - q == pytest.approx(np.tile(offset, (len(q), 1)), abs=1e-14)
     offset = np.array([1e-4] * 3 + [0, 0, 3e-4] + [2e-4] * 5)
@@ -77,10 +93,18 @@ def test_bias_is_added_to_positions_and_velocities(run):
 
 
 def test_attitude_bias_is_a_rotation_vector_in_the_world(run):
-    """R_measured = exp(bias) R, exactly; on the body's side it would differ by a tenth of the bias here."""
+    """R_measured = exp(bias) R, exactly; on the body's side it would differ by a tenth of the bias
+    here.
+    """
     bias = np.array([0.02, -0.01, 0.03])
-    record = run(*SHORT, *NO_NOISE, f"sensing.position_bias={dict(zip(ROTATIONS, bias.tolist(), strict=True))}")
-    q, q_m, v, v_m = values(record, "position", "measured_position", "velocity", "measured_velocity")
+    record = run(
+        *SHORT,
+        *NO_NOISE,
+        f"sensing.position_bias={dict(zip(ROTATIONS, bias.tolist(), strict=True))}",
+    )
+    q, q_m, v, v_m = values(
+        record, "position", "measured_position", "velocity", "measured_velocity"
+    )
     angle = float(np.linalg.norm(bias))
     turn = RotationMatrix(AngleAxis(angle, bias / angle)).matrix()
     for true, measured in zip(q, q_m, strict=True):
@@ -96,17 +120,28 @@ def test_attitude_bias_is_a_rotation_vector_in_the_world(run):
 def test_the_spacecraft_goes_where_its_biased_sensors_are_content(run):
     """The true error settles at the bias, which so enters the loop with the right sign."""
     bias = "sensing.position_bias={base_position: 1e-3, base_rotation_x: 2e-3, joint_3: -4e-3}"
-    record = run(*FLIGHT, "reference.duration=5", "duration=20", "disturbance.frequency_scale=0", *NO_NOISE, bias)
+    record = run(
+        *FLIGHT,
+        "reference.duration=5",
+        "duration=20",
+        "disturbance.frequency_scale=0",
+        *NO_NOISE,
+        bias,
+    )
     expected = [2e-3, 0, 0, 1e-3, 1e-3, 1e-3, 0, 0, -4e-3, 0, 0]
     assert record.dataset["error"].values[-1] == pytest.approx(expected, abs=1e-5)
 
 
 def test_quantization(run):
     """Multiples of the step, and what is rounded away is uniform."""
-    steps = ("sensing.position_quantization={base_position: 2e-5, joints: 1e-5}",
-             "sensing.velocity_quantization={base_position: 3e-6, base_rotation: 1e-6, joints: 5e-6}")  # fmt: skip
+    steps = (
+        "sensing.position_quantization={base_position: 2e-5, joints: 1e-5}",
+        "sensing.velocity_quantization={base_position: 3e-6, base_rotation: 1e-6, joints: 5e-6}",
+    )
     record = run(*FLIGHT, *NO_NOISE, *steps, "reference.duration=10", "duration=10")
-    q, v, q_m, v_m = values(record, "position", "velocity", "measured_position", "measured_velocity")
+    q, v, q_m, v_m = values(
+        record, "position", "velocity", "measured_position", "measured_velocity"
+    )
     for true, measured, step in (
         (q[:, 4:], q_m[:, 4:], vector(record, base_position=2e-5, joints=1e-5)[3:]),
         (v, v_m, vector(record, base_position=3e-6, base_rotation=1e-6, joints=5e-6)),
@@ -122,7 +157,9 @@ def test_quantization(run):
 
 @pytest.mark.parametrize("delay", [1, 3])
 def test_delay_is_whole_samples(run, delay):
-    """Measured at t_k is the state at t_(k-d); before the start the spacecraft was where it is at first."""
+    """Measured at t_k is the state at t_(k-d); before the start the spacecraft was where it is at
+    first.
+    """
     record = run(*SHORT, *NO_NOISE, f"sensing.delay={delay}")
     for name in ("position", "velocity"):
         true, measured = values(record, name, f"measured_{name}")
@@ -148,7 +185,9 @@ def slow_sensors():
 
 
 def test_slow_and_late_sensors_by_group(run):
-    """At t_k the measurement of p floor((k - d) / p) is read; before the start the spacecraft was where it is first."""
+    """At t_k the measurement of p floor((k - d) / p) is read; before the start the spacecraft was
+    where it is first.
+    """
     record = run(*SHORT, *NO_NOISE, *slow_sensors())
     samples, groups = np.arange(record.dataset.sizes["time"]), record.dataset["group"].values
     for part, of in SLOW.items():
@@ -174,7 +213,10 @@ def test_a_measurement_says_whether_it_is_new():
         is_new = port.Eval(context)[1:].reshape(2, -1)
         for of, new in zip(SLOW.values(), is_new, strict=True):
             for group, (period, delay) in of.items():
-                assert (new[groups[group]] == ((sample - delay) % period == 0)).all(), (sample, group)
+                assert (new[groups[group]] == ((sample - delay) % period == 0)).all(), (
+                    sample,
+                    group,
+                )
     for plain in (["sensing.delay=3"], []):
         sensing = make_closed_loop(load_scenario("postcapture", plain)).blocks["sensing"]
         assert not sensing.HasOutputPort("measurement_is_new")
@@ -201,14 +243,20 @@ def noise_of(overrides, *, samples, seed=0):
 
 
 def test_noise_with_memory():
-    """First-order Gauss-Markov noise of its deviation and time constant; the same seed gives the same bits."""
+    """First-order Gauss-Markov noise of its deviation and time constant; the same seed gives the
+    same bits.
+    """
     given = ["sensing.velocity_correlated_noise={all: 2e-3, joints: 0}",
              "sensing.position_correlated_noise={base_rotation: 4e-3}",
              "sensing.correlation_time={all: 0.05, base_rotation: 0.1}"]  # fmt: skip
     noise = noise_of(given, samples=6000)
     assert np.array_equal(noise[:50], noise_of(given, samples=50))
     assert not np.array_equal(noise[:50], noise_of(given, samples=50, seed=1))
-    for part, sigma, tau in ((slice(0, 4), 2e-3, 0.1), (slice(12, 15), 2e-3, 0.1), (slice(15, 18), 2e-3, 0.05)):
+    for part, sigma, tau in (
+        (slice(0, 4), 2e-3, 0.1),
+        (slice(12, 15), 2e-3, 0.1),
+        (slice(15, 18), 2e-3, 0.05),
+    ):
         of = noise[:, part]
         assert of.std() == pytest.approx(sigma, rel=0.1)  # of the quaternion half the angle's
         for lag in (2, 5, 10):
@@ -222,7 +270,8 @@ def test_noise_with_memory():
 
 def test_a_bias_walks():
     noise = noise_of(
-        ["sensing.velocity_bias_walk={base_rotation: 3e-3}", "sensing.velocity_bias.joints=1"], samples=4000
+        ["sensing.velocity_bias_walk={base_rotation: 3e-3}", "sensing.velocity_bias.joints=1"],
+        samples=4000,
     )
     steps = np.diff(noise[:, 12:15], axis=0)
     assert not noise[0, 12:15].any()
@@ -241,21 +290,30 @@ def test_noise_with_memory_leaves_the_white_noise_as_it_is(run):
 
 def test_noise_by_group_as_in_flight(run):
     record = run(*FLIGHT, *NOISE, "duration=12")
-    q, v, q_m, v_m = values(record, "position", "velocity", "measured_position", "measured_velocity")
+    q, v, q_m, v_m = values(
+        record, "position", "velocity", "measured_position", "measured_velocity"
+    )
     velocity = vector(record, base_position=1e-3, base_rotation=1.5e-5, joints=1e-4)
     assert (v_m - v).std(axis=0) == pytest.approx(velocity, rel=0.08)
     position = vector(record, base_position=1e-3, base_rotation=5e-5, joints=1e-5)
-    errors = np.array([position_error(measured, true) for measured, true in zip(q_m, q, strict=True)])
+    errors = np.array(
+        [position_error(measured, true) for measured, true in zip(q_m, q, strict=True)]
+    )
     assert errors.std(axis=0) == pytest.approx(position, rel=0.08)
     assert (np.abs(errors.mean(axis=0)) < 4 * position / np.sqrt(len(q))).all()
     assert np.abs(np.corrcoef(errors.T) - np.eye(11)).max() < 0.12
 
 
 def test_order_of_the_stages(run):
-    """Bias and noise before the quantiser, which leaves multiples; the delay last, so that it delays the noise too."""
+    """Bias and noise before the quantiser, which leaves multiples; the delay last, so that it
+    delays the noise too.
+    """
     quantization = ("sensing.velocity_quantization={base_position: 5e-4, joints: 5e-5}",
                     "sensing.position_quantization={base_position: 5e-4}")  # fmt: skip
-    bias = ("sensing.velocity_bias={base_position: 2e-4, joints: -2e-5}", "sensing.position_bias.base_position=2e-4")
+    bias = (
+        "sensing.velocity_bias={base_position: 2e-4, joints: -2e-5}",
+        "sensing.position_bias.base_position=2e-4",
+    )
     plain = run(*SHORT, *NOISE)
     noise = [
         measured - true
@@ -266,7 +324,9 @@ def test_order_of_the_stages(run):
     ]
     assert noise[0].std(axis=0)[3:6] == pytest.approx([1e-3] * 3, rel=0.3)
     record = run(*SHORT, *NOISE, *quantization, *bias, "sensing.delay=2")
-    q, v, q_m, v_m = values(record, "position", "velocity", "measured_position", "measured_velocity")
+    q, v, q_m, v_m = values(
+        record, "position", "velocity", "measured_position", "measured_velocity"
+    )
     # The same seed gives the same noise.
     before = v + vector(record, base_position=2e-4, joints=-2e-5) + noise[0]
     expected = quantize(before, vector(record, base_position=5e-4, joints=5e-5))
@@ -280,12 +340,18 @@ def test_order_of_the_stages(run):
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("sensing.position_quantization=1e-6", "sensing.position_quantization: base_rotation has no scale"),
+        (
+            "sensing.position_quantization=1e-6",
+            "sensing.position_quantization: base_rotation has no scale",
+        ),
         (
             "sensing.position_quantization={base_rotation_y: 1e-6}",
             "sensing.position_quantization: base_rotation has no scale",
         ),
-        ("sensing.velocity_quantization=-1", "sensing.velocity_quantization.all: must be >= 0 (0: none), not -1"),
+        (
+            "sensing.velocity_quantization=-1",
+            "sensing.velocity_quantization.all: must be >= 0 (0: none), not -1",
+        ),
         (
             "sensing.position_quantization.joints=-1e-6",
             "sensing.position_quantization.joints: must be >= 0 (0: none), not -1e-06",
@@ -293,16 +359,34 @@ def test_order_of_the_stages(run):
         ("sensing.delay=-1", "sensing.delay: must be from 0 to 1000 control samples, not -1"),
         ("sensing.delay=1001", "sensing.delay: must be from 0 to 1000 control samples, not 1001"),
         ("sensing.delay=0.5", "sensing.delay: must be a whole number"),
-        ("sensing.position_noise.base_rotation_x=1", "sensing.position_noise: must be the same for the three"),
+        (
+            "sensing.position_noise.base_rotation_x=1",
+            "sensing.position_noise: must be the same for the three",
+        ),
         ("sensing.velocity_bias.elbow=1", "sensing.velocity_bias.elbow: unknown coordinate"),
-        ("sensing.velocity_period=0", "sensing.velocity_period.all: must be a whole number of control samples from 1"),
-        ("sensing.position_delay.joints=2.5", "sensing.position_delay.joints: must be a whole number of control samp"),
-        ("sensing.position_period.base_rotation_x=2", "sensing.position_period: must be the same for the three"),
+        (
+            "sensing.velocity_period=0",
+            "sensing.velocity_period.all: must be a whole number of control samples from 1",
+        ),
+        (
+            "sensing.position_delay.joints=2.5",
+            "sensing.position_delay.joints: must be a whole number of control samp",
+        ),
+        (
+            "sensing.position_period.base_rotation_x=2",
+            "sensing.position_period: must be the same for the three",
+        ),
         ("sensing.position_delay.elbow=2", "sensing.position_delay.elbow: unknown coordinate"),
         ("tolerance.elbow=1", "tolerance.elbow: unknown coordinate"),
         ("sensing.correlation_time=0", "sensing.correlation_time.all: must be > 0 s, not 0"),
-        ("sensing.velocity_correlated_noise=-1", "velocity_correlated_noise.all: a standard deviation must be >= 0"),
-        ("sensing.velocity_bias_walk.joints=-1", "velocity_bias_walk.joints: a standard deviation must be >= 0"),
+        (
+            "sensing.velocity_correlated_noise=-1",
+            "velocity_correlated_noise.all: a standard deviation must be >= 0",
+        ),
+        (
+            "sensing.velocity_bias_walk.joints=-1",
+            "velocity_bias_walk.joints: a standard deviation must be >= 0",
+        ),
     ],
 )
 def test_errors_are_one_clear_line(override, expected):

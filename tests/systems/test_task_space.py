@@ -1,4 +1,6 @@
-"""Laws that track a frame: exact kinematics, boundedness near singularities, closed loops of free-floating arms."""
+"""Laws that track a frame: exact kinematics, boundedness near singularities, closed loops of
+free-floating arms.
+"""
 
 import dataclasses
 
@@ -25,9 +27,15 @@ from ffsm_drake.systems.controllers.task_space import TaskSpace
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 
 LAWS = ("resolved_rate", "task_computed_torque", "task_time_delay")
-ONE_OF_LAWS = [pytest.param(law, marks=[pytest.mark.slow] * (law != "task_time_delay")) for law in LAWS]
+ONE_OF_LAWS = [
+    pytest.param(law, marks=[pytest.mark.slow] * (law != "task_time_delay")) for law in LAWS
+]
 QUIET = ["sensing.velocity_noise=0", "disturbance.amplitude_scale=0"]
-ORIGIN = [f"{which}_posture.base_{what}=[0, 0, 0]" for which in ("initial", "target") for what in ("rpy", "position")]
+ORIGIN = [
+    f"{which}_posture.base_{what}=[0, 0, 0]"
+    for which in ("initial", "target")
+    for what in ("rpy", "position")
+]
 FREE = ["actuation.driven=[joints]", *ORIGIN]
 SERVICER = "servicer::end_effector"
 
@@ -39,7 +47,9 @@ def scenario_of(*overrides, name="seven_joint"):
 def state_of(scenario, seed=0):
     """A random state near the initial posture, of small velocities."""
     random = np.random.default_rng(seed)
-    q = configuration(make_nominal_plant(scenario).plant, scenario.initial_posture, key="initial_posture")
+    q = configuration(
+        make_nominal_plant(scenario).plant, scenario.initial_posture, key="initial_posture"
+    )
     q[4:] += 0.2 * random.normal(size=q.size - 4)
     q[:4] += 0.2 * random.normal(size=4)
     q[:4] /= np.linalg.norm(q[:4])
@@ -55,7 +65,9 @@ def sample_at(q, v, random):
 
 @pytest.mark.parametrize("driven", ["[joints]", "[base_rotation, joints]", "[all]"])
 def test_bias_acceleration_of_a_frame(driven):
-    """J' v by differences; J* dv_a/dt + A_0 is the frame's acceleration under forces on the driven coordinates."""
+    """J' v by differences; J* dv_a/dt + A_0 is the frame's acceleration under forces on the driven
+    coordinates.
+    """
     scenario = scenario_of(f"actuation.driven={driven}")
     model = make_nominal_plant(scenario)
     (q, v, random), step = state_of(scenario), 1e-5
@@ -96,7 +108,9 @@ def test_computed_torque_gives_the_frame_the_acceleration_it_wants(driven, task)
     point = law.task_space.at(sample, damping=law.damping)
     feedback = law.feedback(10.0 * point.e_dot + 25.0 * law.limited(point.e))
     assert (np.linalg.norm(feedback.reshape(-1, 3), axis=1) < 0.5 + 1e-12).all()
-    acceleration = model.calc_jacobian(q, SERVICER) @ a + model.calc_bias_acceleration(q, v, SERVICER)
+    acceleration = model.calc_jacobian(q, SERVICER) @ a + model.calc_bias_acceleration(
+        q, v, SERVICER
+    )
     assert_allclose(acceleration[rows], sample.desired_frame[13:][rows] + feedback, atol=1e-10)
     base = model.coordinates.driven[:-7]
     wanted = sample.a_d + 10.0 * sample.e_dot + 25.0 * sample.e
@@ -130,7 +144,9 @@ def far_away(setup):
 class Far(LeafSystem):
     def __init__(self, setup):
         super().__init__()
-        q = configuration(setup.nominal.plant, setup.scenario.initial_posture, key="initial_posture")
+        q = configuration(
+            setup.nominal.plant, setup.scenario.initial_posture, key="initial_posture"
+        )
         pose = setup.nominal.calc_frame_pose(q, SERVICER)
         goal = np.concatenate([pose[:4], pose[4:] + np.array([4.0, 1.0, 3.0]), np.zeros(12)])
         for name, value in (
@@ -146,8 +162,12 @@ class Far(LeafSystem):
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ONE_OF_LAWS)
 def test_a_goal_out_of_reach(law):
-    """The arm stretches out to it and rests, singular: forces and rates stay bounded, and it is said."""
-    scenario = complete_gains(scenario_of(f"controller={law}", "duration=25", f"controllers.{law}.k_p_plan=0"))
+    """The arm stretches out to it and rests, singular: forces and rates stay bounded, and it is
+    said.
+    """
+    scenario = complete_gains(
+        scenario_of(f"controller={law}", "duration=25", f"controllers.{law}.k_p_plan=0")
+    )
     log = Rollout(scenario, blocks={"reference": far_away}).run()
     assert log.outcome.completed
     rates = log.series["state"][:, 15 + 5 :]
@@ -167,10 +187,13 @@ def followed(law, *overrides):
 
 
 @pytest.mark.parametrize(
-    ("law", "most"), [("resolved_rate", 1e-2), ("task_computed_torque", 2e-3), ("task_time_delay", 1e-5)]
+    ("law", "most"),
+    [("resolved_rate", 1e-2), ("task_computed_torque", 2e-3), ("task_time_delay", 1e-5)],
 )
 def test_the_frame_gets_there_with_the_wrong_payload(law, most):
-    """The nominal mass is a fifth too low: joints end elsewhere than planned, the frame does not."""
+    """The nominal mass is a fifth too low: joints end elsewhere than planned, the frame does
+    not.
+    """
     path = "reference.frame={position: [2.2, 0.9, 3.1], frame: 'servicer::end_effector'}"
     log = followed(law, path, "target_posture.joints={}")
     error = log.frame_error
@@ -178,9 +201,13 @@ def test_the_frame_gets_there_with_the_wrong_payload(law, most):
     assert np.abs(error).max() < most
     assert np.abs(error[-1]).max() < 1e-4
     assert np.abs(log.error[-1, 6:]).max() > 3e-3
-    assert log.tracked.names == tuple(f"frame_{what}_{axis}" for what in ("rotation", "position") for axis in "xyz")
+    assert log.tracked.names == tuple(
+        f"frame_{what}_{axis}" for what in ("rotation", "position") for axis in "xyz"
+    )
     record = make_record(log, start=0.0)
-    assert record.metrics["frame"]["final"]["position"] == pytest.approx(np.linalg.norm(error[-1, 3:]))
+    assert record.metrics["frame"]["final"]["position"] == pytest.approx(
+        np.linalg.norm(error[-1, 3:])
+    )
     assert record.metrics["itae"] == log.metrics["itae"] < 0.1
     (result,) = results_of([record])
     assert result.status == "settled", result.verdict
@@ -188,7 +215,9 @@ def test_the_frame_gets_there_with_the_wrong_payload(law, most):
 
 
 def test_with_the_true_payload_the_frame_follows_but_for_the_hold():
-    """What is left is that the force is held over the period: it halves with it. The frame follows the plan."""
+    """What is left is that the force is held over the period: it halves with it. The frame follows
+    the plan.
+    """
     truth = "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}"
     errors = []
     for period in (0.01, 0.005):
@@ -208,7 +237,9 @@ def test_the_port_is_there_only_where_it_is_used():
     plain, path = scenario_of(), "reference.frame={position: [2.2, 0.9, 3.1], task: position}"
     short = "reference.duration=1"
     loops = {
-        (law, given): make_closed_loop(scenario_of(f"controller={law}", short, *([path] if given else [])))
+        (law, given): make_closed_loop(
+            scenario_of(f"controller={law}", short, *([path] if given else []))
+        )
         for law in ("tdc", "resolved_rate")
         for given in (True, False)
     }
@@ -218,14 +249,20 @@ def test_the_port_is_there_only_where_it_is_used():
         assert loop.blocks["reference"].HasOutputPort("desired_frame") == given
     loop = loops["resolved_rate", True]
     context = loop.diagram.CreateDefaultContext()
-    row = loop.output_port("desired_frame").Eval(loop.blocks["reference"].GetMyContextFromRoot(context))
+    row = loop.output_port("desired_frame").Eval(
+        loop.blocks["reference"].GetMyContextFromRoot(context)
+    )
     q = configuration(make_nominal_plant(plain).plant, plain.initial_posture, key="initial_posture")
     assert_allclose(row[:7], make_nominal_plant(plain).calc_frame_pose(q, SERVICER), atol=1e-12)
     assert not row[7:].any()
 
 
 def test_a_joint_law_is_judged_by_joints_beside_a_frame():
-    log = followed("computed_torque", "duration=0.1", "reference.frame={position: [2.2, 0.9, 3.1], task: position}")
+    log = followed(
+        "computed_torque",
+        "duration=0.1",
+        "reference.frame={position: [2.2, 0.9, 3.1], task: position}",
+    )
     assert not log.frame_tracked.any()
     assert log.frame_error.shape == (11, 6)
     assert log.tracked.groups == ("joints",) * 7
@@ -235,17 +272,32 @@ def test_a_joint_law_is_judged_by_joints_beside_a_frame():
 
 
 def test_the_kalman_filter_of_a_frame():
-    """It takes its noises through the Jacobian, and smooths: less force than one sample gives, with noisy sensors."""
-    noise = ["sensing.velocity_noise=1e-4", "sensing.position_noise=1e-5", "duration=3", "estimator.walk=0.1"]
+    """It takes its noises through the Jacobian, and smooths: less force than one sample gives, with
+    noisy sensors.
+    """
+    noise = [
+        "sensing.velocity_noise=1e-4",
+        "sensing.position_noise=1e-5",
+        "duration=3",
+        "estimator.walk=0.1",
+    ]
     effort = {
         kind: np.abs(
-            np.diff(followed("task_time_delay", *noise, f"estimator.kind={kind}").generalized_force, axis=0)
+            np.diff(
+                followed("task_time_delay", *noise, f"estimator.kind={kind}").generalized_force,
+                axis=0,
+            )
         ).mean()
         for kind in ("one_sample", "kalman")
     }
     assert effort["kalman"] < 0.5 * effort["one_sample"]
-    with pytest.raises(ScenarioError, match="estimator: of a frame must be one_sample, or kalman of sensors"):
-        make_law(load_scenario("slow_navigation", ["controller=task_time_delay"]), *_plants("slow_navigation"))
+    with pytest.raises(
+        ScenarioError, match="estimator: of a frame must be one_sample, or kalman of sensors"
+    ):
+        make_law(
+            load_scenario("slow_navigation", ["controller=task_time_delay"]),
+            *_plants("slow_navigation"),
+        )
 
 
 def _plants(name):
@@ -257,24 +309,33 @@ def at_zero_momentum(scenario):
     model = make_true_plant(scenario)
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
     stack = FreeFloating(
-        mass_matrix=model.calc_mass_matrix(q), base_position=q[4:7], driven=np.arange(6, model.plant.num_velocities())
+        mass_matrix=model.calc_mass_matrix(q),
+        base_position=q[4:7],
+        driven=np.arange(6, model.plant.num_velocities()),
     )
     kick = stack.velocity(np.full(stack.driven.size, 1e-6))
     velocity = dict(zip(model.coordinates.names, kick.tolist(), strict=True))
-    return dataclasses.replace(scenario, target_posture=scenario.initial_posture, initial_velocity=velocity)
+    return dataclasses.replace(
+        scenario, target_posture=scenario.initial_posture, initial_velocity=velocity
+    )
 
 
 @pytest.mark.parametrize(
     ("law", "boundary"),
     [
         ("task_time_delay", 2.78),
-        pytest.param("resolved_rate", 9.99, marks=pytest.mark.slow),  # what is foreseen of them: the poles below
+        # what is foreseen of them: the poles below
+        pytest.param("resolved_rate", 9.99, marks=pytest.mark.slow),
         pytest.param("task_computed_torque", 19.99, marks=pytest.mark.slow),
     ],
 )
 def test_boundary_of_stability_foreseen_and_run(law, boundary):
-    """Free floating and held: 1.5 % inside the boundary of the gains a kick dies out, 1.5 % outside it grows."""
-    scenario = complete_gains(at_zero_momentum(scenario_of(f"controller={law}", "duration=4", "reference.duration=1")))
+    """Free floating and held: 1.5 % inside the boundary of the gains a kick dies out, 1.5 % outside
+    it grows.
+    """
+    scenario = complete_gains(
+        at_zero_momentum(scenario_of(f"controller={law}", "duration=4", "reference.duration=1"))
+    )
     for factor, stable in ((0.985, True), (1.015, False)):
         changed = with_gains(scenario, factor * boundary)
         with Linearizer(changed) as linearizer:
@@ -297,10 +358,13 @@ def test_poles_of_a_free_floating_frame(law):
     else:
         scalar = [10.0, 25.0] if law == "task_computed_torque" else [20.0, 40.0]
     exact = {"task_time_delay": 0.9899496}.get(law)
-    if exact is None:  # e'' held over a period: z of e_{k+1} = e + L e' - L^2/2 u, u = k_d e' + k_p e
+    # e'' held over a period: z of e_{k+1} = e + L e' - L^2/2 u, u = k_d e' + k_p e
+    if exact is None:
         k_d, k_p = scalar
         step = scenario.sample_time
-        held = np.array([[1 - 0.5 * step**2 * k_p, step - 0.5 * step**2 * k_d], [-step * k_p, 1 - step * k_d]])
+        held = np.array(
+            [[1 - 0.5 * step**2 * k_p, step - 0.5 * step**2 * k_d], [-step * k_p, 1 - step * k_d]]
+        )
         exact = np.abs(np.linalg.eigvals(held)).max()
     assert np.abs(poles[0]) == pytest.approx(exact, abs=2e-5)
     assert len(poles) >= 14
@@ -310,8 +374,13 @@ def test_poles_of_a_free_floating_frame(law):
 @pytest.mark.parametrize("law", ["task_time_delay"])
 def test_momentum_over_a_minute(law):
     momentum = "initial_velocity={base_rotation_z: 0.005, base_position_x: 0.002}"
-    exact = ["simulator_config.integration_scheme=runge_kutta5", "simulator_config.max_step_size=0.005"]
-    scenario = scenario_of(f"controller={law}", "duration=60", "reference.duration=50", momentum, *exact)
+    exact = [
+        "simulator_config.integration_scheme=runge_kutta5",
+        "simulator_config.max_step_size=0.005",
+    ]
+    scenario = scenario_of(
+        f"controller={law}", "duration=60", "reference.duration=50", momentum, *exact
+    )
     data = make_record(Rollout(scenario).run(), start=0.0).dataset
     for name in ("linear_momentum", "angular_momentum"):
         values = data[name].values
@@ -319,5 +388,8 @@ def test_momentum_over_a_minute(law):
 
 
 def test_gains_of_a_frame_are_not_designed():
-    with pytest.raises(BlockError, match="task_computed_torque tracks a frame; gains are designed for errors of coord"):
+    with pytest.raises(
+        BlockError,
+        match="task_computed_torque tracks a frame; gains are designed for errors of coord",
+    ):
         design(scenario_of("controller=task_computed_torque", "reference.duration=4", "duration=5"))

@@ -1,4 +1,6 @@
-"""Thrusters: allocation against a linear program, pulses, what the plant gets of them, and failures."""
+"""Thrusters: allocation against a linear program, pulses, what the plant gets of them, and
+failures.
+"""
 
 import itertools
 
@@ -21,7 +23,12 @@ from ffsm_drake.show.report.results import results_of
 from ffsm_drake.show.tables import NONE, number, results_table
 from ffsm_drake.systems.actuation.allocation import Allocation, lost_direction
 from ffsm_drake.systems.actuation.base import attitude_ahead
-from ffsm_drake.systems.actuation.modulation import SchmittTrigger, mean_level, pulse_widths, whole_frames
+from ffsm_drake.systems.actuation.modulation import (
+    SchmittTrigger,
+    mean_level,
+    pulse_widths,
+    whole_frames,
+)
 
 LAYOUTS = tuple(thruster_layouts())
 SHORT = (*flight_settings.FLIGHT, *flight_settings.NO_NOISE, "duration=2")
@@ -29,13 +36,19 @@ BASE = [f"base_{part}_{axis}" for part in ("rotation", "position") for axis in "
 
 
 def wrenches_of(layout):
-    """Torque and force (6, n) of each thruster at 1 N, its largest force (n), and the propellant per impulse (n)."""
+    """Torque and force (6, n) of each thruster at 1 N, its largest force (n), and the propellant
+    per impulse (n).
+    """
     units = thrusters_of(Thrusters(layout=layout)).values()
     columns = []
     for unit in units:
         force = np.array(unit.direction) / np.linalg.norm(unit.direction)
         columns.append(np.r_[np.cross(unit.position, force), force])
-    return np.array(columns).T, np.array([u.force for u in units]), np.array([1 / u.specific_impulse for u in units])
+    return (
+        np.array(columns).T,
+        np.array([u.force for u in units]),
+        np.array([1 / u.specific_impulse for u in units]),
+    )
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -52,7 +65,12 @@ def test_allocation_takes_the_least_propellant(layout):
         assert (forces >= 0.0).all()
         assert (forces <= largest * (1 + 1e-9)).all()
         bounds = [(0, bound) for bound in largest]
-        most = linprog(np.r_[0 * cost, -1], A_eq=np.c_[wrenches, -wrench], b_eq=np.zeros(6), bounds=[*bounds, (0, 1)])
+        most = linprog(
+            np.r_[0 * cost, -1],
+            A_eq=np.c_[wrenches, -wrench],
+            b_eq=np.zeros(6),
+            bounds=[*bounds, (0, 1)],
+        )
         assert part == pytest.approx(most.x[-1], rel=1e-6)
         least = linprog(cost, A_eq=wrenches, b_eq=part * (1 - 1e-9) * wrench, bounds=bounds)
         assert cost @ forces == pytest.approx(least.fun, rel=1e-5)
@@ -78,7 +96,9 @@ def test_open_times():
     share = np.array([0.0, 0.04, 0.06, 0.2, 0.5, 0.8, 1.0])
     assert whole_frames(share, frame=0.02, threshold=0.5).tolist() == [0, 0, 0, 0, 0.02, 0.02, 0.02]
     assert whole_frames(share, frame=0.02, threshold=0.8).tolist() == [0, 0, 0, 0, 0, 0.02, 0.02]
-    assert pulse_widths(share, frame=0.2, minimum=0.02) == pytest.approx([0, 0, 0.02, 0.04, 0.1, 0.16, 0.2])
+    assert pulse_widths(share, frame=0.2, minimum=0.02) == pytest.approx(
+        [0, 0, 0.02, 0.04, 0.1, 0.16, 0.2]
+    )
 
 
 @pytest.mark.parametrize(("rise", "fall"), [(0.004, 0.009), (0.0, 0.0), (0.05, 0.0)])
@@ -91,9 +111,16 @@ def test_mean_level_is_the_exact_mean(rise, fall):
         for length, target, constant in parts:
             if length > 0.0:
                 path = solve_ivp(
-                    lambda _, x, target=target, constant=constant: [(target - x[0]) / constant, x[0]],
-                    (0, length), [y, 0.0], method="Radau", rtol=1e-9, atol=1e-12,
-                )  # fmt: skip
+                    lambda _, x, target=target, constant=constant: [
+                        (target - x[0]) / constant,
+                        x[0],
+                    ],
+                    (0, length),
+                    [y, 0.0],
+                    method="Radau",
+                    rtol=1e-9,
+                    atol=1e-12,
+                )
                 y, total = path.y[0, -1], total + path.y[1, -1]
         assert mean[i] == pytest.approx(total / period, abs=2e-4)
         assert end[i] == pytest.approx(y, abs=1e-6)
@@ -108,7 +135,9 @@ def test_schmitt_trigger_is_its_filter_with_hysteresis():
         filtered, is_on = trigger.step(share, filtered, is_on)
         fired.append(is_on[0])
         states.append(filtered[0])
-    _, output, _ = lsim(([10.0], [0.2, 1.0]), [*heard, heard[-1]], np.arange(301) * 0.01, interp=False)
+    _, output, _ = lsim(
+        ([10.0], [0.2, 1.0]), [*heard, heard[-1]], np.arange(301) * 0.01, interp=False
+    )
     assert states == pytest.approx(output[1:], abs=1e-9)
     on = np.array(fired) > 0
     assert (np.array(states)[on] > 0.15).all()
@@ -123,7 +152,9 @@ def test_attitude_ahead_turns_about_world_axes():
     before = RotationMatrix(RollPitchYaw(0.3, -0.2, 1.0))
     w = np.array([0.4, -1.0, 2.0])
     expected = Rotation.from_rotvec(0.05 * w).as_matrix() @ before.matrix()
-    assert attitude_ahead(before.ToQuaternion().wxyz() * 1.001, w, 0.05).reshape(3, 3) == pytest.approx(expected)
+    assert attitude_ahead(before.ToQuaternion().wxyz() * 1.001, w, 0.05).reshape(
+        3, 3
+    ) == pytest.approx(expected)
 
 
 def middle_rotation(data, k, period):
@@ -131,7 +162,10 @@ def middle_rotation(data, k, period):
     from scipy.spatial.transform import Rotation
 
     q, w = data["position"].values[k, :4], data["velocity"].values[k, :3]
-    return Rotation.from_rotvec(0.5 * period * w).as_matrix() @ Quaternion(q / np.linalg.norm(q)).rotation()
+    return (
+        Rotation.from_rotvec(0.5 * period * w).as_matrix()
+        @ Quaternion(q / np.linalg.norm(q)).rotation()
+    )
 
 
 @pytest.mark.parametrize(
@@ -148,7 +182,10 @@ def test_the_plant_gets_what_fires(run, layout, overrides):
     record = run(*SHORT, f"actuation.thrusters.layout={layout}", *overrides)
     data, period = record.dataset, 0.01
     wrenches, largest, _ = wrenches_of(layout)
-    fired, applied = data["thruster_force"].values, data["applied_force"].sel(coordinate=BASE).values
+    fired, applied = (
+        data["thruster_force"].values,
+        data["applied_force"].sel(coordinate=BASE).values,
+    )
     for k in range(0, 200, 7):
         turned = (wrenches @ fired[k]).reshape(2, 3) @ middle_rotation(data, k, period).T
         assert applied[k] == pytest.approx(turned.ravel(), abs=1e-9)
@@ -163,20 +200,32 @@ def test_the_plant_gets_what_fires(run, layout, overrides):
     assert figures["shortest_pulse"] >= 0.02 * (1 - 1e-9)
     assert sum(figures["impulse"].values()) == pytest.approx(fired[:-1].sum() * period)
     isp = np.array([unit.specific_impulse for unit in thruster_layouts()[layout].values()])
-    assert figures["propellant"] == pytest.approx((fired[:-1].sum(axis=0) / isp).sum() * period / STANDARD_GRAVITY)
+    assert figures["propellant"] == pytest.approx(
+        (fired[:-1].sum(axis=0) / isp).sum() * period / STANDARD_GRAVITY
+    )
     assert figures["propellant"] > figures["propellant_of_force"] > 0.0
     assert largest.min() * (1 + 1e-9) >= fired.max()
 
 
 def test_sigma_delta_owes_less_than_a_pulse(run):
-    """The impulse that was commanded and not fired stays below a threshold of every pulse and a frame's command."""
+    """The impulse that was commanded and not fired stays below a threshold of every pulse and a
+    frame's command.
+    """
     record = run(*SHORT, "actuation.thrusters.layout=16x22N")
     data = record.dataset
-    owed = np.cumsum((data["generalized_force"] - data["applied_force"]).sel(coordinate=BASE).values, axis=0) * 0.01
+    owed = (
+        np.cumsum(
+            (data["generalized_force"] - data["applied_force"]).sel(coordinate=BASE).values, axis=0
+        )
+        * 0.01
+    )
     wrenches, largest, _ = wrenches_of("16x22N")
     pulse = 0.02 * largest[0] * np.abs(wrenches).sum(axis=1)
     assert record.metrics["thrusters"]["saturated"] == 0.0
-    assert (np.abs(owed) <= 0.8 * pulse + 0.02 * np.abs(data["generalized_force"].values[:, :6]).max(axis=0)).all()
+    assert (
+        np.abs(owed)
+        <= 0.8 * pulse + 0.02 * np.abs(data["generalized_force"].values[:, :6]).max(axis=0)
+    ).all()
     assert np.abs(owed).max() > 0.05
 
 
@@ -214,8 +263,12 @@ def test_the_report_draws_every_pulse(run, monkeypatch):
         assert np.ptp(np.reshape(trace.y, (-1, 6))[:, :5], axis=1) == pytest.approx(
             0.4
         )  # seen where they are narrower than a pixel
-    assert {name: number for name, (number, _) in drawn.items()} == pytest.approx(figures["pulses"], abs=1)
-    assert {name: total for name, (_, total) in drawn.items()} == pytest.approx(figures["on_time"], abs=0.011)
+    assert {name: number for name, (number, _) in drawn.items()} == pytest.approx(
+        figures["pulses"], abs=1
+    )
+    assert {name: total for name, (_, total) in drawn.items()} == pytest.approx(
+        figures["on_time"], abs=0.011
+    )
     page = render_report([record])
     assert ">Actuators<" in page
     assert f"{1e3 * figures['propellant']:.3g} g of propellant" in page
@@ -233,22 +286,47 @@ def test_a_comparison_shows_and_ranks_propellant(run):
     texts = [number(taken[0]), number(taken[1]), "not recorded"]
     assert [entry["text"] for entry in ranking["entries"]] == texts
     (row,) = (row for row in table(results) if row.label == "Propellant")
-    assert [(cell.text, cell.kind) for cell in row.cells] == [(texts[1], ""), (NONE, ""), (texts[0], "best")]
+    assert [(cell.text, cell.kind) for cell in row.cells] == [
+        (texts[1], ""),
+        (NONE, ""),
+        (texts[0], "best"),
+    ]
     lines = results_table([many, without, few]).splitlines()
-    assert [line.split()[-1] for line in lines[:5]] == ["propellant", "g", f"{taken[1]:.4g}", NONE, f"{taken[0]:.4g}"]
-    assert not any(each["title"].startswith("By prop") for each in rankings(results_of([without, without])))
+    assert [line.split()[-1] for line in lines[:5]] == [
+        "propellant",
+        "g",
+        f"{taken[1]:.4g}",
+        NONE,
+        f"{taken[0]:.4g}",
+    ]
+    assert not any(
+        each["title"].startswith("By prop") for each in rankings(results_of([without, without]))
+    )
 
 
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
         (
-            ("actuation.thrusters.layout=12x5N", "actuation.thrusters.failures={a_x: stuck_off, b_x: stuck_off}"),
-            "actuation.thrusters.failures: with a_x stuck_off, b_x stuck_off no thrusters give a force along [-1",
+            (
+                "actuation.thrusters.layout=12x5N",
+                "actuation.thrusters.failures={a_x: stuck_off, b_x: stuck_off}",
+            ),
+            "actuation.thrusters.failures: with a_x stuck_off, b_x stuck_off no thrusters give a "
+            "force along [-1",
         ),
-        (("actuation.thrusters.layout=13x5N",), "actuation.thrusters.layout: '13x5N' is unknown; choose one of 12x1N"),
-        (("actuation.thrusters.layout=null",), "actuation.thrusters.layout: choose one of 12x1N, 12x5N, 16x22N, or"),
-        (("actuation.thrusters.units={a: {force: 1}}",), "units: has no effect beside a layout; set layout: null"),
+        (
+            ("actuation.thrusters.layout=13x5N",),
+            "actuation.thrusters.layout: '13x5N' is unknown; choose one of 12x1N",
+        ),
+        (
+            ("actuation.thrusters.layout=null",),
+            "actuation.thrusters.layout: choose one of 12x1N, 12x5N, 16x22N, or",
+        ),
+        (
+            ("actuation.thrusters.units={a: {force: 1}}",),
+            "units: has no effect beside a layout; set layout: null",
+        ),
         (
             ("actuation.thrusters={layout: null, units: {a: {force: 1}}}",),
             "actuation.thrusters.units: no thrusters give a ",
@@ -257,13 +335,34 @@ def test_a_comparison_shows_and_ranks_propellant(run):
             ("actuation.thrusters={layout: null, units: {a: {direction: [0, 0, 0]}}}",),
             "actuation.thrusters.units.a.direction: must not be zero",
         ),
-        (("actuation.thrusters.failures={a_w: stuck_on}",), "actuation.thrusters.failures.a_w: 'a_w' is unknown"),
-        (("actuation.thrusters.failures={a_x: broken}",), "failures.a_x: 'broken' is unknown; choose one of stuck_off"),
-        (("actuation.thrusters.modulator=pwm",), "modulator: 'pwm' is unknown; choose one of sigma_delta, pulse_width"),
-        (("actuation.thrusters.frame=1",), "frame: 1 control samples are 0.01 s, shorter than minimum_on_time, 0.02 s"),
-        (("actuation.thrusters.threshold=1",), "actuation.thrusters.threshold: must be from 0.5 to below 1, not 1"),
-        (("actuation.thrusters.rise_time=-1",), "actuation.thrusters.rise_time: must be from 0 to 1000 s, not -1"),
-        (("actuation.thrusters.pwpf.off=0.3",), "pwpf.off: must be from 0 to below on (0.25), not 0.3"),
+        (
+            ("actuation.thrusters.failures={a_w: stuck_on}",),
+            "actuation.thrusters.failures.a_w: 'a_w' is unknown",
+        ),
+        (
+            ("actuation.thrusters.failures={a_x: broken}",),
+            "failures.a_x: 'broken' is unknown; choose one of stuck_off",
+        ),
+        (
+            ("actuation.thrusters.modulator=pwm",),
+            "modulator: 'pwm' is unknown; choose one of sigma_delta, pulse_width",
+        ),
+        (
+            ("actuation.thrusters.frame=1",),
+            "frame: 1 control samples are 0.01 s, shorter than minimum_on_time, 0.02 s",
+        ),
+        (
+            ("actuation.thrusters.threshold=1",),
+            "actuation.thrusters.threshold: must be from 0.5 to below 1, not 1",
+        ),
+        (
+            ("actuation.thrusters.rise_time=-1",),
+            "actuation.thrusters.rise_time: must be from 0 to 1000 s, not -1",
+        ),
+        (
+            ("actuation.thrusters.pwpf.off=0.3",),
+            "pwpf.off: must be from 0 to below on (0.25), not 0.3",
+        ),
     ],
 )
 def test_errors_are_one_clear_line(overrides, expected):

@@ -1,4 +1,6 @@
-"""User-supplied controllers: how they are found, the conformance kit, and what a bad one is told."""
+"""User-supplied controllers: how they are found, the conformance kit, and what a bad one is
+told.
+"""
 
 import dataclasses
 import importlib.util
@@ -23,7 +25,13 @@ from ffsm_drake import (
     simulate,
 )
 from ffsm_drake.cli import main
-from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, controller_names, gain_vectors, make_controller, make_law
+from ffsm_drake.systems.controllers import (
+    OPTIONAL_OUTPUTS,
+    controller_names,
+    gain_vectors,
+    make_controller,
+    make_law,
+)
 from ffsm_drake.testing import ConformanceError, check_controller
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -48,11 +56,15 @@ def test_the_example_is_short_and_conforms(example):
 
 
 def test_the_example_agrees_with_the_shipped_one(example):
-    gains = "{k_p: {base_position: 900, base_rotation: 300, joints: 20}, k_d: {all: 250, joints: 25}}"
+    gains = (
+        "{k_p: {base_position: 900, base_rotation: 300, joints: 20}, k_d: {all: 250, joints: 25}}"
+    )
     common = ["duration=0.3"]
     ours, theirs = (
         simulate(
-            load_scenario("postcapture", [*common, f"controller={name}", f"controllers.{key}={gains}"]),
+            load_scenario(
+                "postcapture", [*common, f"controller={name}", f"controllers.{key}={gains}"]
+            ),
             check_stability=False,
         )
         for key, name in (("pd_plus", "pd_plus"), ("MyPdPlus", "own_controller:MyPdPlus"))
@@ -68,7 +80,12 @@ def test_shipped_controllers_conform(name):
 
 def test_computed_torque_needs_a_true_model():
     exact = "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}"
-    quiet = ["duration=3", "sensing.velocity_noise=0", "disturbance.amplitude_scale=0", "controller=computed_torque"]
+    quiet = [
+        "duration=3",
+        "sensing.velocity_noise=0",
+        "disturbance.amplitude_scale=0",
+        "controller=computed_torque",
+    ]
     wrong, right = (
         simulate(load_scenario("postcapture", overrides), check_stability=False).metrics["itae"]
         for overrides in (quiet, [*quiet, exact])
@@ -117,7 +134,9 @@ class Ports(LeafSystem):
         self.DeclareVectorInputPort("desired_acceleration", self.size)
 
     def velocity_error(self, context):
-        state, desired = (self.GetInputPort(name).Eval(context) for name in ("estimated_state", "desired_state"))
+        state, desired = (
+            self.GetInputPort(name).Eval(context) for name in ("estimated_state", "desired_state")
+        )
         return (desired - state)[-self.size :]
 
 
@@ -206,8 +225,15 @@ class OddField(DividesByZero):
         (ByIndex, "changes when the model lists its joints in another order; give gains by name"),
         (DividesByError, "the force is not finite at sample 0 with no error at all"),
         (Constant, "the force never changes"),
-        (Follows, "output port 'generalized_force' must not follow an input at once; declare it with Declare"),
-        (Peeks, "follows its inputs between two samples; declare it as an output of discrete state"),
+        (
+            Follows,
+            "output port 'generalized_force' must not follow an input at once; declare it "
+            "with Declare",
+        ),
+        (
+            Peeks,
+            "follows its inputs between two samples; declare it as an output of discrete state",
+        ),
         (Ports, "needs an output port 'generalized_force' of size 11"),
         (SmallPort, "input port 'estimated_state' must have size 23, not 6"),
         (OddPort, "unknown input port 'state'; known: estimated_state"),
@@ -219,11 +245,15 @@ class OddField(DividesByZero):
         (DividesByZero, "the update raises ZeroDivisionError"),
         (lambda setup: 3, "must be a control law or a Drake system, not int"),
         (lambda: 3, "cannot be built: TypeError"),
-        ("nowhere:Class", "cannot be loaded: No module named 'nowhere'; run from the folder that holds it"),
+        (
+            "nowhere:Class",
+            "cannot be loaded: No module named 'nowhere'; run from the folder that holds it",
+        ),
         ("math:pi", "must be a class or function, not float"),
         (
             "unheard_of",
-            "is unknown; choose one of tdc, asmc, aismc, tde_aismc, tvlqr, torque_against_momentum, computed_torque, "
+            "is unknown; choose one of tdc, asmc, aismc, tde_aismc, tvlqr, "
+            "torque_against_momentum, computed_torque, "
             "pd_plus, resolved_rate, task_computed_torque, task_time_delay, or give module:",
         ),
     ],
@@ -286,7 +316,16 @@ def module(tmp_path, monkeypatch):
 
 
 def test_from_the_command_line(module):
-    arguments = ["run", "--controller", "users_own:Integral", "--set", "duration=0.2", "--no-report", "--out", "mine"]
+    arguments = [
+        "run",
+        "--controller",
+        "users_own:Integral",
+        "--set",
+        "duration=0.2",
+        "--no-report",
+        "--out",
+        "mine",
+    ]
     result = CliRunner().invoke(main, [*arguments, "--set", "controllers.Integral.k_i.joints=7"])
     assert result.exit_code == 0, result.output
     record = RunRecord.load("mine")
@@ -301,7 +340,18 @@ def test_from_the_command_line(module):
 def test_compare_takes_any(module):
     result = CliRunner().invoke(
         main,
-        ["compare", "-c", "users_own:Integral", "-c", "tdc", "--set", "duration=0.1", "--no-report", "--out", "duel"],
+        [
+            "compare",
+            "-c",
+            "users_own:Integral",
+            "-c",
+            "tdc",
+            "--set",
+            "duration=0.1",
+            "--no-report",
+            "--out",
+            "duel",
+        ],
     )
     assert result.exit_code == 0, result.output
     assert {path.name for path in (module / "duel").iterdir()} == {"Integral", "tdc"}
@@ -310,15 +360,29 @@ def test_compare_takes_any(module):
 @pytest.mark.parametrize(
     ("arguments", "code", "expected"),
     [
-        (["-c", "users_own:Raises"], 2, "'users_own:Raises' failed at t = 0.00 s: RuntimeError: no idea"),
+        (
+            ["-c", "users_own:Raises"],
+            2,
+            "'users_own:Raises' failed at t = 0.00 s: RuntimeError: no idea",
+        ),
         (["-c", "users_own:Nan"], 3, "users_own:Nan diverged at t = 0."),
         (["-c", "users_own:Nothing"], 2, "users_own has no 'Nothing'"),
-        (["-c", "users_own:Integral", "--set", "controllers.Integral.k=1"], 2, "Integral has k_p, k_d, k_i"),
-        (["-c", "users_own:Integral", "--set", "controllers.Integral.k_p.joint_9=1"], 2, "unknown coordinate"),
+        (
+            ["-c", "users_own:Integral", "--set", "controllers.Integral.k=1"],
+            2,
+            "Integral has k_p, k_d, k_i",
+        ),
+        (
+            ["-c", "users_own:Integral", "--set", "controllers.Integral.k_p.joint_9=1"],
+            2,
+            "unknown coordinate",
+        ),
     ],
 )
 def test_bad_ones_get_one_line(module, arguments, code, expected):
-    result = CliRunner().invoke(main, ["run", *arguments, "--set", "duration=3", "--no-report", "--out", "mine"])
+    result = CliRunner().invoke(
+        main, ["run", *arguments, "--set", "duration=3", "--no-report", "--out", "mine"]
+    )
     assert result.exit_code == code, result.output
     assert expected in result.stderr
     assert "Traceback" not in result.output
@@ -327,12 +391,18 @@ def test_bad_ones_get_one_line(module, arguments, code, expected):
 def test_the_closed_loop_takes_a_plain_leaf_system(module):
     """Without a law, with the ports alone."""
     text = inspect.getsource(Ports) + "\n\n" + inspect.getsource(Plain)
-    (module / "plain.py").write_text(f"from pydrake.systems.framework import LeafSystem\n\n\n{text}")
+    (module / "plain.py").write_text(
+        f"from pydrake.systems.framework import LeafSystem\n\n\n{text}"
+    )
     sys.path.append(str(module))
-    scenario = load_scenario("postcapture", ["controller=plain:Plain", "duration=0.1", "sensing.velocity_noise=0"])
+    scenario = load_scenario(
+        "postcapture", ["controller=plain:Plain", "duration=0.1", "sensing.velocity_noise=0"]
+    )
     record = simulate(scenario)
     assert record.outcome.completed
-    assert np.allclose(record.dataset["generalized_force"], record.dataset["error_rate"], atol=1e-12)
+    assert np.allclose(
+        record.dataset["generalized_force"], record.dataset["error_rate"], atol=1e-12
+    )
     check_controller(Plain)
 
 
@@ -354,17 +424,29 @@ def test_gains_default_and_override():
         return gain_vectors(scenario, coordinates)
 
     assert gains()["k"].tolist() == [1.0] * 6 + [2.0] * 5
-    assert gains("controllers.Gains.k.joint_2=5")["k"].tolist() == [1.0] * 6 + [2.0, 5.0, 2.0, 2.0, 2.0]
+    assert gains("controllers.Gains.k.joint_2=5")["k"].tolist() == [1.0] * 6 + [
+        2.0,
+        5.0,
+        2.0,
+        2.0,
+        2.0,
+    ]
     assert gains("controllers.Gains.k=3")["k"].tolist() == [3.0] * 11
     assert gains("controllers.Gains.k={all: 3, joints: 4}")["k"].tolist() == [3.0] * 6 + [4.0] * 5
     assert gains()["limit"].tolist() == [5.0] * 11
     assert np.isinf(gains("controllers.Gains.limit=null")["limit"]).all()
     assert gains("controllers.Gains.scale=2")["scale"] == 2.0
     for override, problem in (
-        ("controllers.Gains.k=null", "controllers.Gains.k: must be a number or numbers by coordinate, not null"),
+        (
+            "controllers.Gains.k=null",
+            "controllers.Gains.k: must be a number or numbers by coordinate, not null",
+        ),
         ("controllers.Gains.k.joints=-1", "controllers.Gains.k.joints: must be >= 0, not -1"),
         ("controllers.Gains.scale=0", "controllers.Gains.scale: must be > 0, not 0"),
-        ("controllers.Gains.scale.joints=1", "controllers.Gains.scale: must be one number for all coordinates"),
+        (
+            "controllers.Gains.scale.joints=1",
+            "controllers.Gains.scale: must be one number for all coordinates",
+        ),
         ("controllers.Gains.k.elbow=1", "controllers.Gains.k.elbow: unknown coordinate"),
         ("controllers.Gains.q=1", "controllers.Gains.q: unknown gain; Gains has k, limit, scale"),
     ):
@@ -376,14 +458,26 @@ def test_gains_default_and_override():
 @pytest.mark.parametrize("name", controller_names())
 def test_a_law_gives_each_of_several_runs_the_bits_it_has_alone(name):
     """Arrays (runs, nv) in, arrays (runs, nv) out."""
-    scenario = load_scenario("flight_sensors" if name == "tdc" else "postcapture", [f"controller={name}"])
+    scenario = load_scenario(
+        "flight_sensors" if name == "tdc" else "postcapture", [f"controller={name}"]
+    )
     law, size = make_law(scenario, make_nominal_plant(scenario)), 11
     random = np.random.default_rng(0)
 
     def sample(first):
         q = random.normal(size=(3, size + 1))
         others = [1e-4 * random.normal(size=(3, size)) for _ in range(5)]
-        return [q, others[0], q, others[1], others[2], others[3], others[4], np.zeros((3, size)), first]
+        return [
+            q,
+            others[0],
+            q,
+            others[1],
+            others[2],
+            others[3],
+            others[4],
+            np.zeros((3, size)),
+            first,
+        ]
 
     together = {key: np.tile(value, (3, 1)) for key, value in law.initial_state().items()}
     alone = [dict(law.initial_state()) for _ in range(3)]
@@ -410,7 +504,8 @@ def test_every_controller_runs_on_every_shipped_scenario(shipped_scenario, any_c
         short.append("capture.approach=null")
     if given.reference.plan is None:  # some laws, and some motions, look at all of it beforehand
         short.append("reference.duration=5")
-    if any_controller == "task_time_delay":  # a frame is not measured by sensors with delays of their own
+    # a frame is not measured by sensors with delays of their own
+    if any_controller == "task_time_delay":
         short.append("estimator.kind=one_sample")
     record = simulate(load_scenario(shipped_scenario, short), check_stability=False)
     assert record.outcome.completed
@@ -426,7 +521,9 @@ def pytest_generate_tests(metafunc):
         return
     # Every scenario and every controller in each run of the tests, every pair among the long ones.
     pairs = [
-        pytest.param(name, law, marks=() if law == "tdc" or name == "postcapture" else pytest.mark.slow)
+        pytest.param(
+            name, law, marks=() if law == "tdc" or name == "postcapture" else pytest.mark.slow
+        )
         for name in sorted(shipped_scenarios())
         for law in controller_names()
     ]

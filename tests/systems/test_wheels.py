@@ -1,4 +1,6 @@
-"""Reaction wheels: against rotors on real joints, the momentum of the stack, limits and unloading."""
+"""Reaction wheels: against rotors on real joints, the momentum of the stack, limits and
+unloading.
+"""
 
 import flight_settings
 import numpy as np
@@ -38,7 +40,11 @@ def wheels(momentum=(20, -15, 10, 5), **values):
 @pytest.fixture(scope="module")
 def turning(run):
     """Wheels that spin in a base that turns: without disturbance and thrusters."""
-    return run(*SHORT, wheels(coulomb_friction=0.02, viscous_friction=1e-3), "disturbance.amplitude_scale=0")
+    return run(
+        *SHORT,
+        wheels(coulomb_friction=0.02, viscous_friction=1e-3),
+        "disturbance.amplitude_scale=0",
+    )
 
 
 def plant_with_rotors(record):
@@ -67,7 +73,9 @@ def plant_with_rotors(record):
     context = plant.CreateDefaultContext()
     moments = np.diag(inertia) / mass
     products = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]]) / mass
-    base.SetSpatialInertiaInBodyFrame(context, SpatialInertia(mass, np.zeros(3), UnitInertia(*moments, *products)))
+    base.SetSpatialInertiaInBodyFrame(
+        context, SpatialInertia(mass, np.zeros(3), UnitInertia(*moments, *products))
+    )
     set_payload(plant, context, body="debris::debris", properties=record.scenario.payload.truth)
     return plant, context, joints
 
@@ -119,7 +127,10 @@ def test_wheels_are_rotors_on_joints(turning):
     assert turned == pytest.approx(speeds(100), abs=1e-8)
     assert np.abs(turned - speeds(0)).max() > 0.5
     # Without the gyroscopic torque it would be elsewhere.
-    assert np.abs(np.cross(data["velocity"].values[:, :3], data["stored_momentum"].values)).max() > 0.01
+    assert (
+        np.abs(np.cross(data["velocity"].values[:, :3], data["stored_momentum"].values)).max()
+        > 0.01
+    )
 
 
 def test_torque_on_the_base_is_what_the_wheels_take(turning):
@@ -143,13 +154,17 @@ def test_torque_on_the_base_is_what_the_wheels_take(turning):
     assert figures["unloading"] == 0.0
     (table,) = actuator_tables(results_of([turning]))
     speed = np.abs(data["wheel_speed"].values).max(axis=0)
-    assert [row[2:4] for row in table["wheels"]] == [[number(each), number(628.0)] for each in speed]
+    assert [row[2:4] for row in table["wheels"]] == [
+        [number(each), number(628.0)] for each in speed
+    ]
     assert table["thrusters"] == []
 
 
 def test_momentum_of_the_stack_follows_what_fires(run):
     """Thrusters, wheels, friction, disturbance: 1e-9 of the impulse."""
-    record = run(*SHORT, wheels(torque_limit=1.0, coulomb_friction=5e-4), "actuation.thrusters.layout=12x5N")
+    record = run(
+        *SHORT, wheels(torque_limit=1.0, coulomb_friction=5e-4), "actuation.thrusters.layout=12x5N"
+    )
     impulse = sum(record.metrics["thrusters"]["impulse"].values())
     assert impulse > 1.0
     for residual in momentum_residual(record.dataset).values():
@@ -158,9 +173,14 @@ def test_momentum_of_the_stack_follows_what_fires(run):
 
 def test_thrusters_unload_full_wheels(run):
     record = run(
-        *SHORT, wheels((41, 40.8, 40.6, 40.4), torque_limit=1.0), "actuation.wheels.desaturation_time=1",
-        "actuation.thrusters.layout=12x5N", "duration=5", "reference.duration=60", "disturbance.amplitude_scale=0",
-    )  # fmt: skip
+        *SHORT,
+        wheels((41, 40.8, 40.6, 40.4), torque_limit=1.0),
+        "actuation.wheels.desaturation_time=1",
+        "actuation.thrusters.layout=12x5N",
+        "duration=5",
+        "reference.duration=60",
+        "disturbance.amplitude_scale=0",
+    )
     data = record.dataset
     assert (data["wheel_unloads"].values == 1.0).all()
     stored = np.linalg.norm(data["stored_momentum"].values, axis=1)
@@ -183,8 +203,10 @@ def test_unloading_has_hysteresis():
 
 
 def test_wheels_stay_within_their_limits():
-    units = {name: Wheel(axis=list(map(float, axis)), inertia=0.1, torque_limit=0.5, speed_limit=100.0)
-             for name, axis in AXES.items()}  # fmt: skip
+    units = {
+        name: Wheel(axis=list(map(float, axis)), inertia=0.1, torque_limit=0.5, speed_limit=100.0)
+        for name, axis in AXES.items()
+    }
     wheel_set = WheelSet(Wheels(units=units), sample_time=0.01, alone=True)
     w = np.array([0.01, -0.02, 0.03])
     at_rest = wheel_set.give(np.array([0.2, 0.1, -0.3]), np.zeros(4), w)
@@ -199,9 +221,12 @@ def test_wheels_stay_within_their_limits():
 
 
 def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():
-    units = {name: Wheel(axis=list(map(float, axis)), torque_limit=0.5) for name, axis in AXES.items()}
+    units = {
+        name: Wheel(axis=list(map(float, axis)), torque_limit=0.5) for name, axis in AXES.items()
+    }
     helped, alone = (
-        WheelSet(Wheels(units=units, assist_above=above), sample_time=0.01, alone=False) for above in (2.0, None)
+        WheelSet(Wheels(units=units, assist_above=above), sample_time=0.01, alone=False)
+        for above in (2.0, None)
     )
     most = 0.5 * 4.0 / np.sqrt(3.0) * np.array([0.0, 0.0, 1.0])  # that they give about z
     assert helped.most(most / np.linalg.norm(most)) == pytest.approx(np.linalg.norm(most))
@@ -218,9 +243,18 @@ def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():
             "assist_above: must be null or at least 1, not 0.5",
         ),
         (("actuation.wheels.units={}",), "actuation.wheels.units: give wheels by name"),
-        (("actuation.wheels.units={z: {}}",), "units: give no torque about some axis; add wheels, or actuation.thrust"),
-        (("actuation.wheels.units={z: {axis: [0, 0, 0]}}",), "actuation.wheels.units.z.axis: must not be zero"),
-        (("actuation.wheels.units={z: {inertia: 0}}",), "actuation.wheels.units.z.inertia: must be > 0, not 0"),
+        (
+            ("actuation.wheels.units={z: {}}",),
+            "units: give no torque about some axis; add wheels, or actuation.thrust",
+        ),
+        (
+            ("actuation.wheels.units={z: {axis: [0, 0, 0]}}",),
+            "actuation.wheels.units.z.axis: must not be zero",
+        ),
+        (
+            ("actuation.wheels.units={z: {inertia: 0}}",),
+            "actuation.wheels.units.z.inertia: must be > 0, not 0",
+        ),
         (
             ("actuation.wheels.units={z: {initial_momentum: 60}}",),
             "z.initial_momentum: must be within inertia * speed_limit, 50.24 N m s, not 60",

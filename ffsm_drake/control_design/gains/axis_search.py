@@ -10,7 +10,13 @@ from scipy.optimize import fmin
 from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.control_design.stability.demand import Demand
 from ffsm_drake.control_design.stability.linearization import smooth_sensing
-from ffsm_drake.control_design.stability.sampled_loop import LoopGains, Sampling, axis_loop, axis_poles, inertia_ratios
+from ffsm_drake.control_design.stability.sampled_loop import (
+    LoopGains,
+    Sampling,
+    axis_loop,
+    axis_poles,
+    inertia_ratios,
+)
 from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
@@ -21,7 +27,8 @@ from ffsm_drake.systems.reference import make_motion
 PRICES = (0.2, 0.08, 0.04, 0.022, 0.012, 0.006)
 # The one-axis loop must contract at least this much for every payload.
 LARGEST_RADIUS = 0.9995
-# s; times the velocity noise, what a filter assumes of positions that are exact: it would else only differentiate them.
+# s; times the velocity noise, what a filter assumes of positions that are exact: it would else only
+# differentiate them.
 _POSITION_NOISE_TIME = 0.1
 # By how much the range of inertia ratios is widened for it.
 _WIDER = 1.05
@@ -45,10 +52,18 @@ class FrontPoint:
 
 
 class AxisSearch:
-    """The designs of one of the paper's laws with one kind of estimate, group by group on the one-axis loop."""
+    """The designs of one of the paper's laws with one kind of estimate, group by group on the
+    one-axis loop.
+    """
 
     def __init__(
-        self, scenario: Scenario, demand: Demand, kind: str, masses: list[float], *, on_price: Callable[[], None]
+        self,
+        scenario: Scenario,
+        demand: Demand,
+        kind: str,
+        masses: list[float],
+        *,
+        on_price: Callable[[], None],
     ) -> None:
         self._scenario, self._demand, self._kind = scenario, demand, kind
         etas = _eta_range(scenario, masses)
@@ -71,8 +86,12 @@ class AxisSearch:
             points.append(FrontPoint(isv=self._isv(point), rms_error=errors))
         return tuple(points)
 
-    def at_budget(self, requirement: Requirement, evaluate: Callable[[Scenario], DesignPoint]) -> DesignPoint:
-        """The point that spends the budget, by bisection on the price; the cheapest where none is within it."""
+    def at_budget(
+        self, requirement: Requirement, evaluate: Callable[[Scenario], DesignPoint]
+    ) -> DesignPoint:
+        """The point that spends the budget, by bisection on the price; the cheapest where none is
+        within it.
+        """
         budget, allowed = requirement.budget, requirement.budget
         tried = list[tuple[DesignPoint, dict[str, np.ndarray]]]()
         for _ in range(2):  # the loop of all coordinates costs more or less than its axes alone
@@ -94,7 +113,11 @@ class AxisSearch:
             group
             for group, axis in self._axes.items()
             if group in self._demand.coordinates.driven_groups
-            and any(not np.isfinite(axis.cost(x + step[: x.size])[0]) for x in [self._chosen[group]] for step in steps)
+            and any(
+                not np.isfinite(axis.cost(x + step[: x.size])[0])
+                for x in [self._chosen[group]]
+                for step in steps
+            )
         ]
 
     def _within(self, budget: float) -> dict[str, np.ndarray]:
@@ -119,11 +142,16 @@ class AxisSearch:
         return {group: axis.minimize(price, start[group]) for group, axis in self._axes.items()}
 
     def _isv(self, point: Mapping[str, np.ndarray]) -> float:
-        return self._demand.ideal_isv + sum(axis.cost(point[group])[1] for group, axis in self._axes.items())
+        return self._demand.ideal_isv + sum(
+            axis.cost(point[group])[1] for group, axis in self._axes.items()
+        )
 
     def _with_gains(self, point: Mapping[str, np.ndarray]) -> Scenario:
         """The scenario with designed gains, three digits each."""
-        scenario, groups = self._scenario, {group: self._axes[group].read(x) for group, x in point.items()}
+        scenario, groups = (
+            self._scenario,
+            {group: self._axes[group].read(x) for group, x in point.items()},
+        )
 
         def each(value: Callable[[GroupDesign], float]) -> dict[str, float]:
             return {name: float(f"{value(group):.3g}") for name, group in groups.items()}
@@ -134,30 +162,46 @@ class AxisSearch:
             data["estimator"]["walk"] = each(lambda group: group.walk)
             if any(axis.assumed != axis.noise for axis in self._axes.values()):
                 assumed = {group: axis.assumed for group, axis in self._axes.items()}
-                data["estimator"]["position_noise"] = {group: position for group, (position, _) in assumed.items()}
-                data["estimator"]["velocity_noise"] = {group: velocity for group, (_, velocity) in assumed.items()}
+                data["estimator"]["position_noise"] = {
+                    group: position for group, (position, _) in assumed.items()
+                }
+                data["estimator"]["velocity_noise"] = {
+                    group: velocity for group, (_, velocity) in assumed.items()
+                }
         gains = data["controllers"].setdefault(scenario.controller, {})
         if scenario.controller == "asmc":
             gains |= {"k_d": each(lambda group: group.omega), "k_s": each(lambda group: group.k_s)}
         else:
-            gains |= {"k_d": each(lambda group: 2.0 * group.omega), "k_p": each(lambda group: group.omega**2)}
+            gains |= {
+                "k_d": each(lambda group: 2.0 * group.omega),
+                "k_p": each(lambda group: group.omega**2),
+            }
         if scenario.controller in ("aismc", "tde_aismc"):
-            # Real noise drives |s| far past the laws' thresholds, so K_s would adapt to its bound, which is the design.
-            gains |= {"k_s_initial": each(lambda group: group.k_s), "k_s_max": each(lambda group: group.k_s)}
+            # Real noise drives |s| far past the laws' thresholds, so K_s would adapt to its bound,
+            # which is the design.
+            gains |= {
+                "k_s_initial": each(lambda group: group.k_s),
+                "k_s_max": each(lambda group: group.k_s),
+            }
         return scenario_from_dict(data)
 
 
 class _Axis:
-    """One group's one-axis loop as a function of the logarithms of its design: [omega, K_s if any, walk if any]."""
+    """One group's one-axis loop as a function of the logarithms of its design: [omega, K_s if any,
+    walk if any].
+    """
 
-    def __init__(self, scenario: Scenario, demand: Demand, group: str, kind: str, etas: np.ndarray) -> None:
+    def __init__(
+        self, scenario: Scenario, demand: Demand, group: str, kind: str, etas: np.ndarray
+    ) -> None:
         part, sensing = demand.coordinates.groups[group], smooth_sensing(scenario)
         self.controller, self.etas, self.kalman = scenario.controller, etas, kind == "kalman"
         self.period = scenario.sample_time
         self.duration = demand.times.size * self.period
         # Of the run's demand, padded: by it the error is a product.
         self.spectrum = np.fft.rfft(demand.lumped[:, part].T, 2 * demand.times.size)
-        self.late = demand.times + self.period > min(5.0, 0.25 * self.duration)  # at the end of each sample
+        # at the end of each sample
+        self.late = demand.times + self.period > min(5.0, 0.25 * self.duration)
         # The group's worst sensors.
         self.noise = tuple(
             float(demand.coordinates.vector(noise, key="sensing", default=0.0)[part].max())
@@ -168,7 +212,8 @@ class _Axis:
         # What a unit of Hhat^-1 tau costs: columns of Hhat at mid-motion.
         self.weight = float((_mass_matrices(scenario, [0.5])[0][1] ** 2).sum(axis=0)[part].sum())
         self.integral = self.controller in ("aismc", "tde_aismc")
-        # The search comes back to a design, with another estimate of the same gains from its beginning.
+        # The search comes back to a design, with another estimate of the same gains from its
+        # beginning.
         self._costs = dict[bytes, tuple[float, float]]()
         self._designs = dict[tuple[float, bytes], np.ndarray]()
 
@@ -179,10 +224,14 @@ class _Axis:
     def read(self, x: np.ndarray) -> GroupDesign:
         omega = float(np.exp(x[0]))
         k_s = float(np.exp(x[1])) if self.integral else omega if self.controller == "asmc" else 0.0
-        return GroupDesign(omega=omega, walk=float(np.exp(x[-1])) if self.kalman else np.nan, k_s=k_s)
+        return GroupDesign(
+            omega=omega, walk=float(np.exp(x[-1])) if self.kalman else np.nan, k_s=k_s
+        )
 
     def cost(self, x: np.ndarray) -> tuple[float, float]:
-        """Mean square error (rad^2 or m^2) and effort of the noise (ISV); infinite outside the stable region."""
+        """Mean square error (rad^2 or m^2) and effort of the noise (ISV); infinite outside the
+        stable region.
+        """
         key = x.tobytes()
         if key not in self._costs:
             self._costs[key] = self._cost(x)
@@ -193,27 +242,35 @@ class _Axis:
         if self.kalman:
             position, velocity = self.assumed
             gain = kalman_gain(
-                position_noise=position, velocity_noise=velocity, walk=group.walk, sample_time=self.period
+                position_noise=position,
+                velocity_noise=velocity,
+                walk=group.walk,
+                sample_time=self.period,
             )[None]
         sampling = Sampling(sample_time=self.period, kalman_gain=gain)
         omega, k_s = group.omega, group.k_s
         if self.controller == "asmc":
             gains = LoopGains(k_v=2.0 * omega, k_p=omega**2, k_i=0.0)
         else:
-            gains = LoopGains(k_v=2.0 * omega + k_s, k_p=omega**2 + 2.0 * k_s * omega, k_i=k_s * omega**2)
+            gains = LoopGains(
+                k_v=2.0 * omega + k_s, k_p=omega**2 + 2.0 * k_s * omega, k_i=k_s * omega**2
+            )
         if np.abs(axis_poles(gains, eta=self.etas, sampling=sampling)).max() > LARGEST_RADIUS:
             return np.inf, np.inf
         loop = axis_loop(gains, sampling=sampling)
         covariance = loop.covariance(position_noise=self.noise[0], velocity_noise=self.noise[1])
         force = loop.force @ covariance @ loop.force
-        # The error's response to the demand of one sample, its length doubled until it covers the run.
+        # The error's response to the demand of one sample, its length doubled until it covers the
+        # run.
         count = self.late.size
         columns, power = loop.f[:, None], loop.a
         while columns.shape[1] < count:
             columns, power = np.hstack([columns, power @ columns]), power @ power
         response = np.fft.rfft(columns[0, :count], 2 * count)
         error = np.fft.irfft(response * self.spectrum)[:, :count]
-        return float((error[:, self.late] ** 2).mean() + covariance[0, 0]), float(self.duration * force * self.weight)
+        return float((error[:, self.late] ** 2).mean() + covariance[0, 0]), float(
+            self.duration * force * self.weight
+        )
 
     def minimize(self, price: float, start: np.ndarray) -> np.ndarray:
         """The design (logarithms) that is best for a price of effort."""
@@ -230,28 +287,45 @@ class _Axis:
 
         simplex = np.vstack([start, *(start + step for step in 0.5 * np.eye(start.size))])
         found: np.ndarray = fmin(
-            objective, start, xtol=0.02, ftol=1e-4, maxiter=80 * start.size, initial_simplex=simplex, disp=False
+            objective,
+            start,
+            xtol=0.02,
+            ftol=1e-4,
+            maxiter=80 * start.size,
+            initial_simplex=simplex,
+            disp=False,
         )
         return found
 
 
 def _eta_range(scenario: Scenario, masses: list[float]) -> np.ndarray:
-    """Five inertia ratios over what the payload range and the planned motion hold, and a little more on both sides.
+    """Five inertia ratios over what the payload range and the planned motion hold, and a little
+    more on both sides.
 
     The axes are coupled, and the motion moves the poles.
     """
-    pairs = [pair for mass in masses for pair in _mass_matrices(with_true_mass(scenario, mass), [0.0, 0.5, 1.0])]
+    pairs = [
+        pair
+        for mass in masses
+        for pair in _mass_matrices(with_true_mass(scenario, mass), [0.0, 0.5, 1.0])
+    ]
     spread = np.array([inertia_ratios(true, nominal) for true, nominal in pairs])
     return np.linspace(spread.min() / _WIDER, spread.max() * _WIDER, 5)
 
 
 def _mass_matrices(scenario: Scenario, parts: list[float]) -> list[tuple[np.ndarray, np.ndarray]]:
     """(H, Hhat) at fractions of the planned motion."""
-    nominal, true = driven_model(make_nominal_plant(scenario)), driven_model(make_flexible_plant(scenario))
+    nominal, true = (
+        driven_model(make_nominal_plant(scenario)),
+        driven_model(make_flexible_plant(scenario)),
+    )
     pick = np.ix_(nominal.coordinates.driven, nominal.coordinates.driven)
     motion = make_motion(scenario, nominal.coordinates)
     configurations = [motion.evaluate(motion.part(share))[0] for share in parts]
-    return [(true.calc_apparent_mass_matrix(q)[pick], nominal.calc_mass_matrix(q)[pick]) for q in configurations]
+    return [
+        (true.calc_apparent_mass_matrix(q)[pick], nominal.calc_mass_matrix(q)[pick])
+        for q in configurations
+    ]
 
 
 def with_true_mass(scenario: Scenario, mass: float) -> Scenario:

@@ -1,16 +1,17 @@
-"""Choosing gains for a scenario's sensors, period, delays, limits and payload range, never worse than those given.
+"""Choosing gains for a scenario's sensors, period, delays, limits and payload range, never worse
+than those given.
 
-Candidates are judged alike, by ``predict`` on the closed loop as it is wired: the least error, as the mean of the
-groups' log(rms error), that keeps to the budget of effort and to the actuators' limits, and that is stable for every
-payload of the range. Where they come from depends on the law:
+Candidates are judged alike, by ``predict`` on the closed loop as it is wired: the least error, as
+the mean of the groups' log(rms error), that keeps to the budget of effort and to the actuators'
+limits, and that is stable for every payload of the range. Where they come from depends on the law:
 
-- *The paper's laws.* Every group has its natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s = w), its K_s
-  where the surface has an integral, and the random walk q_N of its Kalman estimate. The groups share only the effort,
-  so each is designed alone on its one-axis loop for a price of effort, with either estimate. Lowering the price traces
-  the front of accuracy against effort.
-- *Every other law, and every loop that the one-axis formulas do not describe* (delays, replaced blocks). The gains
-  that the law declares, and the random walks, are varied by group from the best there is, all groups at once, as long
-  as that pays at a price of effort.
+- *The paper's laws.* Every group has its natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s
+  = w), its K_s where the surface has an integral, and the random walk q_N of its Kalman estimate.
+  The groups share only the effort, so each is designed alone on its one-axis loop for a price of
+  effort, with either estimate. Lowering the price traces the front of accuracy against effort.
+- *Every other law, and every loop that the one-axis formulas do not describe* (delays, replaced
+  blocks). The gains that the law declares, and the random walks, are varied by group from the best
+  there is, all groups at once, as long as that pays at a price of effort.
 """
 
 import contextlib
@@ -22,7 +23,13 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, ScenarioError
-from ffsm_drake.control_design.gains.axis_search import LARGEST_RADIUS, PRICES, AxisSearch, FrontPoint, with_true_mass
+from ffsm_drake.control_design.gains.axis_search import (
+    LARGEST_RADIUS,
+    PRICES,
+    AxisSearch,
+    FrontPoint,
+    with_true_mass,
+)
 from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.control_design.gains.variation import PRICES_VARIED, varied
 from ffsm_drake.control_design.limit import Limit, find_limit
@@ -62,7 +69,9 @@ class Design:
 
     @functools.cached_property
     def published(self) -> Prediction | None:
-        """With the paper's gains and one-sample estimate, and the same sensors; None for another law."""
+        """With the paper's gains and one-sample estimate, and the same sensors; None for another
+        law.
+        """
         scenario = self.given.scenario
         return predict(_published(scenario)) if scenario.controller in PAPER_LAWS else None
 
@@ -74,16 +83,24 @@ class Design:
         violated = self.requirement.violated(self.given)
         if self.kept and violated:
             remarks = [
-                f"Yours is kept, though it does not meet the requirements: {violated}. Nothing found does better."
+                f"Yours is kept, though it does not meet the requirements: {violated}. Nothing "
+                "found does better."
             ]
         elif self.kept:
-            remarks = ["Yours is better: kept. Nothing was found that is more accurate and meets the requirements."]
+            remarks = [
+                "Yours is better: kept. Nothing was found that is more accurate and meets "
+                "the requirements."
+            ]
         elif violated:
             remarks = [f"Yours does not meet the requirements: {violated}."]
             if factor < 1.0:
-                remarks.append(f"Where that does not matter, yours is {1.0 / factor:.3g} times as accurate.")
+                remarks.append(
+                    f"Where that does not matter, yours is {1.0 / factor:.3g} times as accurate."
+                )
         else:
-            remarks = [f"The rms error falls by a factor of {factor:.3g} (geometric mean over the groups)."]
+            remarks = [
+                f"The rms error falls by a factor of {factor:.3g} (geometric mean over the groups)."
+            ]
         for kind, point in self.found.items():
             error = np.exp(point.prediction.mean_log_error)
             verdict = self.requirement.violated(point) or f"ISV {point.prediction.isv:.1f}"
@@ -91,7 +108,8 @@ class Design:
         remarks.append(f"Held back by {self.held_back}.")
         if np.isfinite(self.limit.distance):
             remarks.append(
-                f"The error is {self.limit.distance:.3g} times the least that any linear controller can have at this "
+                f"The error is {self.limit.distance:.3g} times the least that any linear "
+                "controller can have at this "
                 "effort (LQG, same noise and demand)."
             )
         return remarks
@@ -109,29 +127,37 @@ def design(
     Args:
       budget: largest predicted ISV; default: 1.1 times that of perfect tracking, or of
         the cheapest gains found where these take more.
-      payload_range: lowest and highest true payload mass (kg, inertia in proportion) that the loop must be stable for;
-        default: 0.6 to 2.5 times the nominal one.
+      payload_range: lowest and highest true payload mass (kg, inertia in proportion) that the loop
+        must be stable for; default: 0.6 to 2.5 times the nominal one.
       progress: called with (steps done, steps in all).
 
     Raises:
       ScenarioError: no gains meet the budget, or a value of the scenario cannot be used.
-      BlockError: a user-supplied block cannot be loaded, built, wired or linearised; the controller tracks a frame.
+      BlockError: a user-supplied block cannot be loaded, built, wired or linearised; the controller
+        tracks a frame.
     """
     scenario, demand = complete_gains(scenario), make_demand(scenario)
     nominal = scenario.payload.nominal.mass
     low, high = payload_range or (0.6 * nominal, 2.5 * nominal)
     if not 0.0 < low < high:
-        raise ScenarioError("payload range", f"must be two masses 0 < LOW < HIGH in kg, not {low:g} and {high:g}")
+        raise ScenarioError(
+            "payload range", f"must be two masses 0 < LOW < HIGH in kg, not {low:g} and {high:g}"
+        )
     masses = [float(mass) for mass in np.linspace(low, high, 5)]
     requirement = Requirement(
         budget=1.1 * demand.ideal_isv if budget is None else budget,
-        limit=demand.coordinates.vector(scenario.actuation.limit or {}, key="actuation.limit", default=np.inf),
+        limit=demand.coordinates.vector(
+            scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
+        ),
     )
 
     def evaluate(candidate: Scenario) -> DesignPoint:
         with Linearizer(candidate) as linearizer:
             if linearizer.loop.tracks_frame:
-                raise BlockError(f"{candidate.controller} tracks a frame; gains are designed for errors of coordinates")
+                raise BlockError(
+                    f"{candidate.controller} tracks a frame; gains are designed for "
+                    "errors of coordinates"
+                )
             point = DesignPoint(
                 scenario=candidate,
                 prediction=predict_from(linearizer),
@@ -158,7 +184,8 @@ def design(
             searches[kind] = search = AxisSearch(scenario, demand, kind, masses, on_price=step)
             found[kind] = search.at_budget(requirement, evaluate)
             if kind == "kalman":
-                with contextlib.suppress(ScenarioError):  # late or slow sensors, which it does not take
+                # late or slow sensors, which it does not take
+                with contextlib.suppress(ScenarioError):
                     found["coupled"] = search.at_budget(
                         requirement, lambda made: evaluate(_with_estimator(made, kind="coupled"))
                     )
@@ -167,7 +194,10 @@ def design(
         tried = list(varied(best, evaluate, on_price=step))
         found["varied"] = min(tried, key=requirement.rank)
     best = min(found.values(), key=requirement.rank)
-    kept = requirement.rank(given) <= (requirement.rank(best)[0], requirement.rank(best)[1] + _NEGLIGIBLE)
+    kept = requirement.rank(given) <= (
+        requirement.rank(best)[0],
+        requirement.rank(best)[1] + _NEGLIGIBLE,
+    )
     chosen = given if kept else best
     if requirement.violated(chosen).startswith("ISV"):
         if budget is None:  # a slow motion takes little beside what noise takes
@@ -178,7 +208,8 @@ def design(
     with Linearizer(chosen.scenario) as linearizer:
         radius_by_mass = _radius_by_mass(linearizer, masses)
     search_of_chosen = next(
-        (searches[kind] for kind, point in found.items() if point is chosen and kind in searches), None
+        (searches[kind] for kind, point in found.items() if point is chosen and kind in searches),
+        None,
     )
     shown = search_of_chosen or searches.get("kalman")
     return Design(
@@ -195,7 +226,9 @@ def design(
 
 
 def _with_estimator(scenario: Scenario, **settings: Any) -> Scenario:
-    return dataclasses.replace(scenario, estimator=dataclasses.replace(scenario.estimator, **settings))
+    return dataclasses.replace(
+        scenario, estimator=dataclasses.replace(scenario.estimator, **settings)
+    )
 
 
 def _radius_by_mass(linearizer: Linearizer, masses: Sequence[float]) -> dict[float, float]:
@@ -203,7 +236,8 @@ def _radius_by_mass(linearizer: Linearizer, masses: Sequence[float]) -> dict[flo
     truths = {mass: with_true_mass(linearizer.given, mass).payload.truth for mass in masses}
     ends = [linearizer.motion.part(share) for share in (0.0, 1.0)]
     return {
-        mass: max(linearizer.at(time, truth=truth).spectral_radius for time in ends) for mass, truth in truths.items()
+        mass: max(linearizer.at(time, truth=truth).spectral_radius for time in ends)
+        for mass, truth in truths.items()
     }
 
 

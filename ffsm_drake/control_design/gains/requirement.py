@@ -34,11 +34,16 @@ class Requirement:
             return "it diverges"
         unstable = [mass for mass, radius in point.radius_by_mass.items() if radius >= 1.0]
         if unstable:
-            return f"unstable for a true payload of {' or '.join(f'{mass:g}' for mass in unstable)} kg"
+            return (
+                f"unstable for a true payload of {' or '.join(f'{mass:g}' for mass in unstable)} kg"
+            )
         if (excess := prediction.peak_effort > self.limit).any():
             i = int(np.argmax(excess))
             peak, limit = prediction.peak_effort[i], self.limit[i]
-            return f"it asks {prediction.coordinates.names[i]} for {peak:.3g}, whose actuation.limit is {limit:g}"
+            return (
+                f"it asks {prediction.coordinates.names[i]} for {peak:.3g}, whose "
+                f"actuation.limit is {limit:g}"
+            )
         if prediction.isv > self.budget:
             return f"ISV {prediction.isv:.1f} is over the budget of {self.budget:.1f}"
         if point.rehearsal is not None and point.rehearsal.share_diverged > 0.0:
@@ -46,7 +51,9 @@ class Requirement:
         return ""
 
     def rank(self, point: DesignPoint) -> tuple[int, float]:
-        """By which points are judged, the smaller the better: requirements first, then error, or effort over budget."""
+        """By which points are judged, the smaller the better: requirements first, then error, or
+        effort over budget.
+        """
         prediction, violated = point.prediction, self.violated(point)
         if not violated:
             return 0, prediction.mean_log_error

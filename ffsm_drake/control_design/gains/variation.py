@@ -19,20 +19,30 @@ _FACTORS = (2.0, 1.4)
 def varied(
     start: DesignPoint, evaluate: Callable[[Scenario], DesignPoint], *, on_price: Callable[[], None]
 ) -> Iterator[DesignPoint]:
-    """All that is tried while the declared gains are varied by group; a step is kept for the groups that it helps."""
+    """All that is tried while the declared gains are varied by group; a step is kept for the groups
+    that it helps.
+    """
     best = start
     yield best
     for price in PRICES_VARIED:
         for factor in _FACTORS:
             for name in _tunable(best.scenario):
                 for step in (factor, 1.0 / factor):
-                    point = evaluate(_scaled(best.scenario, name, dict.fromkeys(_groups(best), step)))
+                    point = evaluate(
+                        _scaled(best.scenario, name, dict.fromkeys(_groups(best), step))
+                    )
                     yield point
                     before, after = _group_costs(best, price), _group_costs(point, price)
-                    better = {group: step for group in before if after[group] < before[group] - 1e-3}
+                    better = {
+                        group: step for group in before if after[group] < before[group] - 1e-3
+                    }
                     if not better:
                         continue
-                    joined = point if len(better) == len(before) else evaluate(_scaled(best.scenario, name, better))
+                    joined = (
+                        point
+                        if len(better) == len(before)
+                        else evaluate(_scaled(best.scenario, name, better))
+                    )
                     yield joined
                     if sum(_group_costs(joined, price).values()) < sum(before.values()):
                         best = joined
@@ -41,7 +51,9 @@ def varied(
 
 
 def _group_costs(point: DesignPoint, price: float) -> dict[str, float]:
-    """log(rms error) + price * effort by group; infinite where the point is unstable for some payload."""
+    """log(rms error) + price * effort by group; infinite where the point is unstable for some
+    payload.
+    """
     prediction, groups = point.prediction, _groups(point)
     if max(point.radius_by_mass.values()) >= 1.0 or not np.isfinite(prediction.isv):
         return dict.fromkeys(groups, np.inf)
@@ -57,15 +69,21 @@ def _groups(point: DesignPoint) -> Mapping[str, slice]:
 
 
 def _tunable(scenario: Scenario) -> list[str]:
-    """What ``_scaled`` takes: feedback gains by coordinate, bounds apart, and the estimator's walk."""
+    """What ``_scaled`` takes: feedback gains by coordinate, bounds apart, and the estimator's
+    walk.
+    """
     gains = declared_gains(scenario)
-    names = [name for name, gain in gains.items() if gain.feedback and not gain.bound and not gain.scalar]
+    names = [
+        name for name, gain in gains.items() if gain.feedback and not gain.bound and not gain.scalar
+    ]
     walks = {"kalman": ["walk"], "coupled": ["walk", "force_walk"]}.get(scenario.estimator.kind, [])
     return [*names, *(walks if scenario.controller in PAPER_LAWS else [])]
 
 
 def _scaled(scenario: Scenario, name: str, factors: Mapping[str, float]) -> Scenario:
-    """The scenario with one tunable value times a factor by group, and with it the bound it must stay below."""
+    """The scenario with one tunable value times a factor by group, and with it the bound it must
+    stay below.
+    """
     coordinates = make_nominal_plant(scenario).coordinates
     data: dict[str, Any] = scenario_to_dict(scenario)
     if name in ("walk", "force_walk"):
@@ -78,12 +96,20 @@ def _scaled(scenario: Scenario, name: str, factors: Mapping[str, float]) -> Scen
     return scenario_from_dict(data)
 
 
-def _times(value: Mapping[str, float], factors: Mapping[str, float], coordinates: Coordinates) -> dict[str, float]:
-    """Values by coordinate times factors by group, three digits, by group where a group's are equal."""
+def _times(
+    value: Mapping[str, float], factors: Mapping[str, float], coordinates: Coordinates
+) -> dict[str, float]:
+    """Values by coordinate times factors by group, three digits, by group where a group's are
+    equal.
+    """
     vector = coordinates.vector(value, key="")
     result: dict[str, float] = {}
     for group, part in coordinates.groups.items():
-        scaled = [float(f"{number * factors.get(group, 1.0):.3g}") for number in vector[part].tolist()]
+        scaled = [
+            float(f"{number * factors.get(group, 1.0):.3g}") for number in vector[part].tolist()
+        ]
         equal = len(set(scaled)) == 1
-        result |= {group: scaled[0]} if equal else dict(zip(coordinates.names[part], scaled, strict=True))
+        result |= (
+            {group: scaled[0]} if equal else dict(zip(coordinates.names[part], scaled, strict=True))
+        )
     return result

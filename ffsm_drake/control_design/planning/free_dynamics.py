@@ -1,8 +1,8 @@
 """Inverse dynamics of the driven coordinates alone: the others follow by conservation of momentum.
 
-With the whole base undriven and no angular momentum, force and the base's rates in its own axes depend on the joints
-alone, wherever it is. So a motion of the joints is planned without the base, whose attitude is the product of its small
-rotations.
+With the whole base undriven and no angular momentum, force and the base's rates in its own axes
+depend on the joints alone, wherever it is. So a motion of the joints is planned without the base,
+whose attitude is the product of its small rotations.
 """
 
 import itertools
@@ -28,8 +28,8 @@ class FreeDynamics:
     def calc(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """tau_a (na, n) for z_a and its time derivatives (na, n).
 
-        Where the base's rotation follows, below it w_WB and alpha_WB: (na + 6, n), in axes that go with the base and
-        are the world's when its attitude is R_0. Complex arrays pass.
+        Where the base's rotation follows, below it w_WB and alpha_WB: (na + 6, n), in axes that go
+        with the base and are the world's when its attitude is R_0. Complex arrays pass.
         """
         count = z.shape[1]
         whole, moving, speeding = (np.zeros((self._size, count), dtype=z.dtype) for _ in range(3))
@@ -39,12 +39,15 @@ class FreeDynamics:
             speeding[3:NUM_BASE_VELOCITIES] = -force(whole, moving, speeding)[3:NUM_BASE_VELOCITIES]
             speeding[3:NUM_BASE_VELOCITIES] /= self._dynamics.mass
             return force(whole, moving, speeding)[self._driven]
-        # The momentum of unit rates about each axis, and of the joints' rates: forces of such accelerations at rest.
+        # The momentum of unit rates about each axis, and of the joints' rates: forces of such
+        # accelerations at rest.
         units = np.zeros((self._size, 4, count), dtype=z.dtype)
         units[[0, 1, 2], [0, 1, 2]] = 1.0
         units[self._driven, 3] = rate
         still = np.zeros((self._size, 4 * count), dtype=z.dtype)
-        momentum = force(np.tile(whole, 4), still, units.reshape(self._size, -1))[_BASE].reshape(6, 4, count)
+        momentum = force(np.tile(whole, 4), still, units.reshape(self._size, -1))[_BASE].reshape(
+            6, 4, count
+        )
         inertia = np.zeros((count, 6, 6), dtype=z.dtype)  # H_uu
         inertia[:, :, :3] = momentum[:, :3].transpose(2, 0, 1)
         inertia[:, :3, 3:] = inertia[:, 3:, :3].transpose(0, 2, 1)
@@ -54,35 +57,47 @@ class FreeDynamics:
         speeding[_BASE] = -np.linalg.solve(inertia, wrench.T[..., None])[..., 0].T
         return np.vstack([force(whole, moving, speeding)[self._driven], moving[:3], speeding[:3]])
 
-    def linearized(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What ``calc`` gives, and its derivatives by z_a, rate and acceleration (3, m, na, n; row, column)."""
+    def linearized(
+        self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What ``calc`` gives, and its derivatives by z_a, rate and acceleration (3, m, na, n; row,
+        column).
+        """
         wanted = [(order, i) for order in range(3) for i in range(len(z))]
         return complex_step(self.calc, (z, rate, acceleration), wanted)
 
 
-def turned(w: np.ndarray, alpha: np.ndarray, by: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+def turned(
+    w: np.ndarray, alpha: np.ndarray, by: np.ndarray, step: float
+) -> tuple[np.ndarray, np.ndarray]:
     """The rotations of a body since the first of equally spaced instants, and how they change.
 
-    Each step is a rotation by h/2 (w_0 + w_1) + h^2/12 (alpha_0 - alpha_1 + w_0 x w_1), of fourth order.
+    Each step is a rotation by h/2 (w_0 + w_1) + h^2/12 (alpha_0 - alpha_1 + w_0 x w_1), of fourth
+    order.
 
     Args:
       w, alpha: (n, 3), rad/s and rad/s^2, in the body's axes.
       by: derivatives of both (n, 6, unknowns).
       step: h, s.
 
-    Returns: rotation matrices (n, 3, 3) in the first axes, and the small rotations from there, in those axes too, by
-    the unknowns (n, 3, unknowns).
+    Returns: rotation matrices (n, 3, 3) in the first axes, and the small rotations from there, in
+    those axes too, by the unknowns (n, 3, unknowns).
     """
     first, last = w[:-1], w[1:]
     sixth = step**2 / 12.0
     vectors = 0.5 * step * (first + last) + sixth * (alpha[:-1] - alpha[1:] + np.cross(first, last))
     slope = 0.5 * step * (by[:-1, :3] + by[1:, :3]) + sixth * (by[:-1, 3:] - by[1:, 3:])
-    slope += sixth * (np.cross(first[..., None], by[1:, :3], axis=1) - np.cross(last[..., None], by[:-1, :3], axis=1))
+    slope += sixth * (
+        np.cross(first[..., None], by[1:, :3], axis=1)
+        - np.cross(last[..., None], by[:-1, :3], axis=1)
+    )
     none = np.zeros_like(vectors.T)
     small = attitude_motion(vectors.T, none, none)[0]
     # The left Jacobian, whose columns are the angular velocities of unit rates of the vector.
     left = [attitude_motion(vectors.T, none + axis[:, None], none)[1] for axis in np.eye(3)]
-    rotation = np.array(list(itertools.accumulate(small.transpose(2, 0, 1), np.matmul, initial=np.eye(3))))
+    rotation = np.array(
+        list(itertools.accumulate(small.transpose(2, 0, 1), np.matmul, initial=np.eye(3)))
+    )
     steps = rotation[:-1] @ np.array(left).transpose(2, 1, 0) @ slope
     return rotation, np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
 

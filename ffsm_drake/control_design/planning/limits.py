@@ -12,7 +12,8 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.actuation.limits import force_limits
 
 _ACCURACY = 1e-3  # m; of Drake's distances between cylinders
-_SLACK = 1e-3  # relative; by which a solved plan may pass a limit between the instants that the solver looks at
+# relative; by which a solved plan may pass a limit between the instants that the solver looks at
+_SLACK = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -27,7 +28,9 @@ class MotionLimits:
 
     def of(self, indices: np.ndarray) -> "MotionLimits":
         """Of some coordinates alone."""
-        return MotionLimits(**{field.name: getattr(self, field.name)[indices] for field in dataclasses.fields(self)})
+        return MotionLimits(
+            **{field.name: getattr(self, field.name)[indices] for field in dataclasses.fields(self)}
+        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,17 +59,24 @@ class Margin:
 
 
 def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:
-    """The limits of a scenario: of its actuators, its URDFs and drives, and of ``planning``; none where nothing drives.
+    """The limits of a scenario: of its actuators, its URDFs and drives, and of ``planning``; none
+    where nothing drives.
 
-    Raises ScenarioError for a coordinate that does not exist or is undriven, ModelError for a URDF that cannot be read.
+    Raises ScenarioError for a coordinate that does not exist or is undriven, ModelError for a URDF
+    that cannot be read.
     """
     coordinates, planning = model.coordinates, scenario.planning
 
     def vector(values: dict[str, float] | None, key: str) -> np.ndarray:
         found = coordinates.vector(values or {}, key=key, default=np.inf)
-        for name in (*coordinates.undriven, *np.array(coordinates.names)[~coordinates.is_driven].tolist()):
+        for name in (
+            *coordinates.undriven,
+            *np.array(coordinates.names)[~coordinates.is_driven].tolist(),
+        ):
             if name in (values or {}):
-                raise ScenarioError(f"{key}.{name}", "is undriven (actuation.driven), which a plan does not limit")
+                raise ScenarioError(
+                    f"{key}.{name}", "is undriven (actuation.driven), which a plan does not limit"
+                )
         return np.where(coordinates.is_driven, found, np.inf)
 
     urdf = joint_limits(scenario.model, model.plant)
@@ -110,16 +120,32 @@ def margins(
         ):
             if np.isfinite(limit):
                 k = int(np.argmax(np.abs(values)))
-                found.append(_margin(quantity, name, float(values[k]), float(limit), float(times[k]), unit))
+                found.append(
+                    _margin(quantity, name, float(values[k]), float(limit), float(times[k]), unit)
+                )
         if i >= NUM_BASE_VELOCITIES:
             position = rows[:, NUM_BASE_POSITIONS + i - NUM_BASE_VELOCITIES]
-            for bound, k in ((limits.lower[i], int(np.argmin(position))), (limits.upper[i], int(np.argmax(position)))):
+            for bound, k in (
+                (limits.lower[i], int(np.argmin(position))),
+                (limits.upper[i], int(np.argmax(position))),
+            ):
                 if np.isfinite(bound):
-                    found.append(_margin("position", name, float(position[k]), float(bound), float(times[k]), units[i]))
+                    found.append(
+                        _margin(
+                            "position",
+                            name,
+                            float(position[k]),
+                            float(bound),
+                            float(times[k]),
+                            units[i],
+                        )
+                    )
         if np.isfinite(limits.impulse[i]):
             impulse = float(np.trapezoid(np.abs(force[:, i]), times))
             limit = float(limits.impulse[i])
-            found.append(_margin("impulse", name, impulse, limit, float(times[-1]), f"{force_unit} s"))
+            found.append(
+                _margin("impulse", name, impulse, limit, float(times[-1]), f"{force_unit} s")
+            )
     return found
 
 

@@ -17,7 +17,12 @@ from ffsm_drake.control_design.planning.program import PlanningProgram
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.capture import velocity_at_start
 from ffsm_drake.spacecraft.clearance import Clearance
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_errors, rotation_error
+from ffsm_drake.spacecraft.coordinates import (
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    position_errors,
+    rotation_error,
+)
 from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration
@@ -27,8 +32,10 @@ from ffsm_drake.systems.reference import SplineMotion
 
 _INSTANTS = 401  # at which a plan is looked at
 _DURATIONS = np.geomspace(0.0025, 1.0, 31)  # of the first guess, as parts of the longest
-_ATTEMPTS, _LESS = 3, 0.005  # at keeping forces between the solver's instants; share by which they are cut beyond need
-_STALLED = SolutionResult.kSolverSpecificError  # short of the optimum, where what limits a motion has kinks
+# at keeping forces between the solver's instants; share by which they are cut beyond need
+_ATTEMPTS, _LESS = 3, 0.005
+# short of the optimum, where what limits a motion has kinks
+_STALLED = SolutionResult.kSolverSpecificError
 _ACCURACY = 1e-8  # of where the undriven base goes, relative
 _FURTHER = 2e-3  # m; by which parts keep off each other beyond need
 _AT_REST = 1e-9  # N m s
@@ -48,12 +55,15 @@ class PlannedMotionReport:
     solve_time: float  # s of wall time
     evaluations: int
     effort: float  # integral of the squared force, up to the plan's duration: what ISV counts
-    impulse: dict[str, float]  # by group: integral of the force's size summed over its coordinates, up to the duration
-    # |H0| about the centre of mass, N m s, and the least time in which torque on the base alone takes it out, s
+    # by group: integral of the force's size summed over its coordinates, up to the duration
+    impulse: dict[str, float]
+    # |H0| about the centre of mass, N m s, and the least time in which torque on the base alone
+    # takes it out, s
     angular_momentum: float
     least_by_torque: float
     momentum_left: float  # N m s; |H| about the centre of mass at ``plan.duration``
-    base_turn: float | None  # rad; the largest, where momentum turns the base, from its first attitude
+    # rad; the largest, where momentum turns the base, from its first attitude
+    base_turn: float | None
     margins: tuple[Margin, ...]
     times: np.ndarray  # (n,), s, to the end of the plan
     rows: np.ndarray  # [q_d; v_d; dv_d/dt] (n, nq + 2 nv)
@@ -61,7 +71,9 @@ class PlannedMotionReport:
     limits: MotionLimits
 
 
-def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda line: None) -> PlannedMotionReport:
+def plan_motion(
+    scenario: Scenario, *, progress: Callable[[str], None] = lambda line: None
+) -> PlannedMotionReport:
     """Plan the motion that ``scenario.planning`` asks for, with the nominal payload.
 
     Args:
@@ -81,7 +93,9 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
     rate = velocity_at_start(scenario, model)
     longest = scenario.reference.duration
     if longest is None:
-        raise ScenarioError("reference.duration", "is auto; a plan needs the longest time that it may take, s")
+        raise ScenarioError(
+            "reference.duration", "is auto; a plan needs the longest time that it may take, s"
+        )
     start, goal = np.r_[np.zeros(3), q[4:]], np.r_[np.zeros(3), target[4:]]
     goal[:3] = rotation_error(target[:4], q[:4])
     free = scenario.reference.goal == "stop"
@@ -94,7 +108,8 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
     if "base_rotation" in scenario.undriven and size > _AT_REST:
         raise ScenarioError(
             "actuation.driven",
-            f"joints alone cannot take out the angular momentum of {size:.3g} N m s, and a plan with it is not found "
+            f"joints alone cannot take out the angular momentum of {size:.3g} N m s, and a plan "
+            "with it is not found "
             "here; have base_rotation driven, or take reference.kind quintic",
         )
     _check_ends(scenario, model, limits, clearance, q=q, rate=rate, target=None if free else target)
@@ -104,7 +119,8 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
 
     def report(evaluations: int, duration: float, worst: float) -> None:
         progress(
-            f"{evaluations} evaluations in {time.perf_counter() - begun:.0f} s: duration {duration:.3f} s, "
+            f"{evaluations} evaluations in {time.perf_counter() - begun:.0f} s: duration "
+            f"{duration:.3f} s, "
             f"force up to {worst:.2f} of its limit"
         )
 
@@ -120,27 +136,46 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
     progress(f"first guess: fifth-order polynomial of {guess[-1]:.2f} s")
     failures = []
     # An impulse limit leaves no room for a detour; without, that comes first.
-    angles = (0.0, _DETOUR) if planning.impulse_limit or everything is not dynamics else (_DETOUR, 0.0)
+    angles = (
+        (0.0, _DETOUR) if planning.impulse_limit or everything is not dynamics else (_DETOUR, 0.0)
+    )
     for number, angle in enumerate(angles, start=1):
         detour = functools.partial(_detour, size=driven.size, angle=angle)
-        unknowns, share, turn = guess + problem.guess(detour, 0.0), 1.0, planning.base_attitude_limit
+        unknowns, share, turn = (
+            guess + problem.guess(detour, 0.0),
+            1.0,
+            planning.base_attitude_limit,
+        )
         further = 0.0
         for _ in range(_ATTEMPTS):
             problem.tighten(share, turn)
             problem.keep_off(further)
             result, points, duration = problem.solve(unknowns)
             plan = Plan(
-                duration=duration, settle=0.0, first_attitude=tuple(q[:4].tolist()), coordinates=coordinates.names,
+                duration=duration,
+                settle=0.0,
+                first_attitude=tuple(q[:4].tolist()),
+                coordinates=coordinates.names,
                 control_points=_of_all(points, rate * duration, driven),
-            )  # fmt: skip
+            )
             found = _looked_at(plan, model, everything, limits, clearance, scenario)
-            solved = result.is_success() or (dynamics.turns and result.get_solution_result() == _STALLED)
+            solved = result.is_success() or (
+                dynamics.turns and result.get_solution_result() == _STALLED
+            )
             kept = solved and all(margin.kept for margin in found.margins)
-            used = {name: _used(found.margins, name) for name in (("force", "turn") if dynamics.turns else ("force",))}
-            near = [m for m in found.margins if m.quantity == "clearance" and not m.kept] if dynamics.turns else []
+            used = {
+                name: _used(found.margins, name)
+                for name in (("force", "turn") if dynamics.turns else ("force",))
+            }
+            near = (
+                [m for m in found.margins if m.quantity == "clearance" and not m.kept]
+                if dynamics.turns
+                else []
+            )
             if kept or not solved or (max(used.values()) <= 1.0 and not near):
                 break
-            # Between the instants that the solver looks at, force and turn are larger: on from here with less of them.
+            # Between the instants that the solver looks at, force and turn are larger: on from here
+            # with less of them.
             further += sum(margin.limit - margin.value + _FURTHER for margin in near)
             share /= max(used["force"] + _LESS, 1.0)
             if turn is not None and used.get("turn", 0.0) > 1.0:
@@ -154,7 +189,14 @@ def plan_motion(scenario: Scenario, *, progress: Callable[[str], None] = lambda 
         raise PlanningError(_why_not(failures, scenario, size, least))
     if planning.end_rate > 0.0:
         for settle in _SETTLES:
-            found = _looked_at(dataclasses.replace(plan, settle=settle), model, everything, limits, clearance, scenario)
+            found = _looked_at(
+                dataclasses.replace(plan, settle=settle),
+                model,
+                everything,
+                limits,
+                clearance,
+                scenario,
+            )
             if all(margin.kept for margin in found.margins if margin.quantity != "impulse"):
                 break
     return dataclasses.replace(
@@ -189,7 +231,8 @@ def _check_ends(
     names, units = model.coordinates.names, model.coordinates.units
     for i in np.flatnonzero(np.abs(rate) > limits.rate):
         raise PlanningError(
-            f"no plan: {names[i]} starts at {rate[i]:.4g} {units[i]}/s, beyond its limit of {limits.rate[i]:.4g}"
+            f"no plan: {names[i]} starts at {rate[i]:.4g} {units[i]}/s, beyond its limit of "
+            f"{limits.rate[i]:.4g}"
         )
     for what, posture in (("initial_posture", q), ("target_posture", target)):
         if posture is None:
@@ -197,11 +240,14 @@ def _check_ends(
         joints = np.r_[np.zeros(NUM_BASE_VELOCITIES), posture[NUM_BASE_POSITIONS:]]
         for i in np.flatnonzero((joints < limits.lower) | (joints > limits.upper)):
             span = f"{limits.lower[i]:.4g} to {limits.upper[i]:.4g} {units[i]}"
-            raise PlanningError(f"no plan: {what}: {names[i]} at {joints[i]:.4g}, outside its limits {span}")
+            raise PlanningError(
+                f"no plan: {what}: {names[i]} at {joints[i]:.4g}, outside its limits {span}"
+            )
         nearest = clearance.nearest(posture)
         if nearest.distance < scenario.clearance:
             raise PlanningError(
-                f"no plan: {what}: {nearest.first} and {nearest.second} are {nearest.distance:.3g} m apart, below "
+                f"no plan: {what}: {nearest.first} and {nearest.second} are "
+                f"{nearest.distance:.3g} m apart, below "
                 f"clearance ({scenario.clearance:g} m)"
             )
 
@@ -215,14 +261,18 @@ def _first_guess(
     *,
     free: bool,
 ) -> np.ndarray:
-    """The fifth-order polynomial from the start, at its rate, to rest, in the shortest of a few times that fits."""
+    """The fifth-order polynomial from the start, at its rate, to rest, in the shortest of a few
+    times that fits.
+    """
     best, least = np.empty(0), np.inf
     shortest, longest = problem.durations
     for duration in np.unique(np.clip(_DURATIONS * longest, shortest, longest)):
         first = rate * duration
         change = 0.5 * first if free else goal - start
 
-        def curve(share: np.ndarray, change: np.ndarray = change, first: np.ndarray = first) -> np.ndarray:
+        def curve(
+            share: np.ndarray, change: np.ndarray = change, first: np.ndarray = first
+        ) -> np.ndarray:
             x = share[:, None]
             return (
                 start
@@ -242,17 +292,23 @@ def _first_guess(
 
 
 def _detour(share: np.ndarray, size: int, angle: float) -> np.ndarray:
-    """A detour of the base's attitude (n, size): a solver never leaves a plane that its first guess lies in."""
+    """A detour of the base's attitude (n, size): a solver never leaves a plane that its first guess
+    lies in.
+    """
     return angle * np.sin(np.pi * share[:, None]) ** 2 * (np.arange(size) < 3)
 
 
 def _used(found: tuple[Margin, ...], quantity: str) -> float:
     """The largest share of a limit that is used."""
-    return max((abs(margin.value / margin.limit) for margin in found if margin.quantity == quantity), default=0.0)
+    return max(
+        (abs(margin.value / margin.limit) for margin in found if margin.quantity == quantity),
+        default=0.0,
+    )
 
 
 def _of_all(points: np.ndarray, change: np.ndarray, driven: np.ndarray) -> np.ndarray:
-    """Control points (count, nv) of driven ones (count, na): the others' have but the rate at the start, ``change``/T.
+    """Control points (count, nv) of driven ones (count, na): the others' have but the rate at the
+    start, ``change``/T.
 
     That is what their momentum is known by; a run then has them where it takes them.
     """
@@ -274,7 +330,9 @@ def _looked_at(
     times = np.linspace(0.0, plan.end, _INSTANTS)
     z, rate, acceleration = plan.curve(times)
     if model.coordinates.undriven:
-        planned = SplineMotion(plan, coordinates=model.coordinates, sample_time=scenario.sample_time)
+        planned = SplineMotion(
+            plan, coordinates=model.coordinates, sample_time=scenario.sample_time
+        )
         followed = FreeMotion(planned, model=model, sample_time=scenario.sample_time)
         followed.accuracy = _ACCURACY
         rows = followed.rows(times)
@@ -285,28 +343,51 @@ def _looked_at(
     found = margins(limits, model, times, rows, force)
     within = margins(limits, model, times[main], rows[main], force[main])
     # The impulse is limited up to the duration, as it was planned.
-    found = [m for m in found if m.quantity != "impulse"] + [m for m in within if m.quantity == "impulse"]
+    found = [m for m in found if m.quantity != "impulse"] + [
+        m for m in within if m.quantity == "impulse"
+    ]
     num_positions = len(model.coordinates.position_names)
-    turns, base_turn, largest_turn = np.linalg.norm(z[:3], axis=0), None, scenario.planning.base_attitude_limit
+    turns, base_turn, largest_turn = (
+        np.linalg.norm(z[:3], axis=0),
+        None,
+        scenario.planning.base_attitude_limit,
+    )
     if not model.coordinates.is_driven[0]:
-        turns = np.linalg.norm(position_errors(rows, np.broadcast_to(rows[0], rows.shape))[:, :3], axis=1)
+        turns = np.linalg.norm(
+            position_errors(rows, np.broadcast_to(rows[0], rows.shape))[:, :3], axis=1
+        )
         base_turn = float(turns.max())
     if largest_turn is not None:
         k = int(np.argmax(turns))
         turn, time_of = float(turns[k]), float(times[k])
-        found.append(Margin(quantity="turn", name="base", value=turn, limit=largest_turn, time=time_of, unit="rad"))
+        found.append(
+            Margin(
+                quantity="turn",
+                name="base",
+                value=turn,
+                limit=largest_turn,
+                time=time_of,
+                unit="rad",
+            )
+        )
     if clearance.pairs:
         approach = clearance.along(rows[::4, :num_positions])
         nearest = approach.nearest
         found.append(
             Margin(
-                quantity="clearance", name=f"{nearest.first}, {nearest.second}", value=nearest.distance,
-                limit=scenario.clearance, time=float(times[4 * approach.index]), unit="m",
+                quantity="clearance",
+                name=f"{nearest.first}, {nearest.second}",
+                value=nearest.distance,
+                limit=scenario.clearance,
+                time=float(times[4 * approach.index]),
+                unit="m",
             )
-        )  # fmt: skip
+        )
     last = rows[main][-1]
     left = _angular_momentum(
-        model, last[:num_positions], last[num_positions : num_positions + plan.control_points.shape[1]]
+        model,
+        last[:num_positions],
+        last[num_positions : num_positions + plan.control_points.shape[1]],
     )
     impulses = np.trapezoid(np.abs(force[main]), times[main], axis=0)
     return PlannedMotionReport(
@@ -314,7 +395,9 @@ def _looked_at(
         solve_time=0.0,
         evaluations=0,
         effort=float(np.trapezoid((force[main] ** 2).sum(axis=1), times[main])),
-        impulse={group: float(impulses[part].sum()) for group, part in model.coordinates.groups.items()},
+        impulse={
+            group: float(impulses[part].sum()) for group, part in model.coordinates.groups.items()
+        },
         angular_momentum=0.0,
         least_by_torque=0.0,
         momentum_left=float(np.linalg.norm(left)),
@@ -327,12 +410,18 @@ def _looked_at(
     )
 
 
-def _why_not(failures: list[tuple[str, PlannedMotionReport]], scenario: Scenario, momentum: float, least: float) -> str:
+def _why_not(
+    failures: list[tuple[str, PlannedMotionReport]],
+    scenario: Scenario,
+    momentum: float,
+    least: float,
+) -> str:
     """One line: which limit is in the way."""
     longest = scenario.reference.duration
     if longest is not None and least > longest:
         return (
-            f"no plan: base torque within actuation.limit takes {least:.3g} s to take out the angular momentum of "
+            f"no plan: base torque within actuation.limit takes {least:.3g} s to take out the "
+            "angular momentum of "
             f"{momentum:.3g} N m s, more than reference.duration ({longest:g} s)"
         )
     broken = [margin for _, found in failures for margin in found.margins if not margin.kept]

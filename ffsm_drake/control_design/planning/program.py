@@ -1,8 +1,9 @@
 """The optimal control problem as a mathematical program over a spline's control points.
 
-Unknown are the control points P of z (``systems.plan``) and the duration T. Positions, rates and their limits are
-linear in these, and a spline stays within the hull of its control points, so that limits on those are kept at all
-times. Force and clearance are looked at in a few instants of every segment.
+Unknown are the control points P of z (``systems.plan``) and the duration T. Positions, rates and
+their limits are linear in these, and a spline stays within the hull of its control points, so that
+limits on those are kept at all times. Force and clearance are looked at in a few instants of every
+segment.
 """
 
 import time
@@ -38,7 +39,8 @@ _OPTIONS = {
     "Major iterations limit": 1000,
     "Iterations limit": 100_000,
     "Major optimality tolerance": 1e-4,
-    "Hessian updates": 200,  # it would forget after 10, and take thousands of iterations to least effort
+    # it would forget after 10, and take thousands of iterations to least effort
+    "Hessian updates": 200,
 }
 
 
@@ -61,9 +63,10 @@ class PlanningProgram:
         largest_turn: float | None,
         report: Callable[[int, float, float], None],
     ) -> None:
-        """Args: of the problem, with ``limits`` of z alone; z and its rate at the start, z at the end (None: anywhere);
-        durations, s; distances to keep, and how much, m; the base's largest turn, rad; ``report`` is called with
-        evaluations, duration and the worst force relative to its limit.
+        """Args: of the problem, with ``limits`` of z alone; z and its rate at the start, z at the
+        end (None: anywhere); durations, s; distances to keep, and how much, m; the base's largest
+        turn, rad; ``report`` is called with evaluations, duration and the worst force relative to
+        its limit.
         """
         self._dynamics, self._planning, self._limits = dynamics, planning, limits
         self._report, self._reported = report, time.monotonic()
@@ -71,7 +74,8 @@ class PlanningProgram:
         size, count = start.size, planning.segments + DEGREE
         self._size, self._count = size, count
         self.share = np.linspace(0.0, 1.0, _INSTANTS * planning.segments + 1)  # of T
-        self.basis = _basis(planning.segments, self.share)  # of z and its derivatives by t/T, (3, instants, count)
+        # of z and its derivatives by t/T, (3, instants, count)
+        self.basis = _basis(planning.segments, self.share)
         touched = (self.basis != 0.0).any(axis=0)
         self._cache: tuple[bytes, np.ndarray, np.ndarray] = (b"", np.empty(0), np.empty(0))
 
@@ -83,14 +87,21 @@ class PlanningProgram:
         self.durations = min(shortest, longest) if planning.time_weight > 0.0 else longest, longest
         program.AddBoundingBoxConstraint(*self.durations, duration)
         program.AddBoundingBoxConstraint(start, start, points[0])
-        per_segment = planning.segments * DEGREE  # z'(0) T = per_segment (P_1 - P_0), likewise at the end
+        # z'(0) T = per_segment (P_1 - P_0), likewise at the end
+        per_segment = planning.segments * DEGREE
         for i in range(size):
             program.AddLinearEqualityConstraint(
-                np.array([[-per_segment, per_segment, -rate[i]]]), [0.0], np.r_[points[:2, i], duration]
+                np.array([[-per_segment, per_segment, -rate[i]]]),
+                [0.0],
+                np.r_[points[:2, i], duration],
             )
             if planning.end_rate > 0.0:
-                ends = np.array([[-per_segment, per_segment, sign * planning.end_rate] for sign in (-1.0, 1.0)])
-                program.AddLinearConstraint(ends, [-np.inf, 0.0], [0.0, np.inf], np.r_[points[-2:, i], duration])
+                ends = np.array(
+                    [[-per_segment, per_segment, sign * planning.end_rate] for sign in (-1.0, 1.0)]
+                )
+                program.AddLinearConstraint(
+                    ends, [-np.inf, 0.0], [0.0, np.inf], np.r_[points[-2:, i], duration]
+                )
             else:
                 program.AddLinearEqualityConstraint(np.array([[-1.0, 1.0]]), [0.0], points[-2:, i])
             if np.isfinite([limits.lower[i], limits.upper[i]]).any():
@@ -105,7 +116,9 @@ class PlanningProgram:
             self._add_turn()
         elif largest_turn is not None:  # of the control points, in whose hull the curve is
             for point in points[1:, :3]:
-                program.AddQuadraticConstraint(2.0 * np.eye(3), np.zeros(3), -np.inf, largest_turn**2, point)
+                program.AddQuadraticConstraint(
+                    2.0 * np.eye(3), np.zeros(3), -np.inf, largest_turn**2, point
+                )
 
         self._add_forces(touched)
         self._clearance: Clearance | None = None
@@ -115,13 +128,17 @@ class PlanningProgram:
         program.AddCost(self._cost, vars=np.r_[self._points, duration])
 
     def _limit_rate(self, points: np.ndarray, duration: np.ndarray, limit: float) -> None:
-        """Keep the control points of the rate, which are differences of those of z, within a limit."""
+        """Keep the control points of the rate, which are differences of those of z, within a
+        limit.
+        """
         segments = self._planning.segments
         knots = np.r_[np.zeros(DEGREE), np.linspace(0.0, 1.0, segments + 1), np.ones(DEGREE)]
         for k in range(points.size - 1):
             factor = DEGREE / (knots[k + 1 + DEGREE] - knots[k + 1])
             rows = np.array([[-factor, factor, -limit], [-factor, factor, limit]])
-            self._program.AddLinearConstraint(rows, [-np.inf, 0.0], [0.0, np.inf], np.r_[points[k : k + 2], duration])
+            self._program.AddLinearConstraint(
+                rows, [-np.inf, 0.0], [0.0, np.inf], np.r_[points[k : k + 2], duration]
+            )
 
     def _add_forces(self, touched: np.ndarray) -> None:
         """Forces within their limits, and their impulses."""
@@ -157,7 +174,9 @@ class PlanningProgram:
                 value, slope = force[:, limited].ravel(), gradient[:, limited].reshape(-1, inner)
                 given = ExtractValue(x).ravel()[inner:] if x.dtype == object else x[inner:]
                 identity = np.eye(value.size)
-                return np.r_[given - value, given + value], np.block([[-slope, identity], [slope, identity]])
+                return np.r_[given - value, given + value], np.block(
+                    [[-slope, identity], [slope, identity]]
+                )
 
             return self._with_gradient(x, both)
 
@@ -178,7 +197,9 @@ class PlanningProgram:
             )  # fmt: skip
 
     def _add_turn(self) -> None:
-        """The base turns no further, as momentum takes it: that depends on the path of the joints, not on how fast."""
+        """The base turns no further, as momentum takes it: that depends on the path of the joints,
+        not on how fast.
+        """
         unknowns = np.r_[self._points, self._duration]
 
         def square(x: np.ndarray) -> np.ndarray:
@@ -194,7 +215,9 @@ class PlanningProgram:
         self._turn = self._program.AddConstraint(square, -np.inf * ones, ones, unknowns).evaluator()
 
     def _turned(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The base's rotation vector in every instant but the first, and its small rotations by the unknowns."""
+        """The base's rotation vector in every instant but the first, and its small rotations by the
+        unknowns.
+        """
         self._evaluate_all(unknowns)
         found, slope = (part[:, self._size :] for part in self._cache[1:])
         step = float(unknowns[-1]) / (self.share.size - 1)
@@ -204,7 +227,11 @@ class PlanningProgram:
 
     def _turn_of(self, unknowns: np.ndarray) -> float:
         """How far the joints turn the base, rad; zero where nothing limits it."""
-        return 0.0 if self._turn is None else float(np.linalg.norm(self._turned(unknowns)[0], axis=1).max())
+        return (
+            0.0
+            if self._turn is None
+            else float(np.linalg.norm(self._turned(unknowns)[0], axis=1).max())
+        )
 
     def _allow_turn(self, allowed: float) -> None:
         if self._turn is not None:
@@ -213,7 +240,9 @@ class PlanningProgram:
             self._turn.set_bounds(-np.inf * bound, bound)
 
     def tighten(self, share: float, turn: float | None) -> None:
-        """Keep forces below this share of what they were allowed at first, the base's turn below this, rad."""
+        """Keep forces below this share of what they were allowed at first, the base's turn below
+        this, rad.
+        """
         if self._turn is not None and turn is not None:
             self._largest_turn = turn
         if self._forces is not None:
@@ -240,8 +269,13 @@ class PlanningProgram:
         columns = (np.arange(count)[:, None] * size + joints).ravel()
 
         def nearness(x: np.ndarray) -> np.ndarray:
-            points = (ExtractValue(x).ravel() if x.dtype == object else x).reshape(count, joints.size)
-            value, gradient = np.empty(self.share.size), np.zeros((self.share.size, count, joints.size))
+            points = (ExtractValue(x).ravel() if x.dtype == object else x).reshape(
+                count, joints.size
+            )
+            value, gradient = (
+                np.empty(self.share.size),
+                np.zeros((self.share.size, count, joints.size)),
+            )
             q = first.copy()
             for k, row in enumerate(rows):
                 q[NUM_BASE_POSITIONS:] = row @ points
@@ -256,10 +290,14 @@ class PlanningProgram:
                     gradient[k] = row[:, None] * slope[0, NUM_BASE_POSITIONS:]
             if x.dtype != object:
                 return value
-            return InitializeAutoDiff(value[:, None], gradient.reshape(value.size, -1) @ ExtractGradient(x))
+            return InitializeAutoDiff(
+                value[:, None], gradient.reshape(value.size, -1) @ ExtractGradient(x)
+            )
 
         ones = np.ones(self.share.size)
-        constraint = self._program.AddConstraint(nearness, -np.inf * ones, ones, self._points[columns])
+        constraint = self._program.AddConstraint(
+            nearness, -np.inf * ones, ones, self._points[columns]
+        )
         pattern = [
             (k, int(a * joints.size + j))
             for k in range(self.share.size)
@@ -282,7 +320,9 @@ class PlanningProgram:
         ]
 
     def _with_gradient(
-        self, x: np.ndarray, chosen: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+        self,
+        x: np.ndarray,
+        chosen: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
     ) -> np.ndarray:
         """What is ``chosen`` of force and gradient, with derivatives where x carries some."""
         differentiated = x.dtype == object
@@ -303,14 +343,20 @@ class PlanningProgram:
         if self._cache[0] == key:
             return
         points, duration = unknowns[:-1].reshape(self._count, self._size), float(unknowns[-1])
-        z, rate, acceleration = ((rows @ points).T / duration**order for order, rows in enumerate(self.basis))
+        z, rate, acceleration = (
+            (rows @ points).T / duration**order for order, rows in enumerate(self.basis)
+        )
         found, by = self._dynamics.linearized(z, rate, acceleration)
         gradient = np.zeros((self.share.size, len(found), unknowns.size))
         for order in range(3):
             part = np.einsum("ijk,ka->kiaj", by[order], self.basis[order]) / duration**order
             gradient[:, :, :-1] += part.reshape(self.share.size, len(found), -1)
         gradient[:, :, -1] = (
-            -(np.einsum("ijk,jk->ki", by[1], rate) + 2.0 * np.einsum("ijk,jk->ki", by[2], acceleration)) / duration
+            -(
+                np.einsum("ijk,jk->ki", by[1], rate)
+                + 2.0 * np.einsum("ijk,jk->ki", by[2], acceleration)
+            )
+            / duration
         )
         self._cache = (key, found.T, gradient)
         self.evaluations += 1
@@ -328,7 +374,12 @@ class PlanningProgram:
         def squared(force: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             duration = float((ExtractValue(x).ravel() if x.dtype == object else x)[-1])
             total = weights @ (force**2).sum(axis=1)
-            slope = planning.effort_weight * 2.0 * duration * np.einsum("k,ki,kix->x", weights, force, gradient)
+            slope = (
+                planning.effort_weight
+                * 2.0
+                * duration
+                * np.einsum("k,ki,kix->x", weights, force, gradient)
+            )
             slope[-1] += planning.effort_weight * total + planning.time_weight
             cost = duration * (planning.time_weight + planning.effort_weight * total)
             return np.array([cost]) / self._scale, slope[None] / self._scale
@@ -344,8 +395,8 @@ class PlanningProgram:
     def solve(self, guess: np.ndarray) -> tuple[MathematicalProgramResult, np.ndarray, float]:
         """The solver's result, control points (count, size) and duration, s.
 
-        Where joints turn the base further than they may, a limit on it at once is not found to be possible. So the
-        first solution is without, and the limit comes nearer step by step.
+        Where joints turn the base further than they may, a limit on it at once is not found to be
+        possible. So the first solution is without, and the limit comes nearer step by step.
         """
         unknowns = np.r_[self._points, self._duration]
         first = np.zeros(self._program.num_vars())
@@ -364,15 +415,24 @@ class PlanningProgram:
             self._allow_turn(allowed)
             result = chosen.Solve(self._program, first, options)
             turn = self._turn_of(result.GetSolution(unknowns))
-            if self._turn is None or allowed == self._largest_turn or turn > allowed * (1.0 + _TURN_ROOM):
+            if (
+                self._turn is None
+                or allowed == self._largest_turn
+                or turn > allowed * (1.0 + _TURN_ROOM)
+            ):
                 break
-            first, allowed = result.get_x_val(), max(min(allowed, _LESS_TURN * turn), self._largest_turn)
+            first, allowed = (
+                result.get_x_val(),
+                max(min(allowed, _LESS_TURN * turn), self._largest_turn),
+            )
         points = result.GetSolution(self._points).reshape(self._count, self._size)
         return result, points, float(result.GetSolution(self._duration)[0])
 
 
 def _basis(segments: int, share: np.ndarray) -> np.ndarray:
-    """The spline's basis functions and their first two derivatives at ``share`` of its length, (3, n, count)."""
+    """The spline's basis functions and their first two derivatives at ``share`` of its length, (3,
+    n, count).
+    """
     count = segments + DEGREE
     basis = BsplineBasis(DEGREE + 1, count, KnotVectorType.kClampedUniform, 0.0, 1.0)
     curve = BsplineTrajectory(basis, [column[:, None] for column in np.eye(count)])

@@ -1,4 +1,5 @@
-"""How far a scenario is from the edge of stability, found on the loop as it is wired: one thing is changed at a time.
+"""How far a scenario is from the edge of stability, found on the loop as it is wired: one thing is
+changed at a time.
 
 Every trial builds the loop anew and linearises it at the posture that is nearest to the edge.
 """
@@ -20,13 +21,19 @@ _ACCURACY = 1e-3  # of a factor, relative
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Boundaries:
-    """Where the loop becomes unstable. NaN: it is so already; infinite: stable as far as was looked."""
+    """Where the loop becomes unstable. NaN: it is so already; infinite: stable as far as was
+    looked.
+    """
 
-    gains: float  # factor on all feedback gains of the controller; infinite, too, where it declares none
+    # factor on all feedback gains of the controller; infinite, too, where it declares none
+    gains: float
     nominal_payload: float  # factor on the nominal payload's mass and inertia
     sample_time: float  # factor on the control period
-    flexible_mass: Mapping[str, float]  # by part of ``model.flexible`` that has a mass, and "all": factor on it
-    delay: float  # further delay of the sensors, unknown to the estimator; the first number of samples that is unstable
+    # by part of ``model.flexible`` that has a mass, and "all": factor on it
+    flexible_mass: Mapping[str, float]
+    # further delay of the sensors, unknown to the estimator; the first number of samples that is
+    # unstable
+    delay: float
 
 
 def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
@@ -40,7 +47,9 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
     """
     scenario = complete_gains(scenario)
 
-    heavy = [name for name, part in scenario.model.flexible.items() if part.kind not in ("joint", "gear")]
+    heavy = [
+        name for name, part in scenario.model.flexible.items() if part.kind not in ("joint", "gear")
+    ]
     parts = {name: [name] for name in heavy} | ({"all": heavy} if len(heavy) > 1 else {})
 
     def is_stable(changed: Scenario) -> bool:
@@ -48,16 +57,22 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
             return linearizer.at(time).spectral_radius < 1.0
 
     def largest_mass(names: Collection[str]) -> float:
-        return _largest_factor(lambda factor: is_stable(with_flexible_mass(scenario, names, factor)))
+        return _largest_factor(
+            lambda factor: is_stable(with_flexible_mass(scenario, names, factor))
+        )
 
     if not is_stable(scenario):
         nan = float("nan")
-        return Boundaries(gains=nan, nominal_payload=nan, sample_time=nan, flexible_mass={}, delay=nan)
+        return Boundaries(
+            gains=nan, nominal_payload=nan, sample_time=nan, flexible_mass={}, delay=nan
+        )
     return Boundaries(
         gains=_largest_factor(lambda factor: is_stable(with_gains(scenario, factor)))
         if any(gain.feedback for gain in declared_gains(scenario).values())
         else float("inf"),
-        nominal_payload=_largest_factor(lambda factor: is_stable(with_nominal_payload(scenario, factor))),
+        nominal_payload=_largest_factor(
+            lambda factor: is_stable(with_nominal_payload(scenario, factor))
+        ),
         sample_time=_largest_factor(lambda factor: is_stable(with_sample_time(scenario, factor))),
         flexible_mass={label: largest_mass(names) for label, names in parts.items()},
         delay=next(
@@ -72,7 +87,9 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
 
 
 def with_gains(scenario: Scenario, factor: float) -> Scenario:
-    """The scenario with every feedback gain of its controller times a factor. Its gains must be complete."""
+    """The scenario with every feedback gain of its controller times a factor. Its gains must be
+    complete.
+    """
     declared = declared_gains(scenario)
     key = controller_key(scenario.controller)
 
@@ -100,7 +117,9 @@ def with_sample_time(scenario: Scenario, factor: float) -> Scenario:
 
 
 def with_flexible_mass(scenario: Scenario, names: Collection[str], factor: float) -> Scenario:
-    """The scenario with the masses of some parts of ``model.flexible`` times a factor; frequencies stay."""
+    """The scenario with the masses of some parts of ``model.flexible`` times a factor; frequencies
+    stay.
+    """
     parts = {
         name: dataclasses.replace(
             part,
@@ -115,7 +134,9 @@ def with_flexible_mass(scenario: Scenario, names: Collection[str], factor: float
 
 
 def with_delay(scenario: Scenario, delay: int) -> Scenario:
-    """The scenario with another delay of its sensors, control samples, that its estimator does not know of."""
+    """The scenario with another delay of its sensors, control samples, that its estimator does not
+    know of.
+    """
     known = scenario.sensing.delay if scenario.estimator.delay is None else scenario.estimator.delay
     return dataclasses.replace(
         scenario,
@@ -125,9 +146,11 @@ def with_delay(scenario: Scenario, delay: int) -> Scenario:
 
 
 def _largest_factor(is_stable: Callable[[float], bool]) -> float:
-    """The largest factor from 1 up with which the loop is stable; infinite where there is no other up to the last.
+    """The largest factor from 1 up with which the loop is stable; infinite where there is no other
+    up to the last.
 
-    A model that cannot be built any more (of a part that outweighs what carries it) ends the search, too.
+    A model that cannot be built any more (of a part that outweighs what carries it) ends the
+    search, too.
     """
     inside, outside = 1.0, _RATIO
     try:

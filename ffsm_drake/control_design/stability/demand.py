@@ -26,13 +26,18 @@ class Demand:
 
 
 def make_demand(scenario: Scenario, *, points: int = 201) -> Demand:
-    """The demand of a scenario. Raises ModelError or ScenarioError where its model or a value cannot be used."""
+    """The demand of a scenario. Raises ModelError or ScenarioError where its model or a value
+    cannot be used.
+    """
     scenario = from_grasp(scenario)
     nominal, true = (driven_model(make(scenario)) for make in (make_nominal_plant, make_true_plant))
     coordinates, period = nominal.coordinates, scenario.sample_time
     reference = make_motion(scenario, coordinates)
     disturbance = make_disturbance(scenario.disturbance, coordinates)
-    port, context = disturbance.GetOutputPort("generalized_force"), disturbance.CreateDefaultContext()
+    port, context = (
+        disturbance.GetOutputPort("generalized_force"),
+        disturbance.CreateDefaultContext(),
+    )
     drives = None
     if scenario.drives is not None:
         drives = DriveSet(scenario.drives, scenario.actuation.limit, coordinates)

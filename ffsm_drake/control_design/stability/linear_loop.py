@@ -17,10 +17,12 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 class Mode:
     """A mode of the loop: a real pole, or a conjugate pair."""
 
-    pole: complex  # z, over the common period of all blocks; of a pair the one with the positive imaginary part
+    # z, over the common period of all blocks; of a pair the one with the positive imaginary part
+    pole: complex
     frequency: float  # rad/s, natural
     damping: float  # ratio; negative where the mode grows
-    coordinates: PerCoordinate  # coordinate, known or hidden -> share of the plant's motion in the mode, largest first
+    # coordinate, known or hidden -> share of the plant's motion in the mode, largest first
+    coordinates: PerCoordinate
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,11 +39,12 @@ class SampleMap:
 class LinearLoop:
     """The loop near one instant of the planned motion.
 
-    Its state x begins with the plant's e and its rate (2 nv), then its hidden coordinates and their rates; u is the
-    controller's force until the next sample (nv, N m or N); w is the white noise of unit variance that a sample reads.
-    Undriven coordinates have no poles: they go where the others take them at the momentum that there is. Where a frame
-    is tracked their place acts on the driven ones, and a unit pole of each that is not counted tells that there are as
-    many ways to hold the frame.
+    Its state x begins with the plant's e and its rate (2 nv), then its hidden coordinates and their
+    rates; u is the controller's force until the next sample (nv, N m or N); w is the white noise of
+    unit variance that a sample reads. Undriven coordinates have no poles: they go where the others
+    take them at the momentum that there is. Where a frame is tracked their place acts on the driven
+    ones, and a unit pole of each that is not counted tells that there are as many ways to hold the
+    frame.
     """
 
     coordinates: Coordinates
@@ -50,13 +53,17 @@ class LinearLoop:
     samples: tuple[SampleMap, ...]  # of one common period of all blocks
     hidden: tuple[str, ...] = ()  # names of the hidden coordinates
     tracks_frame: bool = False
-    memory: Mapping[str, slice] = dataclasses.field(default_factory=dict)  # of the controller: name -> its part of x
-    noise: Mapping[str, slice] = dataclasses.field(default_factory=dict)  # name of a source -> its part of w
+    # of the controller: name -> its part of x
+    memory: Mapping[str, slice] = dataclasses.field(default_factory=dict)
+    # name of a source -> its part of w
+    noise: Mapping[str, slice] = dataclasses.field(default_factory=dict)
 
     @functools.cached_property
     def a(self) -> np.ndarray:
         """The map of x over the common period."""
-        return functools.reduce(lambda product, sample: sample.a @ product, self.samples[1:], self.samples[0].a)
+        return functools.reduce(
+            lambda product, sample: sample.a @ product, self.samples[1:], self.samples[0].a
+        )
 
     @property
     def _plant_size(self) -> int:
@@ -64,7 +71,9 @@ class LinearLoop:
 
     @property
     def poles(self) -> np.ndarray:
-        """Poles of what feeds back, over the common period, the largest first; one infinite where A is not finite."""
+        """Poles of what feeds back, over the common period, the largest first; one infinite where A
+        is not finite.
+        """
         return self._eigen[0]
 
     @property
@@ -82,24 +91,30 @@ class LinearLoop:
             if pole.imag < 0.0 or abs(pole) < 1e-6 or len(found) == count:
                 continue
             exponent = np.log(complex(pole)) / (len(self.samples) * self.sample_time)
-            weight = np.abs(np.concatenate([vector[: len(names)], vector[2 * len(names) :][: len(self.hidden)]]))
+            weight = np.abs(
+                np.concatenate([vector[: len(names)], vector[2 * len(names) :][: len(self.hidden)]])
+            )
             share = weight / weight.sum()
             found.append(
                 Mode(
                     pole=complex(pole),
                     frequency=float(abs(exponent)),
                     damping=float(-exponent.real / abs(exponent)) if exponent else 0.0,
-                    coordinates={parts[i]: float(share[i]) for i in np.argsort(-share, kind="stable")},
+                    coordinates={
+                        parts[i]: float(share[i]) for i in np.argsort(-share, kind="stable")
+                    },
                 )
             )
         return found
 
     def noise_response(self, samples: int) -> dict[str, np.ndarray]:
-        """Standard deviations (nv) under the noise after a number of control samples from a start without error.
+        """Standard deviations (nv) under the noise after a number of control samples from a start
+        without error.
 
-        Keys ``error`` (rad, m), ``error_rate`` (per s) and ``force`` (N m, N); ``sliding_variable`` (as it is, after a
-        sample's update) where the controller has one. A power of two covers ``samples``: a
-        loop that contracts has reached its stationary values by then; what walks at random or grows has come that far.
+        Keys ``error`` (rad, m), ``error_rate`` (per s) and ``force`` (N m, N); ``sliding_variable``
+        (as it is, after a sample's update) where the controller has one. A power of two covers
+        ``samples``: a loop that contracts has reached its stationary values by then; what walks at
+        random or grows has come that far.
         """
         nv = len(self.coordinates.names)
         if not np.isfinite(self.poles).all():
@@ -116,7 +131,10 @@ class LinearLoop:
         nv = len(self.coordinates.names)
         keep = self._matters(sum(np.abs(sample.b).sum(axis=1) for sample in self.samples) > 0.0)
         keep[: self._plant_size] = True  # the drift of what nothing drives, too
-        maps = [(sample.a[np.ix_(keep, keep)], sample.b[keep], sample.c[:, keep], sample.d) for sample in self.samples]
+        maps = [
+            (sample.a[np.ix_(keep, keep)], sample.b[keep], sample.c[:, keep], sample.d)
+            for sample in self.samples
+        ]
         power, once = np.eye(int(keep.sum())), np.zeros((keep.sum(),) * 2)
         for a, b, _, _ in maps:
             power, once = a @ power, a @ once @ a.T + b @ b.T
@@ -124,7 +142,9 @@ class LinearLoop:
         of_state, of_force = np.zeros(len(covariance)), np.zeros(nv)
         for a, b, c, d in maps:
             of_state += np.diagonal(covariance) / len(maps)
-            of_force += (np.einsum("ij,jk,ik->i", c, covariance, c) + (d**2).sum(axis=1)) / len(maps)
+            of_force += (np.einsum("ij,jk,ik->i", c, covariance, c) + (d**2).sum(axis=1)) / len(
+                maps
+            )
             covariance = a @ covariance @ a.T + b @ b.T
         variances = {"error": of_state[:nv], "error_rate": of_state[nv : 2 * nv], "force": of_force}
         if "sliding_variable" in self.memory:
@@ -135,11 +155,14 @@ class LinearLoop:
         return variances
 
     def with_random_walk(self, walk: np.ndarray, mass_matrix: np.ndarray) -> Self:
-        """The loop under an acceleration d that walks at random, in addition; its force becomes what exceeds -H d.
+        """The loop under an acceleration d that walks at random, in addition; its force becomes
+        what exceeds -H d.
 
         Args:
-          walk: intensity (nv), its standard deviation after one second, rad/s^2 or m/s^2 per sqrt(s).
-          mass_matrix: H of the plant (nv, nv), by which the force would have to be -H d to keep d from acting.
+          walk: intensity (nv), its standard deviation after one second, rad/s^2 or m/s^2 per
+            sqrt(s).
+          mass_matrix: H of the plant (nv, nv), by which the force would have to be -H d to keep d
+            from acting.
         """
         nv, step = len(walk), self.sample_time
         enter = np.zeros((len(self.a), nv))
@@ -174,12 +197,17 @@ class LinearLoop:
         return poles[order], vectors
 
     def _matters(self, driven: np.ndarray) -> np.ndarray:
-        """Mask of the entries of x that act on the plant and that the plant, or ``driven`` (mask), acts on."""
+        """Mask of the entries of x that act on the plant and that the plant, or ``driven`` (mask),
+        acts on.
+        """
         arrows = sum(np.abs(sample.a) for sample in self.samples) > 0.0
         plant = np.arange(len(arrows)) < self._plant_size
         is_driven = self.coordinates.is_driven
         plant[: 2 * is_driven.size] = np.concatenate([is_driven | self.tracks_frame, is_driven])
         acting, driven = plant, driven | plant
         for _ in range(len(arrows)):
-            acting, driven = acting | (arrows[acting].any(axis=0)), driven | (arrows[:, driven].any(axis=1))
+            acting, driven = (
+                acting | (arrows[acting].any(axis=0)),
+                driven | (arrows[:, driven].any(axis=1)),
+            )
         return acting & driven

@@ -1,14 +1,17 @@
-"""The sampled loop as it is wired, linearised: the map from just before one control sample to just before the next.
+"""The sampled loop as it is wired, linearised: the map from just before one control sample to just
+before the next.
 
-All state that feeds back is in it: the plant's (its attitude as a small rotation) with its hidden coordinates, the
-controller's and its estimator's, delays, actuators. Its columns are differences on a context of the closed loop, so
-every controller, plant, and block with discrete state is covered without a formula for any of them; a block with other
-state is refused. What a law holds (``ControlLaw.held``: gains under adaptation, sign terms) is held. Noise is an input.
-Limits, which have no derivative, are left out, and quantisation counts as white noise of its sawtooth's variance.
+All state that feeds back is in it: the plant's (its attitude as a small rotation) with its hidden
+coordinates, the controller's and its estimator's, delays, actuators. Its columns are differences on
+a context of the closed loop, so every controller, plant, and block with discrete state is covered
+without a formula for any of them; a block with other state is refused. What a law holds
+(``ControlLaw.held``: gains under adaptation, sign terms) is held. Noise is an input. Limits, which
+have no derivative, are left out, and quantisation counts as white noise of its sawtooth's variance.
 
-The update at the sample and the motion up to the next are differenced apart, which is several times faster: the motion
-depends only on the plant's state and on the few held values that reach it. Where a block updates less often than the
-controller, the map is that of their common period, each kind of sample in it differenced once.
+The update at the sample and the motion up to the next are differenced apart, which is several times
+faster: the motion depends only on the plant's state and on the few held values that reach it. Where
+a block updates less often than the controller, the map is that of their common period, each kind of
+sample in it differenced once.
 """
 
 import contextlib
@@ -37,7 +40,12 @@ from ffsm_drake.scenario import (
     Sensing,
     from_grasp,
 )
-from ffsm_drake.spacecraft.coordinates import BASE_ROTATION, NUM_BASE_POSITIONS, position_errors, rotation_error
+from ffsm_drake.spacecraft.coordinates import (
+    BASE_ROTATION,
+    NUM_BASE_POSITIONS,
+    position_errors,
+    rotation_error,
+)
 from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.actuation import make_actuation
@@ -53,7 +61,8 @@ from ffsm_drake.systems.setup import BlockSetup
 _STEP = 1e-7
 # Control samples on the plan before the map is taken: by then every memory holds what was measured.
 _WARM_UP = 5
-# Settings of actuation and drives that have no derivative: the linear loop has their defaults, and keeps all others.
+# Settings of actuation and drives that have no derivative: the linear loop has their defaults, and
+# keeps all others.
 NOT_LINEAR = {"actuation": ("limit", "quantization"), "drives": ("rate_limit",)}
 
 
@@ -65,14 +74,17 @@ class Linearizer:
 
         Errors as for ``add_closed_loop``; BlockError for a block with continuous or abstract state.
         """
-        self.given = scenario = timed(from_grasp(scenario))  # before the actuators' limits are taken away
+        # before the actuators' limits are taken away
+        self.given = scenario = timed(from_grasp(scenario))
         sensing, estimator = smooth_sensing(scenario), scenario.estimator
         if sensing is not scenario.sensing:  # the estimator goes on to assume what it assumed
             estimator = _with_assumptions(scenario)
         actuation = linear_actuation(scenario.actuation)
         if has_base_actuators(scenario):
             blocks = {"actuation": _mean_actuation, **(blocks or {})}
-        self.scenario = dataclasses.replace(scenario, sensing=sensing, estimator=estimator, actuation=actuation)
+        self.scenario = dataclasses.replace(
+            scenario, sensing=sensing, estimator=estimator, actuation=actuation
+        )
         self.loop = make_closed_loop(self.scenario, blocks=blocks)
         diagram, self._plant = self.loop.diagram, self.loop.plant
         self._simulator = Simulator(diagram)
@@ -86,18 +98,24 @@ class Linearizer:
         self.loop.set_blocks(self._context, self._known_state())
         self._start = self._context.Clone()
         controller = self.loop.blocks["controller"]
-        self._held: Mapping[str, tuple[int, float | None]] = getattr(controller, "held_groups", dict)()
+        self._held: Mapping[str, tuple[int, float | None]] = getattr(
+            controller, "held_groups", dict
+        )()
         self._controller_context = controller.GetMyMutableContextFromRoot(self._context)
         self._start_of_controller = controller.GetMyContextFromRoot(self._start)
         noise = [leaf for leaf in _leaves(diagram) if isinstance(leaf, RandomSource)]
-        heard = {output[0] for output in diagram.connection_map().values()}  # the others only record
+        # the others only record
+        heard = {output[0] for output in diagram.connection_map().values()}
         parts = [part for part in diagram.GetSystems() if part in heard]
         leaves = [leaf for part in parts for leaf in _leaves(part) if leaf not in noise]
         for leaf in leaves:
             if leaf is self._plant or leaf.get_name() == FRICTION:
                 continue
             if leaf.num_continuous_states() + leaf.num_abstract_states():
-                raise BlockError(f"{leaf.get_name()}: continuous or abstract state cannot be linearised, only discrete")
+                raise BlockError(
+                    f"{leaf.get_name()}: continuous or abstract state cannot be "
+                    "linearised, only discrete"
+                )
         held = {index for index, _ in self._held.values()}
         self._force = controller.GetOutputPort("generalized_force")
         self._noise = _Memory(noise, self._context, sample_time=scenario.sample_time)
@@ -107,7 +125,8 @@ class Linearizer:
             sample_time=scenario.sample_time,
             leave_out=lambda system, group: system is controller and group in held,
         )
-        self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.hidden.names))  # of the plant's part of x
+        # of the plant's part of x
+        self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.hidden.names))
         groups: Mapping[str, int] = getattr(controller, "memory_groups", dict)()
         self._parts_of_memory = {
             name: slice(self._width + part.start, self._width + part.stop)
@@ -124,16 +143,22 @@ class Linearizer:
         untie(self.loop.diagram)  # which Drake would otherwise keep
 
     def at(
-        self, time: float, *, held: Mapping[str, np.ndarray] | None = None, truth: MassProperties | None = None
+        self,
+        time: float,
+        *,
+        held: Mapping[str, np.ndarray] | None = None,
+        truth: MassProperties | None = None,
     ) -> LinearLoop:
         """The loop near an instant of the planned motion, with the plant on it.
 
-        What the update at the sample does is kept: the same instant with another true payload costs only its motion,
-        from where the scenario's own has come by then. At rest that changes a spectral radius by about 1e-5.
+        What the update at the sample does is kept: the same instant with another true payload costs
+        only its motion, from where the scenario's own has come by then. At rest that changes a
+        spectral radius by about 1e-5.
 
         Args:
           time: s; a control sample is taken.
-          held: of the controller's memory that is held (``ControlLaw.held``), name -> value in place of its own.
+          held: of the controller's memory that is held (``ControlLaw.held``), name -> value in
+            place of its own.
           truth: of the payload, in place of the scenario's.
 
         Raises BlockError: a block fails.
@@ -147,10 +172,13 @@ class Linearizer:
                 samples = tuple(maps[update] for update in updates)
         except FfsmError:
             raise
-        except (Exception, SystemExit) as error:  # Drake refuses some numbers that are not finite by SystemExit
+        except (Exception, SystemExit) as error:
+            # Drake refuses some numbers that are not finite by SystemExit
             if np.isfinite(self._plant_state()).all():
                 reason = f"{type(error).__name__}: {one_line(error)}"
-                raise BlockError(f"{self.scenario.controller}: the loop cannot be linearised: {reason}") from error
+                raise BlockError(
+                    f"{self.scenario.controller}: the loop cannot be linearised: {reason}"
+                ) from error
             unknown = np.full((self._width,) * 2, np.nan)  # diverged within the warm-up
             samples = (SampleMap(a=unknown, b=unknown, c=unknown, d=unknown),)
         return LinearLoop(
@@ -162,14 +190,16 @@ class Linearizer:
             tracks_frame=self.loop.tracks_frame,
             memory=self._parts_of_memory,
             noise={
-                source.get_name(): part for source, part in zip(self._noise.systems, self._noise.parts, strict=True)
+                source.get_name(): part
+                for source, part in zip(self._noise.systems, self._noise.parts, strict=True)
             },
         )
 
     def follow(
         self, *, held: Mapping[str, np.ndarray] | None = None, samples: int | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The run without noise: true error at the samples and force from each to the next (n, nv), NaN once it fails.
+        """The run without noise: true error at the samples and force from each to the next (n, nv),
+        NaN once it fails.
 
         Args:
           held: as for ``at``.
@@ -197,7 +227,10 @@ class Linearizer:
         controller_context = controller.GetMyMutableContextFromRoot(context)
         if isinstance(controller, SampledController):  # no sample counts as a first one here
             controller.remember_velocity(controller_context, self.motion.evaluate(0.0)[1])
-        with contextlib.suppress(Exception, SystemExit), np.errstate(over="ignore", invalid="ignore"):
+        with (
+            contextlib.suppress(Exception, SystemExit),
+            np.errstate(over="ignore", invalid="ignore"),
+        ):
             for index in range(count):
                 states[index] = self._known_state(plant_context)[: nv + 1]
                 self._hold(controller_context, held or {})
@@ -223,12 +256,15 @@ class Linearizer:
 
     def _move(self, index: int) -> None:
         """From just after the update at the control sample ``index`` to just before the next."""
-        self._context.SetTime((index + 1e-9) * self.scenario.sample_time)  # past the update: it is not made again
+        # past the update: it is not made again
+        self._context.SetTime((index + 1e-9) * self.scenario.sample_time)
         self._simulator.Initialize()
         self._simulator.AdvanceTo((index + 1) * self.scenario.sample_time)
 
     def _updates_from(self, first: int, held: Mapping[str, np.ndarray]) -> tuple["_Update", ...]:
-        """The updates of one common period, from the end of a warm-up that begins on the plan at a control sample."""
+        """The updates of one common period, from the end of a warm-up that begins on the plan at a
+        control sample.
+        """
         key = content_of((first, held))
         if key not in self._updates:
             self._context.SetTimeStateAndParametersFrom(self._start)
@@ -252,11 +288,19 @@ class Linearizer:
         return self._updates[key]
 
     def _update(self, index: int) -> "_Update":
-        """The update at the control sample ``index``, which the context stands just before; it is made."""
+        """The update at the control sample ``index``, which the context stands just before; it is
+        made.
+        """
         width, memory, state = self._width, self._memory.read(), self._plant_state()
         size = width + memory.size
-        parts = [*self._memory.parts, *(slice(memory.size + p.start, memory.size + p.stop) for p in self._noise.parts)]
-        groups = [slice(0, width), *(slice(width + part.start, width + part.stop) for part in parts)]
+        parts = [
+            *self._memory.parts,
+            *(slice(memory.size + p.start, memory.size + p.stop) for p in self._noise.parts),
+        ]
+        groups = [
+            slice(0, width),
+            *(slice(width + part.start, width + part.stop) for part in parts),
+        ]
         memory_steps = _STEP * np.maximum(1.0, np.abs(memory))
         steps = np.concatenate([np.full(width, _STEP), memory_steps, np.ones(self._noise.size)])
         owner = np.repeat(np.arange(len(groups)), [group.stop - group.start for group in groups])
@@ -265,7 +309,8 @@ class Linearizer:
         def update(x: np.ndarray) -> np.ndarray:
             """The memory after the sample's update; x is followed by the noise.
 
-            Only what differs from the last x is written, so that Drake computes only what depends on it.
+            Only what differs from the last x is written, so that Drake computes only what depends
+            on it.
             """
             for k in set(owner[x != written].tolist()):
                 if k == 0:
@@ -281,7 +326,13 @@ class Linearizer:
         update(np.zeros(steps.size))
         self._memory.update(index)
         kept = [group for group in groups if group.stop <= size]
-        return _Update(index=index, after=self._context.Clone(), groups=kept, steps=steps[:size], jacobian=jacobian)
+        return _Update(
+            index=index,
+            after=self._context.Clone(),
+            groups=kept,
+            steps=steps[:size],
+            jacobian=jacobian,
+        )
 
     def _map(self, update: "_Update", truth: MassProperties | None) -> SampleMap:
         """The map of a control sample: its update and the motion up to the next."""
@@ -302,7 +353,9 @@ class Linearizer:
 
         base = move(np.zeros(size))
         if not np.array_equal(self._memory.read(), updated):
-            raise BlockError("a block updates between two control samples, which cannot be linearised")
+            raise BlockError(
+                "a block updates between two control samples, which cannot be linearised"
+            )
 
         def change(x: np.ndarray) -> np.ndarray:
             reached = move(x)
@@ -334,26 +387,38 @@ class Linearizer:
 
     def _set_plant_state(self, state: np.ndarray) -> None:
         known, hidden = np.split(state, [2 * len(self.loop.coordinates.names) + 1])
-        self._plant.SetPositionsAndVelocities(self._plant_context, self.loop.hidden.whole(known, hidden))
+        self._plant.SetPositionsAndVelocities(
+            self._plant_context, self.loop.hidden.whole(known, hidden)
+        )
 
     def _moved(self, state: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """A plant's state moved by e, its rate and the hidden state, the attitude by a rotation vector in the world."""
+        """A plant's state moved by e, its rate and the hidden state, the attitude by a rotation
+        vector in the world.
+        """
         moved, nv = state.copy(), len(self.loop.coordinates.names)
         w, x, y, z = state[:4]
-        a, b, c = 0.5 * change[:3]  # small: the quaternion needs no sine, and its norm does not matter
-        moved[:4] += (-a * x - b * y - c * z, a * w + b * z - c * y, b * w + c * x - a * z, c * w + a * y - b * x)
+        # small: the quaternion needs no sine, and its norm does not matter
+        a, b, c = 0.5 * change[:3]
+        moved[:4] += (
+            -a * x - b * y - c * z,
+            a * w + b * z - c * y,
+            b * w + c * x - a * z,
+            c * w + a * y - b * x,
+        )
         moved[4 : nv + 1] += change[3:nv]
         moved[nv + 1 :] += change[nv:]
         return moved if not self.loop.coordinates.undriven else self._at_same_momentum(moved, state)
 
     def _at_same_momentum(self, moved: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """A plant's state with the undriven coordinates of another: their place, and velocities of equal momentum.
+        """A plant's state with the undriven coordinates of another: their place, and velocities of
+        equal momentum.
 
         Where a frame is tracked, their place is the state's own.
         """
         coordinates, hidden = self.loop.coordinates, self.loop.hidden
         nq, model = len(coordinates.position_names), self.loop.model(self._plant_context)
-        undriven = np.flatnonzero(~coordinates.is_driven)  # of the base, which comes first in every state
+        # of the base, which comes first in every state
+        undriven = np.flatnonzero(~coordinates.is_driven)
         places = np.arange(4) if "base_rotation" in coordinates.undriven else np.empty(0, dtype=int)
         places = np.concatenate([places, undriven[undriven >= len(BASE_ROTATION)] + 1])
         result = moved.copy()
@@ -365,19 +430,26 @@ class Linearizer:
             q, v = np.split(hidden.whole(known, rest), [nq + len(hidden.names)])
             others = np.delete(np.arange(v.size), undriven)
             mass_matrix = model.calc_mass_matrix(q)
-            return FreeFloating(mass_matrix=mass_matrix, base_position=q[4:NUM_BASE_POSITIONS], driven=others), v
+            return FreeFloating(
+                mass_matrix=mass_matrix, base_position=q[4:NUM_BASE_POSITIONS], driven=others
+            ), v
 
         before, v_before = whole(state)
         after, v = whole(result)
         momentum = before.momentum(v_before)
-        change = after.velocity(v[after.driven], momentum) - before.velocity(v_before[before.driven], momentum)
-        result[nq + undriven] = state[nq + undriven] + change[undriven]  # to the last bit as it was without a change
+        change = after.velocity(v[after.driven], momentum) - before.velocity(
+            v_before[before.driven], momentum
+        )
+        # to the last bit as it was without a change
+        result[nq + undriven] = state[nq + undriven] + change[undriven]
         return result
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class _Update:
-    """What the update of a control sample makes of the plant's state and the memory, [x; w], to first order."""
+    """What the update of a control sample makes of the plant's state and the memory, [x; w], to
+    first order.
+    """
 
     index: int
     after: Context
@@ -387,7 +459,9 @@ class _Update:
 
 
 class _Memory:
-    """The discrete state of several systems as one vector; ``parts`` says where each group stands."""
+    """The discrete state of several systems as one vector; ``parts`` says where each group
+    stands.
+    """
 
     def __init__(
         self,
@@ -400,12 +474,18 @@ class _Memory:
         self.systems, self.size, self.parts = systems, 0, list[slice]()
         self._groups: list[tuple[Context, int]] = []
         self._where = dict[tuple[System, int], slice]()
-        self._updated: list[tuple[System, Context, float, float]] = []  # with period and offset in control samples
-        self._parts_of: list[list[tuple[int, slice]]] = []  # of each of them its groups, and where they stand
-        # A system may behave differently from sample to sample: it says how by ``phase`` and ``phase_period``.
+        # with period and offset in control samples
+        self._updated: list[tuple[System, Context, float, float]] = []
+        # of each of them its groups, and where they stand
+        self._parts_of: list[list[tuple[int, slice]]] = []
+        # A system may behave differently from sample to sample: it says how by ``phase`` and
+        # ``phase_period``.
         self._phased = [system for system in systems if hasattr(system, "phase_period")]
         for system in systems:
-            context, parts = system.GetMyMutableContextFromRoot(root_context), list[tuple[int, slice]]()
+            context, parts = (
+                system.GetMyMutableContextFromRoot(root_context),
+                list[tuple[int, slice]](),
+            )
             for group in range(context.num_discrete_state_groups()):
                 if not leave_out(system, group):
                     width = context.get_discrete_state(group).size()
@@ -416,12 +496,17 @@ class _Memory:
             self._groups += [(context, group) for group, _ in parts]
             timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
             if timing is not None:
-                period, offset = timing.period_sec() / sample_time, timing.offset_sec() / sample_time
+                period, offset = (
+                    timing.period_sec() / sample_time,
+                    timing.offset_sec() / sample_time,
+                )
                 self._updated.append((system, context, period, offset))
                 self._parts_of.append(parts)
         periods = [max(1, round(period)) for _, _, period, _ in self._updated]
         self.common_period = math.lcm(*periods, *(system.phase_period for system in self._phased))
-        every_sample = all(abs(period - 1.0) + abs(offset) < 1e-6 for _, _, period, offset in self._updated)
+        every_sample = all(
+            abs(period - 1.0) + abs(offset) < 1e-6 for _, _, period, offset in self._updated
+        )
         self._always = (True,) * len(self._updated) if every_sample else ()
 
     def part_of(self, system: System, group: int) -> slice | None:
@@ -445,7 +530,12 @@ class _Memory:
         for (system, context, _, _), due in zip(self._updated, self.which(index), strict=True):
             if due:
                 values = system.EvalUniquePeriodicDiscreteUpdate(context)
-                found.append((context, [values.get_vector(i).value().copy() for i in range(values.num_groups())]))
+                found.append(
+                    (
+                        context,
+                        [values.get_vector(i).value().copy() for i in range(values.num_groups())],
+                    )
+                )
         for context, groups in found:
             for i, group in enumerate(groups):
                 context.SetDiscreteState(i, group)
@@ -453,7 +543,9 @@ class _Memory:
     def after(self, index: int) -> np.ndarray:
         """What ``read`` would give after the update of a control sample, which is not made."""
         result = self.read()
-        for (system, context, _, _), parts, due in zip(self._updated, self._parts_of, self.which(index), strict=True):
+        for (system, context, _, _), parts, due in zip(
+            self._updated, self._parts_of, self.which(index), strict=True
+        ):
             if due:
                 values = system.EvalUniquePeriodicDiscreteUpdate(context)
                 for group, part in parts:
@@ -461,7 +553,9 @@ class _Memory:
         return result
 
     def read(self) -> np.ndarray:
-        return np.concatenate([context.get_discrete_state(group).value() for context, group in self._groups] or [[]])
+        return np.concatenate(
+            [context.get_discrete_state(group).value() for context, group in self._groups] or [[]]
+        )
 
     def write(self, values: np.ndarray) -> None:
         for (context, group), part in zip(self._groups, self.parts, strict=True):
@@ -475,7 +569,9 @@ class _Memory:
 def has_base_actuators(scenario: Scenario) -> bool:
     """Whether thrusters or wheels of the scenario's own give the base's wrench."""
     actuation = scenario.actuation
-    return scenario.blocks.actuation is None and (actuation.thrusters is not None or actuation.wheels is not None)
+    return scenario.blocks.actuation is None and (
+        actuation.thrusters is not None or actuation.wheels is not None
+    )
 
 
 def linear_actuation(actuation: Actuation) -> Actuation:
@@ -495,7 +591,9 @@ def _mean_actuation(setup: BlockSetup) -> Diagram | None:
 
 
 def smooth_sensing(scenario: Scenario) -> Sensing:
-    """The sensors without quantisation, which counts as noise: rounding to a step adds the variance of its sawtooth."""
+    """The sensors without quantisation, which counts as noise: rounding to a step adds the variance
+    of its sawtooth.
+    """
     sensing = scenario.sensing
     if not any((*sensing.position_quantization.values(), *sensing.velocity_quantization.values())):
         return sensing
@@ -528,8 +626,12 @@ def _with_assumptions(scenario: Scenario) -> Estimator:
     )
 
 
-def _jacobian(function: Callable[[np.ndarray], np.ndarray], groups: Sequence[slice], steps: np.ndarray) -> np.ndarray:
-    """Differences of a function at zero by ``steps``, without those groups of its argument that do not matter to it."""
+def _jacobian(
+    function: Callable[[np.ndarray], np.ndarray], groups: Sequence[slice], steps: np.ndarray
+) -> np.ndarray:
+    """Differences of a function at zero by ``steps``, without those groups of its argument that do
+    not matter to it.
+    """
     center = function(np.zeros(steps.size))
     jacobian = np.zeros((center.size, steps.size))
     for group in groups:
@@ -545,7 +647,9 @@ def _jacobian(function: Callable[[np.ndarray], np.ndarray], groups: Sequence[sli
 
 
 def _silence(sources: Sequence[RandomSource], diagram: Diagram, context: Context) -> bool:
-    """Fix what hears the sources to zero. False where that is not seen: an output of a block that is noise itself."""
+    """Fix what hears the sources to zero. False where that is not seen: an output of a block that
+    is noise itself.
+    """
     heard = list[System]()
     for part in _diagrams(diagram):
         for (system, number), (source, _) in part.connection_map().items():
@@ -572,5 +676,7 @@ def _leaves(system: System) -> Iterator[System]:
 
 
 def _difference(state: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """The change of e, its rate and the hidden state from ``base`` to ``state``, both [q; v] and the hidden state."""
+    """The change of e, its rate and the hidden state from ``base`` to ``state``, both [q; v] and
+    the hidden state.
+    """
     return np.concatenate([rotation_error(state[:4], base[:4]), state[4:] - base[4:]])

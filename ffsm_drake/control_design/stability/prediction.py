@@ -1,8 +1,9 @@
 """Accuracy and effort of a scenario, predicted from its closed loop as it is wired.
 
-The mean is the run without noise. Around it the loop is linear, so that the sensors' noise adds a stationary part
-(``LinearLoop.noise_response``). Errors and efforts add as squares. Every controller, estimator, delay and block is
-covered; actuator limits are not: ``peak_effort`` tells whether they would be met.
+The mean is the run without noise. Around it the loop is linear, so that the sensors' noise adds a
+stationary part (``LinearLoop.noise_response``). Errors and efforts add as squares. Every
+controller, estimator, delay and block is covered; actuator limits are not: ``peak_effort`` tells
+whether they would be met.
 """
 
 import dataclasses
@@ -42,11 +43,16 @@ class Prediction:
     def by_group(self) -> dict[str, float]:
         """Root mean square error over the coordinates of each driven group."""
         groups = self.coordinates.driven_groups
-        return {name: float(np.sqrt(np.mean(self.rms_error[part] ** 2))) for name, part in groups.items()}
+        return {
+            name: float(np.sqrt(np.mean(self.rms_error[part] ** 2)))
+            for name, part in groups.items()
+        }
 
     @property
     def mean_log_error(self) -> float:
-        """Mean over the groups of log(rms error), rad or m: one figure of accuracy; infinite where it would diverge."""
+        """Mean over the groups of log(rms error), rad or m: one figure of accuracy; infinite where
+        it would diverge.
+        """
         return float(np.mean(np.log(list(self.by_group().values()))))
 
 
@@ -56,7 +62,8 @@ def predict(
     """Predict a run; takes about as long as one, longer with slow sensors.
 
     Args:
-      scenario: what would be run; K_s is held where adaptation is expected to take it, sign terms are left out.
+      scenario: what would be run; K_s is held where adaptation is expected to take it, sign terms
+        are left out.
       settled_after: s; the rms error counts from here on.
       blocks: as for ``simulate``.
 
@@ -77,7 +84,8 @@ def predict_from(linearizer: Linearizer, *, settled_after: float = 5.0) -> Predi
         error, force = np.full_like(error, np.inf), np.full_like(force, np.inf)
     responses = [loop.noise_response(count) for loop in loops]
     of_error, of_force = (
-        np.mean([response[name] ** 2 for response in responses], axis=0) for name in ("error", "force")
+        np.mean([response[name] ** 2 for response in responses], axis=0)
+        for name in ("error", "force")
     )
     settled = np.arange(count) * period > settled_after
     return Prediction(

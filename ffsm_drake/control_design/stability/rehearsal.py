@@ -1,8 +1,10 @@
-"""The linearised loop under the thrusters and wheels as they are, with their pulses and limits: does it settle?
+"""The linearised loop under the thrusters and wheels as they are, with their pulses and limits:
+does it settle?
 
-The controller and the plant are linear about the planned motion (``linearization``); in every control sample the
-actuators are given what the loop asks for, and what they do instead acts on it. That takes a tenth of a run's time, and
-tells what no spectral radius does: whether the loop can go without what saturation takes.
+The controller and the plant are linear about the planned motion (``linearization``); in every
+control sample the actuators are given what the loop asks for, and what they do instead acts on it.
+That takes a tenth of a run's time, and tells what no spectral radius does: whether the loop can go
+without what saturation takes.
 """
 
 import dataclasses
@@ -32,7 +34,8 @@ from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.systems.setup import BlockSetup
 
 SEEDS = 4
-_POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of the planned motion at which the loop is linearised
+# fractions of the planned motion at which the loop is linearised
+_POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _BLENDED = 50  # control samples between which the loop is taken from the two nearest postures
 _LAST = 2.0  # s, at the end; when errors are looked at
 _PUSH = "push"  # the source of what actuators add to the command
@@ -41,7 +44,9 @@ _FULL = 1.0 - 1e-9  # of a limit, or of a wanted wrench
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Rehearsal:
-    """What the linearised loop does under its thrusters and wheels, with some seeds of the noise."""
+    """What the linearised loop does under its thrusters and wheels, with some seeds of the
+    noise.
+    """
 
     scenario: Scenario
     coordinates: Coordinates
@@ -49,24 +54,38 @@ class Rehearsal:
     motion_force: np.ndarray  # (nv,) the most that the run without noise asks for, N m or N
     diverged: np.ndarray  # (seeds,) s, when a rate passed ``divergence_speed``; NaN where none did
     wheels_limited: np.ndarray  # (seeds,) share of the samples in which a motor is at its limit
-    thrusters_limited: np.ndarray  # (seeds,) share in which thrusters could not give all that was wanted of them
+    # (seeds,) share in which thrusters could not give all that was wanted of them
+    thrusters_limited: np.ndarray
     largest_error: np.ndarray  # (nv,) of the last two seconds, rad or m; the median of the seeds
 
     def __str__(self) -> str:
         """What is asked of the actuators, what they give, and what comes of it: a line."""
         parts = self.coordinates.groups["base_rotation"], self.coordinates.groups["base_position"]
         noise, motion = (
-            " and ".join(f"{force[part].max():.2g} {unit}" for part, unit in zip(parts, ("N m", "N"), strict=True))
+            " and ".join(
+                f"{force[part].max():.2g} {unit}"
+                for part, unit in zip(parts, ("N m", "N"), strict=True)
+            )
             for force in (self.noise_force, self.motion_force)
         )
         limited = [
             f"{what} in {100.0 * float(np.median(share)):.2g} %"
-            for what, share in (("wheels", self.wheels_limited), ("thrusters", self.thrusters_limited))
+            for what, share in (
+                ("wheels", self.wheels_limited),
+                ("thrusters", self.thrusters_limited),
+            )
             if share.any()
         ]
-        told = f"{', '.join(_can_give(self.scenario))}; the motion takes up to {motion}, sensor noise {noise}"
+        told = (
+            f"{', '.join(_can_give(self.scenario))}; the motion takes up to {motion}, sensor "
+            f"noise {noise}"
+        )
         told += " (standard deviation)"
-        told += f"; saturated: {', '.join(limited)} of the samples" if limited else "; nothing saturates"
+        told += (
+            f"; saturated: {', '.join(limited)} of the samples"
+            if limited
+            else ("; nothing saturates")
+        )
         gone = self.diverged[np.isfinite(self.diverged)]
         if not gone.size:
             return told
@@ -92,8 +111,8 @@ def rehearse(
       scenario: what would be run; from the grasp on.
       seeds: how many noises.
       held: as for ``Linearizer.at``.
-      mean: error and force (n, nv) of the run without noise and limits, as ``Linearizer.follow`` has them, which
-        takes half a run; default: those of perfect tracking.
+      mean: error and force (n, nv) of the run without noise and limits, as ``Linearizer.follow``
+        has them, which takes half a run; default: those of perfect tracking.
 
     Raises: as ``Linearizer`` and ``Linearizer.at``.
     """
@@ -112,7 +131,9 @@ def rehearse(
     return Rehearsal(
         scenario=scenario,
         coordinates=motion.coordinates,
-        noise_force=np.max([_without_push(loop).noise_response(times.size)["force"] for loop in loops], axis=0),
+        noise_force=np.max(
+            [_without_push(loop).noise_response(times.size)["force"] for loop in loops], axis=0
+        ),
         motion_force=np.abs(mean[1]).max(axis=0),
         diverged=diverged,
         wheels_limited=wheels,
@@ -131,30 +152,65 @@ class _Run:
         motion: PlannedMotion,
         mean: tuple[np.ndarray, np.ndarray],
     ) -> None:
-        nominal, period, settings = driven_model(make_nominal_plant(scenario)), scenario.sample_time, scenario.actuation
+        nominal, period, settings = (
+            driven_model(make_nominal_plant(scenario)),
+            scenario.sample_time,
+            scenario.actuation,
+        )
         coordinates = motion.coordinates
-        self._scenario, self._loops, self._motion, (self._error, self._force) = scenario, loops, motion, mean
+        self._scenario, self._loops, self._motion, (self._error, self._force) = (
+            scenario,
+            loops,
+            motion,
+            mean,
+        )
         self._switch = _switching_gain(scenario, coordinates)
         self._times = [motion.part(share) for share in _POSTURES]
         self._samples = [_from_start(loop) for loop in loops]
-        self._mass = [nominal.calc_mass_matrix(motion.evaluate(motion.part(share))[0]) for share in _POSTURES]
+        self._mass = [
+            nominal.calc_mass_matrix(motion.evaluate(motion.part(share))[0]) for share in _POSTURES
+        ]
         self._base = make_base_actuators(settings, coordinates, sample_time=period)[0]
-        self._limit = coordinates.vector(settings.limit or {}, key="actuation.limit", default=np.inf)
-        self._resolution = coordinates.vector(settings.quantization, key="actuation.quantization", default=0.0)
+        self._limit = coordinates.vector(
+            settings.limit or {}, key="actuation.limit", default=np.inf
+        )
+        self._resolution = coordinates.vector(
+            settings.quantization, key="actuation.quantization", default=0.0
+        )
 
     def go(self, times: np.ndarray, seed: int) -> tuple[float, float, float, np.ndarray]:
-        """When it diverged, the limited shares of wheels and thrusters, and the largest errors (nv) at the end."""
-        scenario, base, settings, nv = self._scenario, self._base, self._scenario.actuation, self._force.shape[1]
+        """When it diverged, the limited shares of wheels and thrusters, and the largest errors (nv)
+        at the end.
+        """
+        scenario, base, settings, nv = (
+            self._scenario,
+            self._base,
+            self._scenario.actuation,
+            self._force.shape[1],
+        )
         noise = np.random.default_rng(seed)
         sizes = np.cumsum([0, *base.sizes.values()])
-        part = {name: slice(*ends) for name, ends in zip(base.sizes, itertools.pairwise(sizes.tolist()), strict=True)}
-        motors = np.array([] if settings.wheels is None else [u.torque_limit for u in settings.wheels.units.values()])
+        part = {
+            name: slice(*ends)
+            for name, ends in zip(base.sizes, itertools.pairwise(sizes.tolist()), strict=True)
+        }
+        motors = np.array(
+            []
+            if settings.wheels is None
+            else [u.torque_limit for u in settings.wheels.units.values()]
+        )
         frame = 1 if settings.thrusters is None else settings.thrusters.frame
         push = self._loops[0].noise[_PUSH]
-        x, memory, switching = np.zeros(len(self._loops[0].a)), base.initial_memory, self._switch.start
+        x, memory, switching = (
+            np.zeros(len(self._loops[0].a)),
+            base.initial_memory,
+            self._switch.start,
+        )
         late = [np.zeros(nv)] * settings.delay  # total, then what of it is the linear loop's
         own, wheels_limited, thrusters_limited, errors = list(late), 0, 0, [np.zeros(nv)]
-        for k, (time, rotation, turning) in enumerate(zip(times, *self._base_motion(times), strict=True)):
+        for k, (time, rotation, turning) in enumerate(
+            zip(times, *self._base_motion(times), strict=True)
+        ):
             if k % _BLENDED == 0:
                 samples, mass = self._near(time)
             step = samples[k % len(samples)]
@@ -167,19 +223,37 @@ class _Run:
                 force = force + mass @ (switching * np.sign(s))
                 switching = self._switch.after(s, switching)
             late.append(quantize(np.clip(force, -self._limit, self._limit), self._resolution))
-            sample = base.give(late.pop(0), memory, rotation=rotation, turning=turning, begins=k % frame == 0)
+            sample = base.give(
+                late.pop(0), memory, rotation=rotation, turning=turning, begins=k % frame == 0
+            )
             memory = sample[part["memory"]]
-            wheels_limited += motors.size > 0 and bool((np.abs(sample[part["wheel_torque"]]) >= _FULL * motors).any())
-            thrusters_limited += "thruster_given" in part and bool(sample[part["thruster_given"]][0] < _FULL)
+            wheels_limited += motors.size > 0 and bool(
+                (np.abs(sample[part["wheel_torque"]]) >= _FULL * motors).any()
+            )
+            thrusters_limited += "thruster_given" in part and bool(
+                sample[part["thruster_given"]][0] < _FULL
+            )
             x = after + step.b[:, push] @ (sample[part["applied_force"]] - own.pop(0))
             if not np.abs(x[nv : 2 * nv]).max() < scenario.divergence_speed:
-                return float(time), wheels_limited / (k + 1), thrusters_limited / (k + 1), np.full(nv, np.inf)
+                return (
+                    float(time),
+                    wheels_limited / (k + 1),
+                    thrusters_limited / (k + 1),
+                    np.full(nv, np.inf),
+                )
             if time >= times[-1] - _LAST:
                 errors.append(np.abs(self._error[k] + x[:nv]))
-        return math.nan, wheels_limited / times.size, thrusters_limited / times.size, np.max(errors, axis=0)
+        return (
+            math.nan,
+            wheels_limited / times.size,
+            thrusters_limited / times.size,
+            np.max(errors, axis=0),
+        )
 
     def _near(self, time: float) -> tuple[list[SampleMap], np.ndarray]:
-        """The loop's maps of one common period near a time, and the nominal mass matrix: of the postures beside it."""
+        """The loop's maps of one common period near a time, and the nominal mass matrix: of the
+        postures beside it.
+        """
         i = min(max(int(np.searchsorted(self._times, time)) - 1, 0), len(self._times) - 2)
         share = min(max((time - self._times[i]) / (self._times[i + 1] - self._times[i]), 0.0), 1.0)
 
@@ -187,13 +261,20 @@ class _Run:
             return (1.0 - share) * first + share * second
 
         pairs = zip(self._samples[i], self._samples[i + 1], strict=True)
-        maps = [SampleMap(**{name: blend(getattr(a, name), getattr(b, name)) for name in "abcd"}) for a, b in pairs]
+        maps = [
+            SampleMap(**{name: blend(getattr(a, name), getattr(b, name)) for name in "abcd"})
+            for a, b in pairs
+        ]
         return maps, blend(self._mass[i], self._mass[i + 1])
 
     def _base_motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As planned: R_WB (n, 3, 3), and w_WB in the base's axes with what the wheels' momentum misses (n, 6)."""
+        """As planned: R_WB (n, 3, 3), and w_WB in the base's axes with what the wheels' momentum
+        misses (n, 6).
+        """
         rows, nq = self._motion.rows(times), self._force.shape[1] + 1
-        rotation = np.array([attitude_ahead(q, np.zeros(3), 0.0).reshape(3, 3) for q in rows[:, :4]])
+        rotation = np.array(
+            [attitude_ahead(q, np.zeros(3), 0.0).reshape(3, 3) for q in rows[:, :4]]
+        )
         turning = np.einsum("ni,nij->nj", rows[:, nq : nq + 3], rotation)
         return rotation, np.hstack([turning, np.zeros_like(turning)])
 
@@ -224,7 +305,9 @@ def _without_push(loop: LinearLoop) -> LinearLoop:
     def heard(columns: np.ndarray) -> np.ndarray:
         return np.delete(columns, loop.noise[_PUSH], axis=1)
 
-    samples = tuple(dataclasses.replace(each, b=heard(each.b), d=heard(each.d)) for each in loop.samples)
+    samples = tuple(
+        dataclasses.replace(each, b=heard(each.b), d=heard(each.d)) for each in loop.samples
+    )
     return dataclasses.replace(loop, samples=samples)
 
 
@@ -261,4 +344,6 @@ def _pushed(setup: BlockSetup) -> Diagram | None:
     builder.Connect(held.get_output_port(), total.get_input_port(1))
     builder.ExportInput(total.get_input_port(0), "force")
     builder.ExportOutput(total.get_output_port(), "given")
-    return make_actuation(setup.scenario.actuation, setup.coordinates, sample_time=period, base=builder.Build())
+    return make_actuation(
+        setup.scenario.actuation, setup.coordinates, sample_time=period, base=builder.Build()
+    )

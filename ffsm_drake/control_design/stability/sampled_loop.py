@@ -1,16 +1,20 @@
-"""Stability of the sampled loop: time-delay control with a zero-order hold on an exactly integrated plant.
+"""Stability of the sampled loop: time-delay control with a zero-order hold on an exactly integrated
+plant.
 
-The paper's proof in continuous time does not cover a force that is held over a period. The loop is stable if the map
-from one control sample to the next contracts. Near a posture, with K_s constant and no sign term, it is linear.
+The paper's proof in continuous time does not cover a force that is held over a period. The loop is
+stable if the map from one control sample to the next contracts. Near a posture, with K_s constant
+and no sign term, it is linear.
 
 *One axis.* With eta an eigenvalue of H^-1 Hhat, error e, rate v = de/dt and I the sum of L e,
 
-    a_k = (1 - eta) a_{k-1} - eta (k_v v + k_p e + k_i I),   e+ = e + L v + L^2 a / 2,   v+ = v + L a,   I+ = I + L e.
+    a_k = (1 - eta) a_{k-1} - eta (k_v v + k_p e + k_i I),   e+ = e + L v + L^2 a / 2,   v+ = v + L
+    a,   I+ = I + L e.
 
-Its pole at z = -1 sets the limit (K_D + K_s) L < 2 (2 - eta) / eta. With the measurement noise as input, the covariance
-of its response solves a discrete Lyapunov equation.
+Its pole at z = -1 sets the limit (K_D + K_s) L < 2 (2 - eta) / eta. With the measurement noise as
+input, the covariance of its response solves a discrete Lyapunov equation.
 
-This is the explanation, for the paper's laws; the loop of all coordinates is read from the wiring (``linearization``).
+This is the explanation, for the paper's laws; the loop of all coordinates is read from the wiring
+(``linearization``).
 """
 
 import dataclasses
@@ -28,7 +32,9 @@ from ffsm_drake.systems.controllers import PAPER_LAWS, gain_vectors
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LoopGains:
-    """u = a_d + k_v de/dt + k_p e + k_i int e: what a law is for constant K_s and G = 0. Floats or (nv) arrays."""
+    """u = a_d + k_v de/dt + k_p e + k_i int e: what a law is for constant K_s and G = 0. Floats or
+    (nv) arrays.
+    """
 
     k_v: np.ndarray | float  # 1/s
     k_p: np.ndarray | float  # 1/s^2
@@ -43,7 +49,8 @@ class LawGains:
     k_p: np.ndarray  # zero for ASMC
     integral: bool  # whether the surface has its integral term
     k_s: np.ndarray  # at the start; zero for TDC
-    k_s_max: np.ndarray  # where adaptation is stopped; K_s itself where nothing adapts, infinite where nothing stops it
+    # where adaptation is stopped; K_s itself where nothing adapts, infinite where nothing stops it
+    k_s_max: np.ndarray
 
     def at(self, k_s: np.ndarray | float | None = None) -> LoopGains:
         """The loop gains for a K_s (default: the start's)."""
@@ -58,12 +65,14 @@ class LawGains:
 def law_gains(scenario: Scenario, coordinates: Coordinates) -> LawGains:
     """The gains of the scenario's controller.
 
-    Raises ScenarioError for unknown or missing coordinates, and for a controller that is not one of the paper's.
+    Raises ScenarioError for unknown or missing coordinates, and for a controller that is not one of
+    the paper's.
     """
     name = scenario.controller
     if name not in PAPER_LAWS:
         raise ScenarioError(
-            "controller", f"the sampled-loop margins are those of {', '.join(PAPER_LAWS)}; '{name}' is another"
+            "controller",
+            f"the sampled-loop margins are those of {', '.join(PAPER_LAWS)}; '{name}' is another",
         )
     gains, zero = gain_vectors(scenario, coordinates), np.zeros(len(coordinates.names))
     k_d = gains["k_d"]
@@ -78,19 +87,31 @@ def law_gains(scenario: Scenario, coordinates: Coordinates) -> LawGains:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sampling:
-    """How the loop is sampled and how N is estimated: everything in the linear loop except gains and inertia."""
+    """How the loop is sampled and how N is estimated: everything in the linear loop except gains
+    and inertia.
+    """
 
     sample_time: float  # L, s
-    euler: bool = False  # the plant steps as explicit Euler at the control period does, as in the paper
-    kalman_gain: np.ndarray | None = None  # (nv, 3, 2) of a KalmanEstimator; None: the published one-sample estimate
+    # the plant steps as explicit Euler at the control period does, as in the paper
+    euler: bool = False
+    # (nv, 3, 2) of a KalmanEstimator; None: the published one-sample estimate
+    kalman_gain: np.ndarray | None = None
 
     def axis(self, i: int) -> "Sampling":
         """The same for one coordinate."""
-        return self if self.kalman_gain is None else dataclasses.replace(self, kalman_gain=self.kalman_gain[i : i + 1])
+        return (
+            self
+            if self.kalman_gain is None
+            else dataclasses.replace(self, kalman_gain=self.kalman_gain[i : i + 1])
+        )
 
 
 def axis_poles(
-    gains: LoopGains, *, eta: np.ndarray | float, sampling: Sampling, sample_time: np.ndarray | float | None = None
+    gains: LoopGains,
+    *,
+    eta: np.ndarray | float,
+    sampling: Sampling,
+    sample_time: np.ndarray | float | None = None,
 ) -> np.ndarray:
     """Poles (..., m) of the one-axis loop, largest magnitude first.
 
@@ -101,13 +122,17 @@ def axis_poles(
     """
     step = sampling.sample_time if sample_time is None else sample_time
     given = np.broadcast_arrays(gains.k_v, gains.k_p, gains.k_i, eta, step)
-    k_v, k_p, k_i, ratio, period = (np.array(values, dtype=float).reshape(-1, 1) for values in given)
+    k_v, k_p, k_i, ratio, period = (
+        np.array(values, dtype=float).reshape(-1, 1) for values in given
+    )
     flat = LoopGains(k_v=k_v, k_p=k_p, k_i=k_i)
     if sampling.kalman_gain is None:
         matrices = _axis_matrices(flat, eta=ratio, step=period, euler=sampling.euler)
     else:
         gain = sampling.kalman_gain
-        matrices = _input_output(flat, eta=ratio, step=period, euler=sampling.euler, kalman_gain=gain)[:, :, :7]
+        matrices = _input_output(
+            flat, eta=ratio, step=period, euler=sampling.euler, kalman_gain=gain
+        )[:, :, :7]
     if not k_i.any():  # the sum of errors is not fed back; its pole at 1 is not part of the loop
         matrices = np.delete(np.delete(matrices, 2, axis=1), 2, axis=2)
     poles = np.linalg.eigvals(matrices)
@@ -115,8 +140,12 @@ def axis_poles(
     return poles.reshape(*given[0].shape, -1)
 
 
-def _axis_matrices(gains: LoopGains, *, eta: np.ndarray, step: np.ndarray, euler: bool) -> np.ndarray:
-    """One-sample maps (n, 4, 4) of [e, v, I, a_{k-1}] for the one-sample estimate; all arguments (n, 1)."""
+def _axis_matrices(
+    gains: LoopGains, *, eta: np.ndarray, step: np.ndarray, euler: bool
+) -> np.ndarray:
+    """One-sample maps (n, 4, 4) of [e, v, I, a_{k-1}] for the one-sample estimate; all arguments
+    (n, 1).
+    """
     row = np.hstack([-eta * gains.k_p, -eta * gains.k_v, -eta * gains.k_i, 1.0 - eta])
     matrices = np.tile(np.eye(4), (len(row), 1, 1))
     matrices[:, 0, 1] = matrices[:, 2, 0] = step[:, 0]
@@ -131,14 +160,19 @@ def _scalar(law: LawGains, axis: int, k_s: np.ndarray | float) -> LoopGains:
     return dataclasses.replace(law, k_d=law.k_d[axis], k_p=law.k_p[axis], k_s=np.asarray(k_s)).at()
 
 
-def _root(function: Callable[[Any], float], low: float, high: float, *, xtol: float = 2e-12) -> float:
+def _root(
+    function: Callable[[Any], float], low: float, high: float, *, xtol: float = 2e-12
+) -> float:
     from scipy.optimize import brentq  # slow to load, and a run needs no margins
 
     return float(brentq(function, low, high, xtol=xtol))
 
 
-def largest_stable(radius: Callable[[np.ndarray], np.ndarray], low: float, high: float, *, steps: int = 400) -> float:
-    """The largest x in [low, high] with radius(x) < 1; NaN where there is none, ``high`` where the end is stable.
+def largest_stable(
+    radius: Callable[[np.ndarray], np.ndarray], low: float, high: float, *, steps: int = 400
+) -> float:
+    """The largest x in [low, high] with radius(x) < 1; NaN where there is none, ``high`` where the
+    end is stable.
 
     The stable set need not start at ``low``: the scan runs from the top.
     """
@@ -152,8 +186,12 @@ def largest_stable(radius: Callable[[np.ndarray], np.ndarray], low: float, high:
     return _root(lambda x: float(radius(x)) - 1.0, grid[last], grid[last + 1], xtol=1e-9 * high)
 
 
-def largest_stable_k_s(law: LawGains, axis: int, *, eta: float, sampling: Sampling, ceiling: float = 1000.0) -> float:
-    """Largest K_s (1/s) that keeps one axis stable; NaN where none does. Not meaningful for TDC, which has no K_s."""
+def largest_stable_k_s(
+    law: LawGains, axis: int, *, eta: float, sampling: Sampling, ceiling: float = 1000.0
+) -> float:
+    """Largest K_s (1/s) that keeps one axis stable; NaN where none does. Not meaningful for TDC,
+    which has no K_s.
+    """
     own = sampling.axis(axis)
 
     def radius(k_s: np.ndarray) -> np.ndarray:
@@ -162,8 +200,12 @@ def largest_stable_k_s(law: LawGains, axis: int, *, eta: float, sampling: Sampli
     return largest_stable(radius, 0.01, ceiling)
 
 
-def largest_sample_time(law: LawGains, axis: int, *, eta: float, sampling: Sampling, ceiling: float = 0.2) -> float:
-    """Largest L (s) that keeps one axis stable at its starting gains (a Kalman gain stays what it is)."""
+def largest_sample_time(
+    law: LawGains, axis: int, *, eta: float, sampling: Sampling, ceiling: float = 0.2
+) -> float:
+    """Largest L (s) that keeps one axis stable at its starting gains (a Kalman gain stays what it
+    is).
+    """
     gains, own = _scalar(law, axis, law.k_s[axis]), sampling.axis(axis)
 
     def radius(step: np.ndarray) -> np.ndarray:
@@ -172,10 +214,14 @@ def largest_sample_time(law: LawGains, axis: int, *, eta: float, sampling: Sampl
     return largest_stable(radius, 1e-5, ceiling)
 
 
-def tolerated_eta(law: LawGains, axis: int, *, sampling: Sampling, k_s: float | None = None) -> tuple[float, float]:
-    """The interval of eta around 1 (or nearest to it, where 1 is unstable) that keeps one axis stable.
+def tolerated_eta(
+    law: LawGains, axis: int, *, sampling: Sampling, k_s: float | None = None
+) -> tuple[float, float]:
+    """The interval of eta around 1 (or nearest to it, where 1 is unstable) that keeps one axis
+    stable.
 
-    eta > 1 is an over-estimated inertia, eta < 1 an under-estimated one. (NaN, NaN) where no eta in (0, 4) is stable.
+    eta > 1 is an over-estimated inertia, eta < 1 an under-estimated one. (NaN, NaN) where no eta in
+    (0, 4) is stable.
     """
     gains, own = _scalar(law, axis, law.k_s[axis] if k_s is None else k_s), sampling.axis(axis)
 
@@ -199,7 +245,9 @@ def tolerated_eta(law: LawGains, axis: int, *, sampling: Sampling, k_s: float | 
 
 
 def inertia_ratios(true_mass_matrix: np.ndarray, nominal_mass_matrix: np.ndarray) -> np.ndarray:
-    """Eigenvalues eta of H^-1 Hhat, ascending (nv): free of units, since both matrices have the same."""
+    """Eigenvalues eta of H^-1 Hhat, ascending (nv): free of units, since both matrices have the
+    same.
+    """
     scale = np.linalg.inv(np.linalg.cholesky(true_mass_matrix))
     return np.linalg.eigvalsh(scale @ nominal_mass_matrix @ scale.T)
 
@@ -210,9 +258,10 @@ class AxisLoop:
 
     x+ = A x + B [position noise; velocity noise] + f d,     Hhat^-1 tau_k - a_d = force @ x_{k+1}.
 
-    x begins with the true error e and its rate v, the sum of errors and t = Hhat^-1 tau - a_d; the rest is what the
-    estimator remembers: the delayed measured rate, or [e, v, d] as estimated. The input d is what the controller has to
-    estimate, -N under perfect tracking, constant over the sample.
+    x begins with the true error e and its rate v, the sum of errors and t = Hhat^-1 tau - a_d; the
+    rest is what the estimator remembers: the delayed measured rate, or [e, v, d] as estimated. The
+    input d is what the controller has to estimate, -N under perfect tracking, constant over the
+    sample.
     """
 
     a: np.ndarray  # (..., m, m), for any shape (...) of gains
@@ -226,42 +275,57 @@ class AxisLoop:
         """Largest pole magnitude (...); the loop is stable below 1."""
         return np.abs(np.linalg.eigvals(self.a)).max(axis=-1)
 
-    def covariance(self, *, position_noise: np.ndarray | float, velocity_noise: np.ndarray | float) -> np.ndarray:
-        """Stationary covariance (..., m, m) of x under white noise of the given standard deviations (...).
+    def covariance(
+        self, *, position_noise: np.ndarray | float, velocity_noise: np.ndarray | float
+    ) -> np.ndarray:
+        """Stationary covariance (..., m, m) of x under white noise of the given standard deviations
+        (...).
 
         Of a stable loop; that of an unstable one means nothing.
         """
         noise = np.stack(np.broadcast_arrays(position_noise, velocity_noise), axis=-1)
-        # In units of acceleration every entry is of order one; in SI units the equation is too badly scaled to solve.
+        # In units of acceleration every entry is of order one; in SI units the equation is too
+        # badly scaled to solve.
         size, largest = self.scale, noise.max(axis=-1)[..., None]
         largest = np.where(largest > 0.0, largest, 1.0)
         b = self.b * (noise / largest)[..., None, :] / size[..., :, None]
         a = self.a * size[..., None, :] / size[..., :, None]
         with np.errstate(over="ignore", invalid="ignore"):
-            covariance = covariance_after(a, b @ np.swapaxes(b, -1, -2), samples=2**18)  # stationary
+            # stationary
+            covariance = covariance_after(a, b @ np.swapaxes(b, -1, -2), samples=2**18)
             return (largest**2)[..., None] * covariance * (size[..., :, None] * size[..., None, :])
 
 
 def covariance_after(a: np.ndarray, noise: np.ndarray, *, samples: int) -> np.ndarray:
-    """Covariance of x from zero, x+ = A x + w, w of covariance ``noise``, after the next power of two of ``samples``.
+    """Covariance of x from zero, x+ = A x + w, w of covariance ``noise``, after the next power of
+    two of ``samples``.
 
-    Of one A or of many (..., m, m). By doubling: the sum of A^k noise A^k' (a discrete Lyapunov equation where it
-    converges). Not finite where it grows beyond all numbers.
+    Of one A or of many (..., m, m). By doubling: the sum of A^k noise A^k' (a discrete Lyapunov
+    equation where it converges). Not finite where it grows beyond all numbers.
     """
     covariance, power = noise, a
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         for _ in range(max(samples - 1, 0).bit_length()):
-            covariance, power = covariance + power @ covariance @ np.swapaxes(power, -1, -2), power @ power
+            covariance, power = (
+                covariance + power @ covariance @ np.swapaxes(power, -1, -2),
+                power @ power,
+            )
     return covariance
 
 
 def _input_output(
-    gains: LoopGains, *, eta: np.ndarray, step: np.ndarray, euler: bool, kalman_gain: np.ndarray | None
+    gains: LoopGains,
+    *,
+    eta: np.ndarray,
+    step: np.ndarray,
+    euler: bool,
+    kalman_gain: np.ndarray | None,
 ) -> np.ndarray:
-    """[A, B, f] (n, m, m + 3) of one axis for n choices of gains, eta and step (n, 1), ``kalman_gain`` (1 or n, 3, 2).
+    """[A, B, f] (n, m, m + 3) of one axis for n choices of gains, eta and step (n, 1),
+    ``kalman_gain`` (1 or n, 3, 2).
 
-    One sample as a function of columns of states, noises and d; its matrices are its values on unit columns. In error
-    coordinates d^2e/dt^2 = -eta (t - d), where tau = Hhat (a_d + t).
+    One sample as a function of columns of states, noises and d; its matrices are its values on unit
+    columns. In error coordinates d^2e/dt^2 = -eta (t - d), where tau = Hhat (a_d + t).
     """
     size = 5 if kalman_gain is None else 7
     unit = np.eye(size + 3)[:, None, :]
@@ -271,8 +335,15 @@ def _input_output(
     e_m, v_m = e - e_noise, v - v_noise
     if kalman_gain is None:
         delayed_v = x[4]
-        # N(t - L): the measured acceleration of the last period, less what the force of that period should have given.
-        t = gains.k_v * v_m + gains.k_p * e_m + gains.k_i * total + (v_m - delayed_v) / step + delayed_t
+        # N(t - L): the measured acceleration of the last period, less what the force of that period
+        # should have given.
+        t = (
+            gains.k_v * v_m
+            + gains.k_p * e_m
+            + gains.k_i * total
+            + (v_m - delayed_v) / step
+            + delayed_t
+        )
         summed, estimator = e_m, [v_m]
     else:
         e_hat, v_hat, d_hat = x[4:]
@@ -301,13 +372,16 @@ def axis_loop(gains: LoopGains, *, sampling: Sampling, eta: np.ndarray | float =
     given = np.broadcast_arrays(gains.k_v, gains.k_p, gains.k_i, eta)
     k_v, k_p, k_i, ratio = (np.array(values, dtype=float).reshape(-1, 1) for values in given)
     columns = LoopGains(k_v=k_v, k_p=k_p, k_i=k_i)
-    found = _input_output(columns, eta=ratio, step=np.array([[period]]), euler=sampling.euler, kalman_gain=kalman_gain)
+    found = _input_output(
+        columns, eta=ratio, step=np.array([[period]]), euler=sampling.euler, kalman_gain=kalman_gain
+    )
     found = found.reshape(*given[0].shape, *found.shape[1:])
     size = found.shape[-2]
     # Where the sum of errors is not fed back, its pole at 1 is not part of the loop.
     keep = np.array([i for i in range(size) if i != 2 or k_i.any()])
     scale = np.tile(
-        [period**2, period, 1.0, 1.0, *((period,) if size == 5 else (period**2, period, 1.0))], (k_i.size, 1)
+        [period**2, period, 1.0, 1.0, *((period,) if size == 5 else (period**2, period, 1.0))],
+        (k_i.size, 1),
     )
     scale[:, 2:3] = np.divide(1.0, k_i, out=np.ones_like(k_i), where=k_i > 0.0)
     a, b, f = found[..., :size], found[..., size:-1], found[..., -1]

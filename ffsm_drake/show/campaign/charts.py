@@ -42,7 +42,9 @@ def _styles(findings: Findings) -> dict[str, Style]:
 def _bars(title: str, traces: Sequence[Trace], *, x: str, rows: int, **layout: Any) -> Panel:
     """Horizontal bars over the page's whole width, the first row at the top."""
     layout["yaxis"] = {"autorange": "reversed", "showgrid": False} | layout.get("yaxis", {})
-    return Panel(title=title, figure=figure(traces, x=x, y="", **layout), kind="full", height=90 + 40 * rows)
+    return Panel(
+        title=title, figure=figure(traces, x=x, y="", **layout), kind="full", height=90 + 40 * rows
+    )
 
 
 def _success(findings: Findings) -> Panel:
@@ -56,7 +58,13 @@ def _success(findings: Findings) -> Panel:
         "x": [100.0 * rate.value for rate in rates.values()],
         "y": [label_of(name) for name in rates],
         "marker": {"color": [styles[name].color for name in rates], "opacity": 0.6},
-        "error_x": {"type": "data", "symmetric": False, "array": above, "arrayminus": below, "color": NEUTRAL},
+        "error_x": {
+            "type": "data",
+            "symmetric": False,
+            "array": above,
+            "arrayminus": below,
+            "color": NEUTRAL,
+        },
         "hovertemplate": "%{y}: %{x:.2f} %<extra></extra>",
     }
     title = "Share of settled runs; the whiskers are the interval"
@@ -75,22 +83,47 @@ def _cumulative(findings: Findings, metric: str) -> Panel:
         traces, x=metric.upper(), y="settled [% of cases]", showlegend=True,
         xaxis=log_axis("~e" if metric == "itae" else "~g", ticks=3), yaxis=_SHARE,
     )  # fmt: skip
-    return Panel(title=f"Cases settled with at most a given {metric.upper()}", figure=shown, kind="chart")
+    return Panel(
+        title=f"Cases settled with at most a given {metric.upper()}", figure=shown, kind="chart"
+    )
 
 
 def _differences(findings: Findings) -> list[Panel]:
-    """Of every pair the distribution of the ITAE ratio on the same cases: quartiles and the middle 90 %."""
+    """Of every pair the distribution of the ITAE ratio on the same cases: quartiles and the middle
+    90 %.
+    """
     pairs = [item for item in findings.differences if item.ratios.size]
     if not pairs:
         return []
     levels = {"lowerfence": 0.05, "q1": 0.25, "median": 0.5, "q3": 0.75, "upperfence": 0.95}
-    boxes: Trace = {"type": "box", "orientation": "h", "line": {"color": BLUE, "width": 1.4}, "name": ""}
+    boxes: Trace = {
+        "type": "box",
+        "orientation": "h",
+        "line": {"color": BLUE, "width": 1.4},
+        "name": "",
+    }
     boxes["y"] = [f"{item.first} /<br>{item.second}" for item in pairs]
-    boxes |= {name: [float(np.quantile(item.ratios, level)) for item in pairs] for name, level in levels.items()}
-    one = {"type": "line", "x0": 1, "x1": 1, "y0": 0, "y1": 1, "yref": "paper", "line": {"width": 1, "color": NEUTRAL}}
-    title = "Ratio of ITAE on the same case (below 1: the first is more accurate): quartiles and the middle 90 %"
+    boxes |= {
+        name: [float(np.quantile(item.ratios, level)) for item in pairs]
+        for name, level in levels.items()
+    }
+    one = {
+        "type": "line",
+        "x0": 1,
+        "x1": 1,
+        "y0": 0,
+        "y1": 1,
+        "yref": "paper",
+        "line": {"width": 1, "color": NEUTRAL},
+    }
+    title = (
+        "Ratio of ITAE on the same case (below 1: the first is more accurate): quartiles and "
+        "the middle 90 %"
+    )
     x = "ratio of ITAE"
-    return [_bars(title, [boxes], x=x, rows=len(pairs), xaxis=log_axis("~g", ticks=3), shapes=[one])]
+    return [
+        _bars(title, [boxes], x=x, rows=len(pairs), xaxis=log_axis("~g", ticks=3), shapes=[one])
+    ]
 
 
 def _sensitivity(findings: Findings) -> Panel:
@@ -98,27 +131,45 @@ def _sensitivity(findings: Findings) -> Panel:
     names = findings.influential
     traces: list[Trace] = []
     for k, (controller, style) in enumerate(_styles(findings).items()):
-        items = {item.name: item for item in findings.sensitivities if item.controller == controller}
+        items = {
+            item.name: item for item in findings.sensitivities if item.controller == controller
+        }
         chance = [100.0 * items[name].chance for name in names]
-        traces.append({
-            "type": "bar",
-            "orientation": "h",
-            "name": label_of(controller),
-            "y": names,
-            "x": [100.0 * items[name].share for name in names],
-            "customdata": [[items[name].correlation, level] for name, level in zip(names, chance, strict=True)],
-            "marker": {"color": style.color, "opacity": [1.0 if items[name].matters else 0.35 for name in names]},
-            "offsetgroup": str(k),
-            "hovertemplate": "%{y}: %{x:.1f} % (chance %{customdata[1]:.1f} %), rank correlation %{customdata[0]:.2f}",
-        })  # fmt: skip
+        traces.append(
+            {
+                "type": "bar",
+                "orientation": "h",
+                "name": label_of(controller),
+                "y": names,
+                "x": [100.0 * items[name].share for name in names],
+                "customdata": [
+                    [items[name].correlation, level]
+                    for name, level in zip(names, chance, strict=True)
+                ],
+                "marker": {
+                    "color": style.color,
+                    "opacity": [1.0 if items[name].matters else 0.35 for name in names],
+                },
+                "offsetgroup": str(k),
+                "hovertemplate": "%{y}: %{x:.1f} % (chance %{customdata[1]:.1f} %), rank "
+                "correlation "
+                "%{customdata[0]:.2f}",
+            }
+        )
     return _bars(
-        "Share of the variance of failure that a value explains by itself; pale: no more than chance", traces,
-        x="explained variance of failure [%]", rows=1 + len(names) * max(1, len(traces) // 2), showlegend=True,
-    )  # fmt: skip
+        "Share of the variance of failure that a value explains by itself; pale: no more than "
+        "chance",
+        traces,
+        x="explained variance of failure [%]",
+        rows=1 + len(names) * max(1, len(traces) // 2),
+        showlegend=True,
+    )
 
 
 def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str, str, str]]:
-    """The runs to tell apart: mask, label, color and symbol; failed ones by the first limit that they left."""
+    """The runs to tell apart: mask, label, color and symbol; failed ones by the first limit that
+    they left.
+    """
     failed = ~runs.settled
     marked = [(runs.settled, "settled", SETTLED, "circle")]
     if runs.first_limit is None:
@@ -127,14 +178,21 @@ def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str
     for limit, count in limits_of(runs).items():
         which = failed & ~refused & (runs.first_limit == limit)
         marked.append((which, f"{limit or 'no limit left'}: {count}", colors[limit], "x"))
-    return [*marked, (refused, f"no plan within the limits: {refused.sum()}", NEUTRAL, "triangle-up")]
+    return [
+        *marked,
+        (refused, f"no plan within the limits: {refused.sum()}", NEUTRAL, "triangle-up"),
+    ]
 
 
 def limits_of(runs: Runs) -> dict[str, int]:
-    """The limits that failed runs left first, "" for none, and how many; the most frequent first."""
+    """The limits that failed runs left first, "" for none, and how many; the most frequent
+    first.
+    """
     if runs.first_limit is None:
         return {}
-    failed = runs.first_limit[~runs.settled & (runs.outcome != "refused") & (runs.outcome != "error")]
+    failed = runs.first_limit[
+        ~runs.settled & (runs.outcome != "refused") & (runs.outcome != "error")
+    ]
     names, counts = np.unique(failed, return_counts=True)
     return {str(names[i]): int(counts[i]) for i in np.argsort(-counts, kind="stable")}
 

@@ -10,8 +10,21 @@ from typing import Any
 
 import yaml
 
-from ffsm_drake.campaign.evaluate import OUTCOMES, frame_parts, has_actuators, hidden_units, undriven_of
-from ffsm_drake.campaign.statistics import CONFIDENCE, Findings, Interval, find, quantiles, worst_runs
+from ffsm_drake.campaign.evaluate import (
+    OUTCOMES,
+    frame_parts,
+    has_actuators,
+    hidden_units,
+    undriven_of,
+)
+from ffsm_drake.campaign.statistics import (
+    CONFIDENCE,
+    Findings,
+    Interval,
+    find,
+    quantiles,
+    worst_runs,
+)
 from ffsm_drake.campaign.store import Store
 from ffsm_drake.common.errors import CampaignError, RecordError, one_line
 from ffsm_drake.common.files import write_text
@@ -88,7 +101,8 @@ def write_report(
       progress: called with (done, total) controllers of the map.
 
     Raises:
-      CampaignError: the database holds no result, an axis is no sampled number, or the directory cannot be written.
+      CampaignError: the database holds no result, an axis is no sampled number, or the directory
+        cannot be written.
     """
     if store.num_results() == 0:
         raise CampaignError(f"{store.path}: holds no result yet")
@@ -116,8 +130,14 @@ def summary_text(findings: Findings) -> str:
 
     totals = [str(sum(getattr(item, name) for item in findings.agreement)) for name in _PREDICTED]
     outcomes = [["", "settled", "not settled"]]
-    names = ("stable", "unstable") if findings.spec.base["capture"] is None else ("to settle", "to fail")
-    outcomes += [[f"predicted {name}", *totals[at : at + 2]] for name, at in zip(names, (0, 2), strict=True)]
+    names = (
+        ("stable", "unstable")
+        if findings.spec.base["capture"] is None
+        else ("to settle", "to fail")
+    )
+    outcomes += [
+        [f"predicted {name}", *totals[at : at + 2]] for name, at in zip(names, (0, 2), strict=True)
+    ]
     return "\n".join([*aligned(rates), "", *aligned(outcomes)])
 
 
@@ -140,10 +160,14 @@ def _page(store: Store, findings: Findings) -> str:
         "confidence": f"{100.0 * CONFIDENCE:.0f}",
         "success": [
             [
-                label_of(name), percent(rate.value), _between(rate),
+                label_of(name),
+                percent(rate.value),
+                _between(rate),
                 *(int((runs.outcome == kind).sum()) for kind in OUTCOMES),
             ]
-            for (name, rate), runs in zip(findings.success.items(), table.runs.values(), strict=True)
+            for (name, rate), runs in zip(
+                findings.success.items(), table.runs.values(), strict=True
+            )
         ],
         "metrics": [
             (
@@ -164,34 +188,53 @@ def _page(store: Store, findings: Findings) -> str:
         "has_capture": spec.base["capture"] is not None,
         "differences": [
             [
-                f"{label_of(d.first)} against {label_of(d.second)}", *_value_and_interval(d.success, "{:+.1f}", 100.0),
-                *_value_and_interval(d.itae_ratio, "{:.3g}"), d.both,
+                f"{label_of(d.first)} against {label_of(d.second)}",
+                *_value_and_interval(d.success, "{:+.1f}", 100.0),
+                *_value_and_interval(d.itae_ratio, "{:.3g}"),
+                d.both,
             ]
             for d in findings.differences
         ],
         "sensitivities": [
-            ([s.name, label_of(s.controller), percent(s.share), percent(s.chance), _plain(s.correlation)], s.matters)
+            (
+                [
+                    s.name,
+                    label_of(s.controller),
+                    percent(s.share),
+                    percent(s.chance),
+                    _plain(s.correlation),
+                ],
+                s.matters,
+            )
             for name in findings.influential
             for s in findings.sensitivities
             if s.name == name
         ],
         "agreement": [
-            [label_of(one.controller), *(getattr(one, name) for name in _PREDICTED), percent(one.share)]
+            [
+                label_of(one.controller),
+                *(getattr(one, name) for name in _PREDICTED),
+                percent(one.share),
+            ]
             for one in findings.agreement
         ],
         "worst": _worst(store, findings),
         "map": findings.map,
-        "fixed": {} if findings.map is None else {name: _plain(value) for name, value in findings.map.fixed.items()},
+        "fixed": {}
+        if findings.map is None
+        else {name: _plain(value) for name, value in findings.map.fixed.items()},
         "views": views,
         "plots": embedded(views),
         "specification": yaml.safe_dump(
-            {key: value for key, value in spec.data.items() if key != "base"}, sort_keys=False, allow_unicode=True
+            {key: value for key, value in spec.data.items() if key != "base"},
+            sort_keys=False,
+            allow_unicode=True,
         ),
         "software": [row[0] for row in store.query("SELECT versions FROM software ORDER BY id")],
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "database": store.path.name,
         "fingerprint": spec.fingerprint,
-    }  # fmt: skip
+    }
     return render("campaign.html.j2", content)
 
 
@@ -205,14 +248,21 @@ def _worst(store: Store, findings: Findings) -> list[tuple[list[Any], str]]:
             message = row["message"] or f"final joint error {row['final_error_joints']:.3g} rad"
             values = ", ".join(f"{key} {_plain(row[key])}" for key in findings.influential)
             command = f"ffsm campaign rerun {store.path} --case {case} --controller {name}"
-            rows.append(([label_of(name), case, runs.outcome[place].replace("_", " "), message, values], command))
+            rows.append(
+                (
+                    [label_of(name), case, runs.outcome[place].replace("_", " "), message, values],
+                    command,
+                )
+            )
     return rows
 
 
 def _value_and_interval(interval: Interval | None, form: str, factor: float = 1.0) -> list[str]:
     if interval is None:
         return [NONE, NONE]
-    value, low, high = (form.format(factor * x) for x in (interval.value, interval.low, interval.high))
+    value, low, high = (
+        form.format(factor * x) for x in (interval.value, interval.low, interval.high)
+    )
     return [value, f"{low} … {high}"]
 
 
@@ -222,7 +272,11 @@ def _between(interval: Interval) -> str:
 
 def _spread(values: tuple[float, float, float]) -> str:
     low, middle, high = values
-    return NONE if math.isnan(middle) else f"{number(middle, 3)} ({number(low, 3)} … {number(high, 3)})"
+    return (
+        NONE
+        if math.isnan(middle)
+        else (f"{number(middle, 3)} ({number(low, 3)} … {number(high, 3)})")
+    )
 
 
 def _plain(value: Any) -> str:

@@ -20,12 +20,18 @@ def tidy(axes: Axes) -> None:
 def legend_below(figure: Figure | SubFigure, axes: Axes, *, columns: int = 3) -> None:
     """The panel's legend below it, where it hides no curve."""
     figure.legend(
-        *axes.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=columns, frameon=False
+        *axes.get_legend_handles_labels(),
+        fontsize=8,
+        loc="outside lower center",
+        ncols=columns,
+        frameon=False,
     )
 
 
 def plain(text: object) -> str:
-    """A user's text for a label of Matplotlib's, which takes what stands between dollar signs for mathematics."""
+    """A user's text for a label of Matplotlib's, which takes what stands between dollar signs for
+    mathematics.
+    """
     return str(text).replace("$", r"\$")
 
 
@@ -36,7 +42,9 @@ def set_log_scale(axes: Axes) -> None:
     if high > 30.0 * low:
         axes.yaxis.set_major_locator(LogLocator(numticks=4))
     else:
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 10.0 * low else (1.0, 3.0)))
+        axes.yaxis.set_major_locator(
+            LogLocator(subs=(1.0, 2.0, 5.0) if high < 10.0 * low else (1.0, 3.0))
+        )
         axes.yaxis.set_major_formatter(FuncFormatter(_tick_label))
     axes.yaxis.set_minor_locator(NullLocator())
 

@@ -9,38 +9,67 @@ from ffsm_drake.show.style import BLUE, GREEN, GREY, GROUP_TITLES, VERMILION, la
 
 
 def plot_design(found: Design) -> Figure:
-    """The front of accuracy against effort, the least possible, and the given and the published gains."""
+    """The front of accuracy against effort, the least possible, and the given and the published
+    gains.
+    """
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     scenario = found.chosen.scenario
     figure.suptitle(
-        f"Predicted accuracy against effort: {plain(label_of(scenario.controller))}, {plain(scenario.description)}",
+        f"Predicted accuracy against effort: {plain(label_of(scenario.controller))}, "
+        f"{plain(scenario.description)}",
         fontsize=11,
     )
-    names, coordinates = list(found.chosen.prediction.by_group()), found.chosen.prediction.coordinates
+    names, coordinates = (
+        list(found.chosen.prediction.by_group()),
+        found.chosen.prediction.coordinates,
+    )
     panels = figure.subplots(1, len(names), squeeze=False)[0]
-    points = [("chosen", found.chosen.prediction, "*", VERMILION), ("as it was", found.given.prediction, "s", GREEN)]
+    points = [
+        ("chosen", found.chosen.prediction, "*", VERMILION),
+        ("as it was", found.given.prediction, "s", GREEN),
+    ]
     if found.published is not None:
         points.append(("published gains and estimate", found.published, "X", GREY))
     for axes, name in zip(panels, names, strict=True):
         least = np.sqrt(np.mean(found.limit.front_error[:, coordinates.groups[name]] ** 2, axis=1))
-        axes.loglog(found.limit.front_excess, least, "-", color="black", label="least possible (LQG)")
+        axes.loglog(
+            found.limit.front_excess, least, "-", color="black", label="least possible (LQG)"
+        )
         if found.front:
             extra = [point.isv - found.ideal_isv for point in found.front]
-            axes.loglog(extra, [point.rms_error[name] for point in found.front], "o-", color=BLUE, label="front")
+            axes.loglog(
+                extra,
+                [point.rms_error[name] for point in found.front],
+                "o-",
+                color=BLUE,
+                label="front",
+            )
         for label, prediction, marker, color in points:
             if np.isfinite(prediction.isv):
                 axes.loglog(
-                    max(prediction.isv - found.ideal_isv, 1e-3), prediction.by_group()[name], marker, color=color,
-                    markersize=13 if marker == "*" else 8, linestyle="none", label=label,
-                )  # fmt: skip
+                    max(prediction.isv - found.ideal_isv, 1e-3),
+                    prediction.by_group()[name],
+                    marker,
+                    color=color,
+                    markersize=13 if marker == "*" else 8,
+                    linestyle="none",
+                    label=label,
+                )
         axes.axvline(
-            max(found.requirement.budget - found.ideal_isv, 1e-3), color="black", linestyle="--", linewidth=0.8
+            max(found.requirement.budget - found.ideal_isv, 1e-3),
+            color="black",
+            linestyle="--",
+            linewidth=0.8,
         )
         axes.set(title=GROUP_TITLES[name], xlabel="ISV above perfect tracking")
         tidy(axes)
         axes.margins(0.08)
     panels[0].set_ylabel("rms error after 5 s [rad or m]")
     figure.legend(
-        *panels[-1].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, fontsize=9
+        *panels[-1].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=4,
+        frameon=False,
+        fontsize=9,
     )
     return figure

@@ -8,18 +8,34 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.figures.axes import plain, tidy
 from ffsm_drake.show.style import GREY, GROUP_TITLES, NEUTRAL, SERIES
 
-_UNITS = {"base_rotation": ("N m", "rad/s"), "base_position": ("N", "m/s"), "joints": ("N m or N", "rad/s or m/s")}
+_UNITS = {
+    "base_rotation": ("N m", "rad/s"),
+    "base_position": ("N", "m/s"),
+    "joints": ("N m or N", "rad/s or m/s"),
+}
 
 
 def plot_plan(found: PlannedMotionReport, scenario: Scenario) -> Figure:
-    """Forces (above) and rates (below) by group, with their limits and the instant at which the plan ends."""
+    """Forces (above) and rates (below) by group, with their limits and the instant at which the
+    plan ends.
+    """
     figure = Figure(figsize=(12.0, 6.4), layout="constrained")
-    least = f", at least {found.least_by_torque:.2f} s by base torque alone" if found.least_by_torque > 0.0 else ""
-    figure.suptitle(f"{plain(scenario.description)}: {found.plan.duration:.3f} s to rest{least}", fontsize=11)
+    least = (
+        f", at least {found.least_by_torque:.2f} s by base torque alone"
+        if found.least_by_torque > 0.0
+        else ""
+    )
+    figure.suptitle(
+        f"{plain(scenario.description)}: {found.plan.duration:.3f} s to rest{least}", fontsize=11
+    )
     names = found.plan.coordinates
     num_positions = found.rows.shape[1] - 2 * len(names)
     rates = found.rows[:, num_positions : num_positions + len(names)]
-    groups = {"base_rotation": slice(0, 3), "base_position": slice(3, 6), "joints": slice(6, len(names))}
+    groups = {
+        "base_rotation": slice(0, 3),
+        "base_position": slice(3, 6),
+        "joints": slice(6, len(names)),
+    }
     panels = figure.subplots(2, 3, sharex=True)
     for column, (group, part) in enumerate(groups.items()):
         for axes, values, limits, unit, what in (

@@ -1,4 +1,6 @@
-"""Matplotlib figures of one run, or of several runs overlaid. Each function returns a Figure; nothing is shown."""
+"""Matplotlib figures of one run, or of several runs overlaid. Each function returns a Figure;
+nothing is shown.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +15,14 @@ from ffsm_drake.common.files import written_whole
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.curves import completed_range, moving_rms
 from ffsm_drake.show.figures.axes import LARGEST, plain, set_log_scale, tidy
-from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES, SERIES, VERMILION, labels_of, styles_of
+from ffsm_drake.show.style import (
+    EFFORT_UNITS,
+    GROUP_TITLES,
+    SERIES,
+    VERMILION,
+    labels_of,
+    styles_of,
+)
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION
 
 _STARTING_STEPS = 5
@@ -42,11 +51,16 @@ def save_figures(records: Sequence[RunRecord], directory: Path) -> list[Path]:
 
 
 def plot_trajectories(record: RunRecord) -> Figure:
-    """The paper's Figure 3: end effector in task space, base attitude, base position, joints; reference dashed."""
+    """The paper's Figure 3: end effector in task space, base attitude, base position, joints;
+    reference dashed.
+    """
     data = record.dataset
     figure = _figure(record, "Planned and tracked trajectories", (11.0, 8.0))
     space = figure.add_subplot(2, 2, 1, projection="3d")
-    path, desired = data["end_effector_position"].values, data["desired_end_effector_position"].values
+    path, desired = (
+        data["end_effector_position"].values,
+        data["desired_end_effector_position"].values,
+    )
     space.plot(*path.T, color=VERMILION, linewidth=2, label="end effector")
     space.plot(*desired.T, color="black", linestyle="--", linewidth=1, label="reference")
     space.scatter(*path[0], color="black", marker="o", s=25, label="start")
@@ -77,7 +91,13 @@ def plot_trajectories(record: RunRecord) -> Figure:
         axes = figure.add_subplot(2, 2, number)
         actual, reference = (factor * part.values for part in motion)
         for k, name in enumerate(names):
-            axes.plot(data["time"], actual[:, k], color=SERIES[k % len(SERIES)], linewidth=2, label=plain(name))
+            axes.plot(
+                data["time"],
+                actual[:, k],
+                color=SERIES[k % len(SERIES)],
+                linewidth=2,
+                label=plain(name),
+            )
             axes.plot(data["time"], reference[:, k], color="black", linestyle="--", linewidth=1)
         axes.set(xlabel="time [s]", ylabel=label, title=title)
         axes.legend(fontsize=8)
@@ -88,8 +108,9 @@ def plot_trajectories(record: RunRecord) -> Figure:
 def plot_errors(records: Sequence[RunRecord]) -> Figure:
     """Tracking error of every coordinate, runs overlaid (the paper's Figure 4).
 
-    Two panels each: the error itself, and below it the rms of the error over one second on a logarithmic axis, where
-    controllers whose errors differ by orders of magnitude, or hide in each other's noise, can be told apart.
+    Two panels each: the error itself, and below it the rms of the error over one second on a
+    logarithmic axis, where controllers whose errors differ by orders of magnitude, or hide in each
+    other's noise, can be told apart.
     """
     errors = [record.dataset["error"].values for record in records]
     units = {unit: f"error [{unit}]" for unit in EFFORT_UNITS}
@@ -99,18 +120,23 @@ def plot_errors(records: Sequence[RunRecord]) -> Figure:
 def plot_efforts(records: Sequence[RunRecord]) -> Figure:
     """Control force or torque of every coordinate, runs overlaid (the paper's Figure 5).
 
-    Two panels each: the force itself, the roughest run behind the others, and below it the rms over one second of
-    its change from one control sample to the next, on a logarithmic axis: noise and chattering without the motion.
+    Two panels each: the force itself, the roughest run behind the others, and below it the rms over
+    one second of its change from one control sample to the next, on a logarithmic axis: noise and
+    chattering without the motion.
     """
     efforts = [record.dataset["generalized_force"].values for record in records]
     # Without the first steps, in which the loop finds the force from nothing.
     steps = [np.diff(effort, axis=0)[_STARTING_STEPS:] for effort in efforts]
     labels = {"rad": "torque [N m]", "m": "force [N]"}
-    return _plot_coordinates(records, efforts, steps, "Control forces and torques", labels, lower_label="rms step")
+    return _plot_coordinates(
+        records, efforts, steps, "Control forces and torques", labels, lower_label="rms step"
+    )
 
 
 def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
-    """K_s and G of every coordinate over time, a column for each run that adapts them; None where none does."""
+    """K_s and G of every coordinate over time, a column for each run that adapts them; None where
+    none does.
+    """
     kinds = {"reaching_gain": "$K_s$ [1/s]", "switching_gain": "$G$ [rad/s$^2$, m/s$^2$]"}
     adaptive = [record for record in records if any(kind in record.dataset for kind in kinds)]
     if not adaptive:
@@ -122,14 +148,29 @@ def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
     for column, record in enumerate(adaptive):
         for axes, (kind, label) in zip(panels[:, column], kinds.items(), strict=True):
             if kind not in record.dataset:
-                axes.text(0.5, 0.5, "constant or absent", ha="center", va="center", transform=axes.transAxes)
+                axes.text(
+                    0.5,
+                    0.5,
+                    "constant or absent",
+                    ha="center",
+                    va="center",
+                    transform=axes.transAxes,
+                )
                 axes.set_axis_off()
                 continue
             series = record.dataset[kind]
             handles = []
-            for k, (name, group) in enumerate(zip(series["coordinate"].values, series["group"].values, strict=True)):
-                look = {"color": SERIES[k % len(SERIES)], "linestyle": dashes[str(group)], "linewidth": 1.4}
-                handles += axes.plot(record.dataset["time"], series.values[:, k], label=plain(name), **look)
+            for k, (name, group) in enumerate(
+                zip(series["coordinate"].values, series["group"].values, strict=True)
+            ):
+                look = {
+                    "color": SERIES[k % len(SERIES)],
+                    "linestyle": dashes[str(group)],
+                    "linewidth": 1.4,
+                }
+                handles += axes.plot(
+                    record.dataset["time"], series.values[:, k], label=plain(name), **look
+                )
             axes.set(ylabel=label)
             if axes is panels[0, column]:
                 axes.set_title(plain(labels_of(adaptive)[column]))
@@ -148,11 +189,18 @@ def _plot_coordinates(
     *,
     lower_label: str = "rms",
 ) -> Figure:
-    """Of each coordinate every run's upper values (n, nv), and below them the rms of the lower ones (its last rows)."""
-    coordinates, kinds = (records[0].dataset[name].values.astype(str) for name in ("coordinate", "unit"))
-    upper, lower = ([np.where(np.abs(one) < LARGEST, one, np.nan) for one in part] for part in (upper, lower))
+    """Of each coordinate every run's upper values (n, nv), and below them the rms of the lower ones
+    (its last rows).
+    """
+    coordinates, kinds = (
+        records[0].dataset[name].values.astype(str) for name in ("coordinate", "unit")
+    )
+    upper, lower = (
+        [np.where(np.abs(one) < LARGEST, one, np.nan) for one in part] for part in (upper, lower)
+    )
     magnitudes = [
-        moving_rms(values, record.scenario.sample_time) for record, values in zip(records, lower, strict=True)
+        moving_rms(values, record.scenario.sample_time)
+        for record, values in zip(records, lower, strict=True)
     ]
     styles = styles_of([record.scenario.controller for record in records])
     labels = [
@@ -168,7 +216,14 @@ def _plot_coordinates(
     height = 3.1 * rows + 1.1
     figure = _figure(records[0], title, (12.0, height), layout=None)
     grid = figure.add_gridspec(
-        rows, columns, left=0.075, right=0.985, bottom=0.55 / height, top=1.0 - 1.05 / height, wspace=0.3, hspace=0.3
+        rows,
+        columns,
+        left=0.075,
+        right=0.985,
+        bottom=0.55 / height,
+        top=1.0 - 1.05 / height,
+        wspace=0.3,
+        hspace=0.3,
     )
     for k, name in enumerate(coordinates):
         cell = grid[k // columns, k % columns].subgridspec(2, 1, height_ratios=(3, 2), hspace=0.12)
@@ -176,16 +231,30 @@ def _plot_coordinates(
         lower_axes = figure.add_subplot(cell[1], sharex=upper_axes)
         for i in order:
             time, magnitude = records[i].dataset["time"].values, magnitudes[i]
-            # Dashes would drown in the noise. As pixels, because a vector graphic of it would be megabytes.
+            # Dashes would drown in the noise. As pixels, because a vector graphic of it would be
+            # megabytes.
             upper_axes.plot(
-                time, upper[i][:, k], drawstyle="steps-post", color=styles[i].color, linewidth=0.7, rasterized=True
+                time,
+                upper[i][:, k],
+                drawstyle="steps-post",
+                color=styles[i].color,
+                linewidth=0.7,
+                rasterized=True,
             )
             later = time[len(time) - len(lower[i]) :][: len(magnitude)]
-            lower_axes.plot(later, magnitude[:, k], linewidth=1.3, label=labels[i], **styles[i].matplotlib)
+            lower_axes.plot(
+                later, magnitude[:, k], linewidth=1.3, label=labels[i], **styles[i].matplotlib
+            )
         completed = [record.outcome.completed for record in records]
-        if (shown := completed_range([(done, v[:, k]) for done, v in zip(completed, upper, strict=True)])) is not None:
+        if (
+            shown := completed_range(
+                [(done, v[:, k]) for done, v in zip(completed, upper, strict=True)]
+            )
+        ) is not None:
             upper_axes.set_ylim(*shown)
-        upper_axes.set_title(f"({chr(ord('a') + k)}) {plain(name.replace('_', ' '))}", fontsize=10, loc="left")
+        upper_axes.set_title(
+            f"({chr(ord('a') + k)}) {plain(name.replace('_', ' '))}", fontsize=10, loc="left"
+        )
         upper_axes.set_ylabel(units[kinds[k]], fontsize=8)
         upper_axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3), useMathText=True)
         upper_axes.yaxis.get_offset_text().set_fontsize(8)
@@ -207,7 +276,11 @@ def _plot_coordinates(
 
 
 def _figure(
-    record: RunRecord, title: str, size: tuple[float, float], *, layout: Literal["constrained"] | None = "constrained"
+    record: RunRecord,
+    title: str,
+    size: tuple[float, float],
+    *,
+    layout: Literal["constrained"] | None = "constrained",
 ) -> Figure:
     figure = Figure(figsize=size, layout=layout)
     # Only where it finds the title itself does the constrained layout keep room for it.
@@ -216,5 +289,7 @@ def _figure(
     description = plain(record.scenario.description)
     if not record.outcome.completed:
         description = f"{description}. {plain(record.outcome.message)}"
-    figure.text(0.5, 1.0 - 0.4 / size[1], description, ha="center", va="top", fontsize=9, color="#444444")
+    figure.text(
+        0.5, 1.0 - 0.4 / size[1], description, ha="center", va="top", fontsize=9, color="#444444"
+    )
     return figure

@@ -14,8 +14,11 @@ _NOZZLE_COLOR, _PLUME_COLOR = Rgba(0.55, 0.57, 0.62, 1.0), Rgba(1.0, 0.93, 0.65,
 _WHEEL_COLOR = Rgba(0.55, 0.95, 0.75, 0.55)
 
 
-def draw_thrusters(meshcat: Meshcat, base: str, thrusters: Mapping[str, Thruster], *, longest: float) -> None:
-    """Add nozzles where thrusters are, their mouths along the plumes, of lengths as the cube root of the force.
+def draw_thrusters(
+    meshcat: Meshcat, base: str, thrusters: Mapping[str, Thruster], *, longest: float
+) -> None:
+    """Add nozzles where thrusters are, their mouths along the plumes, of lengths as the cube root
+    of the force.
 
     Args:
       base: path of the base in Meshcat's tree.
@@ -28,11 +31,15 @@ def draw_thrusters(meshcat: Meshcat, base: str, thrusters: Mapping[str, Thruster
         length = _NOZZLE * longest * (unit.force / strongest) ** (1.0 / 3.0)
         path, width = f"{base}/thrusters/{name}", 0.45 * length
         meshcat.SetObject(path, MeshcatCone(length, width, width), _NOZZLE_COLOR)
-        meshcat.SetTransform(path, _along(-np.array(unit.direction, dtype=float), np.array(unit.position)))
+        meshcat.SetTransform(
+            path, _along(-np.array(unit.direction, dtype=float), np.array(unit.position))
+        )
 
 
 def draw_wheels(meshcat: Meshcat, base: str, wheels: Wheels, *, longest: float) -> None:
-    """Add a disc for each wheel on its axis, seen through the base. Arguments as for ``draw_thrusters``."""
+    """Add a disc for each wheel on its axis, seen through the base. Arguments as for
+    ``draw_thrusters``.
+    """
     for name, unit in wheels.units.items():
         path, axis = f"{base}/wheels/{name}", np.array(unit.axis, dtype=float)
         center = 2.0 * _WHEEL * longest * axis / np.linalg.norm(axis)
@@ -46,9 +53,17 @@ class Plumes:
     """A plume at each nozzle, seen in the pictures in whose time its thruster is open."""
 
     def __init__(
-        self, meshcat: Meshcat, base: str, thrusters: Mapping[str, Thruster], opened: np.ndarray, *, longest: float
+        self,
+        meshcat: Meshcat,
+        base: str,
+        thrusters: Mapping[str, Thruster],
+        opened: np.ndarray,
+        *,
+        longest: float,
     ) -> None:
-        """Args as for ``draw_thrusters``, and the share of each sample for which each is open (samples, thrusters)."""
+        """Args as for ``draw_thrusters``, and the share of each sample for which each is open
+        (samples, thrusters).
+        """
         self._meshcat, self._open = meshcat, opened > 0.0
         self._paths = [f"{base}/plumes/{name}" for name in thrusters]
         # What was shown last, apart in a recording, which has its own beginning.
@@ -56,10 +71,14 @@ class Plumes:
         length = _PLUME * longest
         for path, unit in zip(self._paths, thrusters.values(), strict=True):
             meshcat.SetObject(path, MeshcatCone(length, 0.18 * length, 0.18 * length), _PLUME_COLOR)
-            meshcat.SetTransform(path, _along(-np.array(unit.direction, dtype=float), np.array(unit.position)))
+            meshcat.SetTransform(
+                path, _along(-np.array(unit.direction, dtype=float), np.array(unit.position))
+            )
 
     def show(self, first: int, count: int, *, time_in_recording: float | None = None) -> None:
-        """Show those that are open in any of ``count`` samples from ``first`` on; only what changes is told."""
+        """Show those that are open in any of ``count`` samples from ``first`` on; only what changes
+        is told.
+        """
         now = np.atleast_1d(self._open[first : first + count].any(axis=0))
         last = self._last.get(time_in_recording is not None, ~now)
         for i in np.flatnonzero(now != last):

@@ -41,9 +41,20 @@ class ArrowKind:
 
 ARROW_KINDS = (
     ArrowKind("control force", "applied_force", "base_position", "N", "green", (0.25, 0.90, 0.35)),
-    ArrowKind("control torque", "applied_force", "base_rotation", "N m", "blue", (0.25, 0.60, 1.00)),
-    ArrowKind("disturbance force", "disturbance_force", "base_position", "N", "red", (1.00, 0.25, 0.20)),
-    ArrowKind("disturbance torque", "disturbance_force", "base_rotation", "N m", "pink", (1.00, 0.45, 0.85)),
+    ArrowKind(
+        "control torque", "applied_force", "base_rotation", "N m", "blue", (0.25, 0.60, 1.00)
+    ),
+    ArrowKind(
+        "disturbance force", "disturbance_force", "base_position", "N", "red", (1.00, 0.25, 0.20)
+    ),
+    ArrowKind(
+        "disturbance torque",
+        "disturbance_force",
+        "base_rotation",
+        "N m",
+        "pink",
+        (1.00, 0.45, 0.85),
+    ),
 )
 
 
@@ -51,18 +62,32 @@ class Arrow:
     """One arrow in Meshcat that nothing hides."""
 
     def __init__(
-        self, meshcat: Meshcat, path: str, *, size: float, color: tuple[float, float, float], heads: int = 1
+        self,
+        meshcat: Meshcat,
+        path: str,
+        *,
+        size: float,
+        color: tuple[float, float, float],
+        heads: int = 1,
     ) -> None:
-        """Add an arrow of no particular direction; ``size`` (m), the length of a long one, gives it its thickness."""
+        """Add an arrow of no particular direction; ``size`` (m), the length of a long one, gives it
+        its thickness.
+        """
         self._meshcat = meshcat
         self._path = path
         self._head = 0.12 * size
         width = 0.012 * size
-        # Along +z, with a shaft of 1 m that is scaled; Drake's cone has its point at the origin and opens along +z.
+        # Along +z, with a shaft of 1 m that is scaled; Drake's cone has its point at the origin and
+        # opens along +z.
         parts = {f"{path}/shaft/cylinder": (Cylinder(width, 1.0), RigidTransform([0.0, 0.0, 0.5]))}
         for i in range(heads):
-            pose = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0.0, 0.0, -0.6 * self._head * i])
-            parts[f"{path}/tip/head/cone_{i}"] = (MeshcatCone(self._head, 3.0 * width, 3.0 * width), pose)
+            pose = RigidTransform(
+                RotationMatrix.MakeXRotation(np.pi), [0.0, 0.0, -0.6 * self._head * i]
+            )
+            parts[f"{path}/tip/head/cone_{i}"] = (
+                MeshcatCone(self._head, 3.0 * width, 3.0 * width),
+                pose,
+            )
         for part, (shape, pose) in parts.items():
             meshcat.SetObject(part, shape, Rgba(*color, 1.0))
             meshcat.SetTransform(part, pose)
@@ -70,34 +95,55 @@ class Arrow:
             meshcat.SetProperty(f"{part}/<object>", "renderOrder", 1.0)  # after the spacecraft
 
     def show(
-        self, tail: np.ndarray, direction: np.ndarray, length: float, *, time_in_recording: float | None = None
+        self,
+        tail: np.ndarray,
+        direction: np.ndarray,
+        length: float,
+        *,
+        time_in_recording: float | None = None,
     ) -> None:
-        """Show it from its tail (3; world frame) along a unit vector (3); a length (m) of zero hides it."""
+        """Show it from its tail (3; world frame) along a unit vector (3); a length (m) of zero
+        hides it.
+        """
         # A short arrow has a small head, so that it does not look longer than it is.
         head = max(_NOTHING, min(1.0, length / (2.0 * self._head)))
         shaft = max(_NOTHING, length - 0.5 * head * self._head)
         pose = RigidTransform(RotationMatrix.MakeFromOneVector(direction, 2), tail)
         self._meshcat.SetTransform(self._path, pose, time_in_recording)
-        self._meshcat.SetProperty(f"{self._path}/shaft", "scale", [head, head, shaft], time_in_recording)
-        self._meshcat.SetTransform(f"{self._path}/tip", RigidTransform([0.0, 0.0, length]), time_in_recording)
+        self._meshcat.SetProperty(
+            f"{self._path}/shaft", "scale", [head, head, shaft], time_in_recording
+        )
+        self._meshcat.SetTransform(
+            f"{self._path}/tip", RigidTransform([0.0, 0.0, length]), time_in_recording
+        )
         self._meshcat.SetProperty(f"{self._path}/tip/head", "scale", [head] * 3, time_in_recording)
 
 
 class ForceArrows:
-    """The base's control force and torque and its disturbance in Meshcat, one arrow each (``ARROW_KINDS``).
+    """The base's control force and torque and its disturbance in Meshcat, one arrow each
+    (``ARROW_KINDS``).
 
-    The run's largest control force is as long as the base's longest edge, and so is its largest control torque. A
-    disturbance has the scale of its control times a round ``magnification``, because it may be far smaller. A torque's
-    arrow has two heads and points along its axis. Each starts where its line through the base's origin leaves the base
-    (a torque's a little above), and nothing hides it.
+    The run's largest control force is as long as the base's longest edge, and so is its largest
+    control torque. A disturbance has the scale of its control times a round ``magnification``,
+    because it may be far smaller. A torque's arrow has two heads and points along its axis. Each
+    starts where its line through the base's origin leaves the base (a torque's a little above), and
+    nothing hides it.
     """
 
     def __init__(
-        self, meshcat: Meshcat, dataset: "xr.Dataset", plant: MultibodyPlant, inspector: SceneGraphInspector
+        self,
+        meshcat: Meshcat,
+        dataset: "xr.Dataset",
+        plant: MultibodyPlant,
+        inspector: SceneGraphInspector,
     ) -> None:
         self._position = dataset["position"].values
         self._vectors = [
-            _finite_rows(dataset[kind.variable].sel(coordinate=[f"{kind.coordinates}_{axis}" for axis in "xyz"]).values)
+            _finite_rows(
+                dataset[kind.variable]
+                .sel(coordinate=[f"{kind.coordinates}_{axis}" for axis in "xyz"])
+                .values
+            )
             for kind in ARROW_KINDS
         ]
         self.peaks = [float(np.linalg.norm(vectors, axis=1).max()) for vectors in self._vectors]
@@ -105,13 +151,20 @@ class ForceArrows:
         self._longest = 2.0 * float(self._box_half_width.max())
         self.magnifications: list[int] = []
         self._scales: list[float] = []  # m per N or N m
-        control = self.peaks[:2] * 2  # force and torque, whose scales the disturbance's arrows share
+        # force and torque, whose scales the disturbance's arrows share
+        control = self.peaks[:2] * 2
         for peak, largest in zip(self.peaks, control, strict=True):
             reference = largest or peak or 1.0
             self.magnifications.append(magnification(peak / reference))
             self._scales.append(self._longest / reference * self.magnifications[-1])
         self._arrows = [
-            Arrow(meshcat, kind.path, size=self._longest, color=kind.color, heads=2 if kind.is_torque else 1)
+            Arrow(
+                meshcat,
+                kind.path,
+                size=self._longest,
+                color=kind.color,
+                heads=2 if kind.is_torque else 1,
+            )
             for kind in ARROW_KINDS
         ]
 
@@ -119,7 +172,9 @@ class ForceArrows:
         """Show the arrows of one sample of the record."""
         q = self._position[sample]
         rotation = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4])))
-        for kind, arrow, vectors, scale in zip(ARROW_KINDS, self._arrows, self._vectors, self._scales, strict=True):
+        for kind, arrow, vectors, scale in zip(
+            ARROW_KINDS, self._arrows, self._vectors, self._scales, strict=True
+        ):
             vector = vectors[sample]
             norm = float(np.linalg.norm(vector))
             direction = vector / norm if norm > 0.0 else np.array([0.0, 0.0, 1.0])
@@ -129,7 +184,9 @@ class ForceArrows:
             arrow.show(tail, direction, scale * norm, time_in_recording=time_in_recording)
 
     def _distance_to_surface(self, rotation: RotationMatrix, direction: np.ndarray) -> float:
-        """From the base's origin along a world direction to the surface of the base's bounding box, m."""
+        """From the base's origin along a world direction to the surface of the base's bounding box,
+        m.
+        """
         in_box = self._box_pose.rotation().inverse() @ (rotation.inverse() @ direction)
         origin = self._box_pose.inverse().translation()
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -138,7 +195,9 @@ class ForceArrows:
 
 
 def legend(arrows: ForceArrows) -> list[str]:
-    """One line per arrow: its colour, what it shows, how much it is magnified, and the run's peak."""
+    """One line per arrow: its colour, what it shows, how much it is magnified, and the run's
+    peak.
+    """
     times = [f" x {factor}" if factor > 1 else "" for factor in arrows.magnifications]
     return [
         f"{kind.color_name}: {kind.label}{factor}, peak {peak:.3g} {kind.unit}"
@@ -147,12 +206,16 @@ def legend(arrows: ForceArrows) -> list[str]:
 
 
 def _finite_rows(vectors: np.ndarray) -> np.ndarray:
-    """A copy with zero vectors for those (rows) whose length is not finite: a diverged run's last force may be so."""
+    """A copy with zero vectors for those (rows) whose length is not finite: a diverged run's last
+    force may be so.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         return np.where(np.isfinite(np.linalg.norm(vectors, axis=1, keepdims=True)), vectors, 0.0)
 
 
 def magnification(ratio: float) -> int:
-    """The largest of 1, 2, 5, 10, ... 1000 that leaves a ratio to the longest that is drawn below one."""
+    """The largest of 1, 2, 5, 10, ... 1000 that leaves a ratio to the longest that is drawn below
+    one.
+    """
     allowed = [step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if step * ratio <= 1.0]
     return allowed[-1] if allowed and ratio > 0.0 else 1

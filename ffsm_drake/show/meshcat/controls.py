@@ -1,4 +1,6 @@
-"""Buttons and sliders of a Meshcat page, what the operator did with them, and a lock before them."""
+"""Buttons and sliders of a Meshcat page, what the operator did with them, and a lock before
+them.
+"""
 
 import secrets
 from collections.abc import Callable
@@ -7,12 +9,16 @@ from pydrake.geometry import Meshcat
 
 
 def label_text(text: str) -> str:
-    """Any text, as a label may hold it: Meshcat pastes labels into a script, between single quotes."""
+    """Any text, as a label may hold it: Meshcat pastes labels into a script, between single
+    quotes.
+    """
     return " ".join(text.replace("\\", "/").replace("'", "\N{RIGHT SINGLE QUOTATION MARK}").split())
 
 
 class Controls:
-    """The controls that one user of a Meshcat page has added to it; ``remove`` takes them away again."""
+    """The controls that one user of a Meshcat page has added to it; ``remove`` takes them away
+    again.
+    """
 
     def __init__(self, meshcat: Meshcat) -> None:
         self._meshcat = meshcat
@@ -74,15 +80,19 @@ _TRIES = 3
 
 
 class CodeLock:
-    """A lock before the controls of a page, open once the code that ``tell`` was given is dialled in on it.
+    """A lock before the controls of a page, open once the code that ``tell`` was given is dialled
+    in on it.
 
-    Whatever page reaches the server may send what it likes to it, and sees what is dialled: Drake's server looks at no
-    origin. So a code serves once, and only while a single page is connected; as soon as another comes, or that one
-    goes, the lock closes with a new code. After three wrong codes it stays closed.
+    Whatever page reaches the server may send what it likes to it, and sees what is dialled: Drake's
+    server looks at no origin. So a code serves once, and only while a single page is connected; as
+    soon as another comes, or that one goes, the lock closes with a new code. After three wrong
+    codes it stays closed.
     """
 
     def __init__(self, meshcat: Meshcat, tell: Callable[[str], None]) -> None:
-        """Args: where the controls are; what to call with each line for the person at the terminal."""
+        """Args: where the controls are; what to call with each line for the person at the
+        terminal.
+        """
         self._meshcat, self._tell = meshcat, tell
         self._controls = Controls(meshcat)
         self._tries = _TRIES
@@ -121,4 +131,6 @@ class CodeLock:
         self._code = 10 ** (_DIGITS - 1) + secrets.randbelow(9 * 10 ** (_DIGITS - 1))
         self._controls.add_slider(CODE, low=0, high=10**_DIGITS - 1, step=1, value=0)
         self._controls.add_button(UNLOCK)
-        self._tell(f"{why}To unlock the controls, type {self._code} beside '{CODE}' and click '{UNLOCK}'.")
+        self._tell(
+            f"{why}To unlock the controls, type {self._code} beside '{CODE}' and click '{UNLOCK}'."
+        )

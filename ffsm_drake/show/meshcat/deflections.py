@@ -1,4 +1,6 @@
-"""Hidden coordinates of a record as they are shown: panels bend by milliradians, which nobody sees."""
+"""Hidden coordinates of a record as they are shown: panels bend by milliradians, which nobody
+sees.
+"""
 
 import math
 from typing import TYPE_CHECKING
@@ -22,23 +24,31 @@ _PLURAL = {"mass": "masses"}
 class Deflections:
     """The hidden coordinates of a record, drawn larger by a round factor for each kind of part.
 
-    The factor leaves the part that bends most below 10 degrees (a chain's plates together) or 0.3 m. What the end
-    effector hangs on is drawn as it is, so that the arm still meets its path.
+    The factor leaves the part that bends most below 10 degrees (a chain's plates together) or 0.3
+    m. What the end effector hangs on is drawn as it is, so that the arm still meets its path.
     """
 
-    def __init__(self, dataset: "xr.Dataset", model: Model, plant: MultibodyPlant, hidden: HiddenCoordinates) -> None:
+    def __init__(
+        self, dataset: "xr.Dataset", model: Model, plant: MultibodyPlant, hidden: HiddenCoordinates
+    ) -> None:
         """Args: of a run; its model, and the plant and its hidden coordinates that show it."""
         self.factors: dict[str, int] = {}  # by kind; those beyond 1
         self._shown = np.zeros((dataset.sizes["time"], len(hidden.names)))
         if not hidden.names:
             return
-        self._shown = dataset["hidden_position"].sel(hidden_coordinate=list(hidden.names)).values.copy()
+        self._shown = (
+            dataset["hidden_position"].sel(hidden_coordinate=list(hidden.names)).values.copy()
+        )
         tip = find_frame(plant, model.end_effector, key="model.end_effector").body()
         columns: dict[str, list[list[int]]] = {}  # kind -> the coordinates of each part
         for name, part in model.flexible.items():
-            joints = [plant.GetJointByName(f"{HIDDEN}{label}").index() for label in labels_of(name, part)]
+            joints = [
+                plant.GetJointByName(f"{HIDDEN}{label}").index() for label in labels_of(name, part)
+            ]
             if tip.index() not in plant.GetBodiesKinematicallyAffectedBy(joints):
-                columns.setdefault(part.kind, []).append([hidden.names.index(each) for each in labels_of(name, part)])
+                columns.setdefault(part.kind, []).append(
+                    [hidden.names.index(each) for each in labels_of(name, part)]
+                )
         for kind, parts in columns.items():
             largest = max(float(np.abs(self._shown[:, part]).sum(axis=1).max()) for part in parts)
             factor = magnification(largest / _LARGEST[hidden.units[parts[0][0]]])
@@ -54,5 +64,7 @@ class Deflections:
     @property
     def legend(self) -> str:
         """By how much they are drawn larger; empty where they are as they were."""
-        factors = [f"{_PLURAL.get(kind, f'{kind}s')} x {factor}" for kind, factor in self.factors.items()]
+        factors = [
+            f"{_PLURAL.get(kind, f'{kind}s')} x {factor}" for kind, factor in self.factors.items()
+        ]
         return f"deflections drawn larger: {', '.join(factors)}" if factors else ""

@@ -1,4 +1,6 @@
-"""Where a spacecraft goes that nothing drives: the outline of its base at the start, and the way of a frame."""
+"""Where a spacecraft goes that nothing drives: the outline of its base at the start, and the way of
+a frame.
+"""
 
 import itertools
 
@@ -17,23 +19,35 @@ START_LEGEND = "red outline: the base at the start; red line: the path of its or
 
 
 def draw_drift(meshcat: Meshcat, spacecraft: SpacecraftView, positions: np.ndarray) -> None:
-    """The edges of the box around the base in the first configuration, and the base's path through all (n, nq)."""
+    """The edges of the box around the base in the first configuration, and the base's path through
+    all (n, nq).
+    """
     X_BG, half_width = base_bounding_box(spacecraft.plant, spacecraft.scene_graph.model_inspector())
     first = positions[0, :NUM_BASE_POSITIONS]
     X_WG = RigidTransform(Quaternion(first[:4] / np.linalg.norm(first[:4])), first[4:]) @ X_BG
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     corners = X_WG @ (signs * half_width).T
-    edges = [(i, j) for i, j in itertools.combinations(range(8), 2) if np.abs(signs[i] - signs[j]).sum() == 2.0]
+    edges = [
+        (i, j)
+        for i, j in itertools.combinations(range(8), 2)
+        if np.abs(signs[i] - signs[j]).sum() == 2.0
+    ]
     start, end = (np.asfortranarray(corners[:, [edge[side] for edge in edges]]) for side in (0, 1))
     meshcat.SetLineSegments("drift/start", start, end, 3.0, _START_COLOR)
-    meshcat.SetLine("drift/path", np.asfortranarray(positions[:, 4:NUM_BASE_POSITIONS].T), 4.0, _START_COLOR)
+    meshcat.SetLine(
+        "drift/path", np.asfortranarray(positions[:, 4:NUM_BASE_POSITIONS].T), 4.0, _START_COLOR
+    )
     for path in ("drift/start", "drift/path"):  # the base itself would hide them
         meshcat.SetProperty(f"{path}/<object>", "material.depthTest", False)
         meshcat.SetProperty(f"{path}/<object>", "renderOrder", 1.0)
 
 
-def draw_frame_path(meshcat: Meshcat, spacecraft: SpacecraftView, scenario: Scenario, positions: np.ndarray) -> str:
-    """The path of the frame whose pose is prescribed through configurations (n, nq); returns its legend."""
+def draw_frame_path(
+    meshcat: Meshcat, spacecraft: SpacecraftView, scenario: Scenario, positions: np.ndarray
+) -> str:
+    """The path of the frame whose pose is prescribed through configurations (n, nq); returns its
+    legend.
+    """
     frame = goal_frame(scenario, spacecraft.plant)
     path = np.empty((3, len(positions)), order="F")
     for i, q in enumerate(positions):

@@ -1,10 +1,12 @@
-"""A simulation to watch, or with an operator: a control panel in Meshcat, and records that say what the operator did.
+"""A simulation to watch, or with an operator: a control panel in Meshcat, and records that say what
+the operator did.
 
-The panel is there once a code is dialled in (see ``CodeLock``). Two kinds of control are on the page. Those that say
-"now" act on the current run from the next control sample on: the scale of the disturbance and pushes on the payload.
-Those that say "next run" shape the scenario of the runs that start after it: the controller, by the start button that
-was clicked, and the payload's true mass. (A body cannot change its mass during a run without its momentum jumping, so
-a new mass needs a new run; the record's scenario then holds it.)
+The panel is there once a code is dialled in (see ``CodeLock``). Two kinds of control are on the
+page. Those that say "now" act on the current run from the next control sample on: the scale of the
+disturbance and pushes on the payload. Those that say "next run" shape the scenario of the runs that
+start after it: the controller, by the start button that was clicked, and the payload's true mass.
+(A body cannot change its mass during a run without its momentum jumping, so a new mass needs a new
+run; the record's scenario then holds it.)
 """
 
 import copy
@@ -64,10 +66,11 @@ def watch(
     open_browser: bool = False,
     wait: Callable[[float], None] = time.sleep,
 ) -> RunRecord:
-    """Run a scenario once, at real time or its own ``target_realtime_rate``, for pages that can only look.
+    """Run a scenario once, at real time or its own ``target_realtime_rate``, for pages that can
+    only look.
 
-    Arguments and errors as ``run_interactive``; with ``open_browser`` it waits some seconds for the page to open.
-    Returns: the record of ``simulate``.
+    Arguments and errors as ``run_interactive``; with ``open_browser`` it waits some seconds for the
+    page to open. Returns: the record of ``simulate``.
     """
     meshcat = start_meshcat() if meshcat is None else meshcat
     operator = _Operator(scenario, meshcat, tell=None, wait=wait)
@@ -98,23 +101,26 @@ def run_interactive(
     tell: Callable[[str], None] = _print,
     wait: Callable[[float], None] = time.sleep,
 ) -> list[RunRecord]:
-    """Run a scenario repeatedly with an operator's panel, until Quit is clicked or Ctrl-C is pressed.
+    """Run a scenario repeatedly with an operator's panel, until Quit is clicked or Ctrl-C is
+    pressed.
 
-    A run that is restarted, quit or interrupted from the keyboard leaves a record up to then, with the status
-    "interrupted". The record's scenario has the run's controller and payload, its ``disturbance_force`` is
-    what acted on the plant (scaled disturbance and pushes, as generalized forces), and if the operator did anything,
-    the dataset's attribute ``operator`` says what and the outcome's message that. A run without intervention gives the
-    record of ``simulate``. The metric ``momentum_residual`` takes the disturbance to be smooth, which a push is not.
+    A run that is restarted, quit or interrupted from the keyboard leaves a record up to then, with
+    the status "interrupted". The record's scenario has the run's controller and payload, its
+    ``disturbance_force`` is what acted on the plant (scaled disturbance and pushes, as generalized
+    forces), and if the operator did anything, the dataset's attribute ``operator`` says what and
+    the outcome's message that. A run without intervention gives the record of ``simulate``. The
+    metric ``momentum_residual`` takes the disturbance to be smooth, which a push is not.
 
     Args:
-      scenario: what to run; its own pace (``target_realtime_rate``) is replaced by the page's slider.
-      meshcat: where to show it; by default a server of its own, at an address that Drake prints and no other page can
-        know.
+      scenario: what to run; its own pace (``target_realtime_rate``) is replaced by the page's
+        slider.
+      meshcat: where to show it; by default a server of its own, at an address that Drake prints and
+        no other page can know.
       open_browser: open the page in the default browser.
       check_stability: as in ``simulate``, before each run.
       keep: called with each record as soon as its run has ended, to save it.
-      tell: called with each line for the person at the terminal, the code that unlocks the panel among them; by
-        default it goes to standard error.
+      tell: called with each line for the person at the terminal, the code that unlocks the panel
+        among them; by default it goes to standard error.
       wait: called to let wall time pass, with seconds.
 
     Returns: the records of all runs in their order.
@@ -156,7 +162,12 @@ class _Operator:
     """The control panel, and the state of the session."""
 
     def __init__(
-        self, scenario: Scenario, meshcat: Meshcat, *, tell: Callable[[str], None] | None, wait: Callable[[float], None]
+        self,
+        scenario: Scenario,
+        meshcat: Meshcat,
+        *,
+        tell: Callable[[str], None] | None,
+        wait: Callable[[float], None],
     ) -> None:
         self.meshcat = meshcat
         self.stopped_run = False  # the last run ended by Quit or by a start button
@@ -174,10 +185,14 @@ class _Operator:
         self._due = self._drawn = 0.0  # wall time, s
         set_stage(meshcat, scenario)
         self._view = SpacecraftView(meshcat, scenario)
-        self._payload_frame = find_body(self._view.plant, scenario.payload.body, key="payload.body").body_frame()
+        self._payload_frame = find_body(
+            self._view.plant, scenario.payload.body, key="payload.body"
+        ).body_frame()
         self._arrow = Arrow(meshcat, "push", size=self._view.longest, color=_PUSH_COLOR)
         self._arrow_direction, self._arrow_until = np.array(_AXES["z"]), 0.0
-        self._show(0.0, configuration(self._view.plant, scenario.initial_posture, key="initial_posture"))
+        self._show(
+            0.0, configuration(self._view.plant, scenario.initial_posture, key="initial_posture")
+        )
 
         others = [name for name in controller_names() if name != scenario.controller]
         self._controllers = (scenario.controller, *others)
@@ -205,7 +220,9 @@ class _Operator:
         controls.add_slider(IMPULSE, low=-20.0, high=20.0, step=0.5, value=values[IMPULSE])
         for axis in _AXES:
             controls.add_button(push_button(axis))
-        controls.add_slider(MASS, low=0.1 * mass, high=5.0 * mass, step=_MASS_STEP * mass, value=values[MASS])
+        controls.add_slider(
+            MASS, low=0.1 * mass, high=5.0 * mass, step=_MASS_STEP * mass, value=values[MASS]
+        )
         controls.add_button(QUIT, keycode="Escape")
         return controls
 
@@ -243,10 +260,15 @@ class _Operator:
             scenario = dataclasses.replace(scenario, controller=controller)
         truth = scenario.payload.truth
         if abs(mass - truth.mass) > 0.5 * _MASS_STEP * truth.mass:
-            self._events.append(f"payload.truth.mass {mass:g} kg, inertia in proportion (scenario: {truth.mass:g} kg)")
+            self._events.append(
+                f"payload.truth.mass {mass:g} kg, inertia in proportion "
+                f"(scenario: {truth.mass:g} kg)"
+            )
             inertia = [mass / truth.mass * entry for entry in truth.inertia]
             truth = dataclasses.replace(truth, mass=mass, inertia=inertia)
-            scenario = dataclasses.replace(scenario, payload=dataclasses.replace(scenario.payload, truth=truth))
+            scenario = dataclasses.replace(
+                scenario, payload=dataclasses.replace(scenario.payload, truth=truth)
+            )
         self._run_scenario = scenario
         # The page's slider paces the run; Drake's pacing would race to make up for every pause.
         config = copy.deepcopy(scenario.simulator_config)
@@ -258,7 +280,9 @@ class _Operator:
     def _make_disturbance(self, setup: BlockSetup) -> Diagram:
         """The disturbance of the next run, which the operator changes."""
         self._note_scale("from the start")
-        return make_operated_disturbance(setup, initial=np.array([self._scale, 0.0, 0.0, 0.0]), poll=self._poll)
+        return make_operated_disturbance(
+            setup, initial=np.array([self._scale, 0.0, 0.0, 0.0]), poll=self._poll
+        )
 
     def run(self, scenario: Scenario, *, check_stability: bool = True) -> RunRecord:
         """The record of what ``next_scenario`` gave, with what the operator did written into it."""
@@ -276,7 +300,8 @@ class _Operator:
         )
 
     def _poll(self, now: float, q: np.ndarray) -> np.ndarray:
-        """Read the page, wait for real time, and return what acts from the next sample on: [scale, F] (4).
+        """Read the page, wait for real time, and return what acts from the next sample on: [scale,
+        F] (4).
 
         Raises:
           KeyboardInterrupt: the run shall end.
@@ -291,7 +316,8 @@ class _Operator:
             self._due = time.perf_counter()
         period = self._scenario.sample_time
         force = np.zeros(3)
-        if now + 1.5 * period < self._scenario.num_control_periods * period:  # otherwise it would act after the run
+        # otherwise it would act after the run
+        if now + 1.5 * period < self._scenario.num_control_periods * period:
             self._note_scale(f"from t = {now + period:.2f} s")
             self._read_pushes(now + period)
             for push in self._pushes:
@@ -328,7 +354,11 @@ class _Operator:
             if self._status.startswith("[ locked"):
                 self.show_status("ready: click a start button")
         clicked = self._controls.all_clicked()
-        moved = {label: self._controls.value(label) for label in self._values if self._controls.moved(label)}
+        moved = {
+            label: self._controls.value(label)
+            for label in self._values
+            if self._controls.moved(label)
+        }
         if not self._is_unlocked():  # what was read may be that of a page that has just come
             return
         for name in self._controllers:
@@ -365,7 +395,8 @@ class _Operator:
                 self._arrow_until = start + _PUSH_SHOWN
                 body = self._scenario.payload.body
                 self._events.append(
-                    f"from t = {start:.2f} s: push of {impulse:g} N s along {axis} on {body} within {duration:g} s"
+                    f"from t = {start:.2f} s: push of {impulse:g} N s along {axis} on {body} "
+                    f"within {duration:g} s"
                 )
         self._pushed.clear()
 
@@ -385,5 +416,7 @@ class _Operator:
         """The spacecraft, and for a while after a push an arrow whose tip is where it acts."""
         self._view.show(q)
         length = self._view.longest if now < self._arrow_until else 0.0
-        tip = self._view.position_of(self._payload_frame, np.array(self._scenario.payload.truth.center_of_mass))
+        tip = self._view.position_of(
+            self._payload_frame, np.array(self._scenario.payload.truth.center_of_mass)
+        )
         self._arrow.show(tip - length * self._arrow_direction, self._arrow_direction, length)

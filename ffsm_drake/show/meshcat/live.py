@@ -1,4 +1,6 @@
-"""Live replay of a record in Meshcat, with time slider, play button, speed slider and quit button."""
+"""Live replay of a record in Meshcat, with time slider, play button, speed slider and quit
+button.
+"""
 
 import time
 import webbrowser
@@ -20,14 +22,20 @@ SLOWEST, FASTEST = 0.1, 10.0
 class LiveReplay:
     """A record in Meshcat, moved on by ``step``.
 
-    Moving the time slider pauses and shows that instant. At the end the replay pauses; playing on starts it over. With
-    ``forces``, one button per arrow names its colour and hides or shows it.
+    Moving the time slider pauses and shows that instant. At the end the replay pauses; playing on
+    starts it over. With ``forces``, one button per arrow names its colour and hides or shows it.
     """
 
     def __init__(
-        self, record: RunRecord, *, speed: float = 1.0, ghost: bool = True, path: bool = True, forces: bool = False,
+        self,
+        record: RunRecord,
+        *,
+        speed: float = 1.0,
+        ghost: bool = True,
+        path: bool = True,
+        forces: bool = False,
         meshcat: Meshcat | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Set the scene and add the controls. Arguments and errors as ``recording_html``."""
         check_speed(speed)
         self.meshcat = start_meshcat(hidden=True) if meshcat is None else meshcat
@@ -35,7 +43,9 @@ class LiveReplay:
         self._controls = Controls(self.meshcat)
         self._controls.add_button(PLAY, keycode="Space")
         resolution = record.scenario.sample_time
-        self._controls.add_slider(TIME, low=0.0, high=max(self._view.duration, resolution), step=resolution, value=0.0)
+        self._controls.add_slider(
+            TIME, low=0.0, high=max(self._view.duration, resolution), step=resolution, value=0.0
+        )
         low, high = min(SLOWEST, speed), max(FASTEST, speed)
         self._controls.add_slider(SPEED, low=low, high=high, step=min(0.1, low), value=speed)
         self._arrow_buttons = legend(self._view.arrows) if self._view.arrows is not None else []
@@ -49,7 +59,9 @@ class LiveReplay:
         self.playing = True
 
     def step(self, wall_dt: float) -> bool:
-        """Obey the controls and show what ``wall_dt`` (s) of wall time later is due; False once Quit was clicked."""
+        """Obey the controls and show what ``wall_dt`` (s) of wall time later is due; False once
+        Quit was clicked.
+        """
         if self._controls.clicked(QUIT):
             return False
         for i, label in enumerate(self._arrow_buttons):
@@ -77,9 +89,15 @@ class LiveReplay:
 
 
 def replay_live(
-    record: RunRecord, *, speed: float = 1.0, ghost: bool = True, path: bool = True, forces: bool = False,
-    meshcat: Meshcat | None = None, open_browser: bool = False,
-) -> None:  # fmt: skip
+    record: RunRecord,
+    *,
+    speed: float = 1.0,
+    ghost: bool = True,
+    path: bool = True,
+    forces: bool = False,
+    meshcat: Meshcat | None = None,
+    open_browser: bool = False,
+) -> None:
     """Replay a record in Meshcat until its Quit button is clicked or Ctrl-C is pressed.
 
     Args:

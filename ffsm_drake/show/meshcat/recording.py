@@ -10,13 +10,17 @@ from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.replay_view import FRAMES_PER_SECOND, ReplayView, check_speed
 from ffsm_drake.show.meshcat.stage import quiet_drake, start_meshcat
 
-# ``viewer`` is a global name of Drake's page. Alone the page plays at once; within another it shows its first frame.
+# ``viewer`` is a global name of Drake's page. Alone the page plays at once; within another it shows
+# its first frame.
 _CAPTION = """<style>
-#caption {{ position: fixed; left: 12px; bottom: 12px; padding: 8px 12px; border-radius: 6px; pointer-events: none;
+#caption {{ position: fixed; left: 12px; bottom: 12px; padding: 8px 12px;
+  border-radius: 6px; pointer-events: none;
   background: rgba(5, 8, 20, .72); color: #e8ecf6; font: 13px/1.5 sans-serif; }}
 #play {{ position: fixed; right: 12px; bottom: 12px; padding: 9px 22px; border-radius: 99px;
-  border: 1px solid #5a6a8c; background: rgba(20, 28, 48, .85); color: #fff; font: 15px sans-serif; cursor: pointer; }}
-@media (max-width: 700px) {{ #caption {{ font-size: 11px; }} #play {{ inset: 12px auto auto 12px; }} }}
+  border: 1px solid #5a6a8c; background: rgba(20, 28, 48, .85); color: #fff;
+  font: 15px sans-serif; cursor: pointer; }}
+@media (max-width: 700px) {{ #caption {{ font-size: 11px; }}
+  #play {{ inset: 12px auto auto 12px; }} }}
 </style>
 <div id="caption">{lines}</div>
 <button id="play" type="button">\u25b6 Play</button>
@@ -33,11 +37,19 @@ _CAPTION = """<style>
   }})();
 </script>
 """
-_SWATCH = '<span style="display:inline-block;width:12px;height:12px;background:{color};margin-right:6px"></span>'
+_SWATCH = (
+    "<span "
+    'style="display:inline-block;width:12px;height:12px;background:{color};margin-right:6px"></span>'
+)
 
 
 def recording_html(
-    record: RunRecord, *, speed: float = 1.0, ghost: bool = True, path: bool = True, forces: bool = False
+    record: RunRecord,
+    *,
+    speed: float = 1.0,
+    ghost: bool = True,
+    path: bool = True,
+    forces: bool = False,
 ) -> str:
     """A self-contained HTML page that plays a run back: no simulation, only the record.
 
@@ -46,7 +58,8 @@ def recording_html(
       speed: of the playback; 2 shows a run of 20 s in 10 s.
       ghost: show the target posture as a translucent ghost.
       path: show the end effector's path.
-      forces: show the base's control force and torque and the disturbance on it as arrows; a caption names them.
+      forces: show the base's control force and torque and the disturbance on it as arrows; a
+        caption names them.
 
     Raises:
       FfsmError: the speed is not positive.
@@ -58,12 +71,20 @@ def recording_html(
     with quiet_drake():  # the server is only a means to the page; nobody should open its address
         meshcat = start_meshcat()
     view = ReplayView(
-        meshcat, record, ghost=ghost, path=path, forces=forces, frames_per_second=frames_per_second, speed=speed
+        meshcat,
+        record,
+        ghost=ghost,
+        path=path,
+        forces=forces,
+        frames_per_second=frames_per_second,
+        speed=speed,
     )
     view.spacecraft.visualizer.StartRecording(set_transforms_while_recording=False)
     for frame in range(math.ceil(view.duration / speed * frames_per_second - 1e-9) + 1):
         # Drake rounds times down to frames: the middle of a frame is safe from rounding errors.
-        view.show(frame / frames_per_second * speed, time_in_recording=(frame + 0.5) / frames_per_second)
+        view.show(
+            frame / frames_per_second * speed, time_in_recording=(frame + 0.5) / frames_per_second
+        )
     view.spacecraft.visualizer.StopRecording()
     view.spacecraft.visualizer.get_mutable_recording().set_autoplay(False)
     view.spacecraft.visualizer.PublishRecording()
@@ -71,16 +92,27 @@ def recording_html(
 
 
 def write_recording(
-    record: RunRecord, file: Path, *, speed: float = 1.0, ghost: bool = True, path: bool = True, forces: bool = False
+    record: RunRecord,
+    file: Path,
+    *,
+    speed: float = 1.0,
+    ghost: bool = True,
+    path: bool = True,
+    forces: bool = False,
 ) -> None:
-    """Write the page of ``recording_html`` (same arguments and errors). Raises RecordError where that fails."""
+    """Write the page of ``recording_html`` (same arguments and errors). Raises RecordError where
+    that fails.
+    """
     write_text(file, recording_html(record, speed=speed, ghost=ghost, path=path, forces=forces))
 
 
 def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: float) -> str:
     """The page with a title and a caption: which run, how fast, what the arrows mean."""
     title = record.scenario.description or "Run"
-    lines = [f"<b>{html.escape(title)}</b>", f"{record.scenario.controller}: {html.escape(record.outcome.message)}"]
+    lines = [
+        f"<b>{html.escape(title)}</b>",
+        f"{record.scenario.controller}: {html.escape(record.outcome.message)}",
+    ]
     if record.grasp is not None and record.grasp["time"] > 0.0:
         lines.append(f"grasp at t = {record.grasp['time']:g} s")
     if view.deflections.legend:

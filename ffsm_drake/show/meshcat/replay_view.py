@@ -1,4 +1,6 @@
-"""A record on Meshcat's stage, one sample at a time: what the recorded page and the live replay share."""
+"""A record on Meshcat's stage, one sample at a time: what the recorded page and the live replay
+share.
+"""
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -20,19 +22,25 @@ _PATH_VERTICES = 400
 
 
 class ReplayView:
-    """Stage, spacecraft with plumes and, if wanted, ghost of the target posture, end effector's path, force arrows."""
+    """Stage, spacecraft with plumes and, if wanted, ghost of the target posture, end effector's
+    path, force arrows.
+    """
 
     def __init__(
         self, meshcat: Meshcat, record: RunRecord, *, ghost: bool, path: bool, forces: bool,
         frames_per_second: float = FRAMES_PER_SECOND, speed: float = 1.0,
     ) -> None:  # fmt: skip
-        """Set the scene and show the first sample. Raises ModelError where the model does not load any more.
+        """Set the scene and show the first sample. Raises ModelError where the model does not load
+        any more.
 
-        A picture stands for ``speed / frames_per_second`` s of the run: so short pulses are seen, too.
+        A picture stands for ``speed / frames_per_second`` s of the run: so short pulses are seen,
+        too.
         """
         dataset = record.dataset
         # A run that diverged may end in numbers that no picture can show.
-        shown = [dataset[name].values for name in ("position", "hidden_position") if name in dataset]
+        shown = [
+            dataset[name].values for name in ("position", "hidden_position") if name in dataset
+        ]
         finite = np.isfinite(np.hstack(shown)).all(axis=1)
         count = finite.size if finite.all() else max(1, int(np.argmin(finite)))
         dataset = dataset.isel(time=slice(count))
@@ -42,11 +50,17 @@ class ReplayView:
         self._target: np.ndarray | None = None
         if "phase" in dataset.coords:
             free = dataset.isel(time=dataset["phase"].values.astype(str) == "approach")
-            self._target = np.hstack([free["target_quaternion"].values, free["target_position"].values])
+            self._target = np.hstack(
+                [free["target_quaternion"].values, free["target_position"].values]
+            )
             self._target_body = record.scenario.payload.body
         set_stage(meshcat, record.scenario, ghost=ghost)
-        self.spacecraft = SpacecraftView(meshcat, record.scenario, frames_per_second=frames_per_second)
-        self.deflections = Deflections(dataset, record.scenario.model, self.spacecraft.plant, self.spacecraft.hidden)
+        self.spacecraft = SpacecraftView(
+            meshcat, record.scenario, frames_per_second=frames_per_second
+        )
+        self.deflections = Deflections(
+            dataset, record.scenario.model, self.spacecraft.plant, self.spacecraft.hidden
+        )
         if path and count > 1:
             every = max(1, count // _PATH_VERTICES)
             vertices = dataset["end_effector_position"].values[::every]
@@ -66,7 +80,9 @@ class ReplayView:
         thrusters = own_thrusters(record.scenario)
         if thrusters and "thruster_open" in dataset:
             opened, spacecraft = dataset["thruster_open"].values, self.spacecraft
-            self.plumes = Plumes(meshcat, spacecraft.base_path, thrusters, opened, longest=spacecraft.longest)
+            self.plumes = Plumes(
+                meshcat, spacecraft.base_path, thrusters, opened, longest=spacecraft.longest
+            )
         self._per_picture = max(1, round(speed / frames_per_second / record.scenario.sample_time))
         self.show(0.0)
 
@@ -79,7 +95,9 @@ class ReplayView:
         """Show the sample at or next after a time of the run, s."""
         sample = min(int(np.searchsorted(self.times, time - 1e-9)), self.times.size - 1)
         deflection = self.deflections.at(sample)
-        self.spacecraft.show(self._positions[sample], deflection=deflection, time=time_in_recording or 0.0)
+        self.spacecraft.show(
+            self._positions[sample], deflection=deflection, time=time_in_recording or 0.0
+        )
         if self._target is not None and sample < len(self._target):
             pose = self._target[sample]
             X_WP = RigidTransform(Quaternion(pose[:4] / np.linalg.norm(pose[:4])), pose[4:])

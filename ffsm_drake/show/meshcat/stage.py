@@ -39,8 +39,10 @@ from ffsm_drake.spacecraft.plant import (
 )
 from ffsm_drake.systems.reference import make_motion
 
-_VIEW = np.array([0.5843, -0.7176, 0.3793])  # unit vector from what the camera looks at to the camera
-_TANGENT = 0.85 * math.tan(math.radians(37.5))  # Meshcat shows 37.5 degrees up and down; some of it stays free
+# unit vector from what the camera looks at to the camera
+_VIEW = np.array([0.5843, -0.7176, 0.3793])
+# Meshcat shows 37.5 degrees up and down; some of it stays free
+_TANGENT = 0.85 * math.tan(math.radians(37.5))
 _HIDDEN_TRIES = 4
 _TO_TARGET = ("quintic", "target_posture")  # kind and goal of a reference that ends there
 _WITHIN = ("mass", "pendulum")  # flexible parts within what carries them
@@ -60,11 +62,13 @@ def quiet_drake() -> Iterator[None]:
 
 
 def start_meshcat(*, hidden: bool = False) -> Meshcat:
-    """A Meshcat server for this machine only: 127.0.0.1, with a port from 7000 on. Raises FfsmError when none is free.
+    """A Meshcat server for this machine only: 127.0.0.1, with a port from 7000 on. Raises FfsmError
+    when none is free.
 
-    Drake's server answers every page of this machine's browsers, of whatever origin, and takes their messages. One with
-    controls is ``hidden``: it listens at a random one of the machine's own 2^24 addresses, 127.x.y.z, and a random
-    port, which other pages cannot know; where the system has 127.0.0.1 only, there.
+    Drake's server answers every page of this machine's browsers, of whatever origin, and takes
+    their messages. One with controls is ``hidden``: it listens at a random one of the machine's own
+    2^24 addresses, 127.x.y.z, and a random port, which other pages cannot know; where the system
+    has 127.0.0.1 only, there.
     """
     params = MeshcatParams()
     params.show_stats_plot = False
@@ -77,11 +81,15 @@ def start_meshcat(*, hidden: bool = False) -> Meshcat:
     try:
         return Meshcat(params)
     except RuntimeError as error:
-        raise FfsmError(f"Meshcat cannot start: {one_line(error)}; free a port from 7000 to 7999") from error
+        raise FfsmError(
+            f"Meshcat cannot start: {one_line(error)}; free a port from 7000 to 7999"
+        ) from error
 
 
 def set_stage(meshcat: Meshcat, scenario: Scenario, *, ghost: bool = True) -> None:
-    """A dark background, a camera on the servicer, and the translucent ghost of the target posture."""
+    """A dark background, a camera on the servicer, and the translucent ghost of the target
+    posture.
+    """
     meshcat.SetProperty("/Background/<object>", "top_color", [0.02, 0.03, 0.08])
     meshcat.SetProperty("/Background/<object>", "bottom_color", [0.07, 0.09, 0.16])
     meshcat.SetProperty("/Grid", "visible", False)
@@ -97,7 +105,11 @@ def set_stage(meshcat: Meshcat, scenario: Scenario, *, ghost: bool = True) -> No
 
 
 def _show_target_posture(
-    meshcat: Meshcat, scenario: Scenario, builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph
+    meshcat: Meshcat,
+    scenario: Scenario,
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
 ) -> None:
     inspector = scene_graph.model_inspector()
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
@@ -116,9 +128,15 @@ def _show_target_posture(
 
 
 def _last_configuration(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
-    """Where the motion ends (nq): other than a polynomial to the target posture of all coordinates it is elsewhere."""
+    """Where the motion ends (nq): other than a polynomial to the target posture of all coordinates
+    it is elsewhere.
+    """
     reference = scenario.reference
-    elsewhere = (reference.kind, reference.goal) != _TO_TARGET or reference.frame is not None or scenario.undriven
+    elsewhere = (
+        (reference.kind, reference.goal) != _TO_TARGET
+        or reference.frame is not None
+        or scenario.undriven
+    )
     if scenario.blocks.reference is None and elsewhere:
         with suppress(FfsmError):  # a plan's file that is not there any more
             motion = make_motion(scenario, coordinates_of(plant))
@@ -131,16 +149,23 @@ def camera_pose(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where the camera stands and the point that it looks at (3 each), world frame, m.
 
-    It looks at the middle of what is seen of the spacecraft where it starts and ends, from as far as it takes to see
-    all.
+    It looks at the middle of what is seen of the spacecraft where it starts and ends, from as far
+    as it takes to see all.
     """
     context = plant.CreateDefaultContext()
     points = []
     for name, posture in scenario.postures.items():
         last = name == "target_posture"
-        q = _last_configuration(scenario, plant) if last else configuration(plant, posture, key=name)
+        q = (
+            _last_configuration(scenario, plant)
+            if last
+            else configuration(plant, posture, key=name)
+        )
         plant.SetPositions(context, hidden_of(plant).whole_positions(q))
-        points += [_outline(plant, context, inspector, BodyIndex(k)) for k in range(1, plant.num_bodies())]  # no world
+        # no world
+        points += [
+            _outline(plant, context, inspector, BodyIndex(k)) for k in range(1, plant.num_bodies())
+        ]
     p_WP = np.concatenate(points)
     center = 0.5 * (p_WP.min(axis=0) + p_WP.max(axis=0))
     right = np.cross([0.0, 0.0, 1.0], _VIEW) / np.linalg.norm(_VIEW[:2])
@@ -149,8 +174,12 @@ def camera_pose(
     return center + distance * _VIEW, center
 
 
-def base_bounding_box(plant: MultibodyPlant, inspector: SceneGraphInspector) -> tuple[RigidTransform, np.ndarray]:
-    """Pose in the base's frame and half width (3), m, of a box around the base's largest visible geometry."""
+def base_bounding_box(
+    plant: MultibodyPlant, inspector: SceneGraphInspector
+) -> tuple[RigidTransform, np.ndarray]:
+    """Pose in the base's frame and half width (3), m, of a box around the base's largest visible
+    geometry.
+    """
     frame = plant.GetBodyFrameIdOrThrow(base_body(plant).index())
     found = (RigidTransform(), np.full(3, 0.5))  # an invisible base: a cube of 1 m
     largest = 0.0
@@ -162,8 +191,12 @@ def base_bounding_box(plant: MultibodyPlant, inspector: SceneGraphInspector) -> 
     return found
 
 
-def _outline(plant: MultibodyPlant, context: Context, inspector: SceneGraphInspector, index: BodyIndex) -> np.ndarray:
-    """A body's origin and the corners of the boxes around what is seen of it (n, 3), world frame, m."""
+def _outline(
+    plant: MultibodyPlant, context: Context, inspector: SceneGraphInspector, index: BodyIndex
+) -> np.ndarray:
+    """A body's origin and the corners of the boxes around what is seen of it (n, 3), world frame,
+    m.
+    """
     X_WB = plant.get_body(index).EvalPoseInWorld(context)
     points = [X_WB.translation()[None]]
     frame = plant.GetBodyFrameIdIfExists(index)
@@ -174,10 +207,15 @@ def _outline(plant: MultibodyPlant, context: Context, inspector: SceneGraphInspe
 
 
 class SpacecraftView:
-    """The spacecraft with its thrusters and wheels in Meshcat, in any configuration, without a simulation."""
+    """The spacecraft with its thrusters and wheels in Meshcat, in any configuration, without a
+    simulation.
+    """
 
-    def __init__(self, meshcat: Meshcat, scenario: Scenario, *, frames_per_second: float = 25.0) -> None:
-        """Show the default configuration; ``frames_per_second`` of an animation that ``visualizer`` records.
+    def __init__(
+        self, meshcat: Meshcat, scenario: Scenario, *, frames_per_second: float = 25.0
+    ) -> None:
+        """Show the default configuration; ``frames_per_second`` of an animation that ``visualizer``
+        records.
 
         Raises:
           ModelError: the model does not load.
@@ -197,14 +235,18 @@ class SpacecraftView:
         for name, part in scenario.model.flexible.items():
             if part.kind in _WITHIN:
                 self._show_through(name)
-        self.base_path = self._path_of(self.plant.GetBodyFrameIdOrThrow(base_body(self.plant).index()))
+        self.base_path = self._path_of(
+            self.plant.GetBodyFrameIdOrThrow(base_body(self.plant).index())
+        )
         _, half_width = base_bounding_box(self.plant, self.scene_graph.model_inspector())
         self.longest = 2.0 * float(half_width.max())  # edge of the base, m
         draw_thrusters(meshcat, self.base_path, own_thrusters(scenario), longest=self.longest)
         if scenario.wheels is not None:
             draw_wheels(meshcat, self.base_path, scenario.wheels, longest=self.longest)
 
-    def show(self, q: np.ndarray, *, deflection: np.ndarray | None = None, time: float = 0.0) -> None:
+    def show(
+        self, q: np.ndarray, *, deflection: np.ndarray | None = None, time: float = 0.0
+    ) -> None:
         """Show configuration q (nq), with hidden coordinates, if any, at rest or at ``deflection``.
 
         ``time`` (s) is its place in an animation being recorded.
@@ -213,9 +255,13 @@ class SpacecraftView:
         self.plant.SetPositions(self._plant_context, self.hidden.whole_positions(q, deflection))
         self._diagram.ForcedPublish(self._context)
 
-    def place(self, body: str, X_WB: RigidTransform, *, time_in_recording: float | None = None) -> None:
+    def place(
+        self, body: str, X_WB: RigidTransform, *, time_in_recording: float | None = None
+    ) -> None:
         """Show a body (scoped name) apart from the rest; until the next ``show``."""
-        frame = self.plant.GetBodyFrameIdOrThrow(find_body(self.plant, body, key="payload.body").index())
+        frame = self.plant.GetBodyFrameIdOrThrow(
+            find_body(self.plant, body, key="payload.body").index()
+        )
         self._meshcat.SetTransform(self._path_of(frame), X_WB, time_in_recording)
 
     def _show_through(self, body: str) -> None:
@@ -227,13 +273,16 @@ class SpacecraftView:
         for geometry in inspector.GetGeometries(frame, Role.kIllustration):
             path = f"{self._path_of(frame)}/{inspector.GetName(geometry).replace('::', '/')}"
             self._meshcat.SetProperty(f"{path}/<object>", "material.depthTest", False)
-            self._meshcat.SetProperty(f"{path}/<object>", "renderOrder", 1.0)  # after the spacecraft
+            # after the spacecraft
+            self._meshcat.SetProperty(f"{path}/<object>", "renderOrder", 1.0)
 
     def _path_of(self, frame: FrameId) -> str:
         name = self.scene_graph.model_inspector().GetName(frame)
         return f"{self._prefix}/{name.replace('::', '/')}"
 
     def position_of(self, frame: Frame, point: np.ndarray) -> np.ndarray:
-        """A point (3) of a frame of ``plant``, in world (3), in the configuration that is shown, m."""
+        """A point (3) of a frame of ``plant``, in world (3), in the configuration that is
+        shown, m.
+        """
         world = self.plant.world_frame()
         return self.plant.CalcPointsPositions(self._plant_context, frame, point, world)[:, 0]

@@ -1,4 +1,6 @@
-"""The run report: one self-contained HTML page about one or several runs, to open from disk and to send to others."""
+"""The run report: one self-contained HTML page about one or several runs, to open from disk and to
+send to others.
+"""
 
 from ffsm_drake.show.report.page import write_report
 

@@ -1,4 +1,6 @@
-"""The report's panels of actuators: a timeline of firings, each wheel's momentum and torque, each drive's friction."""
+"""The report's panels of actuators: a timeline of firings, each wheel's momentum and torque, each
+drive's friction.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -26,7 +28,10 @@ def actuator_views(results: Sequence[Result], thin: Thinning) -> list[View]:
             ("wheel_torque", "Wheels: torque of the motors", "N m", "hv"),
         ):
             views.append(View(label=label, panels=_by_wheel(results, thin, name, unit, shape)))
-    for name, label in (("friction_force", "Drives: friction"), ("rate_share", "Drives: share of the rate limit")):
+    for name, label in (
+        ("friction_force", "Drives: friction"),
+        ("rate_share", "Drives: share of the rate limit"),
+    ):
         if any(name in result.record.dataset for result in results):
             views.append(View(label=label, panels=_by_joint(results, thin, name)))
     return views
@@ -37,7 +42,9 @@ def actuator_text(results: Sequence[Result]) -> str:
     lines = []
     for result in results:
         name = f"{result.label}: " if len(results) > 1 else ""
-        lines += [f"{name}{line[:1].upper()}{line[1:]}." for line in actuator_lines(result.record.metrics)]
+        lines += [
+            f"{name}{line[:1].upper()}{line[1:]}." for line in actuator_lines(result.record.metrics)
+        ]
     return " ".join(lines)
 
 
@@ -47,7 +54,12 @@ def actuator_tables(results: Sequence[Result]) -> list[dict[str, Any]]:
     for result in results:
         data, fired, turned = result.record.dataset, result.thrusters, result.wheels
         thrusters = [
-            [name, number(fired["impulse"][name]), fired["pulses"][name], number(fired["on_time"][name])]
+            [
+                name,
+                number(fired["impulse"][name]),
+                fired["pulses"][name],
+                number(fired["on_time"][name]),
+            ]
             for name in fired.get("impulse", {})
         ]
         wheels = []
@@ -74,7 +86,8 @@ def _firings(results: Sequence[Result]) -> list[Panel]:
         for row, column in enumerate(opened.T):
             first, lengths = pulses_of(column, period)
             starts, ends = time[first], time[first] + lengths
-            if starts.size > _MOST_PULSES // len(names):  # none is seen alone: those that are near become one
+            # none is seen alone: those that are near become one
+            if starts.size > _MOST_PULSES // len(names):
                 gap = 2.0 * (time[-1] - time[0]) * len(names) / _MOST_PULSES
                 apart = np.flatnonzero(starts[1:] - ends[:-1] > gap)
                 starts, ends = starts[np.r_[0, apart + 1]], ends[np.r_[apart, ends.size - 1]]
@@ -82,10 +95,16 @@ def _firings(results: Sequence[Result]) -> list[Panel]:
             x = np.stack([starts, starts, ends, ends, starts, np.full(starts.size, np.nan)], axis=1)
             y = np.tile(row + np.array([*_BOX, np.nan]), starts.size)
             look = {
-                "name": names[row], "width": 1.0, "hovertemplate": "%{x:.2f} s", "connectgaps": False,
-                "fill": "toself", "hoveron": "points",
-            }  # fmt: skip
-            traces.append(run_curve(results, i, (x.ravel().astype(np.float32), y), **look) | {"mode": "lines"})
+                "name": names[row],
+                "width": 1.0,
+                "hovertemplate": "%{x:.2f} s",
+                "connectgaps": False,
+                "fill": "toself",
+                "hoveron": "points",
+            }
+            traces.append(
+                run_curve(results, i, (x.ravel().astype(np.float32), y), **look) | {"mode": "lines"}
+            )
         title = result.label if len(results) > 1 else "Open valves"
         panel = time_panel(title, "", traces)
         panel.figure.update_layout(hovermode="closest")
@@ -94,11 +113,15 @@ def _firings(results: Sequence[Result]) -> list[Panel]:
             tickvals=list(range(len(names))), ticktext=[escape(name) for name in names],
             range=[len(names) - 0.4, -0.6], showgrid=False, zeroline=False,
         )  # fmt: skip
-        panels.append(Panel(title=panel.title, figure=panel.figure, kind="chart", height=90 + 20 * len(names)))
+        panels.append(
+            Panel(title=panel.title, figure=panel.figure, kind="chart", height=90 + 20 * len(names))
+        )
     return panels
 
 
-def _by_wheel(results: Sequence[Result], thin: Thinning, variable: str, unit: str, shape: str) -> list[Panel]:
+def _by_wheel(
+    results: Sequence[Result], thin: Thinning, variable: str, unit: str, shape: str
+) -> list[Panel]:
     """A panel for each wheel of any run, the runs that have it overlaid."""
     names = dict.fromkeys(
         name
@@ -123,7 +146,9 @@ def _by_joint(results: Sequence[Result], thin: Thinning, variable: str) -> list[
     units = {
         str(name): {"rad": "N m", "m": "N"}[str(unit)] if variable == "friction_force" else ""
         for data in (result.record.dataset for result in results)
-        for name, group, unit in zip(*(data[key].values for key in ("coordinate", "group", "unit")), strict=True)
+        for name, group, unit in zip(
+            *(data[key].values for key in ("coordinate", "group", "unit")), strict=True
+        )
         if variable in data and str(group) == "joints"
     }
     panels = []

@@ -44,28 +44,51 @@ class Row:
 
 
 def table(results: Sequence[Result], distances: Sequence[float] | None = None) -> list[Row]:
-    """The figures of merit, magnitudes and times, a column for each run; ``distances`` to the LQG limit, if known."""
+    """The figures of merit, magnitudes and times, a column for each run; ``distances`` to the LQG
+    limit, if known.
+    """
     rows = [
         Row("Accuracy, ITAE", _compared(results, operator.attrgetter("itae"), digits=4)),
         Row("Effort, ISV", _compared(results, operator.attrgetter("isv"), digits=5)),
     ]
     if distances is not None:
-        rows.append(Row("Error over the least possible", [Cell(number(distance, 3)) for distance in distances]))
-    kinds = list(dict.fromkeys((part.group, part.unit) for result in results for part in result.magnitudes))
+        rows.append(
+            Row(
+                "Error over the least possible",
+                [Cell(number(distance, 3)) for distance in distances],
+            )
+        )
+    kinds = list(
+        dict.fromkeys((part.group, part.unit) for result in results for part in result.magnitudes)
+    )
     groups = [group for group, _ in kinds]
     shares = [saturation(result.record) for result in results]
     untracked = _untracked(results)
     for field, head in (_MAGNITUDES | (_APPLIED if actuators_act(results) else {})).items():
         for k, (group, unit) in enumerate(kinds):
-            kind = f", {'revolute' if unit == 'rad' else 'prismatic'}" if groups.count(group) > 1 else ""
+            kind = (
+                f", {'revolute' if unit == 'rad' else 'prismatic'}"
+                if groups.count(group) > 1
+                else ""
+            )
             cells = [Cell(number(_magnitude(result, group, unit, field))) for result in results]
             is_force = field in ("peak_effort", "peak_applied")
             shown = EFFORT_UNITS.get(unit, unit) if is_force else unit
             kind += ", not tracked" if group in untracked and not is_force else ""
-            rows.append(Row(GROUP_TITLES.get(group, group) + kind, cells, unit=shown, head="" if k else head))
+            rows.append(
+                Row(
+                    GROUP_TITLES.get(group, group) + kind, cells, unit=shown, head="" if k else head
+                )
+            )
     for k, name in enumerate(dict.fromkeys(name for share in shares for name in share)):
         cells = [Cell(percent(share.get(name, 0.0))) for share in shares]
-        rows.append(Row(name.replace("_", " "), cells, head="" if k else "Samples at the limit of the actuators"))
+        rows.append(
+            Row(
+                name.replace("_", " "),
+                cells,
+                head="" if k else "Samples at the limit of the actuators",
+            )
+        )
     rows += _of_frame(results)
     rows += _of_drift(results)
     rows += _of_actuators(results)
@@ -79,12 +102,18 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
 
 
 def _untracked(results: Sequence[Result]) -> set[str]:
-    """Groups whose errors no run is judged by: nothing drives them, or a frame is tracked in their place."""
+    """Groups whose errors no run is judged by: nothing drives them, or a frame is tracked in their
+    place.
+    """
     groups = {part.group for result in results for part in result.magnitudes}
     for data in (result.record.dataset for result in results):
         if "error" not in data:
             continue
-        by_coordinate = dict(zip(data["coordinate"].values.astype(str), data["group"].values.astype(str), strict=True))
+        by_coordinate = dict(
+            zip(
+                data["coordinate"].values.astype(str), data["group"].values.astype(str), strict=True
+            )
+        )
         groups -= {by_coordinate[name] for name in tracked_of(data).names if name in by_coordinate}
     return groups
 
@@ -92,7 +121,9 @@ def _untracked(results: Sequence[Result]) -> set[str]:
 def _of_frame(results: Sequence[Result]) -> list[Row]:
     """How far the frame of the runs is from its reference; nothing where none has one."""
     found = [frame_figures(result.record.dataset) for result in results]
-    return _by_moment(found, "error of the frame", (("rotation", "attitude", "rad"), ("position", "", "m")))
+    return _by_moment(
+        found, "error of the frame", (("rotation", "attitude", "rad"), ("position", "", "m"))
+    )
 
 
 def _of_drift(results: Sequence[Result]) -> list[Row]:
@@ -102,8 +133,12 @@ def _of_drift(results: Sequence[Result]) -> list[Row]:
     return _by_moment(found, "drift of the base from its start", parts)
 
 
-def _by_moment(found: Sequence[Mapping[str, Any]], what: str, parts: Sequence[tuple[str, str, str]]) -> list[Row]:
-    """Rows of ``largest`` and ``final`` sizes by part (key, name, unit), which not every run has."""
+def _by_moment(
+    found: Sequence[Mapping[str, Any]], what: str, parts: Sequence[tuple[str, str, str]]
+) -> list[Row]:
+    """Rows of ``largest`` and ``final`` sizes by part (key, name, unit), which not every run
+    has.
+    """
     rows = []
     for moment in ("largest", "final"):
         of_moment = [figures.get(moment, {}) for figures in found]
@@ -111,7 +146,9 @@ def _by_moment(found: Sequence[Mapping[str, Any]], what: str, parts: Sequence[tu
         for k, (key, name, unit) in enumerate(kept):
             cells = [Cell(number(each.get(key))) for each in of_moment]
             head = "" if k else f"{moment.capitalize()} {what}"
-            rows.append(Row((name or key.rpartition("_")[2]).capitalize(), cells, unit=unit, head=head))
+            rows.append(
+                Row((name or key.rpartition("_")[2]).capitalize(), cells, unit=unit, head=head)
+            )
     return rows
 
 
@@ -121,20 +158,29 @@ def _of_actuators(results: Sequence[Result]) -> list[Row]:
     if any(result.thrusters for result in results):
         figures = [result.thrusters for result in results]
         least = [Cell(number(1e3 * each.get("propellant_of_force", math.nan))) for each in figures]
-        impulse, pulses = ([sum(each.get(key, {}).values()) for each in figures] for key in ("impulse", "pulses"))
+        impulse, pulses = (
+            [sum(each.get(key, {}).values()) for each in figures] for key in ("impulse", "pulses")
+        )
         rows += [
             Row("Propellant", _compared(results, propellant, digits=4), unit="g", head="Thrusters"),
             Row("At least, for the commanded force", least, unit="g"),
             Row("Impulse", [Cell(number(each)) for each in impulse], unit="N s"),
             Row("Pulses", [Cell(str(each)) for each in pulses]),
-            Row("Samples with less than was wanted", [_share(each, "saturated") for each in figures]),
+            Row(
+                "Samples with less than was wanted", [_share(each, "saturated") for each in figures]
+            ),
         ]
     if any(result.wheels for result in results):
         keys = {
-            "Speed, of a wheel's limit": "speed_used", "Torque, of a motor's limit": "torque_used",
-            "Samples with a motor at its limit": "torque_limited", "Samples in which they are unloaded": "unloading",
-        }  # fmt: skip
-        made = [Row(label, [_share(result.wheels, key) for result in results]) for label, key in keys.items()]
+            "Speed, of a wheel's limit": "speed_used",
+            "Torque, of a motor's limit": "torque_used",
+            "Samples with a motor at its limit": "torque_limited",
+            "Samples in which they are unloaded": "unloading",
+        }
+        made = [
+            Row(label, [_share(result.wheels, key) for result in results])
+            for label, key in keys.items()
+        ]
         rows += [dataclasses.replace(made[0], head="Wheels"), *made[1:]]
     return rows
 
@@ -149,17 +195,26 @@ def _share(figures: Mapping[str, Any], key: str) -> Cell:
 
 
 def _magnitude(result: Result, group: str, unit: str, field: str) -> float:
-    found = [getattr(part, field) for part in result.magnitudes if (part.group, part.unit) == (group, unit)]
+    found = [
+        getattr(part, field)
+        for part in result.magnitudes
+        if (part.group, part.unit) == (group, unit)
+    ]
     return float(found[0]) if found else math.nan
 
 
 def _hidden_rows(results: Sequence[Result]) -> list[Row]:
-    """How far each hidden coordinate of any run is deflected, and what is left of it after the motion."""
+    """How far each hidden coordinate of any run is deflected, and what is left of it after the
+    motion.
+    """
     units: dict[str, str] = {}
     for data in (result.record.dataset for result in results):
         if "hidden_unit" in data.coords:
             units |= dict(
-                zip(*(data[f"hidden_{key}"].values.astype(str) for key in ("coordinate", "unit")), strict=True)
+                zip(
+                    *(data[f"hidden_{key}"].values.astype(str) for key in ("coordinate", "unit")),
+                    strict=True,
+                )
             )
     found = [deflection_metrics(result.record.dataset) for result in results]
     rows = []
@@ -174,12 +229,20 @@ def _hidden_rows(results: Sequence[Result]) -> list[Row]:
     return rows
 
 
-def _compared(results: Sequence[Result], figure: Callable[[Result], float], *, digits: int) -> list[Cell]:
+def _compared(
+    results: Sequence[Result], figure: Callable[[Result], float], *, digits: int
+) -> list[Cell]:
     """A sum over each run, the least of the completed ones marked where there are several."""
     completed = [figure(result) for result in results if _placed(result, figure)]
     best = min(completed) if len(completed) > 1 else None
-    kinds = ["partial" if not one.comparable else "best" if figure(one) == best else "" for one in results]
-    return [Cell(number(figure(result), digits), kind) for result, kind in zip(results, kinds, strict=True)]
+    kinds = [
+        "partial" if not one.comparable else "best" if figure(one) == best else ""
+        for one in results
+    ]
+    return [
+        Cell(number(figure(result), digits), kind)
+        for result, kind in zip(results, kinds, strict=True)
+    ]
 
 
 def _placed(result: Result, figure: Callable[[Result], float]) -> bool:
@@ -190,17 +253,21 @@ def table_notes(results: Sequence[Result], distances: Sequence[float] | None = N
     """What the table's sums mean, and which of them do not compare."""
     notes = [
         *_limits_left(results),
-        "ITAE is the sum of t |e|₁ L, ISV the sum of |τ|₂² L over the control samples, τ as commanded; less is better.",
+        "ITAE is the sum of t |e|₁ L, ISV the sum of |τ|₂² L over the control samples, τ as "
+        "commanded; less is better.",
     ]
     if distances is not None:
         notes.append(
-            "Error over the least possible: against the LQG controller of the same effort, which no linear controller "
-            "beats, for the same noise, white or correlated, and a demand that walks at random; a dash where the loop "
+            "Error over the least possible: against the LQG controller of the same effort, which "
+            "no linear controller "
+            "beats, for the same noise, white or correlated, and a demand that walks at random; a "
+            "dash where the loop "
             "is unstable or a user-supplied block senses."
         )
     if not all(result.comparable for result in results):
         notes.append(
-            "In italics: sums over a run that ended early, up to its end only. They do not compare with those of "
+            "In italics: sums over a run that ended early, up to its end only. They do not "
+            "compare with those of "
             "completed runs, however small."
         )
     if len({result.record.outcome.time for result in results if result.comparable}) > 1:
@@ -209,21 +276,31 @@ def table_notes(results: Sequence[Result], distances: Sequence[float] | None = N
 
 
 def _limits_left(results: Sequence[Result]) -> list[str]:
-    """Where the plans and the runs left the limits of their models, or why that is not known; a sentence each."""
+    """Where the plans and the runs left the limits of their models, or why that is not known; a
+    sentence each.
+    """
     sentences = []
     for result in results:
         name = f"{result.label}: " if len(results) > 1 else ""
         try:
             sentences += [f"Plan: {remark}." for remark in plan_remarks(result.record.scenario)]
-            sentences += [f"{name}{remark[:1].upper()}{remark[1:]}." for remark in run_remarks(result.record)]
-            sentences += [f"{name}Nearest to each other: {closest}." for closest in run_clearance(result.record)]
-        except (FfsmError, KeyError) as error:  # a model that does not load any more, a variable that is not there
+            sentences += [
+                f"{name}{remark[:1].upper()}{remark[1:]}." for remark in run_remarks(result.record)
+            ]
+            sentences += [
+                f"{name}Nearest to each other: {closest}."
+                for closest in run_clearance(result.record)
+            ]
+        except (FfsmError, KeyError) as error:
+            # a model that does not load any more, a variable that is not there
             sentences.append(f"{name}Limits of the model not compared: {one_line(error)}.")
     return list(dict.fromkeys(sentences))
 
 
 def rankings(results: Sequence[Result]) -> list[dict[str, Any]]:
-    """The runs by accuracy and by effort: place, value, and how many times the best one's value that is."""
+    """The runs by accuracy and by effort: place, value, and how many times the best one's value
+    that is.
+    """
     made = []
     figures: list[tuple[str, Callable[[Result], float], int]] = [
         ("By accuracy (ITAE)", operator.attrgetter("itae"), 4),
@@ -238,10 +315,21 @@ def rankings(results: Sequence[Result]) -> list[dict[str, Any]]:
             value, best = figure(result), figure(ranked[0])
             if _placed(result, figure):
                 times = _times(value / best) if place > 1 and best > 0.0 else ""
-                entries.append({"place": place, "result": result, "text": number(value, digits), "times": times})
+                entries.append(
+                    {
+                        "place": place,
+                        "result": result,
+                        "text": number(value, digits),
+                        "times": times,
+                    }
+                )
             else:
                 outcome = result.record.outcome
-                text = "not recorded" if result.comparable else f"{outcome.status} at {outcome.time:.2f} s"
+                text = (
+                    "not recorded"
+                    if result.comparable
+                    else (f"{outcome.status} at {outcome.time:.2f} s")
+                )
                 entries.append({"place": "–", "result": result, "text": text, "times": ""})
         made.append({"title": title, "entries": entries})
     return made

@@ -1,4 +1,6 @@
-"""The report's panels of hidden coordinates: how far each is deflected, and the energy of their springs."""
+"""The report's panels of hidden coordinates: how far each is deflected, and the energy of their
+springs.
+"""
 
 from collections.abc import Sequence
 
@@ -18,19 +20,36 @@ def deflection_views(results: Sequence[Result], thin: Thinning) -> list[View]:
     for i in having:
         hidden = results[i].record.dataset["hidden_coordinate"]
         units |= dict(
-            zip(hidden.values.astype(str).tolist(), hidden["hidden_unit"].values.astype(str).tolist(), strict=True)
+            zip(
+                hidden.values.astype(str).tolist(),
+                hidden["hidden_unit"].values.astype(str).tolist(),
+                strict=True,
+            )
         )
     views = []
-    for variable, label, suffix in (("hidden_position", "Deflection", ""), ("hidden_velocity", "Rate", "/s")):
-        panels = [_panel(results, having, thin, variable, name, f"{unit}{suffix}") for name, unit in units.items()]
+    for variable, label, suffix in (
+        ("hidden_position", "Deflection", ""),
+        ("hidden_velocity", "Rate", "/s"),
+    ):
+        panels = [
+            _panel(results, having, thin, variable, name, f"{unit}{suffix}")
+            for name, unit in units.items()
+        ]
         views.append(View(label=label, panels=panels))
-    energies = [_curve(results, i, thin, results[i].record.dataset["elastic_energy"].values) for i in having]
+    energies = [
+        _curve(results, i, thin, results[i].record.dataset["elastic_energy"].values) for i in having
+    ]
     energy = time_panel("Energy of the springs", "J", energies)
     return [*views, View(label="Energy", panels=[energy])]
 
 
 def _panel(
-    results: Sequence[Result], having: Sequence[int], thin: Thinning, variable: str, name: str, unit: str
+    results: Sequence[Result],
+    having: Sequence[int],
+    thin: Thinning,
+    variable: str,
+    name: str,
+    unit: str,
 ) -> Panel:
     traces = []
     for i in having:

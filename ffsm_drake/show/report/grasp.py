@@ -1,4 +1,6 @@
-"""The report's section on the grasp of a moving target: what it did, and the momentum on both sides of it."""
+"""The report's section on the grasp of a moving target: what it did, and the momentum on both sides
+of it.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -24,13 +26,25 @@ def grasp_of(result: Result) -> dict[str, Any] | None:
     rows = []
     for key, title, unit in _LEDGER:
         change = float(np.linalg.norm(np.subtract(after[key], before[key])))
-        rows.append([f"{title} [{unit}]", _vector(before[key]), _vector(after[key]), number(change, 2)])
+        rows.append(
+            [f"{title} [{unit}]", _vector(before[key]), _vector(after[key]), number(change, 2)]
+        )
     if stored := grasp.get("stored_momentum"):
         rows.append(["of which in the wheels [N m s]", _vector(stored), _vector(stored), "0"])
     lost = before["kinetic_energy"] - after["kinetic_energy"]
-    rows.append(["Kinetic energy [J]", number(before["kinetic_energy"]), number(after["kinetic_energy"]), number(lost)])
+    rows.append(
+        [
+            "Kinetic energy [J]",
+            number(before["kinetic_energy"]),
+            number(after["kinetic_energy"]),
+            number(lost),
+        ]
+    )
     units = dict(
-        zip(*(record.dataset[name].values.astype(str).tolist() for name in ("coordinate", "unit")), strict=True)
+        zip(
+            *(record.dataset[name].values.astype(str).tolist() for name in ("coordinate", "unit")),
+            strict=True,
+        )
     )
     rates = [
         [f"{name} [{units[name]}/s]", number(rate), number(after["velocity"][name])]
@@ -40,7 +54,9 @@ def grasp_of(result: Result) -> dict[str, Any] | None:
     return {
         "result": result,
         "sentence": sentence[:1].upper() + sentence[1:],
-        "budget": [line[:1].upper() + line[1:] for line in momentum_lines(grasp.get("momentum_budget"))],
+        "budget": [
+            line[:1].upper() + line[1:] for line in momentum_lines(grasp.get("momentum_budget"))
+        ],
         "ledger": rows,
         "rates": rates,
         "phases": _phases(record.metrics.get("phases", {})),
@@ -56,6 +72,10 @@ def _phases(phases: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
     groups = ("base_position", "base_rotation", "joints")
     return [
         [name, number(figures["isv"])]
-        + [number(figures[key][group], 3) for key in ("peak_effort", "final_error") for group in groups]
+        + [
+            number(figures[key][group], 3)
+            for key in ("peak_effort", "final_error")
+            for group in groups
+        ]
         for name, figures in phases.items()
     ]

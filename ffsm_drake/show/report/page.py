@@ -1,4 +1,6 @@
-"""The page: gathers results, panels, findings, stability and provenance of the runs, and renders them as one file."""
+"""The page: gathers results, panels, findings, stability and provenance of the runs, and renders
+them as one file.
+"""
 
 import functools
 import math
@@ -25,10 +27,16 @@ from ffsm_drake.show.report.time_panels import points_per_curve, run_views
 from ffsm_drake.show.tables import NONE, margins_data, number
 
 _STATUS_TONES = {"settled": "good", "unsettled": "warn", "interrupted": "warn", "diverged": "bad"}
-_STATUS_WORDS = {status: "not settled" if status == "unsettled" else status for status in _STATUS_TONES}
+_STATUS_WORDS = {
+    status: "not settled" if status == "unsettled" else status for status in _STATUS_TONES
+}
 _FINDING_TONES = {
-    "holds": "good", "does not hold": "bad", "measured": "mute", "not tested": "mute", "not applicable": "mute",
-}  # fmt: skip
+    "holds": "good",
+    "does not hold": "bad",
+    "measured": "mute",
+    "not tested": "mute",
+    "not applicable": "mute",
+}
 # Section key -> title, text, and the sentence that stands where the records have nothing to draw.
 _SECTIONS = {
     "motion": (
@@ -38,10 +46,15 @@ _SECTIONS = {
     ),
     "end_effector": (
         "End effector",
-        "Where the end effector went, and how far from where it was to be. Drag to turn, scroll to zoom.",
+        "Where the end effector went, and how far from where it was to be. Drag to turn, scroll "
+        "to zoom.",
         "The records hold no path of the end effector.",
     ),
-    "error": ("Tracking error", "Reference minus truth, e = q_d - q, by coordinate.", "The records hold no errors."),
+    "error": (
+        "Tracking error",
+        "Reference minus truth, e = q_d - q, by coordinate.",
+        "The records hold no errors.",
+    ),
     "force": (
         "Forces and torques",
         "What the controller asks of base and joints, and the disturbance that acts besides.",
@@ -66,16 +79,19 @@ def write_report(
     recording: str | None = None,
     distances: Sequence[float] | None = None,
 ) -> Path:
-    """Write one self-contained HTML page about one or several runs; it opens from disk, without a network.
+    """Write one self-contained HTML page about one or several runs; it opens from disk, without a
+    network.
 
-    A section that does not apply to a run says so. The same records give the same bytes. Returns the path.
+    A section that does not apply to a run says so. The same records give the same bytes. Returns
+    the path.
 
     Args:
       records: the runs to show and compare, in the order of the table's columns.
       path: the file to write.
       title: the page's heading; default: the scenario's description.
       recording: the text of a self-contained Meshcat page, to be played within this one.
-      distances: each run's controller's distance to the LQG limit (``control_design.limit``), for the table.
+      distances: each run's controller's distance to the LQG limit (``control_design.limit``), for
+        the table.
 
     Raises:
       RecordError: there is no record, or the file cannot be written.
@@ -83,7 +99,9 @@ def write_report(
     path = Path(path)
     if not records:
         raise RecordError(f"{path}: a report needs at least one record, none was given")
-    page = render_report(records, folder=path.parent, title=title, recording=recording, distances=distances)
+    page = render_report(
+        records, folder=path.parent, title=title, recording=recording, distances=distances
+    )
     write_text(path, page)
     return path
 
@@ -96,7 +114,9 @@ def render_report(
     recording: str | None = None,
     distances: Sequence[float] | None = None,
 ) -> str:
-    """The page of ``write_report`` as text; ``records`` holds at least one, and paths start at ``folder``."""
+    """The page of ``write_report`` as text; ``records`` holds at least one, and paths start at
+    ``folder``.
+    """
     results = results_of(records)
     thin = Thinning(points_per_curve(results))
     margins = [_attempt(functools.partial(stability, result.record.scenario)) for result in results]
@@ -109,7 +129,8 @@ def render_report(
     descriptions = list(dict.fromkeys(record.scenario.description for record in records))
     description = descriptions[0] or "Run report"
     within = {
-        group: f"{1e3 * records[0].scenario.tolerance_of(group):g} m{'m' if group == 'base_position' else 'rad'}"
+        group: f"{1e3 * records[0].scenario.tolerance_of(group):g} "
+        f"m{'m' if group == 'base_position' else 'rad'}"
         for group in ("base_rotation", "base_position", "joints")
     }
     settled = " and ".join(dict.fromkeys(within.values()))
@@ -118,18 +139,25 @@ def render_report(
         sections["actuators"] = ("Actuators", actuator_text(results), "")
     if deflections:
         sections["hidden"] = (
-            "Hidden coordinates", "What moves in the true spacecraft that the controller takes for rigid.", "",
-        )  # fmt: skip
+            "Hidden coordinates",
+            "What moves in the true spacecraft that the controller takes for rigid.",
+            "",
+        )
     content: Json = {
         "title": title or description,
-        "kicker": "; ".join(descriptions) if title or len(descriptions) > 1 else "free-flying space manipulator",
+        "kicker": "; ".join(descriptions)
+        if title or len(descriptions) > 1
+        else "free-flying space manipulator",
         "identifier": IDENTIFIER,
         "shown": [
-            (controller_key(record.scenario.controller), record.identifier) for record in records if record.identifier
+            (controller_key(record.scenario.controller), record.identifier)
+            for record in records
+            if record.identifier
         ],
         "results": results,
         "summary": _summary(results),
-        "settled_rule": f"Settled means: over the last {SETTLED_OVER:g} s every error stays within {settled}.",
+        "settled_rule": f"Settled means: over the last {SETTLED_OVER:g} s every error stays "
+        f"within {settled}.",
         "table": table(results, distances),
         "table_notes": table_notes(results, distances),
         "rankings": rankings(results) if len(results) > 1 else [],
@@ -143,7 +171,9 @@ def render_report(
         "grasps": [grasp for result in results if (grasp := grasp_of(result)) is not None],
         "thinning": _thinning(thin),
         "findings": [_findings(result) for result in results],
-        "stability": [_stability(result, *margin) for result, margin in zip(results, margins, strict=True)],
+        "stability": [
+            _stability(result, *margin) for result, margin in zip(results, margins, strict=True)
+        ],
         "provenance": provenance(results, folder),
         "software": software(records),
         "version": records[0].software.get("ffsm-drake", ""),
@@ -156,19 +186,27 @@ def render_report(
 
 
 def _attempt(make: Callable[[], T]) -> tuple[T | None, str]:
-    """What ``make`` returns, or why there is nothing: a section that fails must not take the report with it."""
+    """What ``make`` returns, or why there is nothing: a section that fails must not take the report
+    with it.
+    """
     try:
         return make(), ""
     except FfsmError as error:
         return None, one_line(error)
     except KeyError as error:  # a variable that the record lacks, a controller that has no law
-        return None, f"there is no {one_line(error).strip(chr(34)).removeprefix('No variable named ').split('. ')[0]}"
+        return None, (
+            "there is no "
+            f"{one_line(error).strip(chr(34)).removeprefix('No variable named ').split('. ')[0]}"
+        )
 
 
 def _summary(results: Sequence[Result]) -> str:
     if len(results) == 1:
         return f"One run of {results[0].label}, {results[0].record.outcome.time:g} s of flight."
-    counted = {word: sum(result.status == status for result in results) for status, word in _STATUS_WORDS.items()}
+    counted = {
+        word: sum(result.status == status for result in results)
+        for status, word in _STATUS_WORDS.items()
+    }
     return f"{len(results)} runs compared: {_tally(counted)}."
 
 
@@ -180,8 +218,10 @@ def _thinning(thin: Thinning) -> str:
     if thin.longest <= thin.points:
         return "The plots show every control sample."
     return (
-        f"Curves of more than {thin.points} samples are thinned for display (the longest has {thin.longest}): of "
-        "each short interval the smallest and the largest value are drawn, so that no peak is lost. The record itself "
+        f"Curves of more than {thin.points} samples are thinned for display (the longest has "
+        f"{thin.longest}): of "
+        "each short interval the smallest and the largest value are drawn, so that no peak is "
+        "lost. The record itself "
         "is whole, and every figure on this page is computed from all samples."
     )
 
@@ -193,7 +233,10 @@ def _findings(result: Result) -> Json:
         analysis, problem = _attempt(functools.partial(analyze, result.record))
         findings = () if analysis is None else analysis.findings
         excuse = problem and f"The analysis is not available for this run: {problem}."
-    counted = {verdict: sum(finding.verdict == verdict for finding in findings) for verdict in _FINDING_TONES}
+    counted = {
+        verdict: sum(finding.verdict == verdict for finding in findings)
+        for verdict in _FINDING_TONES
+    }
     return {"result": result, "findings": findings, "excuse": excuse, "tally": _tally(counted)}
 
 
@@ -220,7 +263,11 @@ def _stability(result: Result, margins: Margins | None, problem: str) -> Json:
             f"{max(highest):.3g} / {min(limits):.3g}" if adapts else NONE,
             f"{period} / {longest}",
         ],
-        "tone": "bad" if not margins.is_stable else "good" if margins.verdict == "stable" else "warn",
+        "tone": "bad"
+        if not margins.is_stable
+        else "good"
+        if margins.verdict == "stable"
+        else "warn",
         "verdict": margins.verdict,
         "limits": {
             name: [
@@ -233,7 +280,7 @@ def _stability(result: Result, margins: Margins | None, problem: str) -> Json:
             ]
             for name, item in items.items()
         },
-    }  # fmt: skip
+    }
 
 
 def _span(low: float, high: float) -> str:

@@ -11,7 +11,13 @@ from typing import Any
 import yaml
 
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import flatten, load_scenario, portable_scenario, scenario_to_dict, shipped_scenarios
+from ffsm_drake.scenario import (
+    flatten,
+    load_scenario,
+    portable_scenario,
+    scenario_to_dict,
+    shipped_scenarios,
+)
 from ffsm_drake.show.report.results import Result
 from ffsm_drake.show.tables import number
 
@@ -28,13 +34,22 @@ def provenance(results: Sequence[Result], folder: Path) -> list[dict[str, Any]]:
         data = portable_scenario(scenario, folder)
         text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
         file = f"{scenario.controller.replace(':', '-')}.yaml"
-        wall = ", ".join(f"{name.replace('_', ' ')} {number(value, 3)} s" for name, value in record.wall_time.items())
+        wall = ", ".join(
+            f"{name.replace('_', ' ')} {number(value, 3)} s"
+            for name, value in record.wall_time.items()
+        )
         facts = [
             ("Outcome", f"{record.outcome.status}, {record.outcome.message}"),
             ("Controller", scenario.controller),
             ("Random seed", str(scenario.random_seed)),
-            ("Control samples", f"{record.dataset.sizes.get('time', 0)}, every {scenario.sample_time:g} s"),
-            ("Integration", f"{config.integration_scheme}, steps of at most {config.max_step_size:g} s"),
+            (
+                "Control samples",
+                f"{record.dataset.sizes.get('time', 0)}, every {scenario.sample_time:g} s",
+            ),
+            (
+                "Integration",
+                f"{config.integration_scheme}, steps of at most {config.max_step_size:g} s",
+            ),
             ("Wall time", wall),
         ]
         if record.wall_time.get("advance_to", 0.0) > 0.0:
@@ -50,20 +65,33 @@ def provenance(results: Sequence[Result], folder: Path) -> list[dict[str, Any]]:
 
 
 def _command(wanted: Mapping[str, Any], shipped: Mapping[str, Mapping[str, Any]], file: str) -> str:
-    """The command that makes a run again: the nearest shipped scenario where few values differ, else the saved file."""
+    """The command that makes a run again: the nearest shipped scenario where few values differ,
+    else the saved file.
+    """
     candidates = []
     for name, known in shipped.items():
         if set(known) <= set(wanted):
-            changed = {key: value for key, value in wanted.items() if key not in known or known[key] != value}
+            changed = {
+                key: value
+                for key, value in wanted.items()
+                if key not in known or known[key] != value
+            }
             candidates.append((len(changed), name, changed))
-    count, name, changed = min(candidates, default=(math.inf, "", {}), key=lambda candidate: candidate[:2])
+    count, name, changed = min(
+        candidates, default=(math.inf, "", {}), key=lambda candidate: candidate[:2]
+    )
     if count > _MOST_OVERRIDES:
         return shlex.join(["ffsm", "run", file])
-    overrides = [word for key, value in changed.items() for word in ("--set", f"{key}={json.dumps(value)}")]
+    overrides = [
+        word for key, value in changed.items() for word in ("--set", f"{key}={json.dumps(value)}")
+    ]
     return shlex.join(["ffsm", "run", name, *overrides])
 
 
 def software(records: Sequence[RunRecord]) -> list[tuple[str, str]]:
     """Versions; where the runs differ, all of them."""
     names = dict.fromkeys(name for record in records for name in record.software)
-    return [(name, " / ".join(dict.fromkeys(record.software.get(name, "?") for record in records))) for name in names]
+    return [
+        (name, " / ".join(dict.fromkeys(record.software.get(name, "?") for record in records)))
+        for name in names
+    ]

@@ -23,7 +23,9 @@ HELD = ("generalized_force", "applied_force")  # from one sample to the next
 
 @dataclasses.dataclass(frozen=True)
 class Magnitude:
-    """The largest values of the coordinates of one group and unit; NaN where the record has none."""
+    """The largest values of the coordinates of one group and unit; NaN where the record has
+    none.
+    """
 
     group: str
     unit: str  # "rad" or "m"
@@ -35,7 +37,9 @@ class Magnitude:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Result:
-    """One run: name, status, verdict and figures; NaN where the record lacks what a figure needs."""
+    """One run: name, status, verdict and figures; NaN where the record lacks what a figure
+    needs.
+    """
 
     record: RunRecord
     label: str
@@ -61,12 +65,16 @@ def results_of(records: Sequence[RunRecord]) -> list[Result]:
 
 
 def ranking(results: Sequence[Result], figure: Callable[[Result], float]) -> list[Result]:
-    """The best first. Interrupted runs stand behind all completed ones, diverged runs last, whatever their sums."""
+    """The best first. Interrupted runs stand behind all completed ones, diverged runs last,
+    whatever their sums.
+    """
     order = {"completed": 0, "interrupted": 1, "diverged": 2}
 
     def key(result: Result) -> tuple[int, float]:
         value = figure(result) if result.comparable else -result.record.outcome.time
-        return order.get(result.record.outcome.status, 3), value if math.isfinite(value) else math.inf
+        return order.get(result.record.outcome.status, 3), value if math.isfinite(
+            value
+        ) else math.inf
 
     return sorted(results, key=key)
 
@@ -74,7 +82,10 @@ def ranking(results: Sequence[Result], figure: Callable[[Result], float]) -> lis
 def actuators_act(results: Sequence[Result]) -> bool:
     """Whether applied and commanded force differ in a run; NaN equals NaN."""
     pairs = [(values_of(result.record, name) for name in HELD) for result in results]
-    return any(a is not None and b is not None and not np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+    return any(
+        a is not None and b is not None and not np.array_equal(a, b, equal_nan=True)
+        for a, b in pairs
+    )
 
 
 def values_of(record: RunRecord, name: str) -> np.ndarray | None:
@@ -91,18 +102,29 @@ def _result(record: RunRecord, label: str, style: Style) -> Result:
     error, effort = values_of(record, "error"), values_of(record, "generalized_force")
     accuracy = math.nan
     if error is not None:
-        accuracy = itae(record.dataset["time"].values[:-1], tracked_of(record.dataset).error[:-1], period)
+        accuracy = itae(
+            record.dataset["time"].values[:-1], tracked_of(record.dataset).error[:-1], period
+        )
     cost = math.nan if effort is None else isv(effort[:-1], period)
     magnitudes = tuple(_magnitudes(record, error, effort))
     sampled = record.dataset.sizes.get("time", 0) > 0
     return Result(
-        record=record, label=label, style=style, status=status, verdict=verdict, itae=accuracy, isv=cost,
-        magnitudes=magnitudes, thrusters=thruster_metrics(record.dataset) if sampled else {},
+        record=record,
+        label=label,
+        style=style,
+        status=status,
+        verdict=verdict,
+        itae=accuracy,
+        isv=cost,
+        magnitudes=magnitudes,
+        thrusters=thruster_metrics(record.dataset) if sampled else {},
         wheels=wheel_metrics(record.dataset) if sampled else {},
-    )  # fmt: skip
+    )
 
 
-def _magnitudes(record: RunRecord, error: np.ndarray | None, effort: np.ndarray | None) -> list[Magnitude]:
+def _magnitudes(
+    record: RunRecord, error: np.ndarray | None, effort: np.ndarray | None
+) -> list[Magnitude]:
     groups, units = (record.dataset[name].values.astype(str) for name in ("group", "unit"))
 
     def largest(values: np.ndarray | None, members: np.ndarray) -> float:
@@ -111,7 +133,12 @@ def _magnitudes(record: RunRecord, error: np.ndarray | None, effort: np.ndarray 
     magnitudes = []
     for group, unit in dict.fromkeys(zip(groups.tolist(), units.tolist(), strict=True)):
         members = (groups == group) & (units == unit)
-        values = error, None if error is None else error[-1], effort, values_of(record, "applied_force")
+        values = (
+            error,
+            None if error is None else error[-1],
+            effort,
+            values_of(record, "applied_force"),
+        )
         magnitudes.append(Magnitude(group, unit, *(largest(one, members) for one in values)))
     return magnitudes
 
@@ -122,25 +149,45 @@ def _evaluate(record: RunRecord) -> tuple[Status, str]:
     if outcome.status == "diverged":
         return "diverged", _sentence(outcome.message, scenario.controller)
     if not outcome.completed:
-        counted = "no sample was" if samples == 0 else "1 sample was" if samples == 1 else f"{samples} samples were"
-        return "interrupted", _sentence(f"{outcome.message}; {counted} recorded", scenario.controller)
+        counted = (
+            "no sample was"
+            if samples == 0
+            else "1 sample was"
+            if samples == 1
+            else f"{samples} samples were"
+        )
+        return "interrupted", _sentence(
+            f"{outcome.message}; {counted} recorded", scenario.controller
+        )
     if values_of(record, "error") is None:
         return "unsettled", f"Completed {outcome.time:g} s; the record holds no errors."
     end = scenario.planned_end
     if end is not None and outcome.time < end - 1e-9:
-        return "unsettled", f"Completed {outcome.time:g} s, before the planned motion ends at {end:g} s."
+        return "unsettled", (
+            f"Completed {outcome.time:g} s, before the planned motion ends at {end:g} s."
+        )
     late = record.dataset["time"].values >= outcome.time - SETTLED_OVER - 1e-9
     tracked = tracked_of(record.dataset)
-    peaks, names, units = np.abs(tracked.error[late]).max(axis=0), tracked.names, np.array(tracked.units)
+    peaks, names, units = (
+        np.abs(tracked.error[late]).max(axis=0),
+        tracked.names,
+        np.array(tracked.units),
+    )
     by_unit = {unit: peaks[units == unit] for unit in ("rad", "m")}
-    largest = ", ".join(f"{number(float(each.max()), 3)} {unit}" for unit, each in by_unit.items() if each.size)
-    tolerance = [scenario.tolerance_of(name, group) for name, group in zip(names, tracked.groups, strict=True)]
+    largest = ", ".join(
+        f"{number(float(each.max()), 3)} {unit}" for unit, each in by_unit.items() if each.size
+    )
+    tolerance = [
+        scenario.tolerance_of(name, group)
+        for name, group in zip(names, tracked.groups, strict=True)
+    ]
     excess = peaks / np.array(tolerance)
     if excess.max() <= 1.0:
         return "settled", f"Settled: over the last second no error exceeds {largest}."
     worst = int(np.argmax(excess))
     return "unsettled", (
-        f"Completed {outcome.time:g} s but not settled: over the last second the error of {names[worst]} reaches "
+        f"Completed {outcome.time:g} s but not settled: over the last second the error of "
+        f"{names[worst]} reaches "
         f"{number(float(peaks[worst]), 3)} {units[worst]}."
     )
 

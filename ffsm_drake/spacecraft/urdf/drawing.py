@@ -15,9 +15,10 @@ _COLORS = {"box": "0.83 0.62 0.20 1", "cylinder": "0.92 0.92 0.94 1", "sphere": 
 def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float) -> int:
     """Draw the links of a URDF that have no visual; returns how many.
 
-    A link of the base becomes the box that has its moments of inertia. Another one becomes a ball at its joint and rods
-    of the given radius (m) from there to what it holds, over the stroke of a sliding joint, or, at the end of a chain,
-    past its centre of mass. So the bodies touch from joint to joint.
+    A link of the base becomes the box that has its moments of inertia. Another one becomes a ball
+    at its joint and rods of the given radius (m) from there to what it holds, over the stroke of a
+    sliding joint, or, at the end of a chain, past its centre of mass. So the bodies touch from
+    joint to joint.
     """
     drawn = 0
     for link in root.findall("link"):
@@ -52,19 +53,25 @@ def _held_points(root: Element, link: str) -> Iterator[np.ndarray]:
 
 
 def _stroke(root: Element, link: str) -> Iterator[np.ndarray]:
-    """Where the holder's end (3) of a sliding link's joint may lie in its frame: one or both limits of the stroke."""
+    """Where the holder's end (3) of a sliding link's joint may lie in its frame: one or both limits
+    of the stroke.
+    """
     for element in root.findall("joint"):
         joint = read_joint(element)
         if joint.child == link and joint.unit == "m" and joint.is_limited:
             axis = vector(element.find("axis"), "xyz", f"joint '{joint.name}'", "1 0 0")
-            yield from (-limit * axis / np.linalg.norm(axis) for limit in (joint.lower, joint.upper))
+            yield from (
+                -limit * axis / np.linalg.norm(axis) for limit in (joint.lower, joint.upper)
+            )
 
 
 def _add_rod(link: Element, start: np.ndarray, end: np.ndarray, radius: float) -> None:
     length = float(np.linalg.norm(end - start))
     x, y, z = (end - start) / length
     rpy = f"0 {math.acos(max(-1.0, min(1.0, z))):.6g} {math.atan2(y, x):.6g}"
-    _add_visual(link, "cylinder", 0.5 * (start + end), rpy, radius=f"{radius:.4g}", length=f"{length:.6g}")
+    _add_visual(
+        link, "cylinder", 0.5 * (start + end), rpy, radius=f"{radius:.4g}", length=f"{length:.6g}"
+    )
 
 
 def _add_visual(link: Element, kind: str, xyz: np.ndarray, rpy: str = "0 0 0", **size: str) -> None:
@@ -76,14 +83,22 @@ def _add_visual(link: Element, kind: str, xyz: np.ndarray, rpy: str = "0 0 0", *
 
 def color_visual(visual: Element, name: str, rgba: str) -> None:
     """Add a material that is defined in place: its name and colour."""
-    ElementTree.SubElement(ElementTree.SubElement(visual, "material", name=name), "color", rgba=rgba)
+    ElementTree.SubElement(
+        ElementTree.SubElement(visual, "material", name=name), "color", rgba=rgba
+    )
 
 
 def _equivalent_box(link: Element) -> str | None:
-    """The sides, in m, of the solid box that has a link's moments of inertia; None where there is no such box."""
+    """The sides, in m, of the solid box that has a link's moments of inertia; None where there is
+    no such box.
+    """
     inertia, mass = link.find("inertial/inertia"), link.find("inertial/mass")
     if inertia is None or mass is None:
         return None
     ixx, iyy, izz = (float(inertia.get(key, 0.0)) for key in ("ixx", "iyy", "izz"))
-    squares = np.array([iyy + izz - ixx, ixx + izz - iyy, ixx + iyy - izz]) * 6.0 / float(mass.get("value", 0.0))
+    squares = (
+        np.array([iyy + izz - ixx, ixx + izz - iyy, ixx + iyy - izz])
+        * 6.0
+        / float(mass.get("value", 0.0))
+    )
     return " ".join(f"{side:.4g}" for side in np.sqrt(squares)) if min(squares) > 0.0 else None

@@ -53,7 +53,9 @@ def require(condition: object, problem: str) -> None:
 
 
 def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, str]:
-    """The root element, and the comments before it, where licences stand. Raises ModelError: not a URDF."""
+    """The root element, and the comments before it, where licences stand. Raises ModelError: not a
+    URDF.
+    """
     require(path.is_file(), f"no such file; give {what}")
     try:
         check_regular(path, limit=MAX_URDF)
@@ -90,11 +92,16 @@ def number(element: Element, attribute: str, place: str, default: str = "") -> f
         value = float(text)
     except ValueError:
         value = math.nan
-    require(not math.isnan(value), f"{place}: <{element.tag} {attribute}> must be a number, not '{text}'")
+    require(
+        not math.isnan(value),
+        f"{place}: <{element.tag} {attribute}> must be a number, not '{text}'",
+    )
     return value
 
 
-def vector(element: Element | None, attribute: str, place: str, default: str = "0 0 0") -> np.ndarray:
+def vector(
+    element: Element | None, attribute: str, place: str, default: str = "0 0 0"
+) -> np.ndarray:
     """Three numbers; the default where there is no element or no attribute."""
     text = default if element is None else element.get(attribute, default)
     try:
@@ -113,10 +120,18 @@ def read_joint(element: Element) -> Joint:
     if limit is not None:
         if kind in ("revolute", "prismatic") and (limit.get("lower") or limit.get("upper")):
             lower, upper = (number(limit, side, place, "0") for side in ("lower", "upper"))
-            require(lower <= upper, f"{place}: its lower limit {lower:g} lies above its upper limit {upper:g}")
+            require(
+                lower <= upper,
+                f"{place}: its lower limit {lower:g} lies above its upper limit {upper:g}",
+            )
         # Zero is what generators write where the limit is not known.
-        effort, velocity = (number(limit, what, place, "0") or math.inf for what in ("effort", "velocity"))
-        require(min(effort, velocity) > 0.0, f"{place}: its effort and velocity limits must not be negative")
+        effort, velocity = (
+            number(limit, what, place, "0") or math.inf for what in ("effort", "velocity")
+        )
+        require(
+            min(effort, velocity) > 0.0,
+            f"{place}: its effort and velocity limits must not be negative",
+        )
     return Joint(
         name=name,
         kind=kind,
@@ -134,26 +149,38 @@ def check_kind(joint: Joint) -> None:
     """Raise ModelError unless the joint has one degree of freedom or none."""
     require(
         joint.moves or joint.kind == "fixed",
-        f"joint '{joint.name}' must be {', '.join(_MOVING)} or fixed, not '{joint.kind}'; replace several degrees of "
+        f"joint '{joint.name}' must be {', '.join(_MOVING)} or fixed, not '{joint.kind}'; replace "
+        "several degrees of "
         "freedom by single joints, with links without <inertial> between them",
     )
 
 
 def read_mass(link: Element) -> float:
-    """Mass of a link, kg; zero without <inertial>. Raises ModelError for a mass or inertia that no body can have."""
+    """Mass of a link, kg; zero without <inertial>. Raises ModelError for a mass or inertia that no
+    body can have.
+    """
     place = f"link '{name_of(link)}'"
     mass_element, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
     mass = 0.0 if mass_element is None else number(mass_element, "value", place)
     require(0.0 <= mass < math.inf, f"{place}: mass {mass:g} kg must be positive")
     rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
-    matrix = np.array([[0.0 if inertia is None else number(inertia, key, place, "0") for key in row] for row in rows])
+    matrix = np.array(
+        [
+            [0.0 if inertia is None else number(inertia, key, place, "0") for key in row]
+            for row in rows
+        ]
+    )
     require(np.isfinite(matrix).all(), f"{place}: its inertia must be finite")
-    require(mass or not matrix.any(), f"{place}: has inertia but no mass; give it both, or remove its <inertial>")
+    require(
+        mass or not matrix.any(),
+        f"{place}: has inertia but no mass; give it both, or remove its <inertial>",
+    )
     principal = np.linalg.eigvalsh(matrix)
     slack = 1e-9 * max(abs(principal).max(), 1e-12)
     require(
         principal[0] >= -slack and principal[0] + principal[1] >= principal[2] - slack,
-        f"{place}: no body has the principal moments {', '.join(f'{p:.4g}' for p in principal)} kg m^2; they must "
+        f"{place}: no body has the principal moments {', '.join(f'{p:.4g}' for p in principal)} "
+        "kg m^2; they must "
         "be positive, and the largest at most the sum of the others: correct its <inertia>",
     )
     return mass

@@ -1,4 +1,6 @@
-"""Mounting an arm without a spacecraft on a bus: a box of uniform density, whose +z face carries it."""
+"""Mounting an arm without a spacecraft on a bus: a box of uniform density, whose +z face carries
+it.
+"""
 
 import dataclasses
 import math
@@ -34,7 +36,10 @@ def make_bus(mass: float, size: tuple[float, ...] | None = None) -> Bus:
         raise ScenarioError("--bus-mass", f"must be > 0 kg, not {mass:g}")
     sides = size if size is not None else (round((mass / DENSITY) ** (1.0 / 3.0), 2) or 0.01,)
     if len(sides) not in (1, 3) or not all(math.isfinite(side) and side > 0.0 for side in sides):
-        raise ScenarioError("--bus-size", f"must be one side or three, > 0 m, not {','.join(f'{s:g}' for s in sides)}")
+        raise ScenarioError(
+            "--bus-size",
+            f"must be one side or three, > 0 m, not {','.join(f'{s:g}' for s in sides)}",
+        )
     x, y, z = sides if len(sides) == 3 else 3 * sides
     bus = Bus(mass=mass, size=(x, y, z))
     if not all(0.0 < moment < math.inf for moment in bus.inertia):
@@ -43,14 +48,19 @@ def make_bus(mass: float, size: tuple[float, ...] | None = None) -> Bus:
 
 
 def mount(root: Element, bus: Bus) -> str:
-    """Join the arm of a parsed URDF to a new base link; what stood in the world stands on the bus's +z face.
+    """Join the arm of a parsed URDF to a new base link; what stood in the world stands on the bus's
+    +z face.
 
     Returns: the link of the bus. Raises ModelError when it is not plain what to mount.
     """
     links = [name_of(link) for link in root.findall("link")]
     joints = [joint for joint in root.iter("joint") if joint in list(root)]
     for joint in joints:
-        if joint.find("parent") is not None and end_of(joint, "parent") == WORLD and joint.get("type") == "floating":
+        if (
+            joint.find("parent") is not None
+            and end_of(joint, "parent") == WORLD
+            and joint.get("type") == "floating"
+        ):
             root.remove(joint)
     joints = root.findall("joint")
     name, mount_name = _free(_NAME, links), _free(_MOUNT, [name_of(joint) for joint in joints])
@@ -59,7 +69,8 @@ def mount(root: Element, bus: Bus) -> str:
     roots = [link for link in links if link not in children and link != WORLD]
     require(
         len(roots) + bool(standing) == 1,
-        f"one link must be the arm's foot, without a parent, not {len(roots)} ({', '.join(roots) or 'none'})"
+        f"one link must be the arm's foot, without a parent, not {len(roots)} "
+        f"({', '.join(roots) or 'none'})"
         + (" beside what is fixed to the world" if standing else ""),
     )
     height = 0.5 * bus.size[2]
@@ -68,7 +79,9 @@ def mount(root: Element, bus: Bus) -> str:
         assert parent is not None
         parent.set("link", name)
         x, y, z = vector(origin, "xyz", f"joint '{name_of(joint)}'")
-        (SubElement(joint, "origin") if origin is None else origin).set("xyz", f"{x:.12g} {y:.12g} {z + height:.12g}")
+        (SubElement(joint, "origin") if origin is None else origin).set(
+            "xyz", f"{x:.12g} {y:.12g} {z + height:.12g}"
+        )
     if not standing:
         joint = SubElement(root, "joint", name=mount_name, type="fixed")
         SubElement(joint, "parent", link=name)
@@ -82,7 +95,10 @@ def _link(name: str, bus: Bus) -> Element:
     link = Element("link", name=name)
     inertial = SubElement(link, "inertial")
     SubElement(inertial, "mass", value=f"{bus.mass:.12g}")
-    moments = {key: f"{moment:.12g}" for key, moment in zip(("ixx", "iyy", "izz"), bus.inertia, strict=True)}
+    moments = {
+        key: f"{moment:.12g}"
+        for key, moment in zip(("ixx", "iyy", "izz"), bus.inertia, strict=True)
+    }
     SubElement(inertial, "inertia", moments | dict.fromkeys(("ixy", "ixz", "iyz"), "0"))
     geometry = SubElement(SubElement(link, "visual"), "geometry")
     SubElement(geometry, "box", size=" ".join(f"{side:.12g}" for side in bus.size))

@@ -85,7 +85,8 @@ def read_urdf(path: Path, *, tip: str | None = None, bus: Bus | None = None) -> 
     remarks = []
     if base_mass < 0.5 * total:
         remarks.append(
-            f"the base '{tree.base}' has {base_mass:.3g} of {total:.3g} kg: if it is the arm's foot, join it to a "
+            f"the base '{tree.base}' has {base_mass:.3g} of {total:.3g} kg: if it is the arm's "
+            "foot, join it to a "
             "link for the spacecraft by a fixed joint, or mount it on a bus with --bus-mass KG"
         )
     return Servicer(
@@ -104,37 +105,57 @@ def read_urdf(path: Path, *, tip: str | None = None, bus: Bus | None = None) -> 
 
 
 class _Tree:
-    """Links and joints of a URDF as a tree from the base. Raises ModelError unless they form one."""
+    """Links and joints of a URDF as a tree from the base. Raises ModelError unless they form
+    one.
+    """
 
     def __init__(self, root: Element) -> None:
         self.links = _by_name("link", root.findall("link"))
         self.frames = _by_name("frame", root.findall("frame"))
         joints = [
-            read_joint(e) for e in _by_name("joint", (*root.findall("joint"), *root.findall(f"{DRAKE}joint"))).values()
+            read_joint(e)
+            for e in _by_name(
+                "joint", (*root.findall("joint"), *root.findall(f"{DRAKE}joint"))
+            ).values()
         ]
         self.joints = [joint for joint in joints if joint.parent != WORLD]
         self.links.pop(WORLD, None)
         for joint in joints:
             require(
                 joint.parent != WORLD or joint.kind == "floating",
-                f"the base '{joint.child}' is attached to the world; remove joint '{joint.name}' and link '{WORLD}' "
+                f"the base '{joint.child}' is attached to the world; remove joint '{joint.name}' "
+                f"and link '{WORLD}' "
                 "from the URDF, so that the base is free, or mount it on a bus with --bus-mass KG",
             )
         for joint in self.joints:
             for role, link in (("parent", joint.parent), ("child", joint.child)):
-                require(link in self.links, f"joint '{joint.name}': its {role} link '{link}' does not exist")
+                require(
+                    link in self.links,
+                    f"joint '{joint.name}': its {role} link '{link}' does not exist",
+                )
         children = Counter(joint.child for joint in self.joints)
         for name, count in children.items():
-            require(count == 1, f"link '{name}' is the child of {count} joints; a chain must not close on itself")
+            require(
+                count == 1,
+                f"link '{name}' is the child of {count} joints; a chain must not close on itself",
+            )
         roots = [name for name in self.links if name not in children]
         found = f"{len(roots)} ({', '.join(roots)})" if roots else "none"
-        require(len(roots) == 1, f"one link must be the base, without a parent, not {found}; join the others to it")
+        require(
+            len(roots) == 1,
+            f"one link must be the base, without a parent, not {found}; join the others to it",
+        )
         self.base = roots[0]
         self.above = {joint.child: joint for joint in self.joints}
-        self.below = {name: [joint for joint in self.joints if joint.parent == name] for name in self.links}
+        self.below = {
+            name: [joint for joint in self.joints if joint.parent == name] for name in self.links
+        }
         reached = {self.base, *(joint.child for joint in self.descend(self.base))}
         for name in self.links:
-            require(name in reached, f"link '{name}' does not hang on the base '{self.base}': its joints form a loop")
+            require(
+                name in reached,
+                f"link '{name}' does not hang on the base '{self.base}': its joints form a loop",
+            )
         self.masses = {name: read_mass(link) for name, link in self.links.items()}
 
     def descend(self, link: str) -> Iterator[Joint]:
@@ -164,37 +185,57 @@ class _Tree:
         for joint in self.joints:
             check_kind(joint)
         moving = [joint.name for joint in self.joints if joint.moves]
-        require(moving, "has no joint that moves; a servicer needs an arm with revolute or prismatic joints")
+        require(
+            moving,
+            "has no joint that moves; a servicer needs an arm with revolute or prismatic joints",
+        )
         for name in moving:
             require(
                 name not in _RESERVED,
-                f"joint '{name}': the name clashes with one that scenarios use for the base; rename the joint",
+                f"joint '{name}': the name clashes with one that scenarios use for the base; "
+                "rename the joint",
             )
         for name, frame in self.frames.items():
             link = frame.get("link", "")
             require(link in self.links, f"frame '{name}': its link '{link}' does not exist")
-            require(name not in self.links, f"frame '{name}' has the name of a link; rename the frame")
+            require(
+                name not in self.links, f"frame '{name}' has the name of a link; rename the frame"
+            )
 
     def check_masses(self, tip: Tip) -> None:
-        """Raise ModelError unless the base has mass, and every joint moves some; the target counts for the tip's."""
+        """Raise ModelError unless the base has mass, and every joint moves some; the target counts
+        for the tip's.
+        """
         base_mass = sum(self.masses[name] for name in self.rigid_group(self.base))
-        require(base_mass, f"the base '{self.base}' has no mass; give it an <inertial> with mass and inertia")
+        require(
+            base_mass,
+            f"the base '{self.base}' has no mass; give it an <inertial> with mass and inertia",
+        )
         for joint in self.joints:
             require(
                 not joint.moves or joint.name in tip.joints or self.mass_below(joint.child),
-                f"link '{joint.child}' moves but has no mass, and carries none; give it an <inertial>, "
+                f"link '{joint.child}' moves but has no mass, and carries none; give it an "
+                "<inertial>, "
                 f"or make joint '{joint.name}' fixed",
             )
 
     def tips(self, chosen: str | None) -> list[Tip]:
-        """The chosen tip, then the ends of the other chains; the longest chain comes first, and is the default."""
+        """The chosen tip, then the ends of the other chains; the longest chain comes first, and is
+        the default.
+        """
         ends = sorted(self._ends(), key=lambda tip: (-len(tip.joints), -tip.reach))
         if chosen is None:
             return ends
-        valid = [name for name in (*self.links, *self.frames) if any(joint.moves for joint in self.chain(name))]
+        valid = [
+            name
+            for name in (*self.links, *self.frames)
+            if any(joint.moves for joint in self.chain(name))
+        ]
         known = chosen in self.links or chosen in self.frames
         fault = (
-            f"tip '{chosen}' does not move against the base" if known else f"no link or frame '{chosen}' for the tip"
+            f"tip '{chosen}' does not move against the base"
+            if known
+            else f"no link or frame '{chosen}' for the tip"
         )
         require(chosen in valid, f"{fault}; choose one of {', '.join(valid)}")
         return [self._tip(chosen), *(end for end in ends if end.frame != chosen)]
@@ -204,7 +245,11 @@ class _Tree:
         joints = tuple(joint.name for joint in chain if joint.moves)
         first = next((k for k, joint in enumerate(chain) if joint.moves), len(chain))
         reach = sum(joint.offset for joint in chain[first + 1 :])
-        reach += sum(max(abs(j.lower), abs(j.upper)) for j in chain if j.kind == "prismatic" and math.isfinite(j.upper))
+        reach += sum(
+            max(abs(j.lower), abs(j.upper))
+            for j in chain
+            if j.kind == "prismatic" and math.isfinite(j.upper)
+        )
         reach += float(np.linalg.norm(vector(self.frames.get(frame), "xyz", f"frame '{frame}'")))
         return Tip(frame=frame, joints=joints, reach=reach)
 
@@ -215,12 +260,16 @@ class _Tree:
             # A rigid group counts once, by the frame of it that lies farthest out.
             group = self.rigid_group(head)
             onward = [joint for name in group for joint in self.below[name] if joint.moves]
-            has_fingers = len(onward) > 1 and not any(j.moves for joint in onward for j in self.descend(joint.child))
+            has_fingers = len(onward) > 1 and not any(
+                j.moves for joint in onward for j in self.descend(joint.child)
+            )
             if not onward or has_fingers:
                 frames = [name for name, frame in self.frames.items() if frame.get("link") in group]
                 leaves = [name for name in group if not self.below[name]]
                 holders = sorted({joint.parent for joint in onward})
-                ends.append(max(map(self._tip, frames or leaves or holders), key=lambda tip: tip.reach))
+                ends.append(
+                    max(map(self._tip, frames or leaves or holders), key=lambda tip: tip.reach)
+                )
         palms = {tip.joints[-1] for tip in ends}
         return [tip for tip in ends if not palms & set(tip.joints[:-1])]
 

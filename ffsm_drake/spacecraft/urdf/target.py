@@ -36,21 +36,28 @@ class Target:
 
 
 def read_target(path: Path) -> Target:
-    """Read and check a URDF. Raises ModelError: it is not that of one rigid body with a frame where it is held."""
+    """Read and check a URDF. Raises ModelError: it is not that of one rigid body with a frame where
+    it is held.
+    """
     try:
         root, header = parse(path, "its URDF")
         links = root.findall("link")
         heavy = [link for link in links if read_mass(link)]
         names = ", ".join(name_of(link) for link in heavy) or "none"
-        require(len(heavy) == 1, f"one link must have the target's mass, not {len(heavy)} ({names})")
+        require(
+            len(heavy) == 1, f"one link must have the target's mass, not {len(heavy)} ({names})"
+        )
         moving = [name_of(joint) for joint in root.findall("joint") if joint.get("type") != "fixed"]
-        require(not moving, f"a target is rigid, but joint '{', '.join(moving)}' moves; make it fixed")
+        require(
+            not moving, f"a target is rigid, but joint '{', '.join(moving)}' moves; make it fixed"
+        )
         body = name_of(heavy[0])
         frames = [name_of(frame) for frame in root.findall("frame")]
         require(
             GRASP in frames or len(frames) == 1,
             f"{'more than one frame' if frames else 'no frame'} where it could be held; add "
-            f'<frame name="{GRASP}" link="{body}" xyz="0 0 -0.5" rpy="0 0 0"/>, with z into the target',
+            f'<frame name="{GRASP}" link="{body}" xyz="0 0 -0.5" rpy="0 0 0"/>, with z into the '
+            "target",
         )
         origin, element = heavy[0].find("inertial/origin"), heavy[0].find("inertial/inertia")
         place = f"link '{body}'"
@@ -61,14 +68,17 @@ def read_target(path: Path) -> Target:
         rotation = RollPitchYaw(vector(origin, "rpy", place)).ToRotationMatrix().matrix()
         tensor = rotation @ tensor @ rotation.T
         scale = max(float(np.abs(tensor).max()), 1e-300)
-        tensor = scale * np.round(tensor / scale, 12) + 0.0  # no products of 1e-16 where there are none
+        # no products of 1e-16 where there are none
+        tensor = scale * np.round(tensor / scale, 12) + 0.0
         return Target(
             source=path,
             body=body,
             grasp=GRASP if GRASP in frames else frames[0],
             mass=read_mass(heavy[0]),
             center_of_mass=tuple(vector(origin, "xyz", place).tolist()),
-            inertia=tuple(float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))),
+            inertia=tuple(
+                float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+            ),
             root=root,
             header=header,
         )

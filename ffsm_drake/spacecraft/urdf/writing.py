@@ -17,7 +17,9 @@ from ffsm_drake.spacecraft.urdf.servicer import Servicer
 from ffsm_drake.spacecraft.urdf.target import Target
 
 # A file that a mesh names: in quotes or between tags, or at the end of one of Wavefront's lines.
-_NAMED_FILE = re.compile(r'(?:["\'>]|^\s*\w+\s)([^"\'<>\n]+\.(?:mtl|bin|png|jpe?g|ktx2|webp))', re.MULTILINE | re.I)
+_NAMED_FILE = re.compile(
+    r'(?:["\'>]|^\s*\w+\s)([^"\'<>\n]+\.(?:mtl|bin|png|jpe?g|ktx2|webp))', re.MULTILINE | re.I
+)
 _REASONS = {
     "dynamics": "damping and friction left out ({n} times): the equations of motion here have none",
     "mimic": "<mimic> left out ({n} times): such a joint is controlled on its own",
@@ -28,12 +30,14 @@ _REASONS = {
 def write_urdf(
     servicer: Servicer | Target, directory: Path, *, file_name: str, packages: Mapping[str, Path]
 ) -> tuple[str, ...]:
-    """Write the copy that Drake loads, and its meshes, into a folder. Returns what was left out, a line each.
+    """Write the copy that Drake loads, and its meshes, into a folder. Returns what was left out, a
+    line each.
 
     Args:
       servicer: what was read; a target likewise.
       directory: gets the URDF and a folder ``meshes``.
-      packages: folder of each ROS package that mesh addresses name; others are looked for above the URDF.
+      packages: folder of each ROS package that mesh addresses name; others are looked for above the
+        URDF.
 
     Raises:
       RecordError, OSError: the folder cannot be written.
@@ -41,8 +45,13 @@ def write_urdf(
     root = copy.deepcopy(servicer.root)
     left_out = _strip(root)
     _inline_colors(root)
-    remarks = [*_told(left_out), *_copy_meshes(root, servicer.source.resolve(), directory / "meshes", packages)]
-    drawn = draw_bare_links(root, base_links=servicer.base_links, radius=max(0.02 * servicer.reach, 0.01))
+    remarks = [
+        *_told(left_out),
+        *_copy_meshes(root, servicer.source.resolve(), directory / "meshes", packages),
+    ]
+    drawn = draw_bare_links(
+        root, base_links=servicer.base_links, radius=max(0.02 * servicer.reach, 0.01)
+    )
     if drawn:
         remarks.append(f"links without a picture drawn as plain bodies: {drawn}")
     root.set("name", root.get("name") or "servicer")
@@ -61,14 +70,21 @@ def write_urdf(
 
 
 def _strip(root: Element) -> Counter[str]:
-    """Remove what is not used here. Returns how often each kind of element was left out that meant something."""
+    """Remove what is not used here. Returns how often each kind of element was left out that meant
+    something.
+    """
     left_out: Counter[str] = Counter()
     for element in list(root):
         parent = element.find("parent")
         name = element.get("name") if element.tag == "link" else None
         if WORLD in (name, None if parent is None else parent.get("link")):
             root.remove(element)
-        elif element.tag not in ("link", "joint", "material", "frame") and not element.tag.startswith(DRAKE):
+        elif element.tag not in (
+            "link",
+            "joint",
+            "material",
+            "frame",
+        ) and not element.tag.startswith(DRAKE):
             root.remove(element)
             left_out[element.tag] += 1
     for joint in root.iter("joint"):
@@ -76,7 +92,9 @@ def _strip(root: Element) -> Counter[str]:
         for tag in ("dynamics", "mimic", "calibration", "safety_controller"):
             for element in joint.findall(tag):
                 joint.remove(element)
-                if tag != "dynamics" or any(number(element, key, place, "0") for key in ("damping", "friction")):
+                if tag != "dynamics" or any(
+                    number(element, key, place, "0") for key in ("damping", "friction")
+                ):
                     left_out[tag] += 1
     for link in root.iter("link"):
         for element in link.findall("collision"):
@@ -98,7 +116,9 @@ def _told(left_out: Counter[str]) -> Iterator[str]:
 
 
 def _inline_colors(root: Element) -> None:
-    """Give every visual its colour: the first one defined for a name, as Drake refuses a second. Textures go."""
+    """Give every visual its colour: the first one defined for a name, as Drake refuses a second.
+    Textures go.
+    """
     colors: dict[str, str] = {}
     for material in root.iter("material"):
         rgba = next((color.get("rgba", "") for color in material.findall("color")), "")
@@ -114,8 +134,12 @@ def _inline_colors(root: Element) -> None:
                 color_visual(parent, name, colors[name])
 
 
-def _copy_meshes(root: Element, source: Path, folder: Path, packages: Mapping[str, Path]) -> Iterator[str]:
-    """Copy the meshes that can be drawn and address the copies; other visuals go. Yields a remark for each reason."""
+def _copy_meshes(
+    root: Element, source: Path, folder: Path, packages: Mapping[str, Path]
+) -> Iterator[str]:
+    """Copy the meshes that can be drawn and address the copies; other visuals go. Yields a remark
+    for each reason.
+    """
     missing: list[str] = []
     undrawable: list[str] = []
     places: dict[Path, str] = {}  # folder of meshes -> the name of its copy
@@ -142,13 +166,19 @@ def _copy_meshes(root: Element, source: Path, folder: Path, packages: Mapping[st
         (undrawable, "of a kind not drawn", f"convert them to {', '.join(DRAWABLE)}"),
     ):
         if addresses:
-            # Of an absolute path only the name: the copy should not say where its author kept things.
-            shown = [each if each.startswith("package://") else Path(each).name for each in dict.fromkeys(addresses)]
+            # Of an absolute path only the name: the copy should not say where its author kept
+            # things.
+            shown = [
+                each if each.startswith("package://") else Path(each).name
+                for each in dict.fromkeys(addresses)
+            ]
             yield f"meshes {problem} ({len(addresses)} times, {', '.join(shown[:3])}): {remedy}"
 
 
 def _find_mesh(address: str, source: Path, packages: Mapping[str, Path]) -> Path | None:
-    """The file of a mesh address, a path from the URDF ``source`` on or file://, package:// or model://."""
+    """The file of a mesh address, a path from the URDF ``source`` on or file://, package:// or
+    model://.
+    """
     scheme, _, rest = address.rpartition("://")
     if scheme in ("", "file"):
         candidates = [source.parent / rest]

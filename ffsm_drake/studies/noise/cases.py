@@ -18,11 +18,12 @@ EXCHANGED_AT = 1e-4  # rad/s and m/s; the swept sigma nearest to it is used
 # The gains of the sweep with each estimator, and those they are exchanged for.
 GAINS_OF = {"one_sample": "published", "kalman": "bandwidth"}
 EXCHANGED = {"one_sample": "bandwidth", "kalman": "published"}
-# Bandwidth gains: natural frequency w of each group, rad/s; and the random walk of N that the filter assumes.
+# Bandwidth gains: natural frequency w of each group, rad/s; and the random walk of N that the
+# filter assumes.
 OMEGA = {"base_position": 2.0, "base_rotation": 5.0, "joints": 10.0}
 WALK = {"base_position": 1e-3, "base_rotation": 1e-3, "joints": 1e-2}
-# Position noise that the filter assumes, s times sigma. If it knew that positions are exact, it would differentiate
-# them and ignore the rate sensor, an advantage that no real sensor gives.
+# Position noise that the filter assumes, s times sigma. If it knew that positions are exact, it
+# would differentiate them and ignore the rate sensor, an advantage that no real sensor gives.
 POSITION_NOISE_TIME = 0.1
 
 
@@ -44,12 +45,18 @@ class NoiseCase:
         if self.sigma is None:
             data["sensing"] = _shipped("flight_sensors")["sensing"]
         else:
-            data["sensing"] |= {"velocity_noise": {"all": self.sigma}, "position_noise": {"all": 0.0}}
+            data["sensing"] |= {
+                "velocity_noise": {"all": self.sigma},
+                "position_noise": {"all": 0.0},
+            }
         if self.estimator == "kalman":
             data["estimator"] = {"kind": "kalman", "walk": WALK}
             if self.sigma is not None:
                 position_noise = POSITION_NOISE_TIME * self.sigma
-                data["estimator"] |= {"velocity_noise": self.sigma, "position_noise": position_noise}
+                data["estimator"] |= {
+                    "velocity_noise": self.sigma,
+                    "position_noise": position_noise,
+                }
         if self.gains == "bandwidth":
             given = data["controllers"].get(self.controller, {})
             data["controllers"][self.controller] = given | bandwidth_gains(self.controller)
@@ -61,7 +68,10 @@ class NoiseCase:
         return "flight_sensors" if self.sigma is None else f"{self.sigma:.0e}"
 
     def __str__(self) -> str:
-        return f"{self.controller}, {self.estimator}, {self.gains} gains, {self.sensors}, seed {self.seed}"
+        return (
+            f"{self.controller}, {self.estimator}, {self.gains} gains, {self.sensors}, seed "
+            f"{self.seed}"
+        )
 
 
 @functools.cache
@@ -79,24 +89,44 @@ def bandwidth_gains(controller: str) -> dict[str, dict[str, float]]:
         "k_p": {group: omega**2 for group, omega in OMEGA.items()},
     }
     if controller in ("aismc", "tde_aismc"):
-        # Real noise drives |s| far past the adaptation's thresholds: K_s would reach its bound, so it starts there.
+        # Real noise drives |s| far past the adaptation's thresholds: K_s would reach its bound, so
+        # it starts there.
         k_s = {group: 0.3 * omega for group, omega in OMEGA.items()}
         gains |= {"k_s_initial": k_s, "k_s_max": k_s}
     return gains
 
 
-def study_cases(*, seeds: int, sigmas: Sequence[float], duration: float, controllers: Sequence[str]) -> list[NoiseCase]:
-    """The sweep, and the exchange of estimates and gains. Raises ScenarioError for an argument that cannot be used."""
+def study_cases(
+    *, seeds: int, sigmas: Sequence[float], duration: float, controllers: Sequence[str]
+) -> list[NoiseCase]:
+    """The sweep, and the exchange of estimates and gains. Raises ScenarioError for an argument that
+    cannot be used.
+    """
     if seeds < 1:
         raise ScenarioError("seeds", f"must be at least 1, not {seeds}")
-    if not sigmas or len(set(sigmas)) < len(sigmas) or not all(0.0 < sigma < math.inf for sigma in sigmas):
-        raise ScenarioError("sigmas", f"must be one or more positive and distinct numbers, not {list(sigmas)}")
+    if (
+        not sigmas
+        or len(set(sigmas)) < len(sigmas)
+        or not all(0.0 < sigma < math.inf for sigma in sigmas)
+    ):
+        raise ScenarioError(
+            "sigmas", f"must be one or more positive and distinct numbers, not {list(sigmas)}"
+        )
     if not controllers or not set(controllers) <= set(CONTROLLERS):
-        raise ScenarioError("controllers", f"must be some of {', '.join(CONTROLLERS)}, not {list(controllers)}")
+        raise ScenarioError(
+            "controllers", f"must be some of {', '.join(CONTROLLERS)}, not {list(controllers)}"
+        )
     swept = itertools.product(GAINS_OF.items(), controllers, (*sigmas, None))
     exchanged = itertools.product(EXCHANGED.items(), controllers, (exchange_point(sigmas),))
     return [
-        NoiseCase(controller=controller, estimator=estimator, gains=gains, sigma=sigma, seed=seed, duration=duration)
+        NoiseCase(
+            controller=controller,
+            estimator=estimator,
+            gains=gains,
+            sigma=sigma,
+            seed=seed,
+            duration=duration,
+        )
         for (estimator, gains), controller, sigma in (*swept, *exchanged)
         for seed in range(seeds)
     ]

@@ -1,4 +1,6 @@
-"""The runs of the noise study made, what is kept of each, and what the linear loop predicts without running them."""
+"""The runs of the noise study made, what is kept of each, and what the linear loop predicts without
+running them.
+"""
 
 import dataclasses
 import functools
@@ -36,7 +38,8 @@ class NoiseStudy:
     rows: tuple[NoiseRow, ...]
     ideal_isv: float  # perfect tracking without noise
     sample_time: float  # L, s
-    # Rms commanded acceleration of one base attitude axis per unit of velocity noise with the published estimate, 1/s.
+    # Rms commanded acceleration of one base attitude axis per unit of velocity noise with the
+    # published estimate, 1/s.
     noise_gain: dict[str, float]
 
     @property
@@ -52,12 +55,20 @@ class NoiseStudy:
     def select(
         self, controller: str, estimator: str, sigma: float | None, *, gains: str | None = None
     ) -> tuple[NoiseRow, ...]:
-        """The runs of a point, one per seed; ``gains`` defaults to those that the estimator is swept with."""
+        """The runs of a point, one per seed; ``gains`` defaults to those that the estimator is
+        swept with.
+        """
         key = (controller, estimator, sigma, gains or GAINS_OF[estimator])
-        return tuple(row for row in self.rows if (row.controller, row.estimator, row.sigma, row.gains) == key)
+        return tuple(
+            row for row in self.rows if (row.controller, row.estimator, row.sigma, row.gains) == key
+        )
 
-    def point(self, controller: str, estimator: str, sigma: float | None, *, gains: str | None = None) -> NoiseRow:
-        """The runs of a point as one: means over the seeds, the largest forces; NaN when any of them diverged."""
+    def point(
+        self, controller: str, estimator: str, sigma: float | None, *, gains: str | None = None
+    ) -> NoiseRow:
+        """The runs of a point as one: means over the seeds, the largest forces; NaN when any of
+        them diverged.
+        """
         rows = self.select(controller, estimator, sigma, gains=gains)
         ended = [row.outcome for row in rows if row.diverged]
         share = f" ({len(ended)} of {len(rows)} runs)" if ended and len(rows) > 1 else ""
@@ -66,15 +77,22 @@ class NoiseStudy:
             outcome=f"{ended[0] if ended else 'completed'}{share}",
             itae=float(np.mean([row.itae for row in rows])),
             isv=float(np.mean([row.isv for row in rows])),
-            rms_error={name: float(np.sqrt(np.mean([row.rms_error[name] ** 2 for row in rows]))) for name in GROUPS},
-            peak_force={name: float(np.max([row.peak_force[name] for row in rows])) for name in GROUPS},
+            rms_error={
+                name: float(np.sqrt(np.mean([row.rms_error[name] ** 2 for row in rows])))
+                for name in GROUPS
+            },
+            peak_force={
+                name: float(np.max([row.peak_force[name] for row in rows])) for name in GROUPS
+            },
         )
 
     def curves(self) -> Iterator[tuple[str, str, list[NoiseRow]]]:
         """(controller, estimator, its points by sigma, the sensor set last)."""
         for estimator in GAINS_OF:
             for controller in self.noise_gain:
-                points = [self.point(controller, estimator, sigma) for sigma in (*self.sigmas, None)]
+                points = [
+                    self.point(controller, estimator, sigma) for sigma in (*self.sigmas, None)
+                ]
                 yield controller, estimator, points
 
 
@@ -87,7 +105,8 @@ def study_noise(
     workers: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> NoiseStudy:
-    """Run every controller with both estimators at every noise level, and with the sensors of ``flight_sensors``.
+    """Run every controller with both estimators at every noise level, and with the sensors of
+    ``flight_sensors``.
 
     Args:
       seeds: runs per point, with random seeds from 0 on.
@@ -114,7 +133,8 @@ def study_noise(
 def run_case(case: NoiseCase) -> NoiseRow:
     """Simulate one case. Raises KeyboardInterrupt when the user stopped it."""
     scenario = case.scenario()
-    record = simulate(scenario, check_stability=False)  # the study shows which of these loops are unstable
+    # the study shows which of these loops are unstable
+    record = simulate(scenario, check_stability=False)
     if record.outcome.status == "interrupted":
         raise KeyboardInterrupt
     completed, metrics, data = record.outcome.completed, record.metrics, record.dataset
@@ -128,7 +148,8 @@ def run_case(case: NoiseCase) -> NoiseRow:
         isv=counts * float(metrics["isv"]),
         isv_predicted=_predicted_isv(dataclasses.replace(case, seed=0)),
         rms_error={
-            name: float(np.sqrt(np.mean(error[:, group == name] ** 2))) if completed else math.nan for name in GROUPS
+            name: float(np.sqrt(np.mean(error[:, group == name] ** 2))) if completed else math.nan
+            for name in GROUPS
         },
         peak_force={name: counts * float(value) for name, value in metrics["peak_effort"].items()},
     )
@@ -147,11 +168,20 @@ def _predicted_isv(case: NoiseCase) -> float:
 
 
 def _noise_gain(controller: str) -> float:
-    """Rms of Hhat^-1 tau on a base attitude axis per unit of velocity noise, published gains, 1/s, for H = Hhat."""
-    from ffsm_drake.control_design.stability.sampled_loop import LoopGains, Sampling, axis_loop, law_gains
+    """Rms of Hhat^-1 tau on a base attitude axis per unit of velocity noise, published gains, 1/s,
+    for H = Hhat.
+    """
+    from ffsm_drake.control_design.stability.sampled_loop import (
+        LoopGains,
+        Sampling,
+        axis_loop,
+        law_gains,
+    )
     from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
-    scenario = NoiseCase(controller=controller, estimator="one_sample", gains="published", sigma=1.0).scenario()
+    scenario = NoiseCase(
+        controller=controller, estimator="one_sample", gains="published", sigma=1.0
+    ).scenario()
     gains = law_gains(scenario, make_nominal_plant(scenario).coordinates).at()
     one_axis = LoopGains(**{name: np.asarray(values)[0] for name, values in vars(gains).items()})
     loop = axis_loop(one_axis, sampling=Sampling(sample_time=scenario.sample_time))

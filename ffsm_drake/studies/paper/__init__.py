@@ -1,4 +1,6 @@
-"""The paper with one command: its table and figures computed anew, and a verdict on each of its claims."""
+"""The paper with one command: its table and figures computed anew, and a verdict on each of its
+claims.
+"""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -22,19 +24,24 @@ def reproduce(
 ) -> Path:
     """Compute a part of the paper, or all of it, and write it into a directory, each file whole.
 
-    ``table2`` writes table2.html, .md and .csv; ``fig3`` to ``fig5`` write figures/ as PNG and SVG; ``all`` writes
-    these and the page that gathers everything, reproduction.html (self-contained) and reproduction.md.
+    ``table2`` writes table2.html, .md and .csv; ``fig3`` to ``fig5`` write figures/ as PNG and SVG;
+    ``all`` writes these and the page that gathers everything, reproduction.html (self-contained)
+    and reproduction.md.
 
     Args:
       what: one of ``PARTS``.
-      seeds: how many seeds of the measurement noise, from 0 on; more give a better mean and spread in Table 2.
-      overrides: ``key=value`` for every run, as for ``load_scenario``; the page says that they were given.
-      workers, progress: as for ``ffsm_drake.common.workers.map_tasks``; the results do not depend on the workers.
+      seeds: how many seeds of the measurement noise, from 0 on; more give a better mean and spread
+        in Table 2.
+      overrides: ``key=value`` for every run, as for ``load_scenario``; the page says that they were
+        given.
+      workers, progress: as for ``ffsm_drake.common.workers.map_tasks``; the results do not depend
+        on the workers.
 
     Returns: the main file written.
 
     Raises:
-      FfsmError: an unknown part, an unusable number of seeds or workers, an override that cannot be used.
+      FfsmError: an unknown part, an unusable number of seeds or workers, an override that cannot be
+        used.
       RecordError: a file cannot be written.
       KeyboardInterrupt: Ctrl-C or SIGTERM during the runs; nothing was written.
     """
@@ -52,15 +59,25 @@ def reproduce(
     if what in ("table2", "all"):
         cases = runs.table_cases(seeds) if what == "table2" else runs.all_cases(seeds)
     else:
-        cases = runs.figure_cases(figures.DRAWN, (runs.PROPOSED,) if what == "fig3" else runs.CONTROLLERS)
-    results = runs.run_cases(cases, num_seeds=seeds, overrides=overrides, workers=workers, progress=progress)
+        cases = runs.figure_cases(
+            figures.DRAWN, (runs.PROPOSED,) if what == "fig3" else runs.CONTROLLERS
+        )
+    results = runs.run_cases(
+        cases, num_seeds=seeds, overrides=overrides, workers=workers, progress=progress
+    )
     with_noise = what == "all" and not overrides
-    noise = study_noise(sigmas=NOISE_SWEEP, workers=workers, progress=progress) if with_noise else None
+    noise = (
+        study_noise(sigmas=NOISE_SWEEP, workers=workers, progress=progress) if with_noise else None
+    )
     if progress is not None:
         progress(len(cases), len(cases), "tables, figures, page")
     if what == "table2":
         return page.write_table(table.make_table(results), results, directory)
-    drawing = {"fig3": figures.write_figure_3, "fig4": figures.write_figure_4, "fig5": figures.write_figure_5}
+    drawing = {
+        "fig3": figures.write_figure_3,
+        "fig4": figures.write_figure_4,
+        "fig5": figures.write_figure_5,
+    }
     if what in drawing:
         figure, *_ = drawing[what](results, directory)
         return directory / figures.FOLDER / f"{figure.key}.png"

@@ -23,7 +23,9 @@ def evaluate(results: Results) -> list[Verdict]:
 def by_topic(verdicts: list[Verdict]) -> list[tuple[str, list[Verdict]]]:
     """Verdicts under their topics, in order of first appearance."""
     topics = dict.fromkeys(verdict.topic for verdict in verdicts)
-    return [(topic, [verdict for verdict in verdicts if verdict.topic == topic]) for topic in topics]
+    return [
+        (topic, [verdict for verdict in verdicts if verdict.topic == topic]) for topic in topics
+    ]
 
 
 def counts(verdicts: list[Verdict]) -> dict[Kind, int]:

@@ -1,5 +1,7 @@
 # ruff: noqa: RUF001 (the texts use mathematical signs)
-"""The paper's Figures 2 to 5 redrawn, and two that it does not have. Each is written as PNG and SVG."""
+"""The paper's Figures 2 to 5 redrawn, and two that it does not have. Each is written as PNG and
+SVG.
+"""
 
 import dataclasses
 from collections.abc import Callable
@@ -19,7 +21,14 @@ from ffsm_drake.show.figures.run import plot_efforts, plot_errors, plot_trajecto
 from ffsm_drake.show.style import BLUE, GREEN, GRID, VERMILION, Style
 from ffsm_drake.studies.noise.picture import plot_study
 from ffsm_drake.studies.noise.study import NoiseRow, NoiseStudy
-from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS, Results, gain_of
+from ffsm_drake.studies.paper.runs import (
+    CONTROLLERS,
+    DISTURBANCES,
+    PROPOSED,
+    SETTINGS,
+    Results,
+    gain_of,
+)
 from ffsm_drake.studies.paper.table import METRICS, Row
 from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, ending, fixed
 
@@ -30,7 +39,9 @@ DRAWN = {"euler": "explicit Euler", "bounded": "exact integration"}
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FigureFile:
-    """A written figure; the paths are None where it could not be drawn, and ``caption`` says why."""
+    """A written figure; the paths are None where it could not be drawn, and ``caption`` says
+    why.
+    """
 
     key: str
     title: str
@@ -44,7 +55,8 @@ def write_figure_2(directory: Path) -> FigureFile:
     path = directory / FOLDER / "fig2.dot"
     remark = write_diagram(closed_loop_dot(load_scenario("postcapture")), path)
     caption = (
-        "Figure 2. The paper draws the inside of its controller; this is the wiring that was simulated, printed from "
+        "Figure 2. The paper draws the inside of its controller; this is the wiring that was "
+        "simulated, printed from "
         "the running Drake diagram: reference, controller, disturbance, plant and sensing."
     )
     return FigureFile(
@@ -62,19 +74,24 @@ def write_figure_3(results: Results, directory: Path) -> list[FigureFile]:
     for setting, words in DRAWN.items():
         record = results.record(setting, PROPOSED)
         caption = (
-            f"Figure 3 with {words}. Motion under the proposed controller, τ_d1: (a) end effector in task space, "
-            "(b) base attitude as roll, pitch, yaw, (c) base position, (d) joints. Dashed: the planned motion, from "
+            f"Figure 3 with {words}. Motion under the proposed controller, τ_d1: (a) end effector "
+            "in task space, "
+            "(b) base attitude as roll, pitch, yaw, (c) base position, (d) joints. Dashed: the "
+            "planned motion, from "
             f"which the run departs by at most {_largest_departure(record)}."
         )
         title = f"Planned and tracked trajectories, {words}"
-        written.append(_write(plot_trajectories(record), f"fig3_{setting}", title, caption, directory))
+        written.append(
+            _write(plot_trajectories(record), f"fig3_{setting}", title, caption, directory)
+        )
     return written
 
 
 def write_figure_4(results: Results, directory: Path) -> list[FigureFile]:
     """Tracking errors of the four controllers."""
     caption = (
-        "Upper panels: true error e = q_d − q of every control sample, the largest drawn first. Lower panels: rms of "
+        "Upper panels: true error e = q_d − q of every control sample, the largest drawn first. "
+        "Lower panels: rms of "
         "that error over one second, logarithmic, since the errors differ by orders of magnitude."
     )
     return _write_overlaid(results, directory, "fig4", "Tracking errors", plot_errors, caption)
@@ -83,21 +100,31 @@ def write_figure_4(results: Results, directory: Path) -> list[FigureFile]:
 def write_figure_5(results: Results, directory: Path) -> list[FigureFile]:
     """Control forces and torques of the four controllers."""
     caption = (
-        "Upper panels: force or torque held over every control period, the roughest drawn first. Lower panels: rms "
-        "over one second of its change from one sample to the next, logarithmic: what the measurement noise and the "
+        "Upper panels: force or torque held over every control period, the roughest drawn first. "
+        "Lower panels: rms "
+        "over one second of its change from one sample to the next, logarithmic: what the "
+        "measurement noise and the "
         "switching term add to the motion's own force."
     )
-    return _write_overlaid(results, directory, "fig5", "Control forces and torques", plot_efforts, caption)
+    return _write_overlaid(
+        results, directory, "fig5", "Control forces and torques", plot_efforts, caption
+    )
 
 
 def _write_overlaid(
-    results: Results, directory: Path, key: str, title: str, plot: Callable[[list[RunRecord]], Figure], caption: str
+    results: Results,
+    directory: Path,
+    key: str,
+    title: str,
+    plot: Callable[[list[RunRecord]], Figure],
+    caption: str,
 ) -> list[FigureFile]:
     written = []
     for setting, words in DRAWN.items():
         figure = plot([results.record(setting, name) for name in CONTROLLERS])
         text = (
-            f"Figure {key[-1]} with {words}, four controllers, τ_d1, seed 0. (a) to (c) base attitude x, y, z; "
+            f"Figure {key[-1]} with {words}, four controllers, τ_d1, seed 0. (a) to (c) base "
+            "attitude x, y, z; "
             f"(d) to (f) base position x, y, z; (g) to (k) joints 1 to 5. {caption}"
         )
         written.append(_write(figure, f"{key}_{setting}", f"{title}, {words}", text, directory))
@@ -108,7 +135,8 @@ def write_overview(rows: list[Row], directory: Path) -> FigureFile:
     """Table 2 as a picture."""
     title = "Table 2 as a picture"
     caption = (
-        f"{title}: the paper's values and ours, means over the seeds. With exact integration and the published gains "
+        f"{title}: the paper's values and ours, means over the seeds. With exact integration and "
+        "the published gains "
         "the proposed controller has no value to show: it diverges."
     )
     return _write(plot_overview(rows), "table2", title, caption, directory)
@@ -117,9 +145,12 @@ def write_overview(rows: list[Row], directory: Path) -> FigureFile:
 def write_divergence(results: Results, directory: Path) -> FigureFile:
     """What the published gains do on an exactly integrated plant."""
     caption = (
-        "Not in the paper. The proposed controller, τ_d1, seed 0. Left: the largest K_s of the eleven coordinates, "
-        "which law (9) adapts, and the limit (K_D + K_s) L < 2 of the sampled loop for a perfectly known mass matrix. "
-        "Right: sum of the absolute errors. Explicit Euler at the control period raises the limit and hides the "
+        "Not in the paper. The proposed controller, τ_d1, seed 0. Left: the largest K_s of the "
+        "eleven coordinates, "
+        "which law (9) adapts, and the limit (K_D + K_s) L < 2 of the sampled loop for a "
+        "perfectly known mass matrix. "
+        "Right: sum of the absolute errors. Explicit Euler at the control period raises the limit "
+        "and hides the "
         "divergence."
     )
     title = "The published gains on an exactly integrated plant"
@@ -132,25 +163,52 @@ def plot_overview(rows: list[Row]) -> Figure:
     panels = figure.subplots(1, len(METRICS), sharey=True)
     marks: dict[str, dict[str, Any]] = {
         "euler": {"marker": "o", "color": BLUE, "label": "ours, explicit Euler"},
-        "bounded": {"marker": "s", "color": VERMILION, "label": "ours, exact integration, $K_s$ bounded"},
+        "bounded": {
+            "marker": "s",
+            "color": VERMILION,
+            "label": "ours, exact integration, $K_s$ bounded",
+        },
     }
-    printed_mark: dict[str, Any] = {"marker": "D", "markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.4}
+    printed_mark: dict[str, Any] = {
+        "marker": "D",
+        "markersize": 9,
+        "markerfacecolor": "none",
+        "markeredgewidth": 1.4,
+    }
     places = {
         (disturbance, name): number * (len(CONTROLLERS) + 1) + k
         for number, disturbance in enumerate(DISTURBANCES)
         for k, name in enumerate(CONTROLLERS)
     }
     for axes, (metric, title) in zip(panels, METRICS.items(), strict=True):
-        cells = {(row.setting, row.disturbance, row.controller): getattr(row, metric) for row in rows}
+        cells = {
+            (row.setting, row.disturbance, row.controller): getattr(row, metric) for row in rows
+        }
         for case, place in places.items():
             printed = cells["euler", *case].paper
             means = {setting: cells[setting, *case].mean for setting in marks}
             values = [printed, *means.values()]
-            axes.plot([np.nanmin(values), np.nanmax(values)], [place] * 2, color=GRID, linewidth=2, zorder=1)
+            axes.plot(
+                [np.nanmin(values), np.nanmax(values)],
+                [place] * 2,
+                color=GRID,
+                linewidth=2,
+                zorder=1,
+            )
             for setting, mark in marks.items():
                 axes.plot(means[setting], place, linestyle="none", markersize=7, **mark)
-            axes.plot(printed, place, linestyle="none", zorder=3, color="black", label="paper", **printed_mark)
-        axes.set_xlabel({"itae": "ITAE [rad s², m s²], logarithmic", "isv": "ISV [N² s, N² m² s]"}[metric])
+            axes.plot(
+                printed,
+                place,
+                linestyle="none",
+                zorder=3,
+                color="black",
+                label="paper",
+                **printed_mark,
+            )
+        axes.set_xlabel(
+            {"itae": "ITAE [rad s², m s²], logarithmic", "isv": "ISV [N² s, N² m² s]"}[metric]
+        )
         axes.set_title(title, fontweight="bold", pad=14)
         axes.grid(True, axis="x", color=GRID, linewidth=0.6)
         axes.spines[["top", "right", "left"]].set_visible(False)
@@ -163,8 +221,11 @@ def plot_overview(rows: list[Row]) -> Figure:
             -0.16, number * (len(CONTROLLERS) + 1) - 0.8, _math(DISTURBANCE_NAMES[disturbance]),
             transform=panels[0].get_yaxis_transform(),
         )  # fmt: skip
-    handles = dict(zip(*panels[0].get_legend_handles_labels()[::-1], strict=True))  # one for each label
-    figure.legend(handles=list(handles.values()), loc="outside lower center", ncols=3, frameon=False)
+    # one for each label
+    handles = dict(zip(*panels[0].get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(
+        handles=list(handles.values()), loc="outside lower center", ncols=3, frameon=False
+    )
     return figure
 
 
@@ -172,11 +233,17 @@ def plot_divergence(results: Results) -> Figure:
     """K_s and the error of the proposed controller in the three settings."""
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     gain_axes, error_axes = figure.subplots(1, 2)
-    looks = {"exact": Style(VERMILION), "euler": Style(BLUE, "dash"), "bounded": Style(GREEN, "dashdot")}
+    looks = {
+        "exact": Style(VERMILION),
+        "euler": Style(BLUE, "dash"),
+        "bounded": Style(GREEN, "dashdot"),
+    }
     top = 0.0
     for setting, look in looks.items():
         run, record = results.run(setting, PROPOSED), results.record(setting, PROPOSED)
-        label = _math(SETTINGS[setting].title) + ("" if run.outcome.completed else f": {ending(run)}")
+        label = _math(SETTINGS[setting].title) + (
+            "" if run.outcome.completed else f": {ending(run)}"
+        )
         time = record.dataset["time"].values
         gain = record.dataset["reaching_gain"].values.max(axis=1)
         gain_axes.plot(time, gain, linewidth=1.8, label=label, **look.matplotlib)
@@ -186,22 +253,43 @@ def plot_divergence(results: Results) -> Figure:
             top = max(top, float(gain.max()))
         else:
             for axes, series in ((gain_axes, gain), (error_axes, error)):
-                axes.plot(time[-1], series[-1], marker="x", markersize=9, markeredgewidth=2.2, color=look.color)
+                axes.plot(
+                    time[-1],
+                    series[-1],
+                    marker="x",
+                    markersize=9,
+                    markeredgewidth=2.2,
+                    color=look.color,
+                )
     scenario = results.record("exact", PROPOSED).scenario
     limit = 2.0 / scenario.sample_time - gain_of(scenario, "k_d")
     gain_axes.axhline(limit, color="black", linewidth=1.0, linestyle=":")
     gain_axes.text(
-        0.995, limit, f"limit {fixed(limit)}", transform=gain_axes.get_yaxis_transform(), ha="right", va="bottom",
+        0.995,
+        limit,
+        f"limit {fixed(limit)}",
+        transform=gain_axes.get_yaxis_transform(),
+        ha="right",
+        va="bottom",
         fontsize=9,
-    )  # fmt: skip
-    gain_axes.set(
-        xlabel="time [s]", ylabel="largest $K_s$ [1/s]", title="Adapted gain", ylim=(0.0, 1.15 * max(top, limit))
     )
-    error_axes.set(xlabel="time [s]", ylabel=r"$\|e\|_1$ [rad, m]", title="Tracking error", yscale="log")
+    gain_axes.set(
+        xlabel="time [s]",
+        ylabel="largest $K_s$ [1/s]",
+        title="Adapted gain",
+        ylim=(0.0, 1.15 * max(top, limit)),
+    )
+    error_axes.set(
+        xlabel="time [s]", ylabel=r"$\|e\|_1$ [rad, m]", title="Tracking error", yscale="log"
+    )
     for axes in (gain_axes, error_axes):
         tidy(axes)
     figure.legend(
-        *gain_axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=9
+        *gain_axes.get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        fontsize=9,
     )
     return figure
 
@@ -225,11 +313,19 @@ def write_noise(study: NoiseStudy, directory: Path) -> FigureFile:
         for name in CONTROLLERS
     )
     caption = (
-        "Not in the paper. Error and effort against white velocity noise σ, published gains with the one-sample "
-        "estimate and bandwidth gains with a Kalman estimate, τ_d1, seed 0. With the sensors of the scenario "
+        "Not in the paper. Error and effort against white velocity noise σ, published gains with "
+        "the one-sample "
+        "estimate and bandwidth gains with a Kalman estimate, τ_d1, seed 0. With the sensors of "
+        "the scenario "
         f"flight_sensors: {told_rows} (perfect tracking: ISV {study.ideal_isv:.3g})."
     )
-    return _write(plot_study(study), "noise", "What the published gains cost with real sensors", caption, directory)
+    return _write(
+        plot_study(study),
+        "noise",
+        "What the published gains cost with real sensors",
+        caption,
+        directory,
+    )
 
 
 def _write(figure: Figure, name: str, title: str, caption: str, directory: Path) -> FigureFile:
@@ -244,6 +340,9 @@ def _write(figure: Figure, name: str, title: str, caption: str, directory: Path)
 
 def _math(text: str) -> str:
     """Subscripts of the few symbols that the texts use, as Matplotlib writes them."""
-    for plain, mathematical in (("K_s", "$K_s$"), *[(f"τ_d{k}", rf"$\tau_{{d{k}}}$") for k in (1, 2, 3)]):
+    for plain, mathematical in (
+        ("K_s", "$K_s$"),
+        *[(f"τ_d{k}", rf"$\tau_{{d{k}}}$") for k in (1, 2, 3)],
+    ):
         text = text.replace(plain, mathematical)
     return text

@@ -1,8 +1,10 @@
-"""The published gains with the law evaluated in every minor step of an integrator, as in a continuous block diagram.
+"""The published gains with the law evaluated in every minor step of an integrator, as in a
+continuous block diagram.
 
-The paper does not say how its simulation coupled law and plant. Here a Runge-Kutta step of one control period advances
-plant, error integral and adapted gains together. The pair of equation (5), force and acceleration of a sample ago, is
-that of the last major step throughout. ``held`` evaluates the law at the major step alone, as a digital controller.
+The paper does not say how its simulation coupled law and plant. Here a Runge-Kutta step of one
+control period advances plant, error integral and adapted gains together. The pair of equation (5),
+force and acceleration of a sample ago, is that of the last major step throughout. ``held``
+evaluates the law at the major step alone, as a digital controller.
 """
 
 import dataclasses
@@ -26,7 +28,9 @@ from ffsm_drake.systems.reference import make_motion
 
 @dataclasses.dataclass(frozen=True)
 class Scheme:
-    """An explicit Runge-Kutta method: the rows below the diagonal of its tableau, and its weights."""
+    """An explicit Runge-Kutta method: the rows below the diagonal of its tableau, and its
+    weights.
+    """
 
     title: str
     stages: tuple[tuple[float, ...], ...]
@@ -35,12 +39,17 @@ class Scheme:
 
 EULER = Scheme("explicit Euler", ((),), (1.0,))
 HEUN = Scheme("Heun (order 2)", ((), (1.0,)), (1 / 2, 1 / 2))
-BOGACKI_SHAMPINE = Scheme("Bogacki-Shampine (order 3)", ((), (1 / 2,), (0.0, 3 / 4)), (2 / 9, 3 / 9, 4 / 9))
+BOGACKI_SHAMPINE = Scheme(
+    "Bogacki-Shampine (order 3)", ((), (1 / 2,), (0.0, 3 / 4)), (2 / 9, 3 / 9, 4 / 9)
+)
 RUNGE_KUTTA = Scheme(
-    "Runge-Kutta (order 4)", ((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)), (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+    "Runge-Kutta (order 4)",
+    ((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
+    (1 / 6, 1 / 3, 1 / 3, 1 / 6),
 )
 _INTEGRATED = ("integral_error", "reaching_gain", "switching_gain")  # of the law's memory
-MINOR = (EULER, HEUN, BOGACKI_SHAMPINE, RUNGE_KUTTA)  # Euler has no minor step: the paper's simulation
+# Euler has no minor step: the paper's simulation
+MINOR = (EULER, HEUN, BOGACKI_SHAMPINE, RUNGE_KUTTA)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -61,42 +70,64 @@ class MinorStepRun:
 
 @functools.lru_cache(maxsize=4)
 def minor_step_runs(overrides: tuple[str, ...] = ()) -> tuple[MinorStepRun, ...]:
-    """The proposed controller with the published gains under tau_d1: the law in minor steps, last the force held."""
+    """The proposed controller with the published gains under tau_d1: the law in minor steps, last
+    the force held.
+    """
     scenario = Case(setting="euler", controller=PROPOSED).scenario(overrides)
     return (*(run(scenario, scheme) for scheme in MINOR), run(scenario, RUNGE_KUTTA, held=True))
 
 
 def minor_step_table(overrides: tuple[str, ...] = ()) -> tuple[list[str], list[list[str]]]:
     """Header and rows: where the law is evaluated, the outcome and its figures."""
-    header = ["integrator, step of a control period", "law evaluated", "outcome", "ITAE", "ISV", "largest K_s, 1/s"]
+    header = [
+        "integrator, step of a control period",
+        "law evaluated",
+        "outcome",
+        "ITAE",
+        "ISV",
+        "largest K_s, 1/s",
+    ]
     rows = []
     for made in minor_step_runs(overrides):
         where = "once, its force held over the period" if made.held else "in every minor step"
         where = "in its only step" if made.scheme is EULER else where
         figures = [scientific(made.itae), f"{made.isv:.1f}", f"{made.largest_k_s:.1f}"]
-        rows.append([made.scheme.title, where, made.fate, *(figures if made.diverged is None else [""] * 3)])
+        rows.append(
+            [made.scheme.title, where, made.fate, *(figures if made.diverged is None else [""] * 3)]
+        )
     return header, rows
 
 
 def run(scenario: Scenario, scheme: Scheme, *, held: bool = False) -> MinorStepRun:
     """Simulate the proposed controller.
 
-    Of the scenario it takes model, payloads, postures, reference, gains, disturbance, velocity noise (drawn once a
-    period), seed, sample time, duration and ``divergence_speed``; nothing else that sensing or actuation may say.
+    Of the scenario it takes model, payloads, postures, reference, gains, disturbance, velocity
+    noise (drawn once a period), seed, sample time, duration and ``divergence_speed``; nothing else
+    that sensing or actuation may say.
     """
     loop, period = _Loop(scenario), scenario.sample_time
     times = period * np.arange(round(scenario.duration / period))
-    noise = np.random.default_rng(scenario.random_seed).standard_normal((times.size, loop.nv)) * loop.noise
+    noise = (
+        np.random.default_rng(scenario.random_seed).standard_normal((times.size, loop.nv))
+        * loop.noise
+    )
     errors, forces = np.zeros_like(noise), np.zeros_like(noise)
     y, delayed_force, delayed_velocity, largest = loop.start, np.zeros(loop.nv), -noise[0], 0.0
     for k, start in enumerate(times):
-        delayed_acceleration = (loop.parts(y)[1] + noise[k] - delayed_velocity) / period if k else np.zeros(loop.nv)
+        delayed_acceleration = (
+            (loop.parts(y)[1] + noise[k] - delayed_velocity) / period if k else np.zeros(loop.nv)
+        )
         delayed_velocity = loop.parts(y)[1] + noise[k]
         slopes: list[np.ndarray] = []
         for stage in scheme.stages:
-            time, at = start + period * sum(stage), loop.valid(y + period * _combined(stage, slopes))
+            time, at = (
+                start + period * sum(stage),
+                loop.valid(y + period * _combined(stage, slopes)),
+            )
             if not (slopes and held):
-                force, error, rates = loop.law(time, at, noise[k], delayed_force, delayed_acceleration)
+                force, error, rates = loop.law(
+                    time, at, noise[k], delayed_force, delayed_acceleration
+                )
             if not slopes:
                 forces[k], errors[k] = force, error
             slopes.append(loop.slope(time, at, force, rates))
@@ -121,7 +152,9 @@ class _Loop:
         self.motion = make_motion(scenario, coordinates)
         self.disturbance = make_disturbance(scenario.disturbance, coordinates)
         self.disturbance_context = self.disturbance.CreateDefaultContext()
-        self.noise = coordinates.vector(scenario.sensing.velocity_noise, key="sensing.velocity_noise", default=0.0)
+        self.noise = coordinates.vector(
+            scenario.sensing.velocity_noise, key="sensing.velocity_noise", default=0.0
+        )
         q = configuration(self.truth.plant, scenario.initial_posture, key="initial_posture")
         memory = self.dynamics.initial_state()
         self.start = np.concatenate([q, np.zeros(self.nv), *(memory[name] for name in _INTEGRATED)])
@@ -138,7 +171,12 @@ class _Loop:
         return y
 
     def law(
-        self, time: float, y: np.ndarray, noise: np.ndarray, delayed_force: np.ndarray, delayed_acceleration: np.ndarray
+        self,
+        time: float,
+        y: np.ndarray,
+        noise: np.ndarray,
+        delayed_force: np.ndarray,
+        delayed_acceleration: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Force, tracking error, and the rates of what the law integrates."""
         q, v, *memory = self.parts(y)
@@ -152,7 +190,11 @@ class _Loop:
             delayed_acceleration=delayed_acceleration,
             u=u,
         )
-        return force, error, np.concatenate([after[name] - state[name] for name in _INTEGRATED]) / self.period
+        return (
+            force,
+            error,
+            np.concatenate([after[name] - state[name] for name in _INTEGRATED]) / self.period,
+        )
 
     def slope(self, time: float, y: np.ndarray, force: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """dy/dt under a control force."""
@@ -161,7 +203,9 @@ class _Loop:
         disturbance = self.disturbance.get_output_port().Eval(self.disturbance_context)
         bias = self.truth.calc_bias(q, v)  # sets the positions that the map below reads
         acceleration = np.linalg.solve(self.truth.calc_mass_matrix(q), force + disturbance - bias)
-        return np.concatenate([self.truth.plant.MapVelocityToQDot(self.truth.context, v), acceleration, rates])
+        return np.concatenate(
+            [self.truth.plant.MapVelocityToQDot(self.truth.context, v), acceleration, rates]
+        )
 
 
 def _combined(weights: tuple[float, ...], slopes: list[np.ndarray]) -> np.ndarray | float:

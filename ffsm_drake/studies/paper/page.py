@@ -28,9 +28,12 @@ _TALLY: dict[Kind, str] = {
     "not reproduced": "not reproduced", "not tested": "not tested",
 }  # fmt: skip
 _MINOR_STEPS = (
-    "The proposed controller with the published gains, τ_d1, seed 0, in steps of the control period. The paper does "
-    "not say how its simulation coupled law and plant: a block diagram in continuous time evaluates the law in every "
-    "minor step of the integrator, a digital controller holds its force over the period. Table 2's ISV is "
+    "The proposed controller with the published gains, τ_d1, seed 0, in steps of the control "
+    "period. The paper does "
+    "not say how its simulation coupled law and plant: a block diagram in continuous time "
+    "evaluates the law in every "
+    "minor step of the integrator, a digital controller holds its force over the period. Table "
+    "2's ISV is "
     f"{paper.ISV['tau_d1'][PROPOSED]}."
 )
 _PIXELS = ("fig4", "fig5")  # embedded as such; the other figures are small as vectors
@@ -48,7 +51,11 @@ def write_table(rows: list[Row], results: Results, directory: Path) -> Path:
 
 
 def write_page(
-    results: Results, rows: list[Row], figures: Sequence[FigureFile], verdicts: list[Verdict], directory: Path
+    results: Results,
+    rows: list[Row],
+    figures: Sequence[FigureFile],
+    verdicts: list[Verdict],
+    directory: Path,
 ) -> Path:
     """Write reproduction.md and reproduction.html; returns the latter."""
     write_text(directory / "reproduction.md", _markdown(results, rows, figures, verdicts))
@@ -60,16 +67,26 @@ def write_page(
 def summary(results: Results, rows: list[Row]) -> list[str]:
     """The outcome in a few sentences, every figure from the runs."""
     total = len(results.comparisons)
-    first = {setting: sum(order[0] == PROPOSED for order in results.rankings("itae", setting)) for setting in SETTINGS}
-    isv, itae = ([getattr(row, metric).ratio for row in rows if row.setting == "euler"] for metric in ("isv", "itae"))
+    first = {
+        setting: sum(order[0] == PROPOSED for order in results.rankings("itae", setting))
+        for setting in SETTINGS
+    }
+    isv, itae = (
+        [getattr(row, metric).ratio for row in rows if row.setting == "euler"]
+        for metric in ("isv", "itae")
+    )
     diverged = results.divergence_times("exact", PROPOSED, variant="")
     when = f", after {span(diverged, 2)} s" if diverged else ""
     return [
-        f"With explicit Euler at the control period, our effort (ISV) is {times_span(isv)} times Table 2's, our ITAE "
-        f"{span(itae, 2)} times; the proposed controller is the most accurate in {first['euler']} of {total} "
+        f"With explicit Euler at the control period, our effort (ISV) is {times_span(isv)} times "
+        "Table 2's, our ITAE "
+        f"{span(itae, 2)} times; the proposed controller is the most accurate in {first['euler']} "
+        f"of {total} "
         "comparisons (three disturbances, each with every noise seed).",
-        "On an exactly integrated plant with the published gains, the proposed controller diverges in "
-        f"{len(diverged)} of {total} runs{when}. With K_s bounded it is the most accurate in {first['bounded']} of "
+        "On an exactly integrated plant with the published gains, the proposed controller "
+        "diverges in "
+        f"{len(diverged)} of {total} runs{when}. With K_s bounded it is the most accurate in "
+        f"{first['bounded']} of "
         f"{total}.",
     ]
 
@@ -79,7 +96,10 @@ def provenance(results: Results, what: str) -> list[tuple[str, str]]:
     versions = software_versions() | {name: version(name) for name in ("matplotlib", "jinja2")}
     return [
         ("Paper", paper.CITATION),
-        ("Seeds", f"{listed(str(seed) for seed in range(results.num_seeds))} of the measurement noise"),
+        (
+            "Seeds",
+            f"{listed(str(seed) for seed in range(results.num_seeds))} of the measurement noise",
+        ),
         ("Command", f"ffsm reproduce {what} --seeds {results.num_seeds}"),
         ("Date", datetime.datetime.now(datetime.UTC).date().isoformat()),
         *versions.items(),
@@ -93,15 +113,24 @@ def runs_made(results: Results) -> list[str]:
     scenario = Case(setting="bounded", controller=PROPOSED).scenario(results.overrides)
     gains = complete_gains(scenario).controllers[PROPOSED]
     seconds = math.fsum(run.outcome.time for run in results.runs.values())
-    period, noise = 1e3 * scenario.sample_time, [1e6 * value for value in scenario.sensing.velocity_noise.values()]
-    starting, highest = (span((gains[name] or {}).values(), 2) for name in ("k_s_initial", "k_s_max"))
+    period, noise = (
+        1e3 * scenario.sample_time,
+        [1e6 * value for value in scenario.sensing.velocity_noise.values()],
+    )
+    starting, highest = (
+        span((gains[name] or {}).values(), 2) for name in ("k_s_initial", "k_s_max")
+    )
     lines = [
-        f"{len(results.runs)} simulations, {seconds:.0f} s of flight: {table} for Table 2 (four controllers, three "
+        f"{len(results.runs)} simulations, {seconds:.0f} s of flight: {table} for Table 2 (four "
+        "controllers, three "
         f"disturbances, three settings, {results.num_seeds} seeds, shared runs made once) and "
         f"{len(results.runs) - table} for single claims. {diverged} of them diverged.",
-        f"In all settings: control period {period:g} ms, white noise of {span(noise, 1)} µrad/s and µm/s on the "
-        "measured velocities, disturbance as an external generalized force, H q̈ + C = τ + τ_d (with the sign of "
-        f"equation (1) Table 2 cannot be met). Where K_s is bounded it starts at {starting} and stays below {highest} "
+        f"In all settings: control period {period:g} ms, white noise of {span(noise, 1)} µrad/s "
+        "and µm/s on the "
+        "measured velocities, disturbance as an external generalized force, H q̈ + C = τ + τ_d "
+        "(with the sign of "
+        f"equation (1) Table 2 cannot be met). Where K_s is bounded it starts at {starting} and "
+        f"stays below {highest} "
         "1/s.",
     ]
     if results.overrides:
@@ -130,7 +159,9 @@ def _render(
         "verdicts": by_topic(list(verdicts)),
         "tally": [(kind, number, _TALLY[kind]) for kind, number in counts(list(verdicts)).items()],
         "about_minor_steps": _MINOR_STEPS,
-        "figures": {figure.key: {"file": figure, "source": _data_address(figure)} for figure in figures},
+        "figures": {
+            figure.key: {"file": figure, "source": _data_address(figure)} for figure in figures
+        },
         "minor_steps": minor_step_table(results.overrides) if verdicts else None,
         "nominal_payloads": nominal_payload_table(results) if verdicts else None,
     }
@@ -146,9 +177,15 @@ def _data_address(figure: FigureFile) -> str:
     return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
 
-def _markdown(results: Results, rows: list[Row], figures: Sequence[FigureFile], verdicts: list[Verdict]) -> str:
+def _markdown(
+    results: Results, rows: list[Row], figures: Sequence[FigureFile], verdicts: list[Verdict]
+) -> str:
     tally = ", ".join(f"{number} {_TALLY[kind]}" for kind, number in counts(verdicts).items())
-    lines = [f"# {TITLE}", "", *_paragraphs([paper.CITATION, *summary(results, rows), f"Claims: {tally}."])]
+    lines = [
+        f"# {TITLE}",
+        "",
+        *_paragraphs([paper.CITATION, *summary(results, rows), f"Claims: {tally}."]),
+    ]
     lines += ["## The claims, one by one", ""]
     header = ["claim", "place", "what we measured", "verdict"]
     for topic, group in by_topic(verdicts):
@@ -156,7 +193,13 @@ def _markdown(results: Results, rows: list[Row], figures: Sequence[FigureFile], 
         lines += [f"### {topic}", "", *_markdown_lines(header, cells)]
     lines += ["## Table 2", "", *_markdown_table_2(rows, level=3)]
     condition = "ITAE under τ_d1, exact integration, the proposed controller's K_s bounded."
-    lines += ["## Nominal payloads", "", condition, "", *_markdown_lines(*nominal_payload_table(results))]
+    lines += [
+        "## Nominal payloads",
+        "",
+        condition,
+        "",
+        *_markdown_lines(*nominal_payload_table(results)),
+    ]
     lines += [
         "## Where the law is evaluated",
         "",
@@ -170,8 +213,17 @@ def _markdown(results: Results, rows: list[Row], figures: Sequence[FigureFile], 
         picture = [f"![{figure.title}](figures/{path.name})"] if path else []
         lines += _paragraphs([f"### {figure.title}", *picture, figure.caption])
     lines += ["## What was run", "", *_paragraphs(runs_made(results))]
-    lines += [f"- **{one.title}** (scenario `{one.scenario}`): {one.description}" for one in SETTINGS.values()]
-    lines += ["", "## Provenance", "", *[f"- {label}: {text}" for label, text in provenance(results, "all")], ""]
+    lines += [
+        f"- **{one.title}** (scenario `{one.scenario}`): {one.description}"
+        for one in SETTINGS.values()
+    ]
+    lines += [
+        "",
+        "## Provenance",
+        "",
+        *[f"- {label}: {text}" for label, text in provenance(results, "all")],
+        "",
+    ]
     return "\n".join(lines)
 
 

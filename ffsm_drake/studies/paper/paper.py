@@ -1,10 +1,13 @@
 # ruff: noqa: RUF001 (the texts use mathematical signs)
-"""What the paper prints: Table 2, with two slips that its own numbers give away; and what its adverbs are taken for."""
+"""What the paper prints: Table 2, with two slips that its own numbers give away; and what its
+adverbs are taken for.
+"""
 
 from ffsm_drake.studies.paper.runs import CONTROLLERS
 
 CITATION = (
-    "Zhang et al., TDE-Based Adaptive Integral Sliding Mode Control of Space Manipulator for Space-Debris Active "
+    "Zhang et al., TDE-Based Adaptive Integral Sliding Mode Control of Space Manipulator for "
+    "Space-Debris Active "
     "Removal, Aerospace 9 (2022) 105, doi:10.3390/aerospace9020105"
 )
 
@@ -33,7 +36,8 @@ CORRECTIONS = {
         "aismc",
     ): "printed as 1.914×10⁻⁴, which would beat the proposed controller's starred 1.041×10⁻³; "
     "read as 1.914×10⁻³, like its neighbours",
-    ("isv", "tau_d3", "tdc"): "printed without the star of the best value, although it is the smallest of its row",
+    ("isv", "tau_d3", "tdc"): "printed without the star of the best value, although it is the "
+    "smallest of its row",
 }
 
 # What the paper's adverbs are taken to mean.

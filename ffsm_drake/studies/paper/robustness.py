@@ -30,22 +30,33 @@ def published_gains_are_stable(results: Results) -> Evaluated:
     ruling = in_both(not euler, not exact)
     completing = listed(made.scheme.title for made in minor if made.diverged is None)
     if ruling[0] == "holds only" and completing:
-        ruling = ("holds only", f"with the law in every minor step of {completing}, not where its force is held")
+        ruling = (
+            "holds only",
+            f"with the law in every minor step of {completing}, not where its force is held",
+        )
     return (
-        f"With explicit Euler {len(euler)} of {total} runs diverge. With exact integration {len(exact)} of {total} "
-        f"do{when}: the force is held over the period, and law (9) carries K_s from {fixed(starting, 2)} to "
-        f"{fixed(highest)} 1/s (τ_d1); such a loop with a perfect mass matrix tolerates K_s < 2/L - K_D = "
-        f"{fixed(_tolerated_k_s(results, 1.0))} 1/s. Not held, but evaluated in every minor step of L: "
+        f"With explicit Euler {len(euler)} of {total} runs diverge. With exact integration "
+        f"{len(exact)} of {total} "
+        f"do{when}: the force is held over the period, and law (9) carries K_s from "
+        f"{fixed(starting, 2)} to "
+        f"{fixed(highest)} 1/s (τ_d1); such a loop with a perfect mass matrix tolerates K_s < 2/L "
+        "- K_D = "
+        f"{fixed(_tolerated_k_s(results, 1.0))} 1/s. Not held, but evaluated in every minor step "
+        "of L: "
         f"{'; '.join(f'{made.scheme.title} {made.fate}' for made in minor[1:])}.",
         ruling,
     )
 
 
-@claim("An estimate that satisfies (8) bounds the TDE errors and so guarantees stability.", "Section 3.1, equation (8)")
+@claim(
+    "An estimate that satisfies (8) bounds the TDE errors and so guarantees stability.",
+    "Section 3.1, equation (8)",
+)
 def condition_8_protects(results: Results) -> Evaluated:
     ratios = {variant: _mass_ratio(results, variant) for variant in _VARIANTS}
     runs = {
-        variant: {name: results.run("bounded", name, variant=variant) for name in CONTROLLERS} for variant in _VARIANTS
+        variant: {name: results.run("bounded", name, variant=variant) for name in CONTROLLERS}
+        for variant in _VARIANTS
     }
     fatal, harmless = [], []
     for variant in sorted(_VARIANTS, key=_nominal_mass):
@@ -53,15 +64,20 @@ def condition_8_protects(results: Results) -> Evaluated:
         completed = runs[variant][PROPOSED].outcome.completed
         if ratios[variant].norm < 1.0 and not completed:
             high = ratios[variant].high
-            tolerated = f"η to {fixed(high)} tolerates K_s < {fixed(_tolerated_k_s(results, high), 2)} 1/s"
+            tolerated = (
+                f"η to {fixed(high)} tolerates K_s < {fixed(_tolerated_k_s(results, high), 2)} 1/s"
+            )
             fatal.append(f"nominal {text}: {named(runs[variant], fate)} ({tolerated})")
         elif ratios[variant].norm >= 1.0 and completed:
             harmless.append(text)
     none = "none of those tested"
     return (
-        "Exact integration, K_s bounded, payload of 100 kg; in brackets the largest ‖E − H⁻¹Ĥ‖₂ (m, rad). (8) "
-        f"satisfied, yet diverging: {'; '.join(fatal) or none}. Violated, yet the proposed controller completes: "
-        f"nominal {listed(harmless) or none}. The paper's own: {fixed(ratios[''].norm)}; it depends on the unit.",
+        "Exact integration, K_s bounded, payload of 100 kg; in brackets the largest ‖E − H⁻¹Ĥ‖₂ "
+        "(m, rad). (8) "
+        f"satisfied, yet diverging: {'; '.join(fatal) or none}. Violated, yet the proposed "
+        "controller completes: "
+        f"nominal {listed(harmless) or none}. The paper's own: {fixed(ratios[''].norm)}; it "
+        "depends on the unit.",
         holds_if(not fatal),
     )
 
@@ -74,8 +90,10 @@ def payload_uncertainty_is_tolerated(results: Results) -> Evaluated:
     if completed.bounded not in ("none", tested):
         ruling = ("holds only", f"for nominal masses of {completed.bounded} kg of those tried")
     return (
-        f"Truly 100 kg. Of nominal payloads of {tested} kg (the paper tests 80 kg only) it completes at "
-        f"{completed.bounded} with exact integration and K_s bounded, at {completed.euler} with explicit Euler.",
+        f"Truly 100 kg. Of nominal payloads of {tested} kg (the paper tests 80 kg only) it "
+        "completes at "
+        f"{completed.bounded} with exact integration and K_s bounded, at {completed.euler} with "
+        "explicit Euler.",
         ruling,
     )
 
@@ -85,9 +103,12 @@ def more_robust_than_its_rivals(results: Results) -> Evaluated:
     survived = {name: _completed(results, "bounded", name) for name in CONTROLLERS}
     rivals = max(len(survived[name]) for name in CONTROLLERS if name != PROPOSED)
     return (
-        "Nominal payloads (kg, truly 100) with which each completes, exact integration, K_s bounded: "
-        f"{named(survived, _kilograms, '; ')}. A large estimate multiplies K_D + K_s, and K_s is not the same for all: "
-        f"{_starting_k_s(results)} 1/s of AISMC and ASMC, {_bounded_k_s(results)} of the proposed controller, whose "
+        "Nominal payloads (kg, truly 100) with which each completes, exact integration, K_s "
+        "bounded: "
+        f"{named(survived, _kilograms, '; ')}. A large estimate multiplies K_D + K_s, and K_s is "
+        "not the same for all: "
+        f"{_starting_k_s(results)} 1/s of AISMC and ASMC, {_bounded_k_s(results)} of the proposed "
+        "controller, whose "
         "bound is ours, none of TDC.",
         holds_if(len(survived[PROPOSED]) > rivals),
     )
@@ -95,7 +116,9 @@ def more_robust_than_its_rivals(results: Results) -> Evaluated:
 
 def _starting_k_s(results: Results) -> str:
     gains = (("aismc", "k_s_initial"), ("asmc", "k_s"))
-    return span((gain_of(results.record("bounded", name).scenario, gain, name) for name, gain in gains), 2)
+    return span(
+        (gain_of(results.record("bounded", name).scenario, gain, name) for name, gain in gains), 2
+    )
 
 
 def _bounded_k_s(results: Results) -> str:
@@ -105,12 +128,23 @@ def _bounded_k_s(results: Results) -> str:
 
 def _completed(results: Results, setting: str, name: str) -> list[str]:
     """The nominal payloads with which a controller reaches the end."""
-    return [variant for variant in _VARIANTS if results.run(setting, name, variant=variant).outcome.completed]
+    return [
+        variant
+        for variant in _VARIANTS
+        if results.run(setting, name, variant=variant).outcome.completed
+    ]
 
 
 def nominal_payload_table(results: Results) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: nominal payload, the left side of (8), eigenvalues of H^-1 Hhat, and each controller's ITAE."""
-    header = ["nominal payload", "‖E − H⁻¹Ĥ‖₂", "eigenvalues of H⁻¹Ĥ", *[NAMES[name] for name in CONTROLLERS]]
+    """Header and rows: nominal payload, the left side of (8), eigenvalues of H^-1 Hhat, and each
+    controller's ITAE.
+    """
+    header = [
+        "nominal payload",
+        "‖E − H⁻¹Ĥ‖₂",
+        "eigenvalues of H⁻¹Ĥ",
+        *[NAMES[name] for name in CONTROLLERS],
+    ]
     rows = []
     for variant in sorted(_VARIANTS, key=_nominal_mass):
         ratio = _mass_ratio(results, variant)
@@ -123,7 +157,11 @@ def nominal_payload_table(results: Results) -> tuple[list[str], list[list[str]]]
 @functools.cache
 def _nominal_mass(variant: str) -> float:
     """Mass of a variant's nominal payload, kg."""
-    return Case(setting="bounded", controller=PROPOSED, variant=variant).scenario().payload.nominal.mass
+    return (
+        Case(setting="bounded", controller=PROPOSED, variant=variant)
+        .scenario()
+        .payload.nominal.mass
+    )
 
 
 def _kilograms(variants: Iterable[str]) -> str:
@@ -140,18 +178,25 @@ class _MassRatio:
 
 
 def _mass_ratio(results: Results, variant: str) -> _MassRatio:
-    scenario = Case(setting="bounded", controller=PROPOSED, variant=variant).scenario(results.overrides)
+    scenario = Case(setting="bounded", controller=PROPOSED, variant=variant).scenario(
+        results.overrides
+    )
     truth, nominal = make_true_plant(scenario), make_nominal_plant(scenario)
     norms, eigenvalues = [], []
     planned = results.record("bounded", PROPOSED).dataset["desired_position"].values
     for q in planned[:: max(len(planned) // 40, 1)]:
         ratio = np.linalg.solve(truth.calc_mass_matrix(q), nominal.calc_mass_matrix(q))
         norms.append(float(np.linalg.norm(np.eye(len(ratio)) - ratio, 2)))
-        eigenvalues.append(np.linalg.eigvals(ratio).real)  # real: a product of positive definite matrices
-    return _MassRatio(norm=max(norms), low=float(np.min(eigenvalues)), high=float(np.max(eigenvalues)))
+        # real: a product of positive definite matrices
+        eigenvalues.append(np.linalg.eigvals(ratio).real)
+    return _MassRatio(
+        norm=max(norms), low=float(np.min(eigenvalues)), high=float(np.max(eigenvalues))
+    )
 
 
 def _tolerated_k_s(results: Results, eta: float) -> float:
-    """K_s below which a sampled loop with eigenvalue eta of H^-1 Hhat is stable: (K_D + K_s) L < 2 (2 - eta) / eta."""
+    """K_s below which a sampled loop with eigenvalue eta of H^-1 Hhat is stable: (K_D + K_s) L < 2
+    (2 - eta) / eta.
+    """
     scenario = results.record("bounded", PROPOSED).scenario
     return 2.0 * (2.0 - eta) / (eta * scenario.sample_time) - gain_of(scenario, "k_d")

@@ -37,18 +37,21 @@ class Setting:
 SETTINGS = {
     "euler": Setting(
         title="Explicit Euler, published gains",
-        description="The paper's simulation as far as it can be told: explicit Euler at the control period, 10 ms.",
+        description="The paper's simulation as far as it can be told: explicit Euler at the "
+        "control period, 10 ms.",
         scenario="paper",
     ),
     "exact": Setting(
         title="Exact integration, published gains",
-        description="The same with the plant integrated between the samples by a third-order Runge-Kutta method.",
+        description="The same with the plant integrated between the samples by a third-order "
+        "Runge-Kutta method.",
         scenario="paper",
         overrides=("simulator_config.integration_scheme=runge_kutta3",),
     ),
     "bounded": Setting(
         title="Exact integration, K_s bounded",
-        description="The same with the proposed controller's K_s bounded and starting lower; the others are as before.",
+        description="The same with the proposed controller's K_s bounded and starting lower; the "
+        "others are as before.",
         scenario="postcapture",
     ),
 }
@@ -76,7 +79,9 @@ def _nominal(fraction: float) -> tuple[str, ...]:
     )
 
 
-NOMINALS = {f"nominal {round(100 * fraction)} kg": fraction for fraction in (0.3, 0.5, 1.0, 1.1, 1.25)}
+NOMINALS = {
+    f"nominal {round(100 * fraction)} kg": fraction for fraction in (0.3, 0.5, 1.0, 1.1, 1.25)
+}
 
 # What single claims need beyond the table: name -> overrides of the scenario.
 VARIANTS: dict[str, tuple[str, ...]] = {
@@ -86,7 +91,8 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "G = 0, no noise": (*_NO_SWITCHING, *_NO_NOISE),
     "epsilon / 10": ("controllers.tde_aismc.epsilon=1e-5",),
     "epsilon x 10": ("controllers.tde_aismc.epsilon=1e-3",),
-    # The motion ends at 20 s, the disturbance is constant: what is left at 30 s is a steady-state error.
+    # The motion ends at 20 s, the disturbance is constant: what is left at 30 s is a steady-state
+    # error.
     "at rest": ("duration=30", "disturbance.frequency_scale=0", *_NO_NOISE),
     # K_D + K_s and K_s K_D of ASMC as TDC's gains: the same law as ASMC without its switching term.
     "stiffness of ASMC": ("controllers.tdc.k_d=180", "controllers.tdc.k_p=8000"),
@@ -106,7 +112,9 @@ class Case:
 
     @property
     def canonical(self) -> "Case":
-        """The case whose run serves this one: bounding the proposed controller's K_s changes no other controller."""
+        """The case whose run serves this one: bounding the proposed controller's K_s changes no
+        other controller.
+        """
         shared = self.setting == "bounded" and self.controller != PROPOSED
         return dataclasses.replace(self, setting="exact") if shared else self
 
@@ -129,7 +137,8 @@ class Run:
     case: Case
     outcome: Outcome
     metrics: dict[str, Any]
-    # Rms change of the force from one sample to the next, by whole seconds and coordinate (n, nv), N m and N.
+    # Rms change of the force from one sample to the next, by whole seconds and coordinate (n, nv),
+    # N m and N.
     ripple: np.ndarray
     # Sum over the coordinates of |mean error| over the last five seconds, rad and m.
     resting_error: float
@@ -147,7 +156,9 @@ class Run:
 
     @property
     def mean_ripple(self) -> float:
-        """Rms change of the force from one sample to the next over run and coordinates; infinite as ``itae``."""
+        """Rms change of the force from one sample to the next over run and coordinates; infinite as
+        ``itae``.
+        """
         return float(np.sqrt(np.mean(self.ripple**2))) if self.outcome.completed else math.inf
 
 
@@ -160,10 +171,22 @@ class Results:
     overrides: tuple[str, ...] = ()  # applied to every run; empty for the reproduction proper
 
     def run(
-        self, setting: str, controller: str, *, disturbance: str = "tau_d1", seed: int = 0, variant: str = ""
+        self,
+        setting: str,
+        controller: str,
+        *,
+        disturbance: str = "tau_d1",
+        seed: int = 0,
+        variant: str = "",
     ) -> Run:
         """The run of a case, also where another case's run serves it."""
-        case = Case(setting=setting, controller=controller, disturbance=disturbance, seed=seed, variant=variant)
+        case = Case(
+            setting=setting,
+            controller=controller,
+            disturbance=disturbance,
+            seed=seed,
+            variant=variant,
+        )
         return self.runs[case.canonical]
 
     def runs_of(
@@ -180,7 +203,9 @@ class Results:
 
     def record(self, setting: str, controller: str, *, variant: str = "") -> RunRecord:
         """The full record of a case that ``keeps_record``."""
-        return self._records[Case(setting=setting, controller=controller, variant=variant).canonical]
+        return self._records[
+            Case(setting=setting, controller=controller, variant=variant).canonical
+        ]
 
     @property
     def comparisons(self) -> list[tuple[str, int]]:
@@ -203,9 +228,15 @@ class Results:
         """
         first, second = (
             self.runs_of(setting, name, variant=variant)
-            for name, variant in ((side, "") if isinstance(side, str) else side for side in (over, under))
+            for name, variant in (
+                (side, "") if isinstance(side, str) else side for side in (over, under)
+            )
         )
-        pairs = [(getattr(run, metric), getattr(second[key], metric)) for key, run in first.items() if key in second]
+        pairs = [
+            (getattr(run, metric), getattr(second[key], metric))
+            for key, run in first.items()
+            if key in second
+        ]
         return [a / b if math.isfinite(b) else math.nan for a, b in pairs]
 
     def divergence_times(self, setting: str, controller: str, **which: str) -> list[float]:
@@ -215,12 +246,18 @@ class Results:
 
     @functools.cached_property
     def _records(self) -> dict[Case, RunRecord]:
-        kept = {case: (run.outcome, run.dataset) for case, run in self.runs.items() if run.dataset is not None}
+        kept = {
+            case: (run.outcome, run.dataset)
+            for case, run in self.runs.items()
+            if run.dataset is not None
+        }
         versions = software_versions()
 
         def record(case: Case, outcome: Outcome, dataset: "xr.Dataset") -> RunRecord:
             scenario = complete_gains(case.scenario(self.overrides))
-            return RunRecord(scenario=scenario, outcome=outcome, dataset=dataset, wall_time={}, software=versions)
+            return RunRecord(
+                scenario=scenario, outcome=outcome, dataset=dataset, wall_time={}, software=versions
+            )
 
         return {case: record(case, *parts) for case, parts in kept.items()}
 
@@ -240,13 +277,17 @@ def table_cases(num_seeds: int) -> list[Case]:
     """The runs of Table 2 in all settings."""
     return _distinct(
         Case(setting=setting, controller=controller, disturbance=disturbance, seed=seed)
-        for setting, disturbance, controller, seed in product(SETTINGS, DISTURBANCES, CONTROLLERS, range(num_seeds))
+        for setting, disturbance, controller, seed in product(
+            SETTINGS, DISTURBANCES, CONTROLLERS, range(num_seeds)
+        )
     )
 
 
 def figure_cases(settings: Iterable[str], controllers: Iterable[str]) -> list[Case]:
     """The runs that a figure of these controllers shows."""
-    return _distinct(Case(setting=setting, controller=name) for setting, name in product(settings, controllers))
+    return _distinct(
+        Case(setting=setting, controller=name) for setting, name in product(settings, controllers)
+    )
 
 
 def claim_cases(num_seeds: int) -> list[Case]:
@@ -260,9 +301,14 @@ def claim_cases(num_seeds: int) -> list[Case]:
         *product(["bounded"], CONTROLLERS, NOMINALS),
         *product(["euler"], [PROPOSED], NOMINALS),
     ]
-    cases = [Case(setting=setting, controller=name, variant=variant) for setting, name, variant in wanted]
+    cases = [
+        Case(setting=setting, controller=name, variant=variant) for setting, name, variant in wanted
+    ]
     without_g = product(SETTINGS, range(num_seeds))
-    cases += [Case(setting=setting, controller=PROPOSED, seed=seed, variant="G = 0") for setting, seed in without_g]
+    cases += [
+        Case(setting=setting, controller=PROPOSED, seed=seed, variant="G = 0")
+        for setting, seed in without_g
+    ]
     return _distinct(cases)
 
 
@@ -295,11 +341,14 @@ def run_cases(
     """
     run = functools.partial(_run, overrides=tuple(overrides))
     runs = map_tasks(run, cases, workers=workers, progress=progress)
-    return Results(runs=dict(zip(cases, runs, strict=True)), num_seeds=num_seeds, overrides=tuple(overrides))
+    return Results(
+        runs=dict(zip(cases, runs, strict=True)), num_seeds=num_seeds, overrides=tuple(overrides)
+    )
 
 
 def _run(case: Case, overrides: Sequence[str]) -> Run:
-    record = simulate(case.scenario(overrides), check_stability=False)  # some of these gains are known to be unstable
+    # some of these gains are known to be unstable
+    record = simulate(case.scenario(overrides), check_stability=False)
     if record.outcome.status == "interrupted":
         raise KeyboardInterrupt
     period = record.scenario.sample_time
@@ -308,13 +357,16 @@ def _run(case: Case, overrides: Sequence[str]) -> Run:
         outcome=record.outcome,
         metrics=record.metrics,
         ripple=_ripple(record.dataset["generalized_force"].values, round(1.0 / period)),
-        resting_error=float(np.abs(record.dataset["error"].values[-round(5.0 / period) :].mean(axis=0)).sum()),
+        resting_error=float(
+            np.abs(record.dataset["error"].values[-round(5.0 / period) :].mean(axis=0)).sum()
+        ),
         dataset=record.dataset if keeps_record(case) else None,
     )
 
 
 def _ripple(effort: np.ndarray, window: int) -> np.ndarray:
-    steps = np.diff(effort[5:], axis=0)  # without the first samples, in which the loop finds the force from nothing
+    # without the first samples, in which the loop finds the force from nothing
+    steps = np.diff(effort[5:], axis=0)
     if len(steps) == 0:
         return np.zeros((1, effort.shape[1]))
     parts = np.array_split(steps, max(len(steps) // window, 1))

@@ -23,8 +23,10 @@ def comparison_is_fair(results: Results) -> Evaluated:
     before = both(lambda setting: results.ratios("itae", setting, "tdc", "asmc")[0])
     after = ratios_in_both(results, "itae", ("tdc", "stiffness of ASMC"), "asmc")
     return (
-        f"Stiffness (1/s²): TDC {span(tdc.k_p)}, ASMC K_s K_D = {span(asmc_stiffness, 4)}, AISMC and proposed K_P + "
-        f"K_s K_D = {span(stiffness, 4)} at the start. ITAE of TDC over ASMC: {before.told(fixed)}; with ASMC's "
+        f"Stiffness (1/s²): TDC {span(tdc.k_p)}, ASMC K_s K_D = {span(asmc_stiffness, 4)}, AISMC "
+        "and proposed K_P + "
+        f"K_s K_D = {span(stiffness, 4)} at the start. ITAE of TDC over ASMC: "
+        f"{before.told(fixed)}; with ASMC's "
         f"stiffness {after.pair(times_span)}.",
         holds_if(min(asmc_stiffness) <= 2.0 * max(tdc.k_p)),
     )
@@ -34,19 +36,28 @@ def comparison_is_fair(results: Results) -> Evaluated:
 def without_g_it_is_aismc(results: Results) -> Evaluated:
     gap = _law_gap(results, PROPOSED, "aismc", keep_k_p=True, keep_g=False)
     euler, exact = (
-        times_span(results.ratios("itae", setting, (PROPOSED, "G = 0"), "aismc")) for setting in ("euler", "exact")
+        times_span(results.ratios("itae", setting, (PROPOSED, "G = 0"), "aismc"))
+        for setting in ("euler", "exact")
     )
     ended = results.divergence_times("exact", PROPOSED, variant="G = 0")
-    fate = f"it does not stay with AISMC, diverging at {span(ended, 2)} s" if ended else f"{exact} times"
+    fate = (
+        f"it does not stay with AISMC, diverging at {span(ended, 2)} s"
+        if ended
+        else f"{exact} times"
+    )
     return (
-        f"For the same K_s the two laws differ by {percent(gap)} of the command over random errors. But (6) comes "
-        f"with law (9): with G = 0 its ITAE is {euler} times AISMC's with explicit Euler; exactly integrated {fate}.",
+        f"For the same K_s the two laws differ by {percent(gap)} of the command over random "
+        "errors. But (6) comes "
+        f"with law (9): with G = 0 its ITAE is {euler} times AISMC's with explicit Euler; exactly "
+        f"integrated {fate}.",
         ("holds only", "with law (21) in place of (9)") if gap == 0.0 else ("does not hold", ""),
     )
 
 
 @claim(
-    "With K_P = 0 the integral surface becomes an ordinary one, and (6) and (20) become (18) and (17).", "Section 3.3"
+    "With K_P = 0 the integral surface becomes an ordinary one, and (6) and (20) become (18) and "
+    "(17).",
+    "Section 3.3",
 )
 def without_k_p_surfaces_become_ordinary(results: Results) -> Evaluated:
     robust = _law_gap(results, PROPOSED, "asmc", keep_k_p=False, keep_g=True)
@@ -55,8 +66,10 @@ def without_k_p_surfaces_become_ordinary(results: Results) -> Evaluated:
     if robust == 0.0 != plain:
         ruling = ("holds only", "for (6) and (18), with the same K_s and G, not for (20) and (17)")
     return (
-        "Largest difference of the commands over random errors with K_P = 0 and equal K_s and G: (6) and (18) "
-        f"{percent(robust)}, (20) and (17) {percent(plain)}: (20) keeps K_s s, which TDC has not. The adaptation laws "
+        "Largest difference of the commands over random errors with K_P = 0 and equal K_s and G: "
+        "(6) and (18) "
+        f"{percent(robust)}, (20) and (17) {percent(plain)}: (20) keeps K_s s, which TDC has not. "
+        "The adaptation laws "
         "differ besides: K_s is constant in (18), and G follows (19), not (10).",
         ruling,
     )
@@ -64,15 +77,22 @@ def without_k_p_surfaces_become_ordinary(results: Results) -> Evaluated:
 
 def _law(scenario: Scenario, name: str) -> Any:
     """The injected dynamics of one of the paper's laws with the scenario's gains."""
-    return make_law(dataclasses.replace(scenario, controller=name), make_nominal_plant(scenario)).dynamics
+    return make_law(
+        dataclasses.replace(scenario, controller=name), make_nominal_plant(scenario)
+    ).dynamics
 
 
 def _law_gap(results: Results, first: str, second: str, *, keep_k_p: bool, keep_g: bool) -> float:
-    """Largest relative difference of two laws' feedback over random errors, with equal K_s and G."""
+    """Largest relative difference of two laws' feedback over random errors, with equal K_s
+    and G.
+    """
     scenario = results.record("euler", PROPOSED).scenario
     laws = [_law(scenario, name) for name in (first, second)]
     if not keep_k_p:
-        laws = [dataclasses.replace(law, k_p=0.0 * law.k_p) if hasattr(law, "k_p") else law for law in laws]
+        laws = [
+            dataclasses.replace(law, k_p=0.0 * law.k_p) if hasattr(law, "k_p") else law
+            for law in laws
+        ]
     random = np.random.default_rng(0)
     size = len(make_nominal_plant(scenario).coordinates.names)
     largest = 0.0
@@ -87,5 +107,7 @@ def _law_gap(results: Results, first: str, second: str, *, keep_k_p: bool, keep_
                 law = dataclasses.replace(law, k_s=k_s)
             state = {key: given.get(key, value) for key, value in law.initial_state().items()}
             feedback.append(law.step(e, e_dot, np.zeros(size), state)[0])
-        largest = max(largest, float(np.linalg.norm(feedback[0] - feedback[1]) / np.linalg.norm(feedback[0])))
+        largest = max(
+            largest, float(np.linalg.norm(feedback[0] - feedback[1]) / np.linalg.norm(feedback[0]))
+        )
     return largest

@@ -18,7 +18,9 @@ _PRINTED = {"itae": paper.ITAE, "isv": paper.ISV}
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One metric of one controller under one disturbance; mean, spread and ratio are NaN where runs diverged."""
+    """One metric of one controller under one disturbance; mean, spread and ratio are NaN where runs
+    diverged.
+    """
 
     mean: float  # over the seeds
     spread: float  # standard deviation over the seeds (of a sample); NaN for a single one
@@ -47,19 +49,39 @@ def make_table(results: Results) -> list[Row]:
     """All rows: by setting, disturbance, controller."""
     rows = []
     for setting, disturbance in product(SETTINGS, DISTURBANCES):
-        runs = {name: list(results.runs_of(setting, name, disturbance=disturbance).values()) for name in CONTROLLERS}
+        runs = {
+            name: list(results.runs_of(setting, name, disturbance=disturbance).values())
+            for name in CONTROLLERS
+        }
         itae, isv = (_cells(metric, disturbance, runs) for metric in METRICS)
         for name in CONTROLLERS:
             ended = [run for run in runs[name] if not run.outcome.completed]
-            which = "" if len(ended) == len(runs[name]) else f" ({len(ended)} of {len(runs[name])} runs)"
+            which = (
+                ""
+                if len(ended) == len(runs[name])
+                else (f" ({len(ended)} of {len(runs[name])} runs)")
+            )
             times_ended = span((run.outcome.time for run in ended), 2)
             told = f"{ended[0].outcome.status} at {times_ended} s{which}" if ended else ""
-            rows.append(Row(setting, disturbance, name, len(runs[name]), len(ended), told, itae[name], isv[name]))
+            rows.append(
+                Row(
+                    setting,
+                    disturbance,
+                    name,
+                    len(runs[name]),
+                    len(ended),
+                    told,
+                    itae[name],
+                    isv[name],
+                )
+            )
     return rows
 
 
 def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[str, Cell]:
-    means = {name: statistics.fmean(getattr(run, metric) for run in runs[name]) for name in CONTROLLERS}
+    means = {
+        name: statistics.fmean(getattr(run, metric) for run in runs[name]) for name in CONTROLLERS
+    }
     printed = _PRINTED[metric][disturbance]
     cells = {}
     for name, mean in means.items():
@@ -83,8 +105,14 @@ def table_csv(rows: list[Row]) -> str:
     for row in rows:
         line = dict(vars(row))
         cells = {metric: dict(vars(line.pop(metric))) for metric in METRICS}
-        corrections = {f"{metric}_paper_correction": cell.pop("correction") for metric, cell in cells.items()}
-        figures = {f"{metric}_{field}": value for metric, cell in cells.items() for field, value in cell.items()}
+        corrections = {
+            f"{metric}_paper_correction": cell.pop("correction") for metric, cell in cells.items()
+        }
+        figures = {
+            f"{metric}_{field}": value
+            for metric, cell in cells.items()
+            for field, value in cell.items()
+        }
         lines.append(line | figures | corrections)
     return csv_text(lines)
 
@@ -119,22 +147,37 @@ def markdown_rows(rows: list[Row]) -> list[list[str]]:
             # When, is said once.
             ended = row.diverged and (row.diverged if metric == "itae" else "diverged")
             ours = ended or shown_ours(metric, cell)
-            line += [shown(metric, cell.paper) + mark, ours, shown_ratio(cell), f"{cell.rank} ({cell.paper_rank})"]
+            line += [
+                shown(metric, cell.paper) + mark,
+                ours,
+                shown_ratio(cell),
+                f"{cell.rank} ({cell.paper_rank})",
+            ]
         lines.append(line)
     return lines
 
 
 HEADER = [
-    "disturbance", "controller", "ITAE, paper", "ITAE, ours", "ratio", "rank", "ISV, paper", "ISV, ours", "ratio",
+    "disturbance",
+    "controller",
+    "ITAE, paper",
+    "ITAE, ours",
+    "ratio",
     "rank",
-]  # fmt: skip
+    "ISV, paper",
+    "ISV, ours",
+    "ratio",
+    "rank",
+]
 
 
 def table_notes() -> list[str]:
     """What the reader of the table must know."""
     return [
-        "Ours: mean over the noise seeds, of several ± their standard deviation. Ratio: ours over the paper's. "
-        "Rank: ours among the four controllers, 1 for the smallest value, diverged runs last; in brackets the paper's.",
+        "Ours: mean over the noise seeds, of several ± their standard deviation. Ratio: ours over "
+        "the paper's. "
+        "Rank: ours among the four controllers, 1 for the smallest value, diverged runs last; in "
+        "brackets the paper's.",
         *[
             f"† {METRICS[metric]}, {DISTURBANCE_NAMES[disturbance]}, {NAMES[controller]}: {why}."
             for (metric, disturbance, controller), why in paper.CORRECTIONS.items()

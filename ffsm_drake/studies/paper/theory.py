@@ -1,4 +1,6 @@
-"""Claims of the proof, and of stability as the sampled loop has it; evaluated by ``analysis`` and ``stability``."""
+"""Claims of the proof, and of stability as the sampled loop has it; evaluated by ``analysis`` and
+``stability``.
+"""
 
 import functools
 
@@ -8,7 +10,15 @@ from ffsm_drake.analysis import Analysis, analyze
 from ffsm_drake.control_design.stability import stability
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.studies.paper.runs import CONTROLLERS, PROPOSED, SETTINGS, Case, Results
-from ffsm_drake.studies.paper.verdict import Both, Claim, Evaluated, both, claims_about, holds_if, in_both
+from ffsm_drake.studies.paper.verdict import (
+    Both,
+    Claim,
+    Evaluated,
+    both,
+    claims_about,
+    holds_if,
+    in_both,
+)
 from ffsm_drake.studies.paper.wording import NAMES, fate, fixed, listed, percent, scientific
 
 claim = claims_about("Theory")
@@ -21,11 +31,15 @@ def _analysis(record: RunRecord) -> Analysis:
 
 @claim("The Lyapunov criterion proves the controller's global stability.", "Abstract, Section 3.2")
 def proof_is_conclusive(results: Results) -> Evaluated:
-    """A run that ends well agrees with what a proof concludes; the proof fails with its premises all the same."""
+    """A run that ends well agrees with what a proof concludes; the proof fails with its premises
+    all the same.
+    """
     premise = _shares(results, "lemma_1_premise", "share_of_samples")
     conclusion = _shares(results, "lemma_1_conclusion", "share_of_gains")
     margins = {
-        (setting, name): stability(Case(setting=setting, controller=name).scenario(results.overrides))
+        (setting, name): stability(
+            Case(setting=setting, controller=name).scenario(results.overrides)
+        )
         for setting in ("euler", "exact")
         for name in CONTROLLERS
     }
@@ -40,18 +54,28 @@ def proof_is_conclusive(results: Results) -> Evaluated:
     limit, euler_limit = (float(np.nanmin(axes.k_s_limit)) for axes in (exact.axes, euler.axes))
     agreement = f"except for {listed(wrong)}" if wrong else f"in all {len(margins)} cases"
     return (
-        f"The proof needs Lemma 1, whose premise is true of {premise.pair(percent)} of the samples (explicit Euler; "
-        f"exact, K_s bounded) and whose conclusion of {conclusion.pair(percent)} of the gains. It is in continuous "
-        f"time, too: with the force held, the published gains' run {fate(results.run('exact', PROPOSED))}. What tells "
-        f"the outcome is the sampled loop, {agreement}: it is stable for K_s below {fixed(limit)} 1/s on the exactly "
-        f"integrated plant and {fixed(euler_limit)} 1/s on the Euler plant. That runs complete proves nothing.",
-        holds_if(min(premise.euler, premise.bounded) == 1.0 and results.run("exact", PROPOSED).outcome.completed),
+        f"The proof needs Lemma 1, whose premise is true of {premise.pair(percent)} of the "
+        "samples (explicit Euler; "
+        f"exact, K_s bounded) and whose conclusion of {conclusion.pair(percent)} of the gains. It "
+        "is in continuous "
+        "time, too: with the force held, the published gains' run "
+        f"{fate(results.run('exact', PROPOSED))}. What tells "
+        f"the outcome is the sampled loop, {agreement}: it is stable for K_s below {fixed(limit)} "
+        "1/s on the exactly "
+        f"integrated plant and {fixed(euler_limit)} 1/s on the Euler plant. That runs complete "
+        "proves nothing.",
+        holds_if(
+            min(premise.euler, premise.bounded) == 1.0
+            and results.run("exact", PROPOSED).outcome.completed
+        ),
     )
 
 
 def _shares(results: Results, key: str, number: str) -> Both[float]:
     """A share that a finding counts in the two runs of ``both``."""
-    found = both(lambda setting: _analysis(results.record(setting, PROPOSED)).finding(key).numbers[number])
+    found = both(
+        lambda setting: _analysis(results.record(setting, PROPOSED)).finding(key).numbers[number]
+    )
     return Both(float(found.euler), float(found.bounded))
 
 
@@ -62,8 +86,14 @@ def tde_errors_are_bounded(results: Results) -> Evaluated:
         record = results.record(setting, PROPOSED)
         bound = float(_analysis(record).finding("tde_error_bound").numbers["bound"])
         bounded[setting] = record.outcome.completed and np.isfinite(bound)
-        until = "" if record.outcome.completed else f" until it diverges at {record.outcome.time:.2f} s"
-        measured.append(f"{SETTINGS[setting].title}: largest |Ñ| {scientific(bound)} rad/s² or m/s²{until}")
+        until = (
+            ""
+            if record.outcome.completed
+            else (f" until it diverges at {record.outcome.time:.2f} s")
+        )
+        measured.append(
+            f"{SETTINGS[setting].title}: largest |Ñ| {scientific(bound)} rad/s² or m/s²{until}"
+        )
     kind, condition = in_both(bounded["euler"], bounded["exact"])
     if kind == "holds only" and bounded["bounded"]:
         condition = "with explicit Euler at the control period, or with K_s bounded"
@@ -71,11 +101,18 @@ def tde_errors_are_bounded(results: Results) -> Evaluated:
 
 
 def _finding(key: str, text: str, place: str) -> Claim:
-    """A claim that is one finding of the analysis, in the paper's own run and in the exact one that ends."""
+    """A claim that is one finding of the analysis, in the paper's own run and in the exact one that
+    ends.
+    """
 
     def evaluate(results: Results) -> Evaluated:
-        found = {setting: _analysis(results.record(setting, PROPOSED)).finding(key) for setting in ("euler", "bounded")}
-        measured = " ".join(f"{SETTINGS[setting].title}: {finding.statement}" for setting, finding in found.items())
+        found = {
+            setting: _analysis(results.record(setting, PROPOSED)).finding(key)
+            for setting in ("euler", "bounded")
+        }
+        measured = " ".join(
+            f"{SETTINGS[setting].title}: {finding.statement}" for setting, finding in found.items()
+        )
         if all(finding.verdict == "not tested" for finding in found.values()):
             return measured, ("not tested", "")
         return measured, in_both(*(finding.verdict == "holds" for finding in found.values()))
@@ -84,12 +121,20 @@ def _finding(key: str, text: str, place: str) -> Claim:
 
 
 lemma_1_premise = _finding(
-    "lemma_1_premise", "The normalization factor satisfies β_i < N*/‖s‖∞.", "After (9); premise of Lemma 1"
+    "lemma_1_premise",
+    "The normalization factor satisfies β_i < N*/‖s‖∞.",
+    "After (9); premise of Lemma 1",
 )
-lemma_1_conclusion = _finding("lemma_1_conclusion", "The gain dynamics stays below N*: K_si < N*.", "Lemma 1, (11)")
-switching_gain_is_limited = _finding("switching_gain_bound", "The switching gain stays below N*.", "After (10)")
+lemma_1_conclusion = _finding(
+    "lemma_1_conclusion", "The gain dynamics stays below N*: K_si < N*.", "Lemma 1, (11)"
+)
+switching_gain_is_limited = _finding(
+    "switching_gain_bound", "The switching gain stays below N*.", "After (10)"
+)
 lyapunov_function_decreases = _finding(
-    "lyapunov_derivative", "The Lyapunov function decreases wherever |s_i| > max(K_si/β_i, ε).", "(12) to (14)"
+    "lyapunov_derivative",
+    "The Lyapunov function decreases wherever |s_i| > max(K_si/β_i, ε).",
+    "(12) to (14)",
 )
 sliding_variable_is_ultimately_bounded = _finding(
     "ultimate_bound", "The sliding variable ends within the bound of (16).", "(15), (16)"

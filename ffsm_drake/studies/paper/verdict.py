@@ -1,8 +1,9 @@
 """The form of a claim and of the verdict on it, and what the claims have in common.
 
-Every figure in a verdict is computed from the results, and the verdict follows from the figures. Of the settings
-(``runs.SETTINGS``), ``euler`` is the paper's own simulation and ``bounded`` the exactly integrated plant with the
-proposed controller's K_s bounded: the two in which every controller reaches the end.
+Every figure in a verdict is computed from the results, and the verdict follows from the figures. Of
+the settings (``runs.SETTINGS``), ``euler`` is the paper's own simulation and ``bounded`` the
+exactly integrated plant with the proposed controller's K_s bounded: the two in which every
+controller reaches the end.
 """
 
 import dataclasses
@@ -13,7 +14,13 @@ from ffsm_drake.studies.paper.runs import Results, Side
 from ffsm_drake.studies.paper.table import Row, make_table
 
 Kind = Literal["holds", "holds only", "does not hold", "not reproduced", "not tested"]
-Topic = Literal["Accuracy", "Effort and chattering", "Comparison of the schemes", "Stability and robustness", "Theory"]
+Topic = Literal[
+    "Accuracy",
+    "Effort and chattering",
+    "Comparison of the schemes",
+    "Stability and robustness",
+    "Theory",
+]
 T = TypeVar("T")
 
 
@@ -81,7 +88,10 @@ class Both(Generic[T]):
     bounded: T
 
     def told(self, write: Callable[[T], str]) -> str:
-        return f"with explicit Euler {write(self.euler)}; with exact integration and K_s bounded {write(self.bounded)}"
+        return (
+            f"with explicit Euler {write(self.euler)}; with exact integration and K_s bounded "
+            f"{write(self.bounded)}"
+        )
 
     def pair(self, write: Callable[[T], str]) -> str:
         """In the same order, where it has been said which is which."""

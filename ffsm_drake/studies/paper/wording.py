@@ -10,7 +10,11 @@ from ffsm_drake.studies.paper.runs import Run
 
 T = TypeVar("T")
 NAMES = {"tde_aismc": "proposed", "aismc": "AISMC", "asmc": "ASMC", "tdc": "TDC"}
-DISTURBANCE_NAMES = {"tau_d1": "τ_d1", "tau_d2": "τ_d2 (3 × frequency)", "tau_d3": "τ_d3 (3 × amplitude)"}
+DISTURBANCE_NAMES = {
+    "tau_d1": "τ_d1",
+    "tau_d2": "τ_d2 (3 × frequency)",
+    "tau_d3": "τ_d3 (3 × amplitude)",
+}
 
 
 def scientific(value: float, digits: int = 3) -> str:
@@ -71,7 +75,10 @@ def ending(run: Run) -> str:
 
 def named(values: Mapping[str, T], write: Callable[[T], str], separator: str = ", ") -> str:
     """Values by controller or group, such as 'proposed 0.16, AISMC 0.10'."""
-    return separator.join(f"{NAMES.get(name, name.replace('_', ' '))} {write(value)}" for name, value in values.items())
+    return separator.join(
+        f"{NAMES.get(name, name.replace('_', ' '))} {write(value)}"
+        for name, value in values.items()
+    )
 
 
 def listed(items: Iterable[str]) -> str:

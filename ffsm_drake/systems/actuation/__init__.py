@@ -1,24 +1,45 @@
-"""Actuators: from the commanded to the applied force. Saturation, quantisation, delay, drives, wheels, thrusters."""
+"""Actuators: from the commanded to the applied force. Saturation, quantisation, delay, drives,
+wheels, thrusters.
+"""
 
 import itertools
 
 import numpy as np
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort, System
+from pydrake.systems.framework import (
+    Context,
+    Diagram,
+    DiagramBuilder,
+    InputPort,
+    OutputPort,
+    System,
+)
 from pydrake.systems.primitives import Demultiplexer, DiscreteTimeDelay, PassThrough, Saturation
 
 from ffsm_drake.scenario import schema
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.actuation.base import BaseActuators, attitude_ahead
-from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK, DriveSet, JointFriction, RateLimit
+from ffsm_drake.systems.actuation.drives import (
+    FRICTION_FORCE,
+    FRICTION_WORK,
+    DriveSet,
+    JointFriction,
+    RateLimit,
+)
 from ffsm_drake.systems.actuation.thrusters import ThrusterSet
 from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
 from ffsm_drake.systems.sensing import Quantizer
 
-# Outputs of actuators with thrusters and wheels beside the applied force, see BaseActuators; held over a sample.
+# Outputs of actuators with thrusters and wheels beside the applied force, see BaseActuators; held
+# over a sample.
 HELD_OUTPUTS = (
-    "thruster_force", "thruster_open", "thruster_given", "wheel_momentum", "wheel_torque", "wheel_unloads",
+    "thruster_force",
+    "thruster_open",
+    "thruster_given",
+    "wheel_momentum",
+    "wheel_torque",
+    "wheel_unloads",
     "wheel_reaction",
-)  # fmt: skip
+)
 # With wheels: their momentum in world axes, N m s.
 STORED_MOMENTUM = "stored_momentum"
 
@@ -29,7 +50,9 @@ class Actuators(Diagram):
     wheels: WheelSet | None = None
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """The wheels have their initial momentum, in a base with the attitude of ``state`` [q; v]."""
+        """The wheels have their initial momentum, in a base with the attitude of ``state`` [q;
+        v].
+        """
         if self.wheels is not None:
             stored = self.GetSubsystemByName("gyroscopic")
             rotation = attitude_ahead(state[:4], np.zeros(3), 0.0).reshape(3, 3)
@@ -38,13 +61,19 @@ class Actuators(Diagram):
 
 
 def make_actuation(
-    settings: schema.Actuation, coordinates: Coordinates, *, sample_time: float, base: System | None = None
+    settings: schema.Actuation,
+    coordinates: Coordinates,
+    *,
+    sample_time: float,
+    base: System | None = None,
 ) -> Actuators | None:
-    """A diagram from ``commanded_force`` to ``applied_force``, both (nv): N m and N; None where they are the same.
+    """A diagram from ``commanded_force`` to ``applied_force``, both (nv): N m and N; None where
+    they are the same.
 
-    With thrusters, wheels or drives it has the input ``state`` and those of HELD_OUTPUTS that there are; with wheels
-    ``gyroscopic_force`` (nv), which acts on the plant too, and ``stored_momentum``; with friction of the drives
-    ``friction_force`` (nv), which acts on the plant too, and ``friction_work`` (nv).
+    With thrusters, wheels or drives it has the input ``state`` and those of HELD_OUTPUTS that there
+    are; with wheels ``gyroscopic_force`` (nv), which acts on the plant too, and
+    ``stored_momentum``; with friction of the drives ``friction_force`` (nv), which acts on the
+    plant too, and ``friction_work`` (nv).
 
     Args:
       settings: of the actuators.
@@ -53,11 +82,14 @@ def make_actuation(
       base: from force to force (nv), in place of thrusters and wheels.
 
     Raises:
-      ScenarioError: a value is given for an unknown coordinate; thrusters or wheels cannot give every wrench.
+      ScenarioError: a value is given for an unknown coordinate; thrusters or wheels cannot give
+        every wrench.
     """
     size = len(coordinates.names)
     limit = coordinates.vector(settings.limit or {}, key="actuation.limit", default=np.inf)
-    resolution = coordinates.vector(settings.quantization, key="actuation.quantization", default=0.0)
+    resolution = coordinates.vector(
+        settings.quantization, key="actuation.quantization", default=0.0
+    )
     builder = DiagramBuilder()
     chain: list[tuple[InputPort, OutputPort]] = []
 
@@ -70,14 +102,17 @@ def make_actuation(
     if resolution.any():
         add("quantizer", Quantizer(resolution))
     if settings.delay > 0:
-        # A delay block reads its input before the controller's update of the same instant: one sample late by itself.
+        # A delay block reads its input before the controller's update of the same instant: one
+        # sample late by itself.
         add("delay", DiscreteTimeDelay(sample_time, settings.delay - 1, size))
     diagram = Actuators()
     needs_state: list[InputPort] = []
     if settings.drives is not None:
         drives = DriveSet(settings.drives, settings.limit, coordinates)
         if drives.has_rate_limit:
-            limited = builder.AddNamedSystem("rate_limit", RateLimit(drives, coordinates, sample_time=sample_time))
+            limited = builder.AddNamedSystem(
+                "rate_limit", RateLimit(drives, coordinates, sample_time=sample_time)
+            )
             chain.append((limited.GetInputPort("force"), limited.get_output_port()))
             needs_state.append(limited.GetInputPort("state"))
         if drives.has_friction:
@@ -90,7 +125,11 @@ def make_actuation(
     if base is not None:
         add("base", base)
     elif settings.thrusters is not None or settings.wheels is not None:
-        chain.append(_add_base_actuators(builder, diagram, needs_state, settings, coordinates, sample_time=sample_time))
+        chain.append(
+            _add_base_actuators(
+                builder, diagram, needs_state, settings, coordinates, sample_time=sample_time
+            )
+        )
     if not chain:
         return None
     builder.ExportInput(chain[0][0], "commanded_force")
@@ -127,7 +166,8 @@ def _add_base_actuators(
     *,
     sample_time: float,
 ) -> tuple[InputPort, OutputPort]:
-    """Thrusters and wheels with their outputs; where the commanded force goes in, and where the applied comes out.
+    """Thrusters and wheels with their outputs; where the commanded force goes in, and where the
+    applied comes out.
 
     Adds to ``needs_state`` the ports that the plant's state goes into.
     """

@@ -2,12 +2,13 @@
 
     minimise c . f   over   W f = w,   0 <= f <= F
 
-W (6, n) holds the wrench of each thruster's unit force, c what a unit of its impulse costs. Without the upper bounds
-the dual is: maximise w . y over W' y <= c. Its finitely many vertices y are found once; the best for a wrench say which
-thrusters may fire in a cheapest solution: those whose bound they all touch. Of these solutions the one of least squares
-is taken, in which thrusters that push alike share alike, so that their pulses fall together and their torques cancel.
-Where that has a negative force, it is a solution with six thrusters, f = B^-1 w with a basis B of a vertex. Only where
-a thruster cannot give what that asks for is the linear program itself solved.
+W (6, n) holds the wrench of each thruster's unit force, c what a unit of its impulse costs. Without
+the upper bounds the dual is: maximise w . y over W' y <= c. Its finitely many vertices y are found
+once; the best for a wrench say which thrusters may fire in a cheapest solution: those whose bound
+they all touch. Of these solutions the one of least squares is taken, in which thrusters that push
+alike share alike, so that their pulses fall together and their torques cancel. Where that has a
+negative force, it is a solution with six thrusters, f = B^-1 w with a basis B of a vertex. Only
+where a thruster cannot give what that asks for is the linear program itself solved.
 """
 
 import itertools
@@ -50,13 +51,16 @@ class Allocation:
         prices, optimal = vertices(cost)
         self._prices = np.unique(prices[optimal].round(9), axis=0)
         self._touches = self._prices @ wrenches > cost - 100.0 * _TOUCHES
-        self._shares = dict[bytes, np.ndarray]()  # least squares by the thrusters that may fire, as they come up
+        # least squares by the thrusters that may fire, as they come up
+        self._shares = dict[bytes, np.ndarray]()
         self._cost = cost * (1.0 + _DISTINCT * np.modf(0.618034 * np.arange(count))[0])
         _, optimal = vertices(self._cost)
         self._bases, self._inverses = bases[optimal], inverses[optimal].reshape(-1, 6)
 
     def solve(self, wrench: np.ndarray) -> tuple[np.ndarray, float]:
-        """The forces (n, N) of the largest part of a wrench (6, N m and N) that can be given, and that part, 0 to 1."""
+        """The forces (n, N) of the largest part of a wrench (6, N m and N) that can be given, and
+        that part, 0 to 1.
+        """
         least = -_SLACK * (1.0 + np.abs(wrench).max())
         found = self._share(wrench).dot(wrench)
         if found.min() < least:
@@ -69,7 +73,9 @@ class Allocation:
         return self._solve_within_bounds(wrench)
 
     def _share(self, wrench: np.ndarray) -> np.ndarray:
-        """The map (n, 6) of least squares with the thrusters whose bound is touched by every best vertex."""
+        """The map (n, 6) of least squares with the thrusters whose bound is touched by every best
+        vertex.
+        """
         worth = self._prices.dot(wrench)
         best = worth.max()
         may_fire = self._touches[worth >= best - _SLACK * (1.0 + best)].all(axis=0)
@@ -79,7 +85,9 @@ class Allocation:
         return self._shares[key]
 
     def _solve_within_bounds(self, wrench: np.ndarray) -> tuple[np.ndarray, float]:
-        """As ``solve``: the largest part at the least cost, in one program in which the part outweighs any cost."""
+        """As ``solve``: the largest part at the least cost, in one program in which the part
+        outweighs any cost.
+        """
         program, count = MathematicalProgram(), self._largest.size
         unknown = program.NewContinuousVariables(count + 1)
         program.AddLinearCost(np.r_[self._cost, -_PRICE * self._largest.sum()], unknown)
@@ -90,7 +98,9 @@ class Allocation:
 
 
 def lost_direction(wrenches: np.ndarray) -> np.ndarray | None:
-    """A wrench y (6) that no forces f >= 0 with the wrenches W (6, n) can give, W' y <= 0; None where there is none."""
+    """A wrench y (6) that no forces f >= 0 with the wrenches W (6, n) can give, W' y <= 0; None
+    where there is none.
+    """
     left, sizes, _ = np.linalg.svd(wrenches)
     if wrenches.shape[1] < 6 or sizes[-1] < 1e-9 * sizes[0]:
         return left[:, -1]
@@ -98,13 +108,21 @@ def lost_direction(wrenches: np.ndarray) -> np.ndarray | None:
     unknown = program.NewContinuousVariables(6)
     program.AddLinearCost(wrenches.sum(axis=1), unknown)
     program.AddBoundingBoxConstraint(-np.ones(6), np.ones(6), unknown)
-    program.AddLinearConstraint(wrenches.T, np.full(wrenches.shape[1], -np.inf), np.zeros(wrenches.shape[1]), unknown)
+    program.AddLinearConstraint(
+        wrenches.T, np.full(wrenches.shape[1], -np.inf), np.zeros(wrenches.shape[1]), unknown
+    )
     found = ClpSolver().Solve(program)
-    return None if abs(found.get_optimal_cost()) < 1e-9 * np.abs(wrenches).sum() else found.GetSolution(unknown)
+    return (
+        None
+        if abs(found.get_optimal_cost()) < 1e-9 * np.abs(wrenches).sum()
+        else found.GetSolution(unknown)
+    )
 
 
 def _in_words(wrench: np.ndarray) -> str:
-    torque, force = (", ".join(f"{number:.2g}" for number in part + 0.0) for part in np.split(wrench.round(2), 2))
+    torque, force = (
+        ", ".join(f"{number:.2g}" for number in part + 0.0) for part in np.split(wrench.round(2), 2)
+    )
     if not wrench[:3].round(2).any():
         return f"a force along [{force}] of the base's axes"
     return (

@@ -12,40 +12,49 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.actuation.thrusters import ThrusterMemory, ThrusterSet
 from ffsm_drake.systems.actuation.wheels import WheelSet
 
-# Control samples in which wheels make up for the torque of pulses that they could not counter at once. What the
-# controller asks for beyond their limits is not made up for, as it knows from applied_force and asks again.
+# Control samples in which wheels make up for the torque of pulses that they could not counter at
+# once. What the controller asks for beyond their limits is not made up for, as it knows from
+# applied_force and asks again.
 _REPAID_IN = 10
 
 
 class BaseActuators(LeafSystem):
     """Thrusters, wheels or both: they give the base's wrench, all else passes.
 
-    Torque is the wheels', force the thrusters', which unload the wheels and may help them; without wheels torque is the
-    thrusters', without thrusters force acts as commanded. In each sample the wheels counter what torque thrusters fire.
-    Inputs:
+    Torque is the wheels', force the thrusters', which unload the wheels and may help them; without
+    wheels torque is the thrusters', without thrusters force acts as commanded. In each sample the
+    wheels counter what torque thrusters fire. Inputs:
       commanded_force: (nv), the base's torque and force in world axes.
       state: [q; v] of the plant (nq + nv).
-      stored_momentum: with wheels only, their momentum in world axes as it is integrated (3), N m s.
+      stored_momentum: with wheels only, their momentum in world axes as it is integrated (3), N m
+        s.
     Output, which changes at control samples only:
       sample: stacked by ``sizes``:
-        applied_force (nv), with the mean wrench of thrusters and wheels over the sample, in world axes, without the
-          wheels' gyroscopic torque;
-        with n thrusters thruster_force (n), the mean force of each, N; thruster_open (n), the share of the sample for
-          which each is open; thruster_given (1), the part of the wanted wrench that the last allocation could give;
-        with n wheels wheel_momentum (n), about the axes at the sample's start, N m s; wheel_torque (n), of the motors,
-          N m; wheel_unloads (1), whether thrusters unload them; wheel_reaction (3), the part of applied_force's torque
-          that is theirs;
+        applied_force (nv), with the mean wrench of thrusters and wheels over the sample, in world
+          axes, without the wheels' gyroscopic torque;
+        with n thrusters thruster_force (n), the mean force of each, N; thruster_open (n), the share
+          of the sample for which each is open; thruster_given (1), the part of the wanted wrench
+          that the last allocation could give;
+        with n wheels wheel_momentum (n), about the axes at the sample's start, N m s; wheel_torque
+          (n), of the motors, N m; wheel_unloads (1), whether thrusters unload them; wheel_reaction
+          (3), the part of applied_force's torque that is theirs;
         memory, which the next update keeps.
-    The base turns within a sample. Its attitude at the middle, from the angular velocity at the start, is held, so
-    that the impulse of what is fixed to the base is right but for (w L)^2 / 24 of it.
-    Discrete state, updated every control sample: R_WB at its middle (9), whether a frame begins (1), w_WB in the base's
-    axes and the reaction that is missing from the wheels' integrated momentum (6); of wheels the impulse of torque that
-    is short (3, world axes, N m s), their momentum (n) and whether they unload; of thrusters the
-    impulse that was asked of them and not fired (6, world axes, N m s and N s), and ThrusterMemory.
+    The base turns within a sample. Its attitude at the middle, from the angular velocity at the
+    start, is held, so that the impulse of what is fixed to the base is right but for (w L)^2 / 24
+    of it. Discrete state, updated every control sample: R_WB at its middle (9), whether a frame
+    begins (1), w_WB in the base's axes and the reaction that is missing from the wheels' integrated
+    momentum (6); of wheels the impulse of torque that is short (3, world axes, N m s), their
+    momentum (n) and whether they unload; of thrusters the impulse that was asked of them and not
+    fired (6, world axes, N m s and N s), and ThrusterMemory.
     """
 
     def __init__(
-        self, thrusters: ThrusterSet | None, wheels: WheelSet | None, coordinates: Coordinates, *, sample_time: float
+        self,
+        thrusters: ThrusterSet | None,
+        wheels: WheelSet | None,
+        coordinates: Coordinates,
+        *,
+        sample_time: float,
     ) -> None:
         super().__init__()
         self._thrusters, self._wheels, self._sample_time = thrusters, wheels, sample_time
@@ -60,7 +69,12 @@ class BaseActuators(LeafSystem):
             initial += [np.zeros(6), thrusters.initial_memory().packed()]
         if wheels is not None:
             count = len(wheels.names)
-            self.sizes |= {"wheel_momentum": count, "wheel_torque": count, "wheel_unloads": 1, "wheel_reaction": 3}
+            self.sizes |= {
+                "wheel_momentum": count,
+                "wheel_torque": count,
+                "wheel_unloads": 1,
+                "wheel_reaction": 3,
+            }
             self._stored = self.DeclareVectorInputPort("stored_momentum", 3)
         self.initial_memory = memory = np.concatenate(initial)
         self.sizes["memory"] = memory.size
@@ -72,7 +86,8 @@ class BaseActuators(LeafSystem):
         self._begins = self.DeclareDiscreteState(np.zeros(1))
         self._turning = self.DeclareDiscreteState(np.zeros(6))
         self._memory = self.DeclareDiscreteState(memory)
-        # Not on the plant's state: while the command is held, the integrator's stages read the cached value.
+        # Not on the plant's state: while the command is held, the integrator's stages read the
+        # cached value.
         depends = {self.input_port_ticket(self._commanded.get_index()), self.xd_ticket()}
         self._sample = self.DeclareVectorOutputPort(
             "sample", sum(self.sizes.values()), weak_callback(self._calc), depends
@@ -81,9 +96,17 @@ class BaseActuators(LeafSystem):
         untie(self)
 
     def give(
-        self, commanded: np.ndarray, memory: np.ndarray, *, rotation: np.ndarray, turning: np.ndarray, begins: bool
+        self,
+        commanded: np.ndarray,
+        memory: np.ndarray,
+        *,
+        rotation: np.ndarray,
+        turning: np.ndarray,
+        begins: bool,
     ) -> np.ndarray:
-        """The output ``sample``, as a pure function of the command (nv) and of what the discrete state holds."""
+        """The output ``sample``, as a pure function of the command (nv) and of what the discrete
+        state holds.
+        """
         thrusters, wheels = self._thrusters, self._wheels
         wanted = commanded[:6].reshape(2, 3).dot(rotation)  # torque, force in the base's axes
         memories = iter([memory[part] for part in self._parts])
@@ -105,7 +128,10 @@ class BaseActuators(LeafSystem):
                 with_owed = asked + owed.reshape(2, 3).dot(rotation) / thrusters.frame
                 fuel = thrusters.allocate(with_owed.ravel(), fuel)
                 if fuel.given < 1.0:  # the rest is given up
-                    owed = owed - (1.0 - fuel.given) * thrusters.frame * with_owed.dot(rotation.T).ravel()
+                    owed = (
+                        owed
+                        - (1.0 - fuel.given) * thrusters.frame * with_owed.dot(rotation.T).ravel()
+                    )
             firing, fuel = thrusters.fire(fuel)
             fired = firing.wrench.reshape(2, 3)
             applied[:6] = fired.dot(rotation.T).ravel()
@@ -122,7 +148,12 @@ class BaseActuators(LeafSystem):
             # What is missing has been given already, in a direction that was held.
             given = applied[:3] - missing
             short = wheels.bounded(short + (commanded[:3] - given) * self._sample_time, _REPAID_IN)
-            kept = [short, momentum + torques.on_wheels * self._sample_time, np.array([float(unloads)]), *kept]
+            kept = [
+                short,
+                momentum + torques.on_wheels * self._sample_time,
+                np.array([float(unloads)]),
+                *kept,
+            ]
         return np.concatenate([applied, *parts, *kept])
 
     def _calc(self, context: Context, output: BasicVector) -> None:
@@ -152,11 +183,15 @@ class BaseActuators(LeafSystem):
             momentum = kept[self._parts[1]]
             # The held direction of the torque, and the integrator, leave a little between the two.
             missing = self._stored.Eval(context) - rotation.dot(self._wheels.axes.dot(momentum))
-            values.set_value(self._turning, np.concatenate([w_WB.dot(rotation), missing / self._sample_time]))
+            values.set_value(
+                self._turning, np.concatenate([w_WB.dot(rotation), missing / self._sample_time])
+            )
 
 
 def attitude_ahead(quaternion: np.ndarray, angular_velocity: np.ndarray, time: float) -> np.ndarray:
-    """R_WB (9, by rows) after a time, s, at a constant angular velocity w_WB (3, rad/s) from (w, x, y, z)."""
+    """R_WB (9, by rows) after a time, s, at a constant angular velocity w_WB (3, rad/s) from (w, x,
+    y, z).
+    """
     x, y, z = (0.5 * time * angular_velocity).tolist()  # half the rotation vector
     angle = math.sqrt(x * x + y * y + z * z)
     sinc = math.sin(angle) / angle if angle > 0.0 else 1.0

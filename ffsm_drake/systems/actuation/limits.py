@@ -13,13 +13,17 @@ from ffsm_drake.systems.actuation.thrusters import ThrusterSet
 from ffsm_drake.systems.actuation.wheels import WheelSet
 
 # Axes, edges and corners of a cube.
-_DIRECTIONS = np.array([each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
+_DIRECTIONS = np.array(
+    [each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)]
+)
 _DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1)[:, None]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BaseLimits:
-    """The largest torque (N m) and force (N) that a base's actuators give alone; infinite where they are ideal."""
+    """The largest torque (N m) and force (N) that a base's actuators give alone; infinite where
+    they are ideal.
+    """
 
     torque: float  # in any direction
     most_torque: float  # in the best
@@ -52,13 +56,20 @@ def base_limits(scenario: Scenario) -> BaseLimits:
 def force_limits(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
     """The largest force of each coordinate (nv), N m or N, infinite where there is none.
 
-    That of ``actuation.limit``, the URDFs' efforts, and what thrusters and wheels give in any direction.
+    That of ``actuation.limit``, the URDFs' efforts, and what thrusters and wheels give in any
+    direction.
 
-    Raises ScenarioError, ModelError: the limit names an unknown coordinate, or a URDF cannot be read.
+    Raises ScenarioError, ModelError: the limit names an unknown coordinate, or a URDF cannot be
+    read.
     """
     coordinates = coordinates_of(plant)
-    force = coordinates.vector(scenario.actuation.limit or {}, key="actuation.limit", default=np.inf)
-    joints, base = slice(len(coordinates.names) - len(coordinates.joints), None), base_limits(scenario)
+    force = coordinates.vector(
+        scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
+    )
+    joints, base = (
+        slice(len(coordinates.names) - len(coordinates.joints), None),
+        base_limits(scenario),
+    )
     force[joints] = np.minimum(force[joints], joint_limits(scenario.model, plant).effort)
     for group, largest in (("base_rotation", base.torque), ("base_position", base.force)):
         part = coordinates.groups[group]

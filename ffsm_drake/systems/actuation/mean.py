@@ -1,7 +1,9 @@
-"""What thrusters give on average over their control frame: linear, in place of their pulses where a loop is linearised.
+"""What thrusters give on average over their control frame: linear, in place of their pulses where a
+loop is linearised.
 
-Over a frame they give the mean wrench that was wanted at its start, and in the next one what is still owed. Wheels
-counter the torque of pulses and give what is wanted at once. Limits are left out.
+Over a frame they give the mean wrench that was wanted at its start, and in the next one what is
+still owed. Wheels counter the torque of pulses and give what is wanted at once. Limits are left
+out.
 """
 
 import numpy as np
@@ -17,14 +19,25 @@ class MeanThrusters(LeafSystem):
     """The base's wrench, of which some entries are held over a control frame.
 
     Input: ``commanded_force`` (nv). Output: ``applied_force`` (nv).
-    Discrete state, updated every control sample: the held wrench and the impulse that is owed (12), whether a frame
-    begins (1).
+    Discrete state, updated every control sample: the held wrench and the impulse that is owed (12),
+    whether a frame begins (1).
     """
 
-    def __init__(self, settings: Thrusters, coordinates: Coordinates, *, with_wheels: bool, sample_time: float) -> None:
+    def __init__(
+        self,
+        settings: Thrusters,
+        coordinates: Coordinates,
+        *,
+        with_wheels: bool,
+        sample_time: float,
+    ) -> None:
         """Args: the thrusters; of the applied force; whether wheels give the torque; s."""
         super().__init__()
-        self.phase_period, self._sample_time, nv = settings.frame, sample_time, len(coordinates.names)
+        self.phase_period, self._sample_time, nv = (
+            settings.frame,
+            sample_time,
+            len(coordinates.names),
+        )
         self._held = np.repeat([not with_wheels, True], 3)
         self._owes = self._held & (settings.modulator != "pwpf")
         self._commanded = self.DeclareVectorInputPort("commanded_force", nv)
@@ -50,18 +63,28 @@ class MeanThrusters(LeafSystem):
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         applied = self._commanded.Eval(context).copy()
-        applied[:6], _ = self._give(context, begins=context.get_discrete_state(self._begins).value()[0] > 0.5)
+        applied[:6], _ = self._give(
+            context, begins=context.get_discrete_state(self._begins).value()[0] > 0.5
+        )
         output.SetFromVector(applied)
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
         sample = round(context.get_time() / self._sample_time)
-        values.set_value(self._memory, np.concatenate(self._give(context, begins=self.phase(sample - 1) == 0)))
+        values.set_value(
+            self._memory, np.concatenate(self._give(context, begins=self.phase(sample - 1) == 0))
+        )
         values.set_value(self._begins, [float(self.phase(sample) == 0)])
 
 
-def make_mean_base(settings: schema.Actuation, coordinates: Coordinates, *, sample_time: float) -> System:
-    """What stands in for thrusters and wheels in ``make_actuation``: without thrusters all is given at once."""
+def make_mean_base(
+    settings: schema.Actuation, coordinates: Coordinates, *, sample_time: float
+) -> System:
+    """What stands in for thrusters and wheels in ``make_actuation``: without thrusters all is given
+    at once.
+    """
     if settings.thrusters is None:
         return PassThrough(len(coordinates.names))
     with_wheels = settings.wheels is not None
-    return MeanThrusters(settings.thrusters, coordinates, with_wheels=with_wheels, sample_time=sample_time)
+    return MeanThrusters(
+        settings.thrusters, coordinates, with_wheels=with_wheels, sample_time=sample_time
+    )

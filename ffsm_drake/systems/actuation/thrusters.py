@@ -8,7 +8,12 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import Thrusters, thrusters_of
 from ffsm_drake.systems.actuation.allocation import Allocation
-from ffsm_drake.systems.actuation.modulation import SchmittTrigger, mean_level, pulse_widths, whole_frames
+from ffsm_drake.systems.actuation.modulation import (
+    SchmittTrigger,
+    mean_level,
+    pulse_widths,
+    whole_frames,
+)
 
 _KEY = "actuation.thrusters"
 
@@ -65,26 +70,40 @@ class ThrusterSet:
         cost = 1.0 / np.array([unit.specific_impulse for unit in units.values()])
         try:
             self._allocation = Allocation(
-                self.wrenches[:, self._works], largest=self.force[self._works], cost=cost[self._works]
+                self.wrenches[:, self._works],
+                largest=self.force[self._works],
+                cost=cost[self._works],
             )
         except ValueError as error:
             if settings.failures:
-                without = ", ".join(f"{name} {failure}" for name, failure in settings.failures.items())
-                raise ScenarioError(f"{_KEY}.failures", f"with {without} no thrusters give {error}") from error
+                without = ", ".join(
+                    f"{name} {failure}" for name, failure in settings.failures.items()
+                )
+                raise ScenarioError(
+                    f"{_KEY}.failures", f"with {without} no thrusters give {error}"
+                ) from error
             key = "layout" if settings.layout is not None else "units"
             raise ScenarioError(f"{_KEY}.{key}", f"no thrusters give {error}; add some") from error
         if self._stuck_on.any() and self._allocation.solve(-self._leak)[1] < 1.0:
             stuck = ", ".join(np.array(self.names)[self._stuck_on])
-            raise ScenarioError(f"{_KEY}.failures", f"the others cannot hold against {stuck} stuck on")
+            raise ScenarioError(
+                f"{_KEY}.failures", f"the others cannot hold against {stuck} stuck on"
+            )
         pwpf = settings.pwpf
         self._trigger = SchmittTrigger(
-            gain=pwpf.gain, time_constant=pwpf.time_constant, on=pwpf.on, off=pwpf.off, sample_time=sample_time
+            gain=pwpf.gain,
+            time_constant=pwpf.time_constant,
+            on=pwpf.on,
+            off=pwpf.off,
+            sample_time=sample_time,
         )
         self._shortest = max(settings.minimum_on_time, sample_time)
 
     @property
     def carries_over(self) -> bool:
-        """Whether what was wanted and not fired is to be wanted again; a trigger's filter does that by itself."""
+        """Whether what was wanted and not fired is to be wanted again; a trigger's filter does that
+        by itself.
+        """
         return self.settings.modulator != "pwpf"
 
     def initial_memory(self) -> ThrusterMemory:
@@ -98,7 +117,9 @@ class ThrusterSet:
         return beyond * self._allocation.solve(beyond * direction)[1]
 
     def allocate(self, wrench: np.ndarray, memory: ThrusterMemory) -> ThrusterMemory:
-        """The start of a frame: memory with what a wanted wrench (6; base's axes, N m and N) opens."""
+        """The start of a frame: memory with what a wanted wrench (6; base's axes, N m and N)
+        opens.
+        """
         forces, given = self._allocation.solve(wrench - self._leak)
         wanted = np.zeros(len(self.names))
         wanted[self._works] = forces
@@ -117,7 +138,8 @@ class ThrusterSet:
         filtered, is_on, open_for = memory.filtered, memory.is_on, memory.open_for
         if not self.carries_over:
             filtered, is_on = self._trigger.step(memory.wanted / self.force, filtered, is_on)
-            least = np.where(memory.is_on > 0.0, self.sample_time, self._shortest)  # for the rest of a pulse, or a new
+            # for the rest of a pulse, or a new
+            least = np.where(memory.is_on > 0.0, self.sample_time, self._shortest)
             open_for = np.maximum(open_for, is_on * least)
         opened = np.minimum(open_for, self.sample_time)
         opened[self._stuck_on] = self.sample_time
@@ -132,5 +154,9 @@ class ThrusterSet:
         # What is left of rounding would be a pulse of its own.
         left = open_for - opened
         left[left < 1e-9 * self.sample_time] = 0.0
-        after = dataclasses.replace(memory, open_for=left, level=level, filtered=filtered, is_on=(opened > 0.0) * 1.0)
-        return Firing(self.wrenches.dot(force), force, opened / self.sample_time, memory.given), after
+        after = dataclasses.replace(
+            memory, open_for=left, level=level, filtered=filtered, is_on=(opened > 0.0) * 1.0
+        )
+        return Firing(
+            self.wrenches.dot(force), force, opened / self.sample_time, memory.given
+        ), after

@@ -1,9 +1,10 @@
 """Reaction wheels: what torque they give, and what that makes of their momentum.
 
-A balanced wheel that is symmetric about its axis a (base's frame) is described by its momentum about the axis, h, with
-the base's turning in it: dh/dt is the torque u on it about the axis, of motor and friction, and its speed relative to
-the base is Omega = h/J - a . w. The base, whose inertia then counts the wheel without J a a', feels -d(h a)/dt: -u a in
-its own axes, and -w x (h a).
+A balanced wheel that is symmetric about its axis a (base's frame) is described by its momentum
+about the axis, h, with the base's turning in it: dh/dt is the torque u on it about the axis, of
+motor and friction, and its speed relative to the base is Omega = h/J - a . w. The base, whose
+inertia then counts the wheel without J a a', feels -d(h a)/dt: -u a in its own axes, and -w x (h
+a).
 """
 
 import dataclasses
@@ -44,26 +45,45 @@ class WheelSet:
         self.settings, self._sample_time = settings, sample_time
         axes = np.array([unit.axis for unit in units], dtype=float).T
         self.axes = axes / np.linalg.norm(axes, axis=0)  # (3, n)
-        self.inertia, self._torque, self._speed, self.initial_momentum, self._coulomb, self._viscous = (
+        (
+            self.inertia,
+            self._torque,
+            self._speed,
+            self.initial_momentum,
+            self._coulomb,
+            self._viscous,
+        ) = (
             np.array([getattr(unit, name) for unit in units], dtype=float)
-            for name in ("inertia", "torque_limit", "speed_limit", "initial_momentum", "coulomb_friction",
-                         "viscous_friction")
-        )  # fmt: skip
+            for name in (
+                "inertia",
+                "torque_limit",
+                "speed_limit",
+                "initial_momentum",
+                "coulomb_friction",
+                "viscous_friction",
+            )
+        )
         self._share = np.linalg.pinv(self.axes, rcond=1e-9)
         if alone and np.linalg.matrix_rank(self.axes, tol=1e-9) < 3:
             raise ScenarioError(
-                "actuation.wheels.units", "give no torque about some axis; add wheels, or actuation.thrusters"
+                "actuation.wheels.units",
+                "give no torque about some axis; add wheels, or actuation.thrusters",
             )
         # Speeds that together give the base nothing.
         self._idle = np.eye(len(self.names)) - self._share @ self.axes
         self._most_momentum = self.inertia * self._speed
 
     def speed(self, momentum: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
-        """Speeds (n, rad/s) relative to the base, from momenta (n, N m s) and w_WB in the base's axes (3, rad/s)."""
+        """Speeds (n, rad/s) relative to the base, from momenta (n, N m s) and w_WB in the base's
+        axes (3, rad/s).
+        """
         return momentum / self.inertia - angular_velocity.dot(self.axes)
 
-    def give(self, torque: np.ndarray, momentum: np.ndarray, angular_velocity: np.ndarray) -> WheelTorques:
-        """The torques that come nearest to a wanted one on the base (3, base's axes) within the wheels' limits.
+    def give(
+        self, torque: np.ndarray, momentum: np.ndarray, angular_velocity: np.ndarray
+    ) -> WheelTorques:
+        """The torques that come nearest to a wanted one on the base (3, base's axes) within the
+        wheels' limits.
 
         Beyond the motors' limits it is scaled; a wheel at its speed limit gives no more.
         """
@@ -72,7 +92,9 @@ class WheelSet:
         carried = self.inertia * angular_velocity.dot(self.axes)
         most = self.inertia * self._speed
         motor = np.clip(
-            motor, (carried - most - momentum) / self._sample_time, (carried + most - momentum) / self._sample_time
+            motor,
+            (carried - most - momentum) / self._sample_time,
+            (carried + most - momentum) / self._sample_time,
         )
         motor = np.clip(motor, -self._torque, self._torque)
         speed = self.speed(momentum, angular_velocity)
@@ -84,16 +106,22 @@ class WheelSet:
         return 1.0 / float((np.abs(self._share.dot(direction)) / self._torque).max())
 
     def filled(self, momentum: np.ndarray) -> np.ndarray:
-        """The share of its speed limit (..., n) at which each wheel turns when they hold a momentum in a base at rest.
+        """The share of its speed limit (..., n) at which each wheel turns when they hold a momentum
+        in a base at rest.
 
-        Args: in the base's axes (..., 3), N m s. From their initial momentum the motors, which share as ``give`` does,
-        have brought the wheels there.
+        Args: in the base's axes (..., 3), N m s. From their initial momentum the motors, which
+        share as ``give`` does, have brought the wheels there.
         """
-        share: np.ndarray = np.abs(momentum @ self._share.T + self._idle @ self.initial_momentum) / self._most_momentum
+        share: np.ndarray = (
+            np.abs(momentum @ self._share.T + self._idle @ self.initial_momentum)
+            / self._most_momentum
+        )
         return share
 
     def capacity(self, direction: np.ndarray) -> float:
-        """The largest momentum along a direction (3, base's axes), N m s, that ``filled`` allows; at least zero."""
+        """The largest momentum along a direction (3, base's axes), N m s, that ``filled`` allows;
+        at least zero.
+        """
         along = self._share @ direction / np.linalg.norm(direction)
         room = self._most_momentum - np.sign(along) * (self._idle @ self.initial_momentum)
         with np.errstate(divide="ignore"):
@@ -106,51 +134,67 @@ class WheelSet:
         return max(0.0, float((room / np.linalg.norm(self._share, axis=1)).min()))
 
     def beyond(self, torque: np.ndarray) -> np.ndarray:
-        """What of a wanted torque on the base (3, base's axes, N m) thrusters are to give, by ``assist_above``."""
+        """What of a wanted torque on the base (3, base's axes, N m) thrusters are to give, by
+        ``assist_above``.
+        """
         if self.settings.assist_above is None:
             return np.zeros(3)
-        share = self.settings.assist_above / float((np.abs(self._share.dot(torque)) / self._torque).max() + _LEAST)
+        share = self.settings.assist_above / float(
+            (np.abs(self._share.dot(torque)) / self._torque).max() + _LEAST
+        )
         return max(0.0, 1.0 - share) * torque
 
     def bounded(self, impulse: np.ndarray, samples: int) -> np.ndarray:
-        """An impulse of torque (3, N m s), cut to twice what the weakest motor gives in some control samples."""
+        """An impulse of torque (3, N m s), cut to twice what the weakest motor gives in some
+        control samples.
+        """
         most = 2.0 * samples * self._sample_time * self._torque.min()
         return impulse / max(1.0, float(np.linalg.norm(impulse)) / most)
 
     def unloads(self, was: bool, momentum: np.ndarray, angular_velocity: np.ndarray) -> bool:
-        """Whether thrusters are to unload the wheels, with hysteresis; ``was``: whether they were."""
+        """Whether thrusters are to unload the wheels, with hysteresis; ``was``: whether they
+        were.
+        """
         fullest = float((np.abs(self.speed(momentum, angular_velocity)) / self._speed).max())
         return fullest > (self.settings.desaturate_below if was else self.settings.desaturate_above)
 
     def unloading_torque(self, momentum: np.ndarray) -> np.ndarray:
-        """Torque on the base (3, base's axes) that thrusters are to give so that wheels against it lose momentum."""
+        """Torque on the base (3, base's axes) that thrusters are to give so that wheels against it
+        lose momentum.
+        """
         torque = -self.axes.dot(momentum) / self.settings.desaturation_time
         largest = float((np.abs(self._share.dot(torque)) / (_UNLOADING * self._torque)).max())
         return torque / max(1.0, largest)
 
 
 class Gyroscopic(Diagram):
-    """The wheels' total momentum p in world axes as continuous state, and what it does to a turning base.
+    """The wheels' total momentum p in world axes as continuous state, and what it does to a turning
+    base.
 
-    Inputs: ``state`` [q; v] of the plant, and ``reaction`` (3), the torque of the wheels on the base in world axes but
-    for the gyroscopic one, held over a sample: dp/dt = w x p - reaction.
-    Outputs: ``gyroscopic_force`` (nv), -w x p on the base, and ``stored_momentum`` p (3).
-    All of it runs in C++. The base gets the opposite of dp/dt in every stage of the integrator, so that the sum of both
-    momenta is kept to rounding.
+    Inputs: ``state`` [q; v] of the plant, and ``reaction`` (3), the torque of the wheels on the
+    base in world axes but for the gyroscopic one, held over a sample: dp/dt = w x p - reaction.
+    Outputs: ``gyroscopic_force`` (nv), -w x p on the base, and ``stored_momentum`` p (3). All of it
+    runs in C++. The base gets the opposite of dp/dt in every stage of the integrator, so that the
+    sum of both momenta is kept to rounding.
     """
 
     def __init__(self, coordinates: Coordinates) -> None:
         super().__init__()
         nv = len(coordinates.names)
         builder = DiagramBuilder()
-        state = builder.AddNamedSystem("state", Demultiplexer([NUM_BASE_POSITIONS + nv - 6, 3, nv - 3]))
+        state = builder.AddNamedSystem(
+            "state", Demultiplexer([NUM_BASE_POSITIONS + nv - 6, 3, nv - 3])
+        )
         inputs = builder.AddNamedSystem("inputs", Multiplexer([3, 3]))
         w, reaction, p = (MakeVectorVariable(3, name) for name in ("w", "r", "p"))
         turning = [w[1] * p[2] - w[2] * p[1], w[2] * p[0] - w[0] * p[2], w[0] * p[1] - w[1] * p[0]]
         momentum = SymbolicVectorSystem(
             state=p,
             input=np.concatenate([w, reaction]),
-            dynamics=[of_turning - of_wheels for of_turning, of_wheels in zip(turning, reaction, strict=True)],
+            dynamics=[
+                of_turning - of_wheels
+                for of_turning, of_wheels in zip(turning, reaction, strict=True)
+            ],
             output=[*(-one for one in turning), *p],
         )
         self._momentum = builder.AddNamedSystem("momentum", momentum)

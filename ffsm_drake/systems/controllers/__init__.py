@@ -57,67 +57,96 @@ def controller_names() -> tuple[str, ...]:
 def controller_setup(scenario: Scenario, nominal: PlantModel) -> BlockSetup:
     """What the scenario's controller is built from; its model is that of the driven coordinates."""
     name, nominal = controller_key(scenario.controller), driven_model(nominal)
-    return BlockSetup(name=name, scenario=scenario, nominal=nominal, settings=scenario.controllers.get(name, {}))
+    return BlockSetup(
+        name=name, scenario=scenario, nominal=nominal, settings=scenario.controllers.get(name, {})
+    )
 
 
-def make_controller(scenario: Scenario, nominal: PlantModel, factory: Factory | None = None) -> System:
+def make_controller(
+    scenario: Scenario, nominal: PlantModel, factory: Factory | None = None
+) -> System:
     """The scenario's controller, a system of that name (its part after the colon).
 
     Args:
       scenario: names the controller and its gains.
       nominal: the plant with the nominal payload; the controller's own.
-      factory: builds it in place of the one that the scenario names: BlockSetup -> control law or Drake system. Its
-        name is the controller's.
+      factory: builds it in place of the one that the scenario names: BlockSetup -> control law or
+        Drake system. Its name is the controller's.
 
     Raises:
       ScenarioError: an unknown controller or gain, gains of unknown or missing coordinates.
       BlockError: a user-supplied controller cannot be loaded or built.
     """
     if factory is not None:
-        scenario = dataclasses.replace(scenario, controller=getattr(factory, "__name__", type(factory).__name__))
+        scenario = dataclasses.replace(
+            scenario, controller=getattr(factory, "__name__", type(factory).__name__)
+        )
     setup = controller_setup(scenario, nominal)
     _check_other_gains(scenario, setup.coordinates)
     made = _make(setup, factory)
     is_law = hasattr(made, "initial_state") and hasattr(made, "step")
-    law = make_filtered(made, scenario.command_filter, setup.coordinates, sample_time=setup.sample_time)
+    law = make_filtered(
+        made, scenario.command_filter, setup.coordinates, sample_time=setup.sample_time
+    )
     if is_law:
-        return SampledController(law, name=setup.name, coordinates=setup.coordinates, sample_time=setup.sample_time)
+        return SampledController(
+            law, name=setup.name, coordinates=setup.coordinates, sample_time=setup.sample_time
+        )
     if law is not made:
-        raise ScenarioError("command_filter", f"is for control laws; '{setup.name}' is a Drake system of its own")
+        raise ScenarioError(
+            "command_filter", f"is for control laws; '{setup.name}' is a Drake system of its own"
+        )
     return made
 
 
 def make_law(scenario: Scenario, nominal: PlantModel) -> Any:
-    """The control law of the scenario's controller alone, such as a TimeDelayControl; errors as ``make_controller``."""
+    """The control law of the scenario's controller alone, such as a TimeDelayControl; errors as
+    ``make_controller``.
+    """
     return _make(controller_setup(scenario, nominal), None)
 
 
 def gain_vectors(scenario: Scenario, coordinates: Coordinates) -> dict[str, Any]:
-    """The gains of the scenario's controller as its law gets them, by name: (nv), or a number; see ``gain_values``.
+    """The gains of the scenario's controller as its law gets them, by name: (nv), or a number; see
+    ``gain_values``.
 
-    Empty for a controller that declares none. Raises ScenarioError and BlockError as ``make_controller`` does.
+    Empty for a controller that declares none. Raises ScenarioError and BlockError as
+    ``make_controller`` does.
     """
     factory, name = _factory(scenario), controller_key(scenario.controller)
-    return gain_values(factory, scenario.controllers.get(name, {}), coordinates, name=name) if gains_of(factory) else {}
+    return (
+        gain_values(factory, scenario.controllers.get(name, {}), coordinates, name=name)
+        if gains_of(factory)
+        else {}
+    )
 
 
 def declared_gains(scenario: Scenario) -> dict[str, Gain]:
-    """The gains that the scenario's controller declares, by name; empty for one that declares none."""
+    """The gains that the scenario's controller declares, by name; empty for one that declares
+    none.
+    """
     return gains_of(_factory(scenario))
 
 
 def complete_gains(scenario: Scenario) -> Scenario:
-    """The scenario with all gains of its controller written out, those that it leaves to their defaults too."""
+    """The scenario with all gains of its controller written out, those that it leaves to their
+    defaults too.
+    """
     declared, key = declared_gains(scenario), controller_key(scenario.controller)
     if not declared:
         return scenario
     given = scenario.controllers.get(key, {})
-    gains = {name: complete_gain(item, *([given[name]] if name in given else [])) for name, item in declared.items()}
+    gains = {
+        name: complete_gain(item, *([given[name]] if name in given else []))
+        for name, item in declared.items()
+    }
     return dataclasses.replace(scenario, controllers={**scenario.controllers, key: gains})
 
 
 def gains_schema() -> dict[str, Any]:
-    """JSON Schema of the gains of every controller that can be named without a module, by controller."""
+    """JSON Schema of the gains of every controller that can be named without a module, by
+    controller.
+    """
     number = {"type": "number"}
     by_name = {"type": "object", "additionalProperties": number}
     schema = {}
@@ -131,17 +160,24 @@ def gains_schema() -> dict[str, Any]:
             }
             for gain_name, item in gains.items()
         }
-        schema[name] = {"type": "object", "properties": properties, "additionalProperties": not gains}
+        schema[name] = {
+            "type": "object",
+            "properties": properties,
+            "additionalProperties": not gains,
+        }
     return schema
 
 
 def _check_other_gains(scenario: Scenario, coordinates: Coordinates) -> None:
-    """Raise ScenarioError for a wrong gain of a controller that is not the scenario's own, or a misspelt controller."""
+    """Raise ScenarioError for a wrong gain of a controller that is not the scenario's own, or a
+    misspelt controller.
+    """
     names, own = controller_names(), controller_key(scenario.controller)
     for key, given in scenario.controllers.items():
         if key in names and key != own:
             gain_values(find_factory("controller", key), given, coordinates, name=key)
-        elif key != own and (remedy := did_you_mean(key, [*names, own])):  # any other may be a user's
+        elif key != own and (remedy := did_you_mean(key, [*names, own])):
+            # any other may be a user's
             raise ScenarioError(f"controllers.{key}", f"unknown controller{remedy}")
 
 

@@ -1,4 +1,6 @@
-"""Computed torque: feedback linearization with the nominal model, a baseline without estimate or adaptation."""
+"""Computed torque: feedback linearization with the nominal model, a baseline without estimate or
+adaptation.
+"""
 
 import dataclasses
 

@@ -1,24 +1,29 @@
-"""Estimators of the lumped uncertainty N in q'' = N + Hhat^-1 tau (equation (2)), for all time-delay laws.
+"""Estimators of the lumped uncertainty N in q'' = N + Hhat^-1 tau (equation (2)), for all
+time-delay laws.
 
-Both give, each sample, what the law works on (error and its rate) and a pair (base force, base acceleration) that turns
-the law's acceleration u into the force tau = base force + Hhat (u - base acceleration).
+Both give, each sample, what the law works on (error and its rate) and a pair (base force, base
+acceleration) that turns the law's acceleration u into the force tau = base force + Hhat (u - base
+acceleration).
 
-*One sample* (equation (5), the paper's): N is what it was a sample ago, from the differentiated velocity. It is
-deadbeat, so the noise of the velocity enters multiplied by 1/L.
+*One sample* (equation (5), the paper's): N is what it was a sample ago, from the differentiated
+velocity. It is deadbeat, so the noise of the velocity enters multiplied by 1/L.
 
-*Kalman*: per coordinate, a stationary filter for [e, e', d] with d = -N a random walk, driven by the known
-w = q_d'' - Hhat^-1 tau, correcting with the measured e and e'. The noise of the sensors and the walk's intensity decide
-how fast it follows. One sample is its limit for exact velocities, useless positions and an infinitely fast walk.
-Relatives are the extended state observer and the disturbance observer in Kalman form (Han 2009, "From PID to active
-disturbance rejection control", doi:10.1109/TIE.2008.2011621).
+*Kalman*: per coordinate, a stationary filter for [e, e', d] with d = -N a random walk, driven by
+the known w = q_d'' - Hhat^-1 tau, correcting with the measured e and e'. The noise of the sensors
+and the walk's intensity decide how fast it follows. One sample is its limit for exact velocities,
+useless positions and an infinitely fast walk. Relatives are the extended state observer and the
+disturbance observer in Kalman form (Han 2009, "From PID to active disturbance rejection control",
+doi:10.1109/TIE.2008.2011621).
 
-*Kalman with late and slow measurements*: the same filter for sensors whose measurements arrive late, come less often
-than the control samples, or have a velocity bias, which is then a fourth state b. It remembers what e and e' were over
-the delay, compares a measurement with that of its own time, and corrects all of it, the present included. This equals a
-filter at the time of measurement that predicts over the delay with the force that acted.
+*Kalman with late and slow measurements*: the same filter for sensors whose measurements arrive
+late, come less often than the control samples, or have a velocity bias, which is then a fourth
+state b. It remembers what e and e' were over the delay, compares a measurement with that of its own
+time, and corrects all of it, the present included. This equals a filter at the time of measurement
+that predicts over the delay with the force that acted.
 
-*Coupled*: what disturbs is a force, and H couples what it does to attitude and joints: d = -Hhat^-1 f, with f a random
-walk. One filter of all their measurements then knows more of each than one for each.
+*Coupled*: what disturbs is a force, and H couples what it does to attitude and joints: d = -Hhat^-1
+f, with f a random walk. One filter of all their measurements then knows more of each than one for
+each.
 """
 
 import dataclasses
@@ -33,7 +38,12 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.controllers.filter_gains import LateAxis, coupled_gain, kalman_gain, late_gains
+from ffsm_drake.systems.controllers.filter_gains import (
+    LateAxis,
+    coupled_gain,
+    kalman_gain,
+    late_gains,
+)
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.sensing import measurement_times
 
@@ -54,7 +64,9 @@ class Estimator(Protocol):
         """Name -> initial value of each piece of the estimator's memory."""
         ...
 
-    def step(self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State) -> tuple[Estimate, State]:
+    def step(
+        self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
+    ) -> tuple[Estimate, State]:
         """One sample: the estimate, and the memory at the next.
 
         Args:
@@ -65,12 +77,14 @@ class Estimator(Protocol):
         ...
 
     def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
-        """What changes of the memory at the grasp of a target, by name; the next sample counts as a first one.
+        """What changes of the memory at the grasp of a target, by name; the next sample counts as a
+        first one.
 
         Args:
           state: the memory up to then.
-          ratio: Hhat^-1 Hhat (nv, nv) of after and before: the acceleration that the same force gives now, and the
-            velocity error that is left of one before, as the grasp keeps momentum.
+          ratio: Hhat^-1 Hhat (nv, nv) of after and before: the acceleration that the same force
+            gives now, and the velocity error that is left of one before, as the grasp keeps
+            momentum.
           v_d: (nv) the reference's velocity after the grasp.
         """
         ...
@@ -86,15 +100,25 @@ class OneSampleEstimator:
     def initial_state(self) -> State:
         return {"delayed_velocity": np.zeros(self.num_velocities)}
 
-    def step(self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State) -> tuple[Estimate, State]:
-        """One sample; see Estimator. Nothing is known of the acceleration at the very first: it counts as zero."""
+    def step(
+        self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
+    ) -> tuple[Estimate, State]:
+        """One sample; see Estimator. Nothing is known of the acceleration at the very first: it
+        counts as zero.
+        """
         change = sample.v - state["delayed_velocity"]
-        acceleration = np.zeros_like(change) if sample.is_first else change * (1.0 / self.sample_time)
-        estimate = Estimate(sample.e, sample.e_dot, base_force=sample.applied_force, base_acceleration=acceleration)
+        acceleration = (
+            np.zeros_like(change) if sample.is_first else change * (1.0 / self.sample_time)
+        )
+        estimate = Estimate(
+            sample.e, sample.e_dot, base_force=sample.applied_force, base_acceleration=acceleration
+        )
         return estimate, {"delayed_velocity": sample.v}
 
     def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
-        """See Estimator. The force of the last sample goes on by itself, and what was before a first is not used."""
+        """See Estimator. The force of the last sample goes on by itself, and what was before a
+        first is not used.
+        """
         return {}
 
 
@@ -110,10 +134,17 @@ class KalmanEstimator:
 
     def initial_state(self) -> State:
         zeros = np.zeros(self.gain.shape[0])
-        names = ("estimated_error", "estimated_error_rate", "estimated_negative_n", "delayed_desired_velocity")
+        names = (
+            "estimated_error",
+            "estimated_error_rate",
+            "estimated_negative_n",
+            "delayed_desired_velocity",
+        )
         return dict.fromkeys(names, zeros)
 
-    def step(self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State) -> tuple[Estimate, State]:
+    def step(
+        self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
+    ) -> tuple[Estimate, State]:
         """One sample; see Estimator."""
         e, e_dot, d = _predict(sample, nominal_mass_matrix, state, step=self.sample_time)
         innovation = np.stack((sample.e - e, sample.e_dot - e_dot), axis=-1)
@@ -135,16 +166,19 @@ class KalmanEstimator:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LateKalmanEstimator:
-    """Kalman estimate of [e, e', d], and b where the velocity has a bias, from measurements that are late or slow.
+    """Kalman estimate of [e, e', d], and b where the velocity has a bias, from measurements that
+    are late or slow.
 
-    ``gain`` acts on x = [e, e', d, b, past] with ``past`` what e and e' were at each of the last samples, up to the
-    measurements' delays: the errors that the present reference would have had then, [q_d(t_k) - q(t_(k-j)), ...].
+    ``gain`` acts on x = [e, e', d, b, past] with ``past`` what e and e' were at each of the last
+    samples, up to the measurements' delays: the errors that the present reference would have had
+    then, [q_d(t_k) - q(t_(k-j)), ...].
     """
 
     sample_time: float
     delay: np.ndarray  # (2 nv) of e, then e': whole control samples
-    # (4, 4 nv + sum of the delays, 2): correction of x per unit of innovation of its coordinate's e and e'; the first
-    # index says what is new of that coordinate: nothing, the velocity, the position, both
+    # (4, 4 nv + sum of the delays, 2): correction of x per unit of innovation of its coordinate's e
+    # and e'; the first index says what is new of that coordinate: nothing, the velocity, the
+    # position, both
     gain: np.ndarray
 
     @functools.cached_property
@@ -174,10 +208,20 @@ class LateKalmanEstimator:
 
     def initial_state(self) -> State:
         nv = self.delay.size // 2
-        names = ("estimated_error", "estimated_error_rate", "estimated_negative_n", "estimated_velocity_bias")
-        return {**dict.fromkeys((*names, "delayed_desired_velocity"), np.zeros(nv)), "past": np.zeros(self._owner.size)}
+        names = (
+            "estimated_error",
+            "estimated_error_rate",
+            "estimated_negative_n",
+            "estimated_velocity_bias",
+        )
+        return {
+            **dict.fromkeys((*names, "delayed_desired_velocity"), np.zeros(nv)),
+            "past": np.zeros(self._owner.size),
+        }
 
-    def step(self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State) -> tuple[Estimate, State]:
+    def step(
+        self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
+    ) -> tuple[Estimate, State]:
         """One sample; see Estimator."""
         nv, bias, past = self.delay.size // 2, state["estimated_velocity_bias"], state["past"]
         e, e_dot, d = _predict(sample, nominal_mass_matrix, state, step=self.sample_time)
@@ -203,7 +247,9 @@ class LateKalmanEstimator:
         }
 
     def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
-        """See Estimator. What is measured late is from before the grasp for a while, against the velocity after it."""
+        """See Estimator. What is measured late is from before the grasp for a while, against the
+        velocity after it.
+        """
         names = ("estimated_error_rate", "estimated_negative_n")
         return {name: ratio @ state[name] for name in names} | {
             "past": self._moved_past(state, v_d),
@@ -213,14 +259,18 @@ class LateKalmanEstimator:
         """What was is as it was, against a reference that has moved on to the velocity v_d."""
         old_v_d = state["delayed_desired_velocity"]
         moved = np.concatenate((0.5 * self.sample_time * (v_d + old_v_d), v_d - old_v_d), axis=-1)
-        before = np.concatenate((state["estimated_error"], state["estimated_error_rate"], state["past"]), axis=-1)
+        before = np.concatenate(
+            (state["estimated_error"], state["estimated_error_rate"], state["past"]), axis=-1
+        )
         past: np.ndarray = before[..., self._source] + moved[..., self._owner]
         return past
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CoupledEstimator:
-    """Kalman estimate of [e, e', f] of several coordinates together, d = -(Hhat^-1 f), and of the others one by one."""
+    """Kalman estimate of [e, e', f] of several coordinates together, d = -(Hhat^-1 f), and of the
+    others one by one.
+    """
 
     separate: KalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
@@ -229,7 +279,9 @@ class CoupledEstimator:
     def initial_state(self) -> State:
         return {**self.separate.initial_state(), "estimated_force": np.zeros(self.axes.size)}
 
-    def step(self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State) -> tuple[Estimate, State]:
+    def step(
+        self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
+    ) -> tuple[Estimate, State]:
         """One sample; see Estimator."""
         predicted = _predict(sample, nominal_mass_matrix, state, step=self.separate.sample_time)
         estimate, after = self.separate.step(sample, nominal_mass_matrix, state)
@@ -238,15 +290,23 @@ class CoupledEstimator:
         innovation = np.concatenate(
             (sample.e[..., self.axes] - old_e, sample.e_dot[..., self.axes] - old_rate), axis=-1
         )
-        of_e, of_rate, of_force = np.split(np.einsum("ij,...j->...i", self.gain, innovation), 3, axis=-1)
+        of_e, of_rate, of_force = np.split(
+            np.einsum("ij,...j->...i", self.gain, innovation), 3, axis=-1
+        )
         force = state["estimated_force"] + of_force
         # Its effect on the other coordinates is theirs to estimate.
         acting = np.zeros_like(d)
         acting[..., self.axes] = force
         e[..., self.axes], e_dot[..., self.axes] = old_e + of_e, old_rate + of_rate
-        d[..., self.axes] = -np.linalg.solve(nominal_mass_matrix, acting[..., None])[..., self.axes, 0]
+        d[..., self.axes] = -np.linalg.solve(nominal_mass_matrix, acting[..., None])[
+            ..., self.axes, 0
+        ]
         kept = {"estimated_error": e, "estimated_error_rate": e_dot, "estimated_negative_n": d}
-        return estimate._replace(e=e, e_dot=e_dot, base_acceleration=-d), {**after, **kept, "estimated_force": force}
+        return estimate._replace(e=e, e_dot=e_dot, base_acceleration=-d), {
+            **after,
+            **kept,
+            "estimated_force": force,
+        }
 
     def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
         """See Estimator. The force that is estimated goes on as it is."""
@@ -260,7 +320,8 @@ def _predict(
     e, e_dot = state["estimated_error"], state["estimated_error_rate"]
     d, delayed_v_d = state["estimated_negative_n"], state["delayed_desired_velocity"]
     if not sample.is_first:
-        # Over the last period: the reference's mean acceleration, less what the applied force should have given.
+        # Over the last period: the reference's mean acceleration, less what the applied force
+        # should have given.
         given = np.linalg.solve(nominal_mass_matrix, sample.applied_force[..., None])[..., 0]
         acceleration = (sample.v_d - delayed_v_d) / step - given + d
         e = e + step * e_dot + (0.5 * step * step) * acceleration
@@ -274,7 +335,9 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
     if settings.kind == "one_sample":
         return OneSampleEstimator(sample_time=sample_time, num_velocities=len(coordinates.names))
     walk = coordinates.vector(settings.walk, key="estimator.walk")
-    bias_walk = coordinates.vector(settings.velocity_bias_walk, key="estimator.velocity_bias_walk", default=0.0)
+    bias_walk = coordinates.vector(
+        settings.velocity_bias_walk, key="estimator.velocity_bias_walk", default=0.0
+    )
     period, delay = measurement_times(scenario.sensing, coordinates)
     if settings.delay is not None:
         delay = delay - scenario.sensing.delay + settings.delay
@@ -306,39 +369,64 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
         }
         if settings.kind == "coupled":
             if not plain:
-                raise ScenarioError("estimator.kind", "coupled takes no slow or late sensors and no bias; use kalman")
-            separate = KalmanEstimator(sample_time=sample_time, gain=np.array([gains[axis] for axis in axes]))
+                raise ScenarioError(
+                    "estimator.kind",
+                    "coupled takes no slow or late sensors and no bias; use kalman",
+                )
+            separate = KalmanEstimator(
+                sample_time=sample_time, gain=np.array([gains[axis] for axis in axes])
+            )
             return _make_coupled(scenario, coordinates, separate, position, velocity)
     except np.linalg.LinAlgError as error:
-        remedy = "bring walk and noises, or periods and delays, of position and velocity closer together"
-        raise ScenarioError("estimator", f"has no stationary filter ({one_line(error)}); {remedy}") from error
+        remedy = (
+            "bring walk and noises, or periods and delays, of position and velocity closer together"
+        )
+        raise ScenarioError(
+            "estimator", f"has no stationary filter ({one_line(error)}); {remedy}"
+        ) from error
     by_axis = [gains[axis] for axis in axes]
     if plain:
         return KalmanEstimator(sample_time=sample_time, gain=np.array(by_axis))
-    # From coordinate by coordinate to entry by entry: all e, all e', all d, all b, the past of all e, of all e'.
+    # From coordinate by coordinate to entry by entry: all e, all e', all d, all b, the past of all
+    # e, of all e'.
     parts = [np.stack([of[:, entry] for of in by_axis], axis=1) for entry in range(4)]
     parts += [of[:, 4 : 4 + axis.delay[0]] for axis, of in zip(axes, by_axis, strict=True)]
     parts += [of[:, 4 + axis.delay[0] :] for axis, of in zip(axes, by_axis, strict=True)]
-    return LateKalmanEstimator(sample_time=sample_time, delay=delay, gain=np.concatenate(parts, axis=1))
+    return LateKalmanEstimator(
+        sample_time=sample_time, delay=delay, gain=np.concatenate(parts, axis=1)
+    )
 
 
-def make_task_estimator(scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray) -> Estimator:
-    """The scenario's estimator for m coordinates whose velocities are J v, with the Jacobian J (m, nv).
+def make_task_estimator(
+    scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray
+) -> Estimator:
+    """The scenario's estimator for m coordinates whose velocities are J v, with the Jacobian J (m,
+    nv).
 
-    A Kalman filter takes what it assumes of noise and walk from the spacecraft's coordinates, independent of each
-    other, through J. Raises ScenarioError as ``make_estimator``, and where the measurements of coordinates come late or
-    slowly, have a bias or are taken together.
+    A Kalman filter takes what it assumes of noise and walk from the spacecraft's coordinates,
+    independent of each other, through J. Raises ScenarioError as ``make_estimator``, and where the
+    measurements of coordinates come late or slowly, have a bias or are taken together.
     """
     estimator, settings = make_estimator(scenario, coordinates), scenario.estimator
     if settings.kind == "one_sample":
         return OneSampleEstimator(sample_time=scenario.sample_time, num_velocities=len(jacobian))
     if not isinstance(estimator, KalmanEstimator):
-        problem = "of a frame must be one_sample, or kalman of sensors that are neither slow nor late and have no bias"
+        problem = (
+            "of a frame must be one_sample, or kalman of sensors that are neither slow nor "
+            "late and have no bias"
+        )
         raise ScenarioError("estimator", problem)
     walk = coordinates.vector(settings.walk, key="estimator.walk")
-    of_frame = np.sqrt(jacobian**2 @ np.stack([*assumed_noise(scenario, coordinates), walk], axis=1) ** 2)
+    of_frame = np.sqrt(
+        jacobian**2 @ np.stack([*assumed_noise(scenario, coordinates), walk], axis=1) ** 2
+    )
     gains = [
-        kalman_gain(position_noise=position, velocity_noise=velocity, walk=walk, sample_time=scenario.sample_time)
+        kalman_gain(
+            position_noise=position,
+            velocity_noise=velocity,
+            walk=walk,
+            sample_time=scenario.sample_time,
+        )
         for position, velocity, walk in of_frame.tolist()
     ]
     return KalmanEstimator(sample_time=scenario.sample_time, gain=np.array(gains))
@@ -351,7 +439,9 @@ def _make_coupled(
     position_noise: np.ndarray,
     velocity_noise: np.ndarray,
 ) -> CoupledEstimator:
-    """With the gain of the initial posture: that of any other on the way differs by less than its tuning matters."""
+    """With the gain of the initial posture: that of any other on the way differs by less than its
+    tuning matters.
+    """
     nominal = driven_model(make_nominal_plant(scenario))
     q = configuration(nominal.plant, scenario.initial_posture, key="initial_posture")
     axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
@@ -373,7 +463,9 @@ def assumed_noise(scenario: Scenario, coordinates: Coordinates) -> tuple[np.ndar
     """
     sensing, nv = scenario.sensing, len(coordinates.names)
     period, _ = measurement_times(sensing, coordinates)
-    time_constant = coordinates.vector(sensing.correlation_time, key="sensing.correlation_time", default=1.0)
+    time_constant = coordinates.vector(
+        sensing.correlation_time, key="sensing.correlation_time", default=1.0
+    )
 
     def of(part: str, samples: np.ndarray) -> np.ndarray:
         given = getattr(scenario.estimator, f"{part}_noise")

@@ -6,25 +6,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-# A filter needs some noise on every measurement: in units of acceleration at least this share of the larger of the
-# other measurement's and the walk's, below which the Riccati equation has no solution in double precision.
+# A filter needs some noise on every measurement: in units of acceleration at least this share of
+# the larger of the other measurement's and the walk's, below which the Riccati equation has no
+# solution in double precision.
 SMALLEST_RATIO = 1e-7
 # Of the work on the gains of late and slow sensors, roughly multiplications: seconds.
 _LARGEST = 3e8
 
 
-def kalman_gain(*, position_noise: float, velocity_noise: float, walk: float, sample_time: float) -> np.ndarray:
+def kalman_gain(
+    *, position_noise: float, velocity_noise: float, walk: float, sample_time: float
+) -> np.ndarray:
     """Stationary gain (3, 2) of one coordinate's filter.
 
     Args:
       position_noise, velocity_noise: standard deviations of the measured e and e'.
-      walk: intensity of N's random walk, its standard deviation after one second, rad/s^2 or m/s^2 per sqrt(s).
+      walk: intensity of N's random walk, its standard deviation after one second, rad/s^2 or m/s^2
+        per sqrt(s).
       sample_time: L, s.
     """
     from scipy.linalg import solve_discrete_are
 
     step = sample_time
-    # In units of acceleration ([L^2, L, 1]) every entry is of order one; in SI units the equation is badly scaled.
+    # In units of acceleration ([L^2, L, 1]) every entry is of order one; in SI units the equation
+    # is badly scaled.
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
     output = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     sigma = np.array([position_noise / step**2, velocity_noise / step])
@@ -32,7 +37,11 @@ def kalman_gain(*, position_noise: float, velocity_noise: float, walk: float, sa
     scale = noise.min()
     process = np.diag([0.0, 0.0, walk**2 * step]) / scale
     covariance = solve_discrete_are(transition.T, output.T, process, np.diag(noise / scale))
-    gain = covariance @ output.T @ np.linalg.inv(output @ covariance @ output.T + np.diag(noise / scale))
+    gain = (
+        covariance
+        @ output.T
+        @ np.linalg.inv(output @ covariance @ output.T + np.diag(noise / scale))
+    )
     size = np.array([step**2, step, 1.0])
     return gain * size[:, None] / size[:2]
 
@@ -86,10 +95,12 @@ class LateAxis:
 
 
 def late_gains(axis: LateAxis, *, sample_time: float) -> np.ndarray:
-    """Gains (4, 4 + sum of the delays, 2) of one coordinate of a LateKalmanEstimator, on [e, e', d, b, past].
+    """Gains (4, 4 + sum of the delays, 2) of one coordinate of a LateKalmanEstimator, on [e, e', d,
+    b, past].
 
-    One gain for each kind of sample (nothing, velocity, position, both new): where the stationary filter's gain differs
-    between samples of one kind, the mean over the common period of the sensors.
+    One gain for each kind of sample (nothing, velocity, position, both new): where the stationary
+    filter's gain differs between samples of one kind, the mean over the common period of the
+    sensors.
 
     Raises LinAlgError where that filter is not stable.
     """
@@ -97,9 +108,11 @@ def late_gains(axis: LateAxis, *, sample_time: float) -> np.ndarray:
     common = min(axis.delay)
     extra = lag_e - common, lag_v - common  # one of them is 0
     size = 4 + sum(extra)
-    # In units of acceleration, as in ``kalman_gain``. The measurements' common delay is a matter of prediction alone:
-    # the filter runs where the younger one is of the present.
-    core = np.array([[1.0, 1.0, 0.5, 0.0], [0.0, 1.0, 1.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    # In units of acceleration, as in ``kalman_gain``. The measurements' common delay is a matter of
+    # prediction alone: the filter runs where the younger one is of the present.
+    core = np.array(
+        [[1.0, 1.0, 0.5, 0.0], [0.0, 1.0, 1.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    )
     transition = np.zeros((size, size))
     transition[:4, :4] = core
     if size > 4:
@@ -118,10 +131,17 @@ def late_gains(axis: LateAxis, *, sample_time: float) -> np.ndarray:
 
     samples = np.arange(math.lcm(*axis.period))
     if (samples.size + 60) * (size**3 + 10_000) > _LARGEST:
-        raise np.linalg.LinAlgError(f"a common period of {samples.size} samples and {size} states are too many")
-    new = np.stack([(samples - late) % period == 0 for late, period in zip(extra, axis.period, strict=True)], axis=1)
+        raise np.linalg.LinAlgError(
+            f"a common period of {samples.size} samples and {size} states are too many"
+        )
+    new = np.stack(
+        [(samples - late) % period == 0 for late, period in zip(extra, axis.period, strict=True)],
+        axis=1,
+    )
     kinds = 2 * new[:, 0] + new[:, 1]
-    information = {kind: output.T * ([kind // 2, kind % 2] / noise) @ output for kind in set(kinds.tolist())}
+    information = {
+        kind: output.T * ([kind // 2, kind % 2] / noise) @ output for kind in set(kinds.tolist())
+    }
     whole = _Riccati(np.eye(size), np.zeros((size, size)), np.zeros((size, size)))
     for kind in kinds.tolist():
         whole = whole.then(_Riccati(transition, information[kind], process))
@@ -153,8 +173,19 @@ def late_gains(axis: LateAxis, *, sample_time: float) -> np.ndarray:
         rows += [steps[common - j][:, entry : entry + 1] for j in range(1, min(lag, common) + 1)]
         rows += [gains[:, 4 : 4 + extra[entry]]]
     size_of_e, size_of_rate = step**2, step
-    sizes = [size_of_e, size_of_rate, 1.0, size_of_rate, *[size_of_e] * lag_e, *[size_of_rate] * lag_v]
-    return np.concatenate(rows, axis=1) * np.array(sizes)[:, None] / np.array([size_of_e, size_of_rate])
+    sizes = [
+        size_of_e,
+        size_of_rate,
+        1.0,
+        size_of_rate,
+        *[size_of_e] * lag_e,
+        *[size_of_rate] * lag_v,
+    ]
+    return (
+        np.concatenate(rows, axis=1)
+        * np.array(sizes)[:, None]
+        / np.array([size_of_e, size_of_rate])
+    )
 
 
 class _Riccati(NamedTuple):

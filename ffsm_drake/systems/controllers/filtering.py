@@ -1,4 +1,6 @@
-"""Filters of the commanded force, around any control law: a low-pass, and a notch at a vibration."""
+"""Filters of the commanded force, around any control law: a low-pass, and a notch at a
+vibration.
+"""
 
 import dataclasses
 from collections.abc import Mapping
@@ -15,10 +17,11 @@ _KEY = "command_filter"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FilteredLaw(ControlLaw):
-    """A law whose force passes through filters; the law hears of what acted by ``applied_force`` as ever.
+    """A law whose force passes through filters; the law hears of what acted by ``applied_force`` as
+    ever.
 
-    The low-pass is y_k = y_{k-1} + a (x_k - y_{k-1}). The notch is the bilinear transform, exact at its frequency, of
-    (s^2 + w^2) / (s^2 + b w s + w^2), b being its width.
+    The low-pass is y_k = y_{k-1} + a (x_k - y_{k-1}). The notch is the bilinear transform, exact at
+    its frequency, of (s^2 + w^2) / (s^2 + b w s + w^2), b being its width.
     """
 
     law: ControlLaw
@@ -45,7 +48,9 @@ class FilteredLaw(ControlLaw):
         (low, first, second), (b0, b1, b2), (a1, a2) = (
             (state[name] for name in _MEMORY), self.numerator, self.denominator,
         )  # fmt: skip
-        force, memory = self.law.step(sample, {name: state[name] for name in state if name not in _MEMORY})
+        force, memory = self.law.step(
+            sample, {name: state[name] for name in state if name not in _MEMORY}
+        )
         low = low + self.share * (force - low)
         filtered = b0 * low + first
         filters = (low, b1 * low - a1 * filtered + second, b2 * low - a2 * filtered)
@@ -55,7 +60,12 @@ class FilteredLaw(ControlLaw):
         """See ControlLaw: the filters go on."""
         law = before.law if isinstance(before, FilteredLaw) else before
         own = {name: state[name] for name in _MEMORY}
-        return {**self.law.resume({name: state[name] for name in state if name not in own}, law, reference), **own}
+        return {
+            **self.law.resume(
+                {name: state[name] for name in state if name not in own}, law, reference
+            ),
+            **own,
+        }
 
 
 _MEMORY = ("low_passed_force", "notch_first", "notch_second")
@@ -83,7 +93,9 @@ def make_filtered(
     angle, on = 2.0 * np.pi * center * sample_time, center > 0.0
     half = 0.5 * np.sin(angle) * width
     one, twice = np.ones_like(cut), -2.0 * np.cos(angle)
-    numerator = np.where(on, np.stack([one, twice, one]) / (1.0 + half), np.stack([one, 0.0 * one, 0.0 * one]))
+    numerator = np.where(
+        on, np.stack([one, twice, one]) / (1.0 + half), np.stack([one, 0.0 * one, 0.0 * one])
+    )
     denominator = np.where(on, np.stack([twice, 1.0 - half]) / (1.0 + half), 0.0)
     return FilteredLaw(
         law=law,

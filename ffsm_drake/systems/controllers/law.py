@@ -1,7 +1,8 @@
 """The contract of a control law: a frozen object whose ``step`` is a pure function of arrays.
 
-A law declares its gains as fields of a frozen dataclass, each with default, unit and meaning. A scenario sets them
-under ``controllers.<name>``, by coordinate, by group or for all; the law gets them as vectors (nv).
+A law declares its gains as fields of a frozen dataclass, each with default, unit and meaning. A
+scenario sets them under ``controllers.<name>``, by coordinate, by group or for all; the law gets
+them as vectors (nv).
 
     @dataclasses.dataclass(frozen=True, kw_only=True)
     class ComputedTorque(ControlLaw):
@@ -11,7 +12,8 @@ under ``controllers.<name>``, by coordinate, by group or for all; the law gets t
 
         def step(self, sample, state):
             u = sample.a_d + self.k_d * sample.e_dot + self.k_p * sample.e
-            return self.model.calc_mass_matrix(sample.q) @ u + self.model.calc_bias(sample.q, sample.v), state
+            return self.model.calc_mass_matrix(sample.q) @ u + self.model.calc_bias(sample.q,
+            sample.v), state
 """
 
 import abc
@@ -30,8 +32,11 @@ from ffsm_drake.systems.setup import BlockSetup
 State = Mapping[str, np.ndarray]
 
 
-class Sample(NamedTuple):  # made in every control update: a frozen dataclass takes five times as long
-    """What a law sees at t_k. All axes are the world's; v = [w_WB, v_WB, joint rates]; rad, m, s, N m, N."""
+# made in every control update: a frozen dataclass takes five times as long
+class Sample(NamedTuple):
+    """What a law sees at t_k. All axes are the world's; v = [w_WB, v_WB, joint rates]; rad, m, s, N
+    m, N.
+    """
 
     q: np.ndarray  # (..., nq) measured configuration
     v: np.ndarray  # (..., nv) measured velocity
@@ -39,13 +44,15 @@ class Sample(NamedTuple):  # made in every control update: a frozen dataclass ta
     v_d: np.ndarray  # (..., nv)
     a_d: np.ndarray  # (..., nv)
     e: np.ndarray  # (..., nv) q_d - q, the base's attitude as a rotation vector
-    e_dot: np.ndarray  # (..., nv) rate of e: v_d - v but for the attitude, see coordinates.error_rate
+    # (..., nv) rate of e: v_d - v but for the attitude, see coordinates.error_rate
+    e_dot: np.ndarray
     applied_force: np.ndarray  # (..., nv) what acted over the last period; zero at the first sample
     is_first: bool  # whether there was no sample before, or a grasp since
-    # (..., 2 nv) whether this sample brings a new measurement of each position, then of each velocity; None: of all
+    # (..., 2 nv) whether this sample brings a new measurement of each position, then of each
+    # velocity; None: of all
     is_new: np.ndarray | None = None
-    # (..., 19) [quaternion (w, x, y, z) of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF] of the frame F of
-    # ``reference.frame``, wanted; None: there is none, or the law tracks no frame
+    # (..., 19) [quaternion (w, x, y, z) of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF] of the frame F
+    # of ``reference.frame``, wanted; None: there is none, or the law tracks no frame
     desired_frame: np.ndarray | None = None
 
 
@@ -53,7 +60,8 @@ class Sample(NamedTuple):  # made in every control update: a frozen dataclass ta
 class Gain:
     """The declaration of one gain."""
 
-    default: float | PerCoordinate | None  # by coordinate or group; a number: for all; None: no bound
+    # by coordinate or group; a number: for all; None: no bound
+    default: float | PerCoordinate | None
     unit: str
     meaning: str
     scalar: bool  # one number for all coordinates
@@ -74,7 +82,13 @@ def gain(
 ) -> Any:
     """A field of a law that a scenario can set; see Gain."""
     declared = Gain(
-        default=default, unit=unit, meaning=meaning, scalar=scalar, positive=positive, bound=bound, feedback=feedback
+        default=default,
+        unit=unit,
+        meaning=meaning,
+        scalar=scalar,
+        positive=positive,
+        bound=bound,
+        feedback=feedback,
     )
     return dataclasses.field(metadata={"gain": declared})
 
@@ -95,8 +109,8 @@ class ControlLaw(abc.ABC):
     def held(self) -> Mapping[str, float | None]:
         """What of the memory a linearisation holds: at the number given, None: as it is.
 
-        Gains under adaptation, which change slowly beside the loop, and with 0 the gain of a sign term, which has no
-        derivative.
+        Gains under adaptation, which change slowly beside the loop, and with 0 the gain of a sign
+        term, which has no derivative.
         """
         return {}
 
@@ -108,11 +122,13 @@ class ControlLaw(abc.ABC):
           sample: what was measured and what is wanted.
           state: the memory at this sample, by name; must not be changed in place.
 
-        Returns: the generalized force tau (..., nv; N m and N), held until the next sample, and the memory by then.
+        Returns: the generalized force tau (..., nv; N m and N), held until the next sample, and the
+        memory by then.
         """
 
     def resume(self, state: State, before: "ControlLaw", reference: np.ndarray) -> State:
-        """The memory with which this law goes on where another has come to, after the grasp of a target; as it was.
+        """The memory with which this law goes on where another has come to, after the grasp of a
+        target; as it was.
 
         The next sample is a first one: velocities and reference have jumped since the last.
 
@@ -125,7 +141,8 @@ class ControlLaw(abc.ABC):
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "ControlLaw":
-        """The law for a scenario: gains by the names of its fields, besides ``model`` and ``sample_time``.
+        """The law for a scenario: gains by the names of its fields, besides ``model`` and
+        ``sample_time``.
 
         Raises:
           ScenarioError: a gain of unknown or missing coordinates, or out of its range.
@@ -141,7 +158,9 @@ def gains_of(kind: Any) -> dict[str, Gain]:
 
 
 def field_values(kind: type, setup: BlockSetup, **given: Any) -> dict[str, Any]:
-    """The values of a law's fields for a setup, besides those given; errors as for ``ControlLaw.from_setup``."""
+    """The values of a law's fields for a setup, besides those given; errors as for
+    ``ControlLaw.from_setup``.
+    """
     for name in getattr(kind, "__abstractmethods__", ()):
         _, *arguments = inspect.signature(getattr(kind, name)).parameters
         raise BlockError(f"{kind.__name__} must define {name}({', '.join(arguments)})")
@@ -160,7 +179,8 @@ def field_values(kind: type, setup: BlockSetup, **given: Any) -> dict[str, Any]:
             and field.default_factory is dataclasses.MISSING
         ):
             raise BlockError(
-                f"controller '{setup.name}': field '{field.name}' must be a gain(...), model, sample_time or have a "
+                f"controller '{setup.name}': field '{field.name}' must be a gain(...), model, "
+                "sample_time or have a "
                 "default"
             )
     return values
@@ -187,10 +207,13 @@ def gain_values(
         if gain_name not in declared:
             raise ScenarioError(
                 f"{place}.{gain_name}",
-                f"unknown gain; {name} has {', '.join(declared) or 'no gains'}{did_you_mean(gain_name, declared)}",
+                f"unknown gain; {name} has "
+                f"{', '.join(declared) or 'no gains'}{did_you_mean(gain_name, declared)}",
             )
     return {
-        gain_name: _value(item, given.get(gain_name, _DEFAULT), coordinates, key=f"{place}.{gain_name}")
+        gain_name: _value(
+            item, given.get(gain_name, _DEFAULT), coordinates, key=f"{place}.{gain_name}"
+        )
         for gain_name, item in declared.items()
     }
 
@@ -207,21 +230,28 @@ def _value(declared: Gain, given: Any, coordinates: Coordinates, *, key: str) ->
     for name, number in values.items():
         wanted = "> 0" if declared.positive else ">= 0"
         if not (number > 0.0 if declared.positive else number >= 0.0):
-            raise ScenarioError(key if declared.scalar else f"{key}.{name}", f"must be {wanted}, not {number:g}")
+            raise ScenarioError(
+                key if declared.scalar else f"{key}.{name}", f"must be {wanted}, not {number:g}"
+            )
     if declared.scalar:
         if set(values) != {"all"}:
-            raise ScenarioError(key, f"must be one number for all coordinates, not {', '.join(values)}")
+            raise ScenarioError(
+                key, f"must be one number for all coordinates, not {', '.join(values)}"
+            )
         return values["all"]
     return coordinates.vector(values, key=key, default=np.inf if declared.bound else None)
 
 
 def complete_gain(declared: Gain, given: Any = _DEFAULT) -> PerCoordinate | None:
-    """A gain by name of coordinate or group: what is given, and the default where it says nothing; None: no bound."""
+    """A gain by name of coordinate or group: what is given, and the default where it says nothing;
+    None: no bound.
+    """
     value = declared.default if given is _DEFAULT else given
     if value is None:
         return None
     values = _by_name(value)
-    # A value for all outdoes the defaults of groups, and a bound that is given is all there is of it.
+    # A value for all outdoes the defaults of groups, and a bound that is given is all there is of
+    # it.
     if "all" in values or set(GROUPS) <= set(values) or declared.default is None or declared.bound:
         return values
     return {**_by_name(declared.default), **values}

@@ -1,4 +1,6 @@
-"""PD+: a model-based baseline of Paden and Panja (1988), without any estimate of what the model lacks."""
+"""PD+: a model-based baseline of Paden and Panja (1988), without any estimate of what the model
+lacks.
+"""
 
 import dataclasses
 
@@ -18,7 +20,9 @@ class PdPlus(ControlLaw):
 
     model: PlantModel
     k_p: np.ndarray = gain(
-        {"base_position": 1200.0, "base_rotation": 300.0, "joints": 30.0}, "N m/rad or N/m", "gain K_p on the error"
+        {"base_position": 1200.0, "base_rotation": 300.0, "joints": 30.0},
+        "N m/rad or N/m",
+        "gain K_p on the error",
     )
     k_d: np.ndarray = gain(
         {"base_position": 1200.0, "base_rotation": 300.0, "joints": 30.0},

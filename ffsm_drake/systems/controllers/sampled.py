@@ -26,19 +26,24 @@ class SampledController(LeafSystem):
       estimated_state: measured [q; v] (nq + nv).
       desired_state: [q_d; v_d] (nq + nv).
       desired_acceleration: (nv).
-      applied_force: optional (nv), the force that acted over the last period (saturated, quantised); without it
-        the commanded force is taken to have acted.
-      measurement_is_new: optional (nq + nv), 1 where the sample brings a new measurement; without it all are new.
+      applied_force: optional (nv), the force that acted over the last period (saturated,
+        quantised); without it the commanded force is taken to have acted.
+      measurement_is_new: optional (nq + nv), 1 where the sample brings a new measurement; without
+        it all are new.
       desired_frame: of a law that tracks a frame, optional (19), see ``Sample.desired_frame``.
     Outputs, read from the state so that no integrator stage runs Python:
-      generalized_force: tau (nv), held over the period: base torque and force in world axes, joint torques.
+      generalized_force: tau (nv), held over the period: base torque and force in world axes, joint
+        torques.
       sliding_variable, reaching_gain, switching_gain: where the law's memory has them, (nv).
       smallest_singular_value: where the law's memory has it, (1).
     Discrete state, updated every ``sample_time``:
-      generalized_force (nv), has_previous (1; 0 before the first update), then the law's memory by name.
+      generalized_force (nv), has_previous (1; 0 before the first update), then the law's memory by
+      name.
     """
 
-    def __init__(self, law: ControlLaw, *, name: str, coordinates: Coordinates, sample_time: float) -> None:
+    def __init__(
+        self, law: ControlLaw, *, name: str, coordinates: Coordinates, sample_time: float
+    ) -> None:
         """Args: a law for ``coordinates``; the system's name; the control period L, s."""
         super().__init__()
         self.set_name(name)
@@ -49,22 +54,32 @@ class SampledController(LeafSystem):
         num_states = self._num_positions + num_velocities
         self._estimated_state = self.DeclareVectorInputPort("estimated_state", num_states)
         self._desired_state = self.DeclareVectorInputPort("desired_state", num_states)
-        self._desired_acceleration = self.DeclareVectorInputPort("desired_acceleration", num_velocities)
+        self._desired_acceleration = self.DeclareVectorInputPort(
+            "desired_acceleration", num_velocities
+        )
         self._applied_force = self.DeclareVectorInputPort("applied_force", num_velocities)
         self._is_new = self.DeclareVectorInputPort("measurement_is_new", num_states)
         self._desired_frame = (
-            self.DeclareVectorInputPort("desired_frame", FRAME_SIZE) if getattr(law, "tracks_frame", False) else None
+            self.DeclareVectorInputPort("desired_frame", FRAME_SIZE)
+            if getattr(law, "tracks_frame", False)
+            else None
         )
         memory = law.initial_state()
         if not isinstance(memory, Mapping) or {"generalized_force", "has_previous"} & set(memory):
             raise BlockError(
-                f"controller '{name}': initial_state must return a mapping of names to arrays, without "
+                f"controller '{name}': initial_state must return a mapping of names to arrays, "
+                "without "
                 "'generalized_force' and 'has_previous'"
             )
         self._force = self.DeclareDiscreteState(np.zeros(num_velocities))
         self._has_previous = self.DeclareDiscreteState(np.zeros(1))
-        self._memory = {key: self.DeclareDiscreteState(np.asarray(value, dtype=float)) for key, value in memory.items()}
-        self._shapes = {"generalized_force": (num_velocities,)} | {key: np.shape(memory[key]) for key in memory}
+        self._memory = {
+            key: self.DeclareDiscreteState(np.asarray(value, dtype=float))
+            for key, value in memory.items()
+        }
+        self._shapes = {"generalized_force": (num_velocities,)} | {
+            key: np.shape(memory[key]) for key in memory
+        }
         self.DeclareStateOutputPort("generalized_force", self._force)
         for key in (*OPTIONAL_OUTPUTS, SMALLEST):
             if key in self._memory:
@@ -74,7 +89,11 @@ class SampledController(LeafSystem):
 
     def state(self, context: Context, name: str) -> np.ndarray:
         """A copy of one piece of the discrete state; the names are those of the class docstring."""
-        index = {"generalized_force": self._force, "has_previous": self._has_previous, **self._memory}[name]
+        index = {
+            "generalized_force": self._force,
+            "has_previous": self._has_previous,
+            **self._memory,
+        }[name]
         return np.array(context.get_discrete_state(index).value())
 
     def remember_velocity(self, context: Context, velocity: np.ndarray) -> None:
@@ -84,9 +103,14 @@ class SampledController(LeafSystem):
                 context.SetDiscreteState(self._memory[name], velocity)
 
     def resume(
-        self, context: Context, before: "SampledController", context_before: Context, reference: np.ndarray
+        self,
+        context: Context,
+        before: "SampledController",
+        context_before: Context,
+        reference: np.ndarray,
     ) -> None:
-        """Go on where another controller has come to, as at the first sample: velocities and reference have jumped.
+        """Go on where another controller has come to, as at the first sample: velocities and
+        reference have jumped.
 
         Args:
           context: of this controller.
@@ -105,7 +129,9 @@ class SampledController(LeafSystem):
         return {name: int(index) for name, index in self._memory.items()}
 
     def held_groups(self) -> Mapping[str, tuple[int, float | None]]:
-        """Discrete groups that a linearisation holds, name -> (group, value), see ``ControlLaw.held``."""
+        """Discrete groups that a linearisation holds, name -> (group, value), see
+        ``ControlLaw.held``.
+        """
         held = {name: (int(self._memory[name]), value) for name, value in self.law.held().items()}
         return {"has_previous": (int(self._has_previous), 1.0), **held}
 
@@ -117,7 +143,9 @@ class SampledController(LeafSystem):
         difference = desired - estimated
         e, e_dot = difference[1:split], difference[split:]
         e[:3] = rotation = rotation_error(desired[:4], estimated[:4])
-        e_dot[:3] = rotation_error_rate(rotation, desired[split : split + 3], estimated[split : split + 3])
+        e_dot[:3] = rotation_error_rate(
+            rotation, desired[split : split + 3], estimated[split : split + 3]
+        )
         if self._undriven is not None:
             e[self._undriven] = e_dot[self._undriven] = 0.0
         value = context.get_discrete_state().value
@@ -130,7 +158,9 @@ class SampledController(LeafSystem):
             self._desired_acceleration.Eval(context),
             e,
             e_dot,
-            self._applied_force.Eval(context) if self._applied_force.HasValue(context) else value(self._force),
+            self._applied_force.Eval(context)
+            if self._applied_force.HasValue(context)
+            else value(self._force),
             is_first,
             # The quaternion has one entry more than the rotation.
             self._is_new.Eval(context)[1:] != 0.0 if self._is_new.HasValue(context) else None,
@@ -147,7 +177,8 @@ class SampledController(LeafSystem):
         except (SystemExit, GeneratorExit) as error:  # would end the process as if all were well
             what = "called sys.exit" if isinstance(error, SystemExit) else "raised GeneratorExit"
             raise BlockError(
-                f"{self.get_name()}: step {what} at t = {context.get_time():.2f} s; raise an exception"
+                f"{self.get_name()}: step {what} at t = {context.get_time():.2f} s; raise an "
+                "exception"
             ) from error
         if is_first:
             self._check(returned)
@@ -163,7 +194,9 @@ class SampledController(LeafSystem):
     def _check(self, returned: object) -> None:
         """Raise BlockError unless the law returned what it must; once, as shapes do not change."""
         name = self.get_name()
-        if not (isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping)):
+        if not (
+            isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping)
+        ):
             raise BlockError(
                 f"{name}: step must return (generalized_force, state), an array and a mapping, not "
                 f"{_described(returned)}"
@@ -173,7 +206,8 @@ class SampledController(LeafSystem):
         for key in values:
             if key not in self._shapes:
                 raise BlockError(
-                    f"{name}: step returned '{key}', which initial_state does not name; its memory is "
+                    f"{name}: step returned '{key}', which initial_state does not name; its "
+                    "memory is "
                     f"{', '.join(names) or 'empty'}"
                 )
         for key, shape in self._shapes.items():
@@ -183,10 +217,13 @@ class SampledController(LeafSystem):
                 actual = np.asarray(values[key], dtype=float).shape
             except (TypeError, ValueError) as error:
                 raise BlockError(
-                    f"{name}: step returned '{key}' that is not an array of numbers: {one_line(error)}"
+                    f"{name}: step returned '{key}' that is not an array of numbers: "
+                    f"{one_line(error)}"
                 ) from error
             if actual != shape:
-                raise BlockError(f"{name}: step returned '{key}' of shape {actual}; it must be {shape}")
+                raise BlockError(
+                    f"{name}: step returned '{key}' of shape {actual}; it must be {shape}"
+                )
 
 
 def _described(returned: object) -> str:

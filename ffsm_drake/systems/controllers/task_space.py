@@ -1,20 +1,22 @@
 """Task space: what a frame does when the driven coordinates move, for laws that track its pose.
 
-With J* the generalized Jacobian, H* and C* of the driven coordinates a (``docs/free_floating.md``), the frame's twist
-and acceleration are
+With J* the generalized Jacobian, H* and C* of the driven coordinates a (``docs/free_floating.md``),
+the frame's twist and acceleration are
 
     V = J* v_a + V_0,     A = J* dv_a/dt + A_0,     H* dv_a/dt + C* = tau_a,
 
-all of them of the nominal plant at the measured state; where every coordinate is driven J* is J, H* is H. The joints
-serve the frame. A driven base follows its plan, and the joints as far as the frame leaves them free: of a motion z of
-all driven coordinates that follows the plan, and what the frame should do,
+all of them of the nominal plant at the measured state; where every coordinate is driven J* is J, H*
+is H. The joints serve the frame. A driven base follows its plan, and the joints as far as the frame
+leaves them free: of a motion z of all driven coordinates that follows the plan, and what the frame
+should do,
 
     v_a = z + [0; J+ (V - V_0 - J* z)],     dv_a/dt = z + [0; J+ (A - A_0 - J* z)],
 
-J+ being the pseudoinverse of the joints' columns of J*, damped as in ``resolved_motion``: along each singular direction
-1/s, and s (2 d^2 - s^2) / d^4 where s < d. So no twist takes rates of more than 1.09/d of it, and at a singularity the
-lost direction takes none. The inverse of least kinetic energy (Khatib 1987, doi:10.1109/JRA.1987.1087068) has no such
-bound, and turns light wrists where it need not.
+J+ being the pseudoinverse of the joints' columns of J*, damped as in ``resolved_motion``: along
+each singular direction 1/s, and s (2 d^2 - s^2) / d^4 where s < d. So no twist takes rates of more
+than 1.09/d of it, and at a singularity the lost direction takes none. The inverse of least kinetic
+energy (Khatib 1987, doi:10.1109/JRA.1987.1087068) has no such bound, and turns light wrists where
+it need not.
 """
 
 import abc
@@ -25,7 +27,12 @@ from typing import ClassVar, Self
 import numpy as np
 from pydrake.multibody.tree import Frame
 
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, error_rate, position_error
+from ffsm_drake.spacecraft.coordinates import (
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    error_rate,
+    position_error,
+)
 from ffsm_drake.spacecraft.free_floating import TASK_ROWS, FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values, gain
@@ -33,7 +40,8 @@ from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.resolved_motion import damped_inverse
 from ffsm_drake.systems.setup import BlockSetup
 
-_ROUNDING = 1e-9  # of the largest singular value: below, a direction that the arm does not have at all
+# of the largest singular value: below, a direction that the arm does not have at all
+_ROUNDING = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,7 +55,8 @@ class TaskSpace:
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
-        """Of ``reference.frame``; without one, or with none of its rows prescribed, the whole pose of the end effector.
+        """Of ``reference.frame``; without one, or with none of its rows prescribed, the whole pose
+        of the end effector.
 
         Raises ModelError: there is no such frame.
         """
@@ -62,7 +71,9 @@ class TaskSpace:
         """The task at one sample (not several runs), singular values below ``damping`` damped."""
         model, q, rows = self.model, sample.q, self.rows
         spacecraft = FreeFloating(
-            mass_matrix=model.calc_mass_matrix(q), base_position=q[4:NUM_BASE_POSITIONS], driven=self.driven
+            mass_matrix=model.calc_mass_matrix(q),
+            base_position=q[4:NUM_BASE_POSITIONS],
+            driven=self.driven,
         )
         jacobian = model.calc_jacobian(q, self.frame)
         desired = sample.desired_frame
@@ -92,7 +103,9 @@ class TaskSpace:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class TaskPoint:
-    """The task at one sample: m rows of the frame's twist, na driven coordinates, nj joints; world axes."""
+    """The task at one sample: m rows of the frame's twist, na driven coordinates, nj joints; world
+    axes.
+    """
 
     task_space: TaskSpace
     sample: Sample
@@ -100,7 +113,8 @@ class TaskPoint:
     whole_jacobian: np.ndarray  # J (m, nv)
     jacobian: np.ndarray  # J* (m, na)
     damping: float
-    e: np.ndarray  # (m) of the pose: rotation vector from R_WF to its reference, rad; then of the position, m
+    # (m) of the pose: rotation vector from R_WF to its reference, rad; then of the position, m
+    e: np.ndarray
     e_dot: np.ndarray  # (m) its rate
     twist: np.ndarray  # V (m), measured
     desired_twist: np.ndarray  # (m)
@@ -142,16 +156,22 @@ class TaskPoint:
 
     @property
     def smallest_singular_value(self) -> float:
-        """Of the joints' columns of J*, rad counted as m, among directions in which they move the frame at all."""
+        """Of the joints' columns of J*, rad counted as m, among directions in which they move the
+        frame at all.
+        """
         sizes = self._directions[1]
         return float(sizes[sizes > _ROUNDING * sizes[0]][-1]) if sizes[0] > 0.0 else 0.0
 
     def served(self, z: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """z + [0; J+ (wanted - J* z)] (na): a motion z (na) with joints that do what is wanted of the frame (m)."""
+        """z + [0; J+ (wanted - J* z)] (na): a motion z (na) with joints that do what is wanted of
+        the frame (m).
+        """
         left, sizes, right = self._directions
         lacking = left.T.dot(wanted - self.jacobian.dot(z))
         result = z.copy()
-        result[z.size - right.shape[1] :] += (damped_inverse(sizes, self.damping) * lacking).dot(right)
+        result[z.size - right.shape[1] :] += (damped_inverse(sizes, self.damping) * lacking).dot(
+            right
+        )
         return result
 
 
@@ -188,7 +208,10 @@ class TaskSpaceLaw(ControlLaw):
         on_driven, memory = self.driven_force(point, state)
         force = np.zeros_like(sample.v)
         force[self.task_space.driven] = on_driven
-        return force, {**memory, "smallest_singular_value": np.array([point.smallest_singular_value])}
+        return force, {
+            **memory,
+            "smallest_singular_value": np.array([point.smallest_singular_value]),
+        }
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
@@ -197,32 +220,49 @@ class TaskSpaceLaw(ControlLaw):
 
     @abc.abstractmethod
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
-        """tau_a (na) at one sample, N m and N, and the law's own memory; see ``ControlLaw.step``."""
+        """tau_a (na) at one sample, N m and N, and the law's own memory; see
+        ``ControlLaw.step``.
+        """
 
     def _one_by_one(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         forces, memories = list[np.ndarray](), list[State]()
         for i in range(len(sample.v)):
             one = sample._replace(
-                **{name: value[i] for name, value in sample._asdict().items() if isinstance(value, np.ndarray)}
+                **{
+                    name: value[i]
+                    for name, value in sample._asdict().items()
+                    if isinstance(value, np.ndarray)
+                }
             )
             force, memory = self.step(one, {name: value[i] for name, value in state.items()})
             forces.append(force)
             memories.append(memory)
-        return np.stack(forces), {name: np.stack([memory[name] for memory in memories]) for name in memories[0]}
+        return np.stack(forces), {
+            name: np.stack([memory[name] for memory in memories]) for name in memories[0]
+        }
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AccelerationLaw(TaskSpaceLaw):
-    """Base of the laws that command accelerations, with gains for the frame and for what follows the plan."""
+    """Base of the laws that command accelerations, with gains for the frame and for what follows
+    the plan.
+    """
 
     k_p_rotation: float
     k_p_position: float
     k_d_rotation: float
     k_d_position: float
     acceleration_limit: float = gain(
-        0.5, "rad/s^2, m/s^2", "what at most a frame's error asks for", scalar=True, positive=True, feedback=False
+        0.5,
+        "rad/s^2, m/s^2",
+        "what at most a frame's error asks for",
+        scalar=True,
+        positive=True,
+        feedback=False,
     )
-    k_p_plan: float = gain(25.0, "1/s^2", "gain on the errors of a driven base and of free joints", scalar=True)
+    k_p_plan: float = gain(
+        25.0, "1/s^2", "gain on the errors of a driven base and of free joints", scalar=True
+    )
     k_d_plan: float = gain(10.0, "1/s", "gain on their rates", scalar=True)
 
     @functools.cached_property
@@ -240,9 +280,11 @@ class AccelerationLaw(TaskSpaceLaw):
         return limited(wanted, np.full(wanted.size, self.acceleration_limit))
 
     def limited(self, e: np.ndarray) -> np.ndarray:
-        """The frame's error (m), such that the speed that takes it back is limited: K_p e is as large as K_d times it.
+        """The frame's error (m), such that the speed that takes it back is limited: K_p e is as
+        large as K_d times it.
 
-        At a singularity an error stays that no rate takes away, and the larger it is the faster joints go to and fro.
+        At a singularity an error stays that no rate takes away, and the larger it is the faster
+        joints go to and fro.
         """
         return limited(e, self.speed_limit * self.k_d / np.maximum(self.k_p, 1e-12))
 
@@ -253,7 +295,9 @@ class AccelerationLaw(TaskSpaceLaw):
 
 
 def limited(vector: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """A vector (m) of a frame whose rotation and position are no larger than a limit each, given by row (m)."""
+    """A vector (m) of a frame whose rotation and position are no larger than a limit each, given by
+    row (m).
+    """
     parts, limits = vector.reshape(-1, 3), limit.reshape(-1, 3)[:, :1]
     sizes = np.sqrt((parts * parts).sum(axis=1, keepdims=True))
     return (parts * (limits / np.maximum(sizes, limits))).ravel()

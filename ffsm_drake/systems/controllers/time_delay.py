@@ -5,7 +5,8 @@ q''(t-L) - Hhat^-1 tau(t-L) (equation (5)), and taking that for the present N gi
 
     tau_k = tau_{k-1} - Hhat q''_{k-1} + Hhat u_k,      q''_{k-1} = (qdot_k - qdot_{k-1}) / L,
 
-in which only the *injected dynamics* u differs between controllers (equations (6), (17), (18), (20)).
+in which only the *injected dynamics* u differs between controllers (equations (6), (17), (18),
+(20)).
 """
 
 import abc
@@ -22,7 +23,9 @@ from ffsm_drake.systems.setup import BlockSetup
 
 
 class InjectedDynamics(abc.ABC):
-    """Base of the laws that run on time-delay estimation; a subclass is a frozen dataclass with a ``step``."""
+    """Base of the laws that run on time-delay estimation; a subclass is a frozen dataclass with a
+    ``step``.
+    """
 
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the dynamics' memory."""
@@ -37,12 +40,15 @@ class InjectedDynamics(abc.ABC):
 
         Args:
           state: the memory up to then.
-          ratio: Hhat^-1 Hhat (nv, nv) of after and before: the acceleration that the same force gives now.
+          ratio: Hhat^-1 Hhat (nv, nv) of after and before: the acceleration that the same force
+            gives now.
         """
         return {}
 
     @abc.abstractmethod
-    def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
+    def step(
+        self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State
+    ) -> tuple[np.ndarray, State]:
         """One control sample; arrays (..., nv).
 
         Args:
@@ -55,7 +61,9 @@ class InjectedDynamics(abc.ABC):
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "TimeDelayControl":
-        """Time-delay control with these dynamics and the scenario's estimator; errors as for ControlLaw.from_setup."""
+        """Time-delay control with these dynamics and the scenario's estimator; errors as for
+        ControlLaw.from_setup.
+        """
         return TimeDelayControl(
             model=setup.nominal,
             estimator=make_estimator(setup.scenario, setup.coordinates),
@@ -65,7 +73,9 @@ class InjectedDynamics(abc.ABC):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TimeDelayControl(ControlLaw):
-    """tau = base force + Hhat (u - base acceleration): the estimate gives the pair, the injected dynamics u."""
+    """tau = base force + Hhat (u - base acceleration): the estimate gives the pair, the injected
+    dynamics u.
+    """
 
     model: PlantModel
     estimator: Estimator
@@ -105,14 +115,22 @@ class TimeDelayControl(ControlLaw):
 
 
 def time_delay_force(
-    *, delayed_force: np.ndarray, nominal_mass_matrix: np.ndarray, delayed_acceleration: np.ndarray, u: np.ndarray
+    *,
+    delayed_force: np.ndarray,
+    nominal_mass_matrix: np.ndarray,
+    delayed_acceleration: np.ndarray,
+    u: np.ndarray,
 ) -> np.ndarray:
-    """Generalized force tau_k (..., nv) of equation (6): tau_{k-1} + Hhat (u_k - q''_{k-1}), N m and N."""
+    """Generalized force tau_k (..., nv) of equation (6): tau_{k-1} + Hhat (u_k - q''_{k-1}), N m
+    and N.
+    """
     return delayed_force + matrix_vector(nominal_mass_matrix, u - delayed_acceleration)
 
 
 def matrix_vector(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """The product of matrices (..., n, n) and vectors (..., n); each of several has the bits it has alone."""
+    """The product of matrices (..., n, n) and vectors (..., n); each of several has the bits it has
+    alone.
+    """
     if vector.ndim == 1:
         return matrix.dot(vector)  # on so few numbers faster than @
     return np.stack([matrix_vector(one, of) for one, of in zip(matrix, vector, strict=True)])

@@ -1,4 +1,6 @@
-"""AISMC: adaptive integral sliding-mode control with time-delay estimation, equations (20) and (21)."""
+"""AISMC: adaptive integral sliding-mode control with time-delay estimation, equations (20) and
+(21).
+"""
 
 import dataclasses
 from collections.abc import Mapping
@@ -11,7 +13,9 @@ from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 _SMALLEST_SCALE = 1e-9  # 1/s^3, of K_s K_P where it is divided by
 
 
-def reaching_gain_rate(s: np.ndarray, k_s: np.ndarray, *, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+def reaching_gain_rate(
+    s: np.ndarray, k_s: np.ndarray, *, alpha: np.ndarray, beta: np.ndarray
+) -> np.ndarray:
     """dK_s/dt (..., nv) of equation (21): zero at |s| = K_s^2 / beta."""
     magnitude = np.abs(s)
     return alpha * magnitude * np.sign(magnitude - k_s * k_s / beta)
@@ -19,10 +23,12 @@ def reaching_gain_rate(s: np.ndarray, k_s: np.ndarray, *, alpha: np.ndarray, bet
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Aismc(InjectedDynamics):
-    """u = a_d + K_D e' + K_P e + K_s s with s = e' + K_D e + K_P int e (equation (20)). Gains are diagonals (nv).
+    """u = a_d + K_D e' + K_P e + K_s s with s = e' + K_D e + K_P int e (equation (20)). Gains are
+    diagonals (nv).
 
-    The surface is the one that (7) needs; (3) prints it with the factors of e and e' exchanged. The published K_s of 80
-    without a bound adapts itself out of the sampled loop's stability on an exact plant, hence the defaults of K_s.
+    The surface is the one that (7) needs; (3) prints it with the factors of e and e' exchanged. The
+    published K_s of 80 without a bound adapts itself out of the sampled loop's stability on an
+    exact plant, hence the defaults of K_s.
     """
 
     sample_time: float
@@ -46,7 +52,11 @@ class Aismc(InjectedDynamics):
 
     def initial_state(self) -> State:
         zeros = np.zeros_like(self.k_d)
-        return {"integral_error": zeros, "sliding_variable": zeros, "reaching_gain": self.k_s_initial}
+        return {
+            "integral_error": zeros,
+            "sliding_variable": zeros,
+            "reaching_gain": self.k_s_initial,
+        }
 
     def held(self) -> Mapping[str, float | None]:
         return {"reaching_gain": None}
@@ -56,7 +66,9 @@ class Aismc(InjectedDynamics):
         scale = np.maximum(state["reaching_gain"] * self.k_p, _SMALLEST_SCALE)
         return {"integral_error": ratio @ (scale * state["integral_error"]) / scale}
 
-    def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
+    def step(
+        self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State
+    ) -> tuple[np.ndarray, State]:
         """One control sample; see InjectedDynamics."""
         integral, k_s = state["integral_error"], state["reaching_gain"]
         s = e_dot + self.k_d * e + self.k_p * integral
@@ -65,5 +77,7 @@ class Aismc(InjectedDynamics):
         return u, {
             "integral_error": integral + self.sample_time * e,
             "sliding_variable": s,
-            "reaching_gain": np.minimum(np.maximum(k_s + self.sample_time * k_s_rate, 0.0), self.k_s_max),
+            "reaching_gain": np.minimum(
+                np.maximum(k_s + self.sample_time * k_s_rate, 0.0), self.k_s_max
+            ),
         }

@@ -8,28 +8,42 @@ import numpy as np
 from ffsm_drake.systems.controllers.law import State, gain
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
-# Floor of b|s| where (19) divides by it: the gain is clipped at zero long before the quotient matters.
+# Floor of b|s| where (19) divides by it: the gain is clipped at zero long before the quotient
+# matters.
 _SMALLEST_SCALED_S = 1e-12
 
 
-def switching_gain_rate(s: np.ndarray, g: np.ndarray, *, a: np.ndarray, b: np.ndarray, epsilon: float) -> np.ndarray:
-    """dG/dt (..., nv) of equation (19), with a = phi and b = 1/alpha of its print: fast growth, slow decay."""
+def switching_gain_rate(
+    s: np.ndarray, g: np.ndarray, *, a: np.ndarray, b: np.ndarray, epsilon: float
+) -> np.ndarray:
+    """dG/dt (..., nv) of equation (19), with a = phi and b = 1/alpha of its print: fast growth,
+    slow decay.
+    """
     magnitude = np.abs(s)
     scaled = b * magnitude
     sigma = np.sign(np.maximum.reduce(magnitude, axis=-1, keepdims=True) - epsilon)
     decays = (g > 0.0) & (sigma < 0.0)
-    return np.where(decays, -a / np.maximum(scaled, _SMALLEST_SCALED_S), np.where(g > 0.0, sigma, 1.0) * (a * scaled))
+    return np.where(
+        decays,
+        -a / np.maximum(scaled, _SMALLEST_SCALED_S),
+        np.where(g > 0.0, sigma, 1.0) * (a * scaled),
+    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Asmc(InjectedDynamics):
-    """u = a_d + K_D e' + K_s s + G sgn s with s = e' + K_D e (equation (18)). Gains are diagonals (nv)."""
+    """u = a_d + K_D e' + K_s s + G sgn s with s = e' + K_D e (equation (18)). Gains are diagonals
+    (nv).
+    """
 
     sample_time: float
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the error's rate")
     k_s: np.ndarray = gain(80.0, "1/s", "reaching gain K_s, constant")
     g_initial: np.ndarray = gain(
-        0.0, "rad/s^2 or m/s^2", "switching gain G at the start; (19) has a branch of its own for zero", feedback=False
+        0.0,
+        "rad/s^2 or m/s^2",
+        "switching gain G at the start; (19) has a branch of its own for zero",
+        feedback=False,
     )
     epsilon: float = gain(
         1e-4,
@@ -40,10 +54,17 @@ class Asmc(InjectedDynamics):
         feedback=False,
     )
     a: np.ndarray = gain(
-        {"all": 1e-6, "base_position": 1e-7}, "rad/s^3 or m/s^3", "adaptation rate, the phi of (19)", feedback=False
+        {"all": 1e-6, "base_position": 1e-7},
+        "rad/s^3 or m/s^3",
+        "adaptation rate, the phi of (19)",
+        feedback=False,
     )
-    b: np.ndarray = gain(1e5, "s/rad or s/m", "adaptation scale, the 1/alpha of (19)", positive=True, feedback=False)
-    g_max: np.ndarray = gain(None, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True, feedback=False)
+    b: np.ndarray = gain(
+        1e5, "s/rad or s/m", "adaptation scale, the 1/alpha of (19)", positive=True, feedback=False
+    )
+    g_max: np.ndarray = gain(
+        None, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True, feedback=False
+    )
 
     def initial_state(self) -> State:
         return {"sliding_variable": np.zeros_like(self.k_d), "switching_gain": self.g_initial}
@@ -55,7 +76,9 @@ class Asmc(InjectedDynamics):
         """See InjectedDynamics. G goes on as a bound of forces."""
         return {"switching_gain": np.abs(ratio) @ state["switching_gain"]}
 
-    def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
+    def step(
+        self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State
+    ) -> tuple[np.ndarray, State]:
         """One control sample; see InjectedDynamics."""
         g = state["switching_gain"]
         s = e_dot + self.k_d * e

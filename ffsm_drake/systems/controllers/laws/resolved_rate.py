@@ -1,4 +1,5 @@
-"""Resolved motion rate control with the generalized Jacobian: the frame's twist as joint rates, and a loop on those.
+"""Resolved motion rate control with the generalized Jacobian: the frame's twist as joint rates, and
+a loop on those.
 
 Whitney 1969, doi:10.1109/TMMS.1969.299896; with J* Umetani and Yoshida 1989, doi:10.1109/70.34766.
 """
@@ -14,7 +15,8 @@ from ffsm_drake.systems.controllers.task_space import TaskPoint, TaskSpaceLaw, l
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ResolvedRate(TaskSpaceLaw):
-    """v_r = z + [0; J+ (V_d + K e - V_0 - J* z)] with z = v_d + k_plan e_q, tau_a = H* k_v (v_r - v_a) + C*.
+    """v_r = z + [0; J+ (V_d + K e - V_0 - J* z)] with z = v_d + k_plan e_q, tau_a = H* k_v (v_r -
+    v_a) + C*.
 
     The rates v_r lag: the frame is behind its path by about A_d / (k_v K).
     """
@@ -22,7 +24,9 @@ class ResolvedRate(TaskSpaceLaw):
     k_p_rotation: float = gain(2.0, "1/s", "gain K on the frame's attitude error", scalar=True)
     k_p_position: float = gain(2.0, "1/s", "gain K on the frame's position error", scalar=True)
     k_v: float = gain(20.0, "1/s", "gain on the rates of the driven coordinates", scalar=True)
-    k_p_plan: float = gain(2.0, "1/s", "gain on the errors of a driven base and of free joints", scalar=True)
+    k_p_plan: float = gain(
+        2.0, "1/s", "gain on the errors of a driven base and of free joints", scalar=True
+    )
 
     @functools.cached_property
     def k_p(self) -> np.ndarray:

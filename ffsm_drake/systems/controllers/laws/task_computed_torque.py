@@ -1,6 +1,8 @@
-"""Computed torque in task space: the frame's pose error becomes a double integrator, with J* and H*.
+"""Computed torque in task space: the frame's pose error becomes a double integrator, with J* and
+H*.
 
-Khatib 1987, doi:10.1109/JRA.1987.1087068; free floating Papadopoulos and Dubowsky 1991, doi:10.1109/70.105384.
+Khatib 1987, doi:10.1109/JRA.1987.1087068; free floating Papadopoulos and Dubowsky 1991,
+doi:10.1109/70.105384.
 """
 
 import dataclasses
@@ -23,4 +25,6 @@ class TaskComputedTorque(AccelerationLaw):
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
         feedback = self.feedback(self.k_d * point.e_dot + self.k_p * self.limited(point.e))
         wanted = point.desired_acceleration + feedback - point.bias_acceleration
-        return point.mass_matrix.dot(point.served(self.planned(point.sample), wanted)) + point.bias, {}
+        return point.mass_matrix.dot(
+            point.served(self.planned(point.sample), wanted)
+        ) + point.bias, {}

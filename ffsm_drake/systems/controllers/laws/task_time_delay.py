@@ -1,9 +1,10 @@
 """Time-delay control in task space: the estimators of time-delay control, on the frame's pose.
 
-The frame obeys A = N + Lambda^-1 F with Lambda = (J* H*^-1 J*^T)^-1, the task's mass matrix, and F the force on the
-frame; everything unknown is in N, and C* and A_0 too. All that an estimate takes of both is what the force gives the
-frame, Lambda^-1 F = J* H*^-1 tau_a: so that is the force of the sample that the estimators see, of the m rows of the
-task, and its mass matrix 1. Nothing is inverted that a singularity makes singular.
+The frame obeys A = N + Lambda^-1 F with Lambda = (J* H*^-1 J*^T)^-1, the task's mass matrix, and F
+the force on the frame; everything unknown is in N, and C* and A_0 too. All that an estimate takes
+of both is what the force gives the frame, Lambda^-1 F = J* H*^-1 tau_a: so that is the force of the
+sample that the estimators see, of the m rows of the task, and its mass matrix 1. Nothing is
+inverted that a singularity makes singular.
 """
 
 import dataclasses
@@ -25,14 +26,19 @@ _PREFIX = "frame_"  # of the memory: what is of the frame, not of the coordinate
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TaskTimeDelay(AccelerationLaw):
-    """tau_a = H* (z + [0; J+ (f - J* H*^-1 C* - J* z)]) + C* with f = base force + u - base acceleration.
+    """tau_a = H* (z + [0; J+ (f - J* H*^-1 C* - J* z)]) + C* with f = base force + u - base
+    acceleration.
 
     f is what tau_a should give the frame, u that of TDC, z the acceleration of the plan.
     """
 
     estimator: Estimator  # of m coordinates
-    k_p_rotation: float = gain(100.0, "1/s^2", "gain K_P on the frame's attitude error", scalar=True)
-    k_p_position: float = gain(100.0, "1/s^2", "gain K_P on the frame's position error", scalar=True)
+    k_p_rotation: float = gain(
+        100.0, "1/s^2", "gain K_P on the frame's attitude error", scalar=True
+    )
+    k_p_position: float = gain(
+        100.0, "1/s^2", "gain K_P on the frame's position error", scalar=True
+    )
     k_d_rotation: float = gain(100.0, "1/s", "gain K_D on its rate", scalar=True)
     k_d_position: float = gain(100.0, "1/s", "gain K_D on its rate", scalar=True)
 
@@ -49,9 +55,15 @@ class TaskTimeDelay(AccelerationLaw):
         return {_PREFIX + name: value for name, value in self.dynamics.held().items()}
 
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
-        own = {name.removeprefix(_PREFIX): value for name, value in state.items() if name.startswith(_PREFIX)}
+        own = {
+            name.removeprefix(_PREFIX): value
+            for name, value in state.items()
+            if name.startswith(_PREFIX)
+        }
         applied = point.sample.applied_force[self.task_space.driven]
-        given = point.jacobian.dot(np.linalg.solve(point.mass_matrix, np.stack([applied, point.bias], axis=1)))
+        given = point.jacobian.dot(
+            np.linalg.solve(point.mass_matrix, np.stack([applied, point.bias], axis=1))
+        )
         sample = point.sample._replace(
             v=point.twist,
             v_d=point.desired_twist,
@@ -62,7 +74,9 @@ class TaskTimeDelay(AccelerationLaw):
             is_new=None,
         )
         estimate, estimator_memory = self.estimator.step(sample, np.eye(len(given)), own)
-        u, dynamics_memory = self.dynamics.step(self.limited(estimate.e), estimate.e_dot, sample.a_d, own)
+        u, dynamics_memory = self.dynamics.step(
+            self.limited(estimate.e), estimate.e_dot, sample.a_d, own
+        )
         u = sample.a_d + self.feedback(u - sample.a_d)
         wanted = estimate.base_force + u - estimate.base_acceleration
         acceleration = point.served(self.planned(point.sample), wanted - given[:, 1])
@@ -71,9 +85,13 @@ class TaskTimeDelay(AccelerationLaw):
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
-        """See ControlLaw. Raises ScenarioError also for an estimator that needs measurements by coordinate."""
+        """See ControlLaw. Raises ScenarioError also for an estimator that needs measurements by
+        coordinate.
+        """
         task_space = TaskSpace.from_setup(setup)
-        q = configuration(task_space.model.plant, setup.scenario.initial_posture, key="initial_posture")
+        q = configuration(
+            task_space.model.plant, setup.scenario.initial_posture, key="initial_posture"
+        )
         jacobian = task_space.model.calc_jacobian(q, task_space.frame)[task_space.rows]
         estimator = make_task_estimator(setup.scenario, setup.coordinates, jacobian)
         return cls(**field_values(cls, setup, task_space=task_space, estimator=estimator))

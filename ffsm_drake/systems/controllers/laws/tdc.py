@@ -15,6 +15,8 @@ class Tdc(InjectedDynamics):
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the error's rate")
     k_p: np.ndarray = gain({"all": 100.0, "base_position": 200.0}, "1/s^2", "gain K_P on the error")
 
-    def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
+    def step(
+        self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State
+    ) -> tuple[np.ndarray, State]:
         """One control sample; see InjectedDynamics."""
         return a_d + self.k_d * e_dot + self.k_p * e, {}

@@ -1,4 +1,6 @@
-"""The proposed controller: TDE-based adaptive integral sliding-mode control, equations (6), (9) and (10)."""
+"""The proposed controller: TDE-based adaptive integral sliding-mode control, equations (6), (9) and
+(10).
+"""
 
 import dataclasses
 from collections.abc import Mapping
@@ -11,14 +13,20 @@ from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 _SMALLEST_SCALE = 1e-9  # 1/s^3, of K_s K_P where it is divided by
 
 
-def reaching_gain_rate(s: np.ndarray, k_s: np.ndarray, *, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+def reaching_gain_rate(
+    s: np.ndarray, k_s: np.ndarray, *, alpha: np.ndarray, beta: np.ndarray
+) -> np.ndarray:
     """dK_s/dt (..., nv) of equation (9): zero at |s| = K_s / beta."""
     magnitude = np.abs(s)
     return alpha * magnitude * np.sign(magnitude - k_s / beta)
 
 
-def switching_gain_rate(s: np.ndarray, g: np.ndarray, *, phi: np.ndarray, epsilon: float) -> np.ndarray:
-    """dG/dt (..., nv) of equation (10): grows while ||s||_inf > epsilon, shrinks below; leaves zero at phi epsilon."""
+def switching_gain_rate(
+    s: np.ndarray, g: np.ndarray, *, phi: np.ndarray, epsilon: float
+) -> np.ndarray:
+    """dG/dt (..., nv) of equation (10): grows while ||s||_inf > epsilon, shrinks below; leaves zero
+    at phi epsilon.
+    """
     magnitude = np.abs(s)
     sigma = np.sign(np.maximum.reduce(magnitude, axis=-1, keepdims=True) - epsilon)
     return np.where(g > 0.0, phi * magnitude * sigma, phi * epsilon)
@@ -28,9 +36,9 @@ def switching_gain_rate(s: np.ndarray, g: np.ndarray, *, phi: np.ndarray, epsilo
 class TdeAismc(InjectedDynamics):
     """u = a_d + K_D e' + K_P e + K_s s + G sgn s with s = e' + K_D e + K_P int e (equation (6)).
 
-    Gains are diagonals (nv). The surface is the one that (7) needs; (3) prints it with the factors of e and e'
-    exchanged. The published K_s of 80 without a bound adapts itself out of the sampled loop's stability on an exact
-    plant, hence the defaults of K_s.
+    Gains are diagonals (nv). The surface is the one that (7) needs; (3) prints it with the factors
+    of e and e' exchanged. The published K_s of 80 without a bound adapts itself out of the sampled
+    loop's stability on an exact plant, hence the defaults of K_s.
     """
 
     sample_time: float
@@ -51,7 +59,9 @@ class TdeAismc(InjectedDynamics):
         feedback=False,
     )
     k_s_max: np.ndarray = gain(70.0, "1/s", "upper bound of K_s; null: unbounded", bound=True)
-    g_initial: np.ndarray = gain(2e-4, "rad/s^2 or m/s^2", "switching gain G at the start", feedback=False)
+    g_initial: np.ndarray = gain(
+        2e-4, "rad/s^2 or m/s^2", "switching gain G at the start", feedback=False
+    )
     epsilon: float = gain(
         1e-4,
         "rad/s or m/s",
@@ -60,8 +70,12 @@ class TdeAismc(InjectedDynamics):
         positive=True,
         feedback=False,
     )
-    phi: np.ndarray = gain({"all": 1e-1, "base_position": 1e-2}, "1/s^2", "rate of G", feedback=False)
-    g_max: np.ndarray = gain(None, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True, feedback=False)
+    phi: np.ndarray = gain(
+        {"all": 1e-1, "base_position": 1e-2}, "1/s^2", "rate of G", feedback=False
+    )
+    g_max: np.ndarray = gain(
+        None, "rad/s^2 or m/s^2", "upper bound of G; null: unbounded", bound=True, feedback=False
+    )
 
     def initial_state(self) -> State:
         zeros = np.zeros_like(self.k_d)
@@ -76,14 +90,18 @@ class TdeAismc(InjectedDynamics):
         return {"reaching_gain": None, "switching_gain": 0.0}
 
     def resume(self, state: State, ratio: np.ndarray) -> State:
-        """See InjectedDynamics. K_s K_P times the integral goes on as a force, G as a bound of forces."""
+        """See InjectedDynamics. K_s K_P times the integral goes on as a force, G as a bound of
+        forces.
+        """
         scale = np.maximum(state["reaching_gain"] * self.k_p, _SMALLEST_SCALE)
         return {
             "integral_error": ratio @ (scale * state["integral_error"]) / scale,
             "switching_gain": np.abs(ratio) @ state["switching_gain"],
         }
 
-    def step(self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State) -> tuple[np.ndarray, State]:
+    def step(
+        self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State
+    ) -> tuple[np.ndarray, State]:
         """One control sample; see InjectedDynamics."""
         integral, k_s, g = state["integral_error"], state["reaching_gain"], state["switching_gain"]
         s = e_dot + self.k_d * e + self.k_p * integral
@@ -93,6 +111,10 @@ class TdeAismc(InjectedDynamics):
         return u, {
             "integral_error": integral + self.sample_time * e,
             "sliding_variable": s,
-            "reaching_gain": np.minimum(np.maximum(k_s + self.sample_time * k_s_rate, 0.0), self.k_s_max),
-            "switching_gain": np.minimum(np.maximum(g + self.sample_time * g_rate, 0.0), self.g_max),
+            "reaching_gain": np.minimum(
+                np.maximum(k_s + self.sample_time * k_s_rate, 0.0), self.k_s_max
+            ),
+            "switching_gain": np.minimum(
+                np.maximum(g + self.sample_time * g_rate, 0.0), self.g_max
+            ),
         }

@@ -1,8 +1,10 @@
-"""Torque against H: base torque of full size against the stack's angular momentum, a baseline without a plan.
+"""Torque against H: base torque of full size against the stack's angular momentum, a baseline
+without a plan.
 
-Base torque alone takes the angular momentum H about the centre of mass out in no less than |H| / tau_max, and in just
-that time when it points against H all the while (Aghili, "Optimal control of a space manipulator for detumbling of a
-target satellite", ICRA 2009). The joints hold the arm where it was; the base is where that leaves it.
+Base torque alone takes the angular momentum H about the centre of mass out in no less than |H| /
+tau_max, and in just that time when it points against H all the while (Aghili, "Optimal control of a
+space manipulator for detumbling of a target satellite", ICRA 2009). The joints hold the arm where
+it was; the base is where that leaves it.
 """
 
 import dataclasses
@@ -17,7 +19,9 @@ from ffsm_drake.systems.controllers.time_delay import matrix_vector
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TorqueAgainstMomentum(ControlLaw):
-    """Base torque -tau_max H / |H|, proportional to H at the end; base force zero; joints held by computed torque."""
+    """Base torque -tau_max H / |H|, proportional to H at the end; base force zero; joints held by
+    computed torque.
+    """
 
     model: PlantModel
     torque: float = gain(10.0, "N m", "size of the base torque tau_max", scalar=True, positive=True)
@@ -40,21 +44,28 @@ class TorqueAgainstMomentum(ControlLaw):
         held = joints.copy() if sample.is_first else state["held_joints"]
         H, C = self.model.calc_mass_matrix(sample.q), self.model.calc_bias(sample.q, sample.v)
         momentum = angular_momentum(H, sample.v)
-        size = np.maximum(np.sqrt((momentum * momentum).sum(axis=-1, keepdims=True)), self.torque * self.decay)
+        size = np.maximum(
+            np.sqrt((momentum * momentum).sum(axis=-1, keepdims=True)), self.torque * self.decay
+        )
         on_base = np.concatenate([-self.torque / size * momentum, np.zeros_like(momentum)], axis=-1)
         wanted = self.k_p * (held - joints) - self.k_d * sample.v[..., arm]
         # H [a; wanted] + C = [on_base; tau], for a and tau.
         rest = on_base - C[..., base] - matrix_vector(H[..., base, arm], wanted)
         a = np.linalg.solve(H[..., base, base], rest[..., None])[..., 0]
-        tau = matrix_vector(H[..., arm, base], a) + matrix_vector(H[..., arm, arm], wanted) + C[..., arm]
+        tau = (
+            matrix_vector(H[..., arm, base], a)
+            + matrix_vector(H[..., arm, arm], wanted)
+            + C[..., arm]
+        )
         return np.concatenate([on_base, tau], axis=-1), {"held_joints": held}
 
 
 def angular_momentum(mass_matrix: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Angular momentum (..., 3) of all bodies about their centre of mass, world axes, N m s.
 
-    The mass matrix holds all of it: H v begins with the momentum about the base's origin, and H[3:6, :3] is minus the
-    mass times the cross product by the way c from there to the centre of mass.
+    The mass matrix holds all of it: H v begins with the momentum about the base's origin, and
+    H[3:6, :3] is minus the mass times the cross product by the way c from there to the centre of
+    mass.
     """
     momentum = matrix_vector(mass_matrix, v)
     c = np.stack([mass_matrix[..., 4, 2], mass_matrix[..., 5, 0], mass_matrix[..., 3, 1]], axis=-1)

@@ -1,12 +1,14 @@
-"""TVLQR: a time-varying linear-quadratic regulator about the planned motion, a baseline without any estimate.
+"""TVLQR: a time-varying linear-quadratic regulator about the planned motion, a baseline without any
+estimate.
 
-About the plan the error e = q_d - q and its rate obey, to first order in both, with W = [w_d]x on the base's rotation,
+About the plan the error e = q_d - q and its rate obey, to first order in both, with W = [w_d]x on
+the base's rotation,
 
     e'' = (A_q - A_v W + W') e + (A_v + W) e' - H^-1 u,      tau = tau_d + u,
 
-where tau_d is the inverse dynamics of the plan, and A_q, A_v are derivatives of the acceleration at constant force, all
-of the nominal plant. The gains are those of the discrete Riccati equation, from the end of the plan backwards, where it
-is stationary.
+where tau_d is the inverse dynamics of the plan, and A_q, A_v are derivatives of the acceleration at
+constant force, all of the nominal plant. The gains are those of the discrete Riccati equation, from
+the end of the plan backwards, where it is stationary.
 """
 
 import dataclasses
@@ -35,7 +37,9 @@ _UNKNOWN: np.ndarray = np.zeros((1, 0, 0))  # of a law that was not made for a p
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Tvlqr(ControlLaw):
-    """tau = tau_d + K_k [e; e']; the cost is the sum of the squares of e, e' and tau - tau_d, each over its size."""
+    """tau = tau_d + K_k [e; e']; the cost is the sum of the squares of e, e' and tau - tau_d, each
+    over its size.
+    """
 
     model: PlantModel
     sample_time: float
@@ -44,7 +48,10 @@ class Tvlqr(ControlLaw):
     )
     rate_size: np.ndarray = gain(1e-2, "rad/s or m/s", "error rate that weighs 1", positive=True)
     force_size: np.ndarray = gain(
-        {"base_rotation": 10.0, "base_position": 10.0, "joints": 5.0}, "N m or N", "force that weighs 1", positive=True
+        {"base_rotation": 10.0, "base_position": 10.0, "joints": 5.0},
+        "N m or N",
+        "force that weighs 1",
+        positive=True,
     )
     gains: np.ndarray = dataclasses.field(
         default_factory=lambda: _UNKNOWN
@@ -57,14 +64,21 @@ class Tvlqr(ControlLaw):
         k = np.minimum(state["samples"][..., 0].astype(int), len(self.gains) - 1)
         planned = matrix_vector(self.model.calc_mass_matrix(sample.q_d), sample.a_d)
         planned = planned + self.model.calc_bias(sample.q_d, sample.v_d)
-        force = planned + matrix_vector(self.gains[k], np.concatenate([sample.e, sample.e_dot], axis=-1))
+        force = planned + matrix_vector(
+            self.gains[k], np.concatenate([sample.e, sample.e_dot], axis=-1)
+        )
         return force, {"samples": state["samples"] + 1.0}
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "Tvlqr":
-        """See ControlLaw. Raises ScenarioError also where the planned motion is a user-supplied block's."""
+        """See ControlLaw. Raises ScenarioError also where the planned motion is a user-supplied
+        block's.
+        """
         if setup.scenario.blocks.reference is not None:
-            raise ScenarioError("controller", f"{setup.name} needs the planned motion; blocks.reference must be null")
+            raise ScenarioError(
+                "controller",
+                f"{setup.name} needs the planned motion; blocks.reference must be null",
+            )
         law = cls(**field_values(cls, setup))
         scenario = dataclasses.replace(setup.scenario, random_seed=0, description="")
         gains = _gains_of(scenario, setup.settings, files_read(scenario))
@@ -72,17 +86,24 @@ class Tvlqr(ControlLaw):
 
 
 @memoized(maxsize=4)  # a run, its prediction and its stability ask for the same
-def _gains_of(scenario: Scenario, settings: Mapping[str, Any], files: tuple[Path, ...]) -> np.ndarray:
+def _gains_of(
+    scenario: Scenario, settings: Mapping[str, Any], files: tuple[Path, ...]
+) -> np.ndarray:
     """K_k (samples, nv, 2 nv) up to the end of the planned motion, which is made from ``files``."""
     model = driven_model(make_nominal_plant(scenario))
-    setup = BlockSetup(name=scenario.controller, scenario=scenario, nominal=model, settings=settings)
+    setup = BlockSetup(
+        name=scenario.controller, scenario=scenario, nominal=model, settings=settings
+    )
     law, motion, period = (
         Tvlqr(**field_values(Tvlqr, setup)),
         make_motion(scenario, model.coordinates),
         scenario.sample_time,
     )
     last, nv = max(1, round(motion.end / period)), law.error_size.size
-    known = [linearized(model, *motion.evaluate(time)) for time in np.linspace(0.0, last * period, _INSTANTS)]
+    known = [
+        linearized(model, *motion.evaluate(time))
+        for time in np.linspace(0.0, last * period, _INSTANTS)
+    ]
     weight = np.diag(np.concatenate([law.error_size, law.rate_size]) ** -2.0)
     effort = np.diag(law.force_size**-2.0)
     gains = np.empty((last + 1, nv, 2 * nv))
@@ -92,7 +113,9 @@ def _gains_of(scenario: Scenario, settings: Mapping[str, Any], files: tuple[Path
         place = k * (_INSTANTS - 1) / last
         i = min(int(place), _INSTANTS - 2)
         before, after = i + 1 - place, place - i
-        a, b = (before * one + after * other for one, other in zip(known[i], known[i + 1], strict=True))
+        a, b = (
+            before * one + after * other for one, other in zip(known[i], known[i + 1], strict=True)
+        )
         a, b = discretized(a, b, period)
         gains[k] = -np.linalg.solve(effort + b.T @ cost @ b, b.T @ cost @ a)
         cost = weight + a.T @ cost @ (a + b @ gains[k])
@@ -100,8 +123,12 @@ def _gains_of(scenario: Scenario, settings: Mapping[str, Any], files: tuple[Path
     return gains
 
 
-def linearized(model: PlantModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A (2 nv, 2 nv) and B (2 nv, nv) of [e; e']' = A [e; e'] + B u about a motion; see the module."""
+def linearized(
+    model: PlantModel, q: np.ndarray, v: np.ndarray, a: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A (2 nv, 2 nv) and B (2 nv, nv) of [e; e']' = A [e; e'] + B u about a motion; see the
+    module.
+    """
     nv = v.size
     mass_matrix, force = model.calc_mass_matrix(q), model.calc_inverse_dynamics(q, v, a)
     by_q, by_v = np.zeros((nv, nv)), np.zeros((nv, nv))
@@ -113,15 +140,26 @@ def linearized(model: PlantModel, q: np.ndarray, v: np.ndarray, a: np.ndarray) -
     a_q, a_v = -inverse @ by_q, -inverse @ by_v
     turn, turn_rate = np.zeros((nv, nv)), np.zeros((nv, nv))
     turn[:3, :3], turn_rate[:3, :3] = cross_matrix(v[:3]), cross_matrix(a[:3])
-    system = np.block([[np.zeros((nv, nv)), np.eye(nv)], [a_q - a_v @ turn + turn_rate, a_v + turn]])
+    system = np.block(
+        [[np.zeros((nv, nv)), np.eye(nv)], [a_q - a_v @ turn + turn_rate, a_v + turn]]
+    )
     return system, np.vstack([np.zeros((nv, nv)), -inverse])
 
 
 def moved(q: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """q (nq) with its attitude turned by a small rotation vector change[:3], world axes, and the rest moved."""
+    """q (nq) with its attitude turned by a small rotation vector change[:3], world axes, and the
+    rest moved.
+    """
     w, x, y, z = q[:4]
     a, b, c = 0.5 * change[:3]
-    turn = np.array([-a * x - b * y - c * z, a * w + b * z - c * y, b * w + c * x - a * z, c * w + a * y - b * x])
+    turn = np.array(
+        [
+            -a * x - b * y - c * z,
+            a * w + b * z - c * y,
+            b * w + c * x - a * z,
+            c * w + a * y - b * x,
+        ]
+    )
     turned = q[:4] + turn
     return np.concatenate([turned / np.linalg.norm(turned), q[4:] + change[3:]])
 
