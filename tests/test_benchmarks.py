@@ -11,15 +11,8 @@ ON_BASILISK = importlib.util.find_spec("Basilisk") is not None
 
 def test_rollout(monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
-    rollout, started = importlib.import_module("rollout"), []
-
-    def start_times(repeats, duration):  # a dozen fresh interpreters take too long for a test
-        started.append((repeats, duration))
-        return {"import pydrake.multibody.plant": rollout.Timing(median=2.0, minimum=1.0)}
-
-    monkeypatch.setattr(rollout, "start_times", start_times)
+    rollout = importlib.import_module("rollout")
     rollout.main(["--repeats", "1", "--duration", "0.2"])
-    assert started == [(1, "duration=0.2")]
     printed = capsys.readouterr().out
     assert printed.startswith("postcapture, tde_aismc, 0.2 s")
     ratio = r"\d+\.\d\d \(\d+\.\d\d\)"
@@ -40,3 +33,16 @@ def test_rollout(monkeypatch, capsys):
         ]
         assert len(differences) == 4
         assert 0.0 < max(differences) < 1e-7
+
+
+def test_startup(monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    startup = importlib.import_module("startup")
+    # the others take too long for a test
+    monkeypatch.setattr(startup, "PROGRAMS", {"nothing": ["-c", "pass"]})
+    startup.main(["--repeats", "1", "--against", str(BENCHMARKS)])
+    printed = capsys.readouterr().out.splitlines()
+    assert len(printed) == 2
+    # Drake takes longer
+    assert float(re.search(r"(\d\.\d\d) \(\d\.\d\d\) of it", printed[1])[1]) < 0.7
+    assert printed[1].endswith("of what it takes with --against")

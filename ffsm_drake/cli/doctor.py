@@ -46,16 +46,6 @@ def _packages() -> str:
     )
 
 
-def _drake() -> str:
-    from ffsm_drake.common import versions
-
-    first, last = versions.TESTED_DRAKE
-    installed = version("drake")
-    if not versions.release(first) <= versions.release(installed) <= versions.release(last):
-        raise RuntimeError(f"{installed} is outside the tested range, {first} to {last}")
-    return f"{installed}, in the tested range {first} to {last}"
-
-
 def _models() -> str:
     from ffsm_drake.spacecraft.nominal import make_true_plant
     from ffsm_drake.spacecraft.plant import models_dir
@@ -65,7 +55,7 @@ def _models() -> str:
 
 
 def _short_run() -> str:
-    from ffsm_drake.runs.simulate import simulate
+    from ffsm_drake.preflight.simulate import simulate
 
     record = simulate(
         override_scenario(load_scenario("postcapture"), ["duration=0.5"]), check_stability=False

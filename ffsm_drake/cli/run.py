@@ -202,7 +202,7 @@ def _tell_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) 
     with other settings.
     """
     from ffsm_drake.common.errors import FfsmError
-    from ffsm_drake.runs.simulate import repeatable_scenario
+    from ffsm_drake.preflight.simulate import repeatable_scenario
     from ffsm_drake.scenario import MANIFEST_FILE, differing_keys, load_scenario
 
     for folder, scenario in planned:
@@ -234,7 +234,7 @@ def _watch(scenario: "Scenario") -> "RunRecord":
 
 
 def _simulate(scenario: "Scenario") -> "RunRecord":
-    from ffsm_drake.runs.simulate import simulate
+    from ffsm_drake.preflight.simulate import simulate
 
     progress = RunProgress(scenario.controller)
     record = simulate(scenario, progress=progress)

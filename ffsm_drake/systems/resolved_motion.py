@@ -16,8 +16,7 @@ chapters 4 and 9; Siciliano and Slotine 1991, doi:10.1109/ICAR.1991.240390.)
 
 import dataclasses
 import itertools
-from collections.abc import Hashable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.multibody.tree import Frame
@@ -97,7 +96,7 @@ class ResolvedMotion(MomentumMotion):
         frame: Frame,
         model: PlantModel,
         sample_time: float,
-        key: Hashable = None,
+        content: tuple[Any, ...] = (),
     ) -> None:
         """Args: the motion without the frame; its path; what is asked of it; the frame; as
         MomentumMotion.
@@ -125,7 +124,12 @@ class ResolvedMotion(MomentumMotion):
         # Whether the base does while the joints rest.
         self._moves = bool(self._base.size or stack.momentum(v).any())
         super().__init__(
-            model=model, position=q, velocity=v, sample_time=sample_time, end=path.end, key=key
+            model=model,
+            position=q,
+            velocity=v,
+            sample_time=sample_time,
+            end=path.end,
+            content=content,
         )
 
     def velocity(self, time: float, q: np.ndarray) -> np.ndarray:

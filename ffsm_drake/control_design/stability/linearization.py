@@ -27,10 +27,12 @@ from pydrake.systems.primitives import RandomSource
 
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.lifetime import untie
+from ffsm_drake.common.memo import content_of
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import (
     Actuation,
+    Drives,
     Estimator,
     MassProperties,
     PerCoordinate,
@@ -59,6 +61,9 @@ from ffsm_drake.systems.setup import BlockSetup
 _STEP = 1e-7
 # Control samples on the plan before the map is taken: by then every memory holds what was measured.
 _WARM_UP = 5
+# Settings of actuation and drives that have no derivative: the linear loop has their defaults, and
+# keeps all others.
+NOT_LINEAR = {"actuation": ("limit", "quantization"), "drives": ("rate_limit",)}
 
 
 class Linearizer:
@@ -74,15 +79,8 @@ class Linearizer:
         sensing, estimator = smooth_sensing(scenario), scenario.estimator
         if sensing is not scenario.sensing:  # the estimator goes on to assume what it assumed
             estimator = _with_assumptions(scenario)
-        drives = scenario.actuation.drives
-        if drives is not None:
-            drives = dataclasses.replace(drives, rate_limit=None)
-        actuation = Actuation(
-            driven=scenario.actuation.driven, delay=scenario.actuation.delay, drives=drives
-        )
+        actuation = linear_actuation(scenario.actuation)
         if has_base_actuators(scenario):
-            own = scenario.actuation
-            actuation = dataclasses.replace(actuation, thrusters=own.thrusters, wheels=own.wheels)
             blocks = {"actuation": _mean_actuation, **(blocks or {})}
         self.scenario = dataclasses.replace(
             scenario, sensing=sensing, estimator=estimator, actuation=actuation
@@ -267,7 +265,7 @@ class Linearizer:
         """The updates of one common period, from the end of a warm-up that begins on the plan at a
         control sample.
         """
-        key = (first, *((name, value.tobytes()) for name, value in held.items()))
+        key = content_of((first, held))
         if key not in self._updates:
             self._context.SetTimeStateAndParametersFrom(self._start)
             self._context.SetTime(first * self.scenario.sample_time)
@@ -574,6 +572,16 @@ def has_base_actuators(scenario: Scenario) -> bool:
     return scenario.blocks.actuation is None and (
         actuation.thrusters is not None or actuation.wheels is not None
     )
+
+
+def linear_actuation(actuation: Actuation) -> Actuation:
+    """The actuators without ``NOT_LINEAR``."""
+    drives, plain = actuation.drives, Actuation(drives=Drives())
+    if drives is not None:
+        changes = {name: getattr(plain.drives, name) for name in NOT_LINEAR["drives"]}
+        drives = dataclasses.replace(drives, **changes)
+    changes = {name: getattr(plain, name) for name in NOT_LINEAR["actuation"]}
+    return dataclasses.replace(actuation, drives=drives, **changes)
 
 
 def _mean_actuation(setup: BlockSetup) -> Diagram | None:

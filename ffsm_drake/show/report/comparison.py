@@ -8,8 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.preflight.remarks import plan_remarks
 from ffsm_drake.runs.deflections import deflection_metrics
-from ffsm_drake.runs.limits import plan_remarks, run_clearance, run_remarks, saturation
+from ffsm_drake.runs.limits import run_clearance, run_remarks, saturation
 from ffsm_drake.runs.metrics import drift_metrics, frame_figures
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.report.results import Result, actuators_act, ranking
@@ -259,8 +260,9 @@ def table_notes(results: Sequence[Result], distances: Sequence[float] | None = N
         notes.append(
             "Error over the least possible: against the LQG controller of the same effort, which "
             "no linear controller "
-            "beats, for the same noise and a demand that walks at random; a dash where the loop "
-            "is unstable."
+            "beats, for the same noise, white or correlated, and a demand that walks at random; a "
+            "dash where the loop "
+            "is unstable or a user-supplied block senses."
         )
     if not all(result.comparable for result in results):
         notes.append(

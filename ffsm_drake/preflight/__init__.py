@@ -1,0 +1,3 @@
+"""A run with the check before it: what is said of a scenario, and the verbs simulate and
+compare.
+"""
