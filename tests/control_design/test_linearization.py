@@ -22,9 +22,10 @@ from ffsm_drake.control_design.stability.boundaries import (
     with_nominal_payload,
     with_sample_time,
 )
-from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.linearization import NOT_LINEAR, Linearizer
 from ffsm_drake.control_design.stability.margins import sampling_of
 from ffsm_drake.control_design.stability.sampled_loop import LoopGains, axis_loop, law_gains
+from ffsm_drake.scenario import Actuation, Drives, Thrusters, Wheel, Wheels
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 
@@ -258,3 +259,42 @@ def test_boundaries_of_the_closed_form():
     assert found.gains == pytest.approx(2.0 / (180.0 * 0.01), rel=3e-3)
     assert found.sample_time == pytest.approx(2.0 / (180.0 * 0.01), rel=3e-3)
     assert found.delay == 1.0
+
+
+@dataclasses.dataclass
+class LaterActuation(Actuation):
+    """With a setting that nothing here knows."""
+
+    backlash: float = 0.0
+
+
+@dataclasses.dataclass
+class LaterDrives(Drives):
+    """Likewise."""
+
+    ripple: float = 0.0
+
+
+def test_every_setting_of_the_actuators_is_kept_or_named():
+    """One that is neither would vanish from every statement about stability."""
+    some, wheel = {"all": 0.25}, {"torque_limit": 0.1}
+    drives = LaterDrives(
+        gear_ratio=some, rotor_inertia=some, nominal_rotor_inertia=some, rate_limit=some, knee=some, ripple=0.1,
+        coulomb_friction=some, static_friction=some, stribeck_rate=some, viscous_friction=some, smoothing_rate=some,
+    )  # fmt: skip
+    wheels = Wheels(units={"xyz"[i]: Wheel(axis=np.eye(3)[i].tolist(), **wheel) for i in range(3)})
+    given = LaterActuation(
+        driven=["base_rotation", "joints"], limit={"all": 5.0}, quantization=some, delay=1, backlash=0.1,
+        thrusters=Thrusters(layout="twelve"), wheels=wheels, drives=drives,
+    )  # fmt: skip
+    with Linearizer(dataclasses.replace(load_scenario("postcapture"), actuation=given)) as linearizer:
+        found = linearizer.scenario.actuation
+    parts = {
+        "actuation": (given, found, LaterActuation(drives=drives)),
+        "drives": (drives, found.drives, LaterDrives()),
+    }
+    for part, (before, after, plain) in parts.items():
+        for name in (field.name for field in dataclasses.fields(before) if field.name != "drives"):
+            old, default = getattr(before, name), getattr(plain, name)
+            assert old != default, f"{name}: give it another value than its default"
+            assert getattr(after, name) == (default if name in NOT_LINEAR[part] else old), name

@@ -26,7 +26,16 @@ from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.loop.closed_loop import make_closed_loop
-from ffsm_drake.scenario import Actuation, Estimator, MassProperties, PerCoordinate, Scenario, Sensing, from_grasp
+from ffsm_drake.scenario import (
+    Actuation,
+    Drives,
+    Estimator,
+    MassProperties,
+    PerCoordinate,
+    Scenario,
+    Sensing,
+    from_grasp,
+)
 from ffsm_drake.spacecraft.coordinates import BASE_ROTATION, NUM_BASE_POSITIONS, position_errors, rotation_error
 from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -43,6 +52,8 @@ from ffsm_drake.systems.setup import BlockSetup
 _STEP = 1e-7
 # Control samples on the plan before the map is taken: by then every memory holds what was measured.
 _WARM_UP = 5
+# Settings of actuation and drives that have no derivative: the linear loop has their defaults, and keeps all others.
+NOT_LINEAR = {"actuation": ("limit", "quantization"), "drives": ("rate_limit",)}
 
 
 class Linearizer:
@@ -57,13 +68,8 @@ class Linearizer:
         sensing, estimator = smooth_sensing(scenario), scenario.estimator
         if sensing is not scenario.sensing:  # the estimator goes on to assume what it assumed
             estimator = _with_assumptions(scenario)
-        drives = scenario.actuation.drives
-        if drives is not None:
-            drives = dataclasses.replace(drives, rate_limit=None)
-        actuation = Actuation(driven=scenario.actuation.driven, delay=scenario.actuation.delay, drives=drives)
+        actuation = linear_actuation(scenario.actuation)
         if has_base_actuators(scenario):
-            own = scenario.actuation
-            actuation = dataclasses.replace(actuation, thrusters=own.thrusters, wheels=own.wheels)
             blocks = {"actuation": _mean_actuation, **(blocks or {})}
         self.scenario = dataclasses.replace(scenario, sensing=sensing, estimator=estimator, actuation=actuation)
         self.loop = make_closed_loop(self.scenario, blocks=blocks)
@@ -469,6 +475,16 @@ def has_base_actuators(scenario: Scenario) -> bool:
     """Whether thrusters or wheels of the scenario's own give the base's wrench."""
     actuation = scenario.actuation
     return scenario.blocks.actuation is None and (actuation.thrusters is not None or actuation.wheels is not None)
+
+
+def linear_actuation(actuation: Actuation) -> Actuation:
+    """The actuators without ``NOT_LINEAR``."""
+    drives, plain = actuation.drives, Actuation(drives=Drives())
+    if drives is not None:
+        changes = {name: getattr(plain.drives, name) for name in NOT_LINEAR["drives"]}
+        drives = dataclasses.replace(drives, **changes)
+    changes = {name: getattr(plain, name) for name in NOT_LINEAR["actuation"]}
+    return dataclasses.replace(actuation, drives=drives, **changes)
 
 
 def _mean_actuation(setup: BlockSetup) -> Diagram | None:
