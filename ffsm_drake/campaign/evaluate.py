@@ -1,7 +1,6 @@
 """One case and controller -> one row. This runs in the workers."""
 
 import contextlib
-import functools
 import math
 import os
 import resource
@@ -20,6 +19,7 @@ from ffsm_drake.campaign.cases import Case, scenario_of
 from ffsm_drake.campaign.prediction import predict
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import BlockError, LimitError, one_line
+from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.runs.actuators import thrusters_used, wheels_used
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
@@ -118,7 +118,7 @@ def evaluate(campaign: str, case: Case, controller: str) -> Row:
         return _evaluator(campaign).evaluate(case, controller)
 
 
-@functools.lru_cache(maxsize=1)
+@memoized(maxsize=1)
 def _evaluator(campaign: str) -> "Evaluator":
     return Evaluator(spec_from_json(campaign))
 

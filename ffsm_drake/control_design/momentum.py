@@ -5,9 +5,8 @@ as its joints can go on turning; what neither holds turns the stack, and linear 
 """
 
 import dataclasses
-import functools
-import json
 import math
+from pathlib import Path
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -16,24 +15,20 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.scenario import Capture, Scenario, scenario_from_dict, scenario_to_dict
+from ffsm_drake.common.memo import memoized
+from ffsm_drake.scenario import Capture, Scenario, planned_part
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_errors
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.joint_limits import joint_limits, rate_limits
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.spacecraft.plant import resolve_package, urdfs_of
+from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.actuation.limits import force_limits
 from ffsm_drake.systems.actuation.wheels import WheelSet
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.rotation_motion import quaternion_rate
 
-# Of a scenario, what it depends on.
-_PARTS = (
-    "model", "payload", "initial_posture", "target_posture", "capture", "reference", "actuation", "blocks", "clearance",
-    "duration", "sample_time", "divergence_speed",
-)  # fmt: skip
 LONGEST = 1000.0  # s that are looked at
 _INSTANTS = 201  # of a planned motion that are looked at, and after it as densely to the run's end
 _INSTANTS_AFTER = 2001
@@ -95,17 +90,12 @@ def momentum_budget(scenario: Scenario) -> MomentumBudget | None:
     """
     if scenario.capture is None:
         return None
-    data, files = scenario_to_dict(scenario), urdfs_of(scenario.model)
-    if scenario.reference.kind == "optimal":
-        files = (*files, resolve_package(scenario.reference.plan or ""))
-    changed = tuple(file.stat().st_mtime_ns for file in files if file.exists())
-    return _budget_of(json.dumps({part: data[part] for part in _PARTS}), changed)
+    return _budget_of(planned_part(scenario), files_read(scenario))
 
 
-@functools.lru_cache(maxsize=16)  # a run's check, its record and its report ask for the same
-def _budget_of(text: str, changed: tuple[int, ...]) -> MomentumBudget:
-    """Of a scenario as text; ``changed`` is when its files were."""
-    scenario = scenario_from_dict(json.loads(text))
+@memoized(maxsize=16)  # a run's check, its record and its report ask for the same
+def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
+    """Of a scenario whose model and plan are made from ``files``."""
     accepted = (scenario.capture or Capture()).accepted_drift or {}
     model = make_nominal_plant(scenario)
     contact = planned_contact(scenario, model)

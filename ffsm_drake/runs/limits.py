@@ -5,24 +5,25 @@
 
 import dataclasses
 import functools
-import json
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.memo import memoized
 from ffsm_drake.control_design.momentum import momentum_budget
 from ffsm_drake.runs.capture import NOTHING, target_path
-from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
+from ffsm_drake.scenario import Model, Scenario, planned_part
 from ffsm_drake.spacecraft.capture import planned_contact, velocity_at_start
 from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, position_error
 from ffsm_drake.spacecraft.joint_limits import JointLimits, joint_limits, rate_limits
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant, make_true_plant
-from ffsm_drake.spacecraft.plant import configuration, find_body, make_plant, resolve_package, urdfs_of
+from ffsm_drake.spacecraft.plant import configuration, files_read, find_body, make_plant, model_files
 from ffsm_drake.systems.actuation.drives import DriveSet
 from ffsm_drake.systems.actuation.limits import base_limits, force_limits
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -176,20 +177,12 @@ def plan_clearance(scenario: Scenario) -> list[Closest]:
     """
     if scenario.blocks.reference is not None:
         return []
-    data = scenario_to_dict(scenario)
-    # What it depends on: a run, its report and the next run of the same plan ask for the same.
-    keys = ("model", "payload", "reference", "initial_posture", "target_posture", "duration", "sample_time", "capture")
-    parts = {key: data[key] for key in (*keys, "actuation")}
-    files = urdfs_of(scenario.model)
-    if scenario.reference.kind == "optimal":
-        files = (*files, resolve_package(scenario.reference.plan or ""))
-    return _plan_clearance_of(json.dumps(parts), tuple(file.stat().st_mtime_ns for file in files if file.exists()))
+    return _plan_clearance_of(planned_part(scenario), files_read(scenario))
 
 
-@functools.lru_cache(maxsize=64)
-def _plan_clearance_of(text: str, changed: tuple[int, ...]) -> list[Closest]:
-    """Of the parts of a scenario as text; ``changed`` is when its files were."""
-    scenario = scenario_from_dict(json.loads(text))
+@memoized(maxsize=64)  # a run, its report and the next run of the same plan ask for the same
+def _plan_clearance_of(scenario: Scenario, files: tuple[Path, ...]) -> list[Closest]:
+    """Of a scenario whose model and plan are made from ``files``."""
     model = make_nominal_plant(scenario)
     motion = make_motion(scenario, model.coordinates)
     found: list[Closest] = []
@@ -244,14 +237,12 @@ def _closest(
 
 def _shapes(scenario: Scenario, *, apart: str | None = None) -> Clearance:
     """The shapes of a scenario's model, where the target is held or, before a grasp, ``apart``."""
-    text = json.dumps(dataclasses.asdict(scenario.model))
-    return _loaded(text, tuple(file.stat().st_mtime_ns for file in urdfs_of(scenario.model)), apart)
+    return _loaded(scenario.model, model_files(scenario.model), apart)
 
 
-@functools.lru_cache(maxsize=4)  # a campaign asks after every run
-def _loaded(text: str, changed: tuple[int, ...], apart: str | None) -> Clearance:
-    """Of a model as text; loading takes longer than looking at a motion. ``changed`` is when its files were."""
-    model = scenario_from_dict({"model": json.loads(text)}).model
+@memoized(maxsize=4)  # a campaign asks after every run, and loading takes longer than looking
+def _loaded(model: Model, files: tuple[Path, ...], apart: str | None) -> Clearance:
+    """Of a model that is made from ``files``."""
     return Clearance(model) if apart is None else ApproachClearance(model, apart)
 
 

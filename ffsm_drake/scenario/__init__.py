@@ -54,6 +54,7 @@ from ffsm_drake.scenario.schema import (
     controller_key,
     from_grasp,
     inertia_matrix,
+    planned_part,
 )
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 from ffsm_drake.scenario.thruster_layouts import own_thrusters, thruster_layouts, thrusters_of
@@ -101,6 +102,7 @@ __all__ = [
     "Wheels",
     "from_grasp",
     "inertia_matrix",
+    "planned_part",
     "is_overridden",
     "load_scenario",
     "override_scenario",

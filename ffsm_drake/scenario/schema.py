@@ -572,6 +572,27 @@ def from_grasp(scenario: Scenario) -> Scenario:
     return dataclasses.replace(scenario, duration=scenario.duration - scenario.grasp_time, capture=held)
 
 
+# What a planned motion with the nominal payload does not depend on.
+_OF_THE_RUN = (
+    "description", "random_seed", "tolerance", "simulator_config", "initial_velocity", "controller",
+    "controllers", "python_path", "estimator", "command_filter", "disturbance", "environment", "sensing",
+)  # fmt: skip
+
+
+def planned_part(scenario: Scenario) -> Scenario:
+    """The scenario with defaults for all that its planned motion does not depend on.
+
+    Runs that differ in nothing else, such as those of several controllers, share what is computed
+    from it.
+    """
+    plain, truth = Scenario(), MassProperties()
+    if scenario.capture is not None:  # the target turns about its true centre of mass before the grasp
+        truth.center_of_mass = scenario.payload.truth.center_of_mass
+    payload = dataclasses.replace(scenario.payload, truth=truth)
+    changes = {name: getattr(plain, name) for name in _OF_THE_RUN}
+    return dataclasses.replace(scenario, payload=payload, **changes)
+
+
 def controller_key(controller: str) -> str:
     """The key in ``controllers`` of a controller: its name, or what follows the colon of ``module:attribute``."""
     return controller.rpartition(":")[2]

@@ -1,11 +1,11 @@
 """YAML for settings, read strictly: what PyYAML would silently ignore, or expand without limit, is refused."""
 
-import copy
-import functools
 import re
 from typing import Any
 
 import yaml
+
+from ffsm_drake.common.memo import memoized
 
 MAX_DEPTH = 50
 MAX_NODES = 100_000  # with every alias written out
@@ -70,16 +70,12 @@ for _tag, _form in zip(
     _StrictLoader.add_implicit_resolver(_tag, re.compile(_form), list("-+.0123456789"))
 
 
+@memoized(maxsize=64)  # the shipped files are read again and again, and PyYAML is slow
 def read_yaml(text: str) -> Any:
     """Plain data (mappings, lists, leaves) of one YAML document; None for an empty one.
 
     Raises StrictYamlError: not YAML, a key given twice, a tag, aliases that multiply or are circular, deep nesting.
     """
-    return copy.deepcopy(_read(text))
-
-
-@functools.lru_cache(maxsize=64)  # the shipped files are read again and again, and PyYAML is slow
-def _read(text: str) -> Any:
     try:
         loader = _StrictLoader(text)
         try:

@@ -1,6 +1,5 @@
 """The files that a model leads to, looked at before Drake opens them: it would read a device or a FIFO without end."""
 
-import functools
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -8,6 +7,7 @@ from xml.etree import ElementTree
 
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.files import check_regular
+from ffsm_drake.common.memo import memoized
 
 DRAWABLE = (".obj", ".gltf", ".dae")  # what Meshcat, and with it the recording, can draw
 _TEXTS = (".urdf", ".sdf", ".xml", ".yaml", ".yml", ".gltf", ".obj", ".mtl")
@@ -36,19 +36,20 @@ def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Pat
     """
     first = next(_resolved(address, Path(), packages), None)
     try:
-        changed = 0 if first is None else first.stat().st_mtime_ns
+        if first is None or not first.exists():
+            return ()
     except (OSError, ValueError):
         return ()
-    problem, files = _looked_at(first, tuple(sorted(packages.items())), changed)
+    problem, files = _looked_at(first, packages)
     if problem:
         raise ModelError(f"{place}: {problem}")
     return files
 
 
-@functools.lru_cache(maxsize=64)  # plants are made again and again
-def _looked_at(first: Path | None, packages: tuple[tuple[str, str], ...], changed: int) -> tuple[str, tuple[Path, ...]]:
-    """What is wrong with the files, or nothing, and which they are; ``changed`` is when the first was."""
-    pending = [] if first is None else [first]
+@memoized(maxsize=64)  # plants are made again and again
+def _looked_at(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path, ...]]:
+    """What is wrong with a file and those that it names, or nothing, and which they are."""
+    pending = [first]
     for path in pending:  # which grows
         try:
             check_regular(path, limit=_MAX_SIZE)
@@ -57,7 +58,7 @@ def _looked_at(first: Path | None, packages: tuple[tuple[str, str], ...], change
                     text = file.read(_MAX_READ)
                 for found in _NAMES.finditer(text):
                     name = next(filter(None, found.groups()), "")
-                    further = _resolved(name, path.parent, dict(packages))
+                    further = _resolved(name, path.parent, packages)
                     pending += [other for other in further if other not in pending]
         except FileNotFoundError:
             continue

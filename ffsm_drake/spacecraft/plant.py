@@ -16,7 +16,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from ffsm_drake.common.errors import ModelError, did_you_mean, one_line
-from ffsm_drake.scenario import Model, Posture
+from ffsm_drake.scenario import Model, Posture, Scenario
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
     BASE_ROTATION,
@@ -203,12 +203,22 @@ def _package_folders(model: Model) -> dict[str, str]:
     return found_by_ros | {"ffsm_drake": str(models_dir())} | model.packages
 
 
-def urdfs_of(model: Model) -> tuple[Path, ...]:
-    """The URDFs that a model is made from. Raises ModelError: a file of it cannot be read."""
+def model_files(model: Model) -> tuple[Path, ...]:
+    """The files that a model is made from. Raises ModelError: one of them cannot be read."""
     folders = _package_folders(model)
     addresses = [model.directives] if model.servicer is None else [model.servicer, model.debris]
-    files = [path for address in addresses for path in files_of(address or "", "model", folders)]
-    return tuple(path for path in dict.fromkeys(files) if path.suffix.lower() == ".urdf")
+    return tuple(dict.fromkeys(path for address in addresses for path in files_of(address or "", "model", folders)))
+
+
+def urdfs_of(model: Model) -> tuple[Path, ...]:
+    """The URDFs among ``model_files``; errors as there."""
+    return tuple(path for path in model_files(model) if path.suffix.lower() == ".urdf")
+
+
+def files_read(scenario: Scenario) -> tuple[Path, ...]:
+    """The files that a scenario's model and plan are read from; errors as ``model_files``."""
+    plan = scenario.reference.plan if scenario.reference.kind == "optimal" else None
+    return (*model_files(scenario.model), *(() if plan is None else (resolve_package(plan),)))
 
 
 def cause_of(error: BaseException) -> str:

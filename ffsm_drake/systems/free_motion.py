@@ -6,14 +6,12 @@ motion gives no force where nothing drives.
 """
 
 import abc
-import dataclasses
-import functools
-from collections.abc import Hashable
 from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from ffsm_drake.common.memo import memoized
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -34,13 +32,14 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         velocity: np.ndarray,
         sample_time: float,
         end: float,
-        key: Hashable = None,
+        content: tuple[Any, ...] = (),
     ) -> None:
         """Args: the plant with the nominal payload; q (nq) and v (nv) at the start; the control period, s; its end, s.
 
-        Of ``velocity`` only the momentum counts. Motions of one ``key`` are the same, and integrated once.
+        Of ``velocity`` only the momentum counts. Motions of the same ``content`` (``memo.content_of``),
+        which says all that they depend on, are integrated once; without, each on its own.
         """
-        self._key = key
+        self._content = content
         self._model, self._driven = model, model.coordinates.driven
         self._momentum = self._stack(position).momentum(velocity)
         self._first, self._duration = position, end
@@ -100,7 +99,7 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         """q (n, nq) at times (n,)."""
         part = np.maximum(np.ceil(times / self._duration).astype(int) - 1, 0)
         while len(self._parts) <= part.max():
-            found = self.solve() if self._key is None else _solved(_Part(self._key, len(self._parts), self))
+            found = _solved(self._content, len(self._parts), motion=self) if self._content else self.solve()
             self._parts.append(found)
         q = np.empty((times.size, self._first.size))
         for i in set(part.tolist()):
@@ -109,32 +108,25 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         return q
 
 
-@dataclasses.dataclass(frozen=True)
-class _Part:
-    """A part of a motion, the same for all motions of one key."""
-
-    key: Hashable
-    index: int
-    motion: MomentumMotion = dataclasses.field(compare=False)
-
-
-@functools.lru_cache(maxsize=16)
-def _solved(part: _Part) -> Any:
-    """A run, its report and the next run ask for the same motion."""
-    return part.motion.solve()
+@memoized(maxsize=16, besides="motion")  # a run, its report and the next run ask for the same motion
+def _solved(content: tuple[Any, ...], index: int, *, motion: MomentumMotion) -> Any:
+    """A part of the motion of that content."""
+    return motion.solve()
 
 
 class FreeMotion(MomentumMotion):
     """A planned motion of the driven coordinates, whatever it asks of the others."""
 
-    def __init__(self, wanted: PlannedMotion, *, model: PlantModel, sample_time: float, key: Hashable = None) -> None:
+    def __init__(
+        self, wanted: PlannedMotion, *, model: PlantModel, sample_time: float, content: tuple[Any, ...] = ()
+    ) -> None:
         """Args: the motion; the plant with the nominal payload; the control period, s; as MomentumMotion."""
         self._wanted = wanted
         coordinates = model.coordinates
         self._columns = np.concatenate([[0] if coordinates.is_driven[0] else [], coordinates.driven + 1]).astype(int)
         self._sizes = [len(coordinates.position_names), len(coordinates.position_names) + len(coordinates.names)]
         q, v, _ = wanted.evaluate(0.0)
-        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=wanted.end, key=key)
+        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=wanted.end, content=content)
 
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         return self._wanted.velocities(np.array([time]))[0, self._driven]

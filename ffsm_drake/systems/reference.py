@@ -12,7 +12,7 @@ polynomial of a rotation vector from its first attitude, world frame, along the 
 """
 
 import dataclasses
-import json
+from typing import Any
 
 import numpy as np
 from pydrake.math import RollPitchYaw
@@ -20,11 +20,11 @@ from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuil
 from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.scenario import Posture, Scenario, scenario_to_dict
+from ffsm_drake.scenario import Posture, Scenario, planned_part
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.spacecraft.plant import resolve_package, urdfs_of
+from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
 from ffsm_drake.systems.frame_path import FramePath, goal_frame, make_frame_path
@@ -190,12 +190,12 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
                 frame=goal_frame(scenario, nominal.plant),
                 model=nominal,
                 sample_time=scenario.sample_time,
-                key=(*_content(scenario), motion.end),
+                content=_content(scenario, motion),
             )
         if not scenario.undriven:
             return motion
-        key = (*_content(scenario), motion.end)
-        return FreeMotion(motion, model=nominal, sample_time=scenario.sample_time, key=key)
+        content = _content(scenario, motion)
+        return FreeMotion(motion, model=nominal, sample_time=scenario.sample_time, content=content)
 
     velocity = None if contact is None else contact.grasp.velocity
     duration = reference.duration
@@ -218,15 +218,18 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
     return CaptureMotion(approach=approach, stop=stop, sample_time=scenario.sample_time)
 
 
-def _content(scenario: Scenario) -> tuple[str, ...]:
-    """What a planned motion depends on, files by when they were written."""
-    data, files = scenario_to_dict(scenario), urdfs_of(scenario.model)
-    del data["payload"]["truth"]  # of which a plan knows nothing: the cases of a campaign share it
-    parts = ("model", "payload", "reference", "initial_posture", "target_posture", "capture", "actuation", "blocks")
-    if scenario.reference.kind == "optimal":
-        files = (*files, resolve_package(scenario.reference.plan or ""))
-    changed = [file.stat().st_mtime_ns for file in files if file.exists()]
-    return json.dumps([data[part] for part in parts]), repr(changed)
+def _content(scenario: Scenario, motion: PlannedMotion) -> tuple[Any, ...]:
+    """What the motion that follows from a planned one depends on."""
+    plain = Scenario()
+    part = dataclasses.replace(
+        planned_part(scenario),
+        duration=plain.duration,
+        sample_time=plain.sample_time,
+        divergence_speed=plain.divergence_speed,
+        clearance=plain.clearance,
+        planning=plain.planning,
+    )
+    return part, files_read(scenario), motion.end
 
 
 def timed(scenario: Scenario) -> Scenario:

@@ -13,8 +13,7 @@ squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2), once differentiable in s,
 
 import dataclasses
 import itertools
-from collections.abc import Hashable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.multibody.tree import Frame
@@ -82,7 +81,7 @@ class ResolvedMotion(MomentumMotion):
         frame: Frame,
         model: PlantModel,
         sample_time: float,
-        key: Hashable = None,
+        content: tuple[Any, ...] = (),
     ) -> None:
         """Args: the motion without the frame; its path; what is asked of it; the frame; as MomentumMotion."""
         self._wanted, self._path, self._goal, self._frame = wanted, path, goal, frame
@@ -103,7 +102,7 @@ class ResolvedMotion(MomentumMotion):
         self._first_reaction = stack.following[self._held][:, self._arm] @ self._first_rate
         # Whether the base does while the joints rest.
         self._moves = bool(self._base.size or stack.momentum(v).any())
-        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=path.end, key=key)
+        super().__init__(model=model, position=q, velocity=v, sample_time=sample_time, end=path.end, content=content)
 
     def velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         return self._resolved(q[None], self._asked(np.array([time]))[0]).v[0]

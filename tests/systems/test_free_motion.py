@@ -155,3 +155,10 @@ def test_bad_input(overrides, problem):
     with pytest.raises(ScenarioError) as error:
         load_scenario("postcapture", [*FREE, *overrides])
     assert problem in str(error.value).replace("'", "")
+
+
+def test_a_target_turns_about_its_true_centre_of_mass():
+    """It moves the grasp point, and with it where the base goes, though the plans differ in nothing else."""
+    centers = ([0.0, 0.0, 0.0], [0.0, 0.3, 0.0])
+    rows = [make(*JOINTS, *TUMBLING, f"payload.truth.center_of_mass={center}")[2].row(5.0) for center in centers]
+    assert np.abs((rows[1] - rows[0])[:7]).max() > 1e-4

@@ -24,6 +24,7 @@ from pydrake.systems.primitives import RandomSource
 
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.lifetime import untie
+from ffsm_drake.common.memo import content_of
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import (
@@ -228,7 +229,7 @@ class Linearizer:
 
     def _updates_from(self, first: int, held: Mapping[str, np.ndarray]) -> tuple["_Update", ...]:
         """The updates of one common period, from the end of a warm-up that begins on the plan at a control sample."""
-        key = (first, *((name, value.tobytes()) for name, value in held.items()))
+        key = content_of((first, held))
         if key not in self._updates:
             self._context.SetTimeStateAndParametersFrom(self._start)
             self._context.SetTime(first * self.scenario.sample_time)

@@ -10,16 +10,18 @@ is stationary.
 """
 
 import dataclasses
-import functools
-import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.scenario import scenario_from_dict, scenario_to_dict
+from ffsm_drake.common.memo import memoized
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.spacecraft.plant import urdfs_of
+from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values, gain
 from ffsm_drake.systems.controllers.time_delay import matrix_vector
 from ffsm_drake.systems.reference import make_motion
@@ -64,17 +66,16 @@ class Tvlqr(ControlLaw):
         if setup.scenario.blocks.reference is not None:
             raise ScenarioError("controller", f"{setup.name} needs the planned motion; blocks.reference must be null")
         law = cls(**field_values(cls, setup))
-        given = {**scenario_to_dict(setup.scenario), "random_seed": 0, "description": ""}
-        changed = tuple(file.stat().st_mtime_ns for file in urdfs_of(setup.scenario.model))
-        return dataclasses.replace(law, gains=_gains_of(json.dumps(given), json.dumps(setup.settings), changed))
+        scenario = dataclasses.replace(setup.scenario, random_seed=0, description="")
+        gains = _gains_of(scenario, setup.settings, files_read(scenario))
+        return dataclasses.replace(law, gains=gains)
 
 
-@functools.lru_cache(maxsize=4)  # a run, its prediction and its stability ask for the same
-def _gains_of(text: str, settings: str, changed: tuple[int, ...]) -> np.ndarray:
-    """K_k (samples, nv, 2 nv) of a scenario as text up to the end of its motion; ``changed`` is when its files were."""
-    scenario = scenario_from_dict(json.loads(text))
+@memoized(maxsize=4)  # a run, its prediction and its stability ask for the same
+def _gains_of(scenario: Scenario, settings: Mapping[str, Any], files: tuple[Path, ...]) -> np.ndarray:
+    """K_k (samples, nv, 2 nv) up to the end of the planned motion, which is made from ``files``."""
     model = driven_model(make_nominal_plant(scenario))
-    setup = BlockSetup(name=scenario.controller, scenario=scenario, nominal=model, settings=json.loads(settings))
+    setup = BlockSetup(name=scenario.controller, scenario=scenario, nominal=model, settings=settings)
     law, motion, period = (
         Tvlqr(**field_values(Tvlqr, setup)),
         make_motion(scenario, model.coordinates),
@@ -96,7 +97,6 @@ def _gains_of(text: str, settings: str, changed: tuple[int, ...]) -> np.ndarray:
         gains[k] = -np.linalg.solve(effort + b.T @ cost @ b, b.T @ cost @ a)
         cost = weight + a.T @ cost @ (a + b @ gains[k])
         cost = 0.5 * (cost + cost.T)
-    gains.setflags(write=False)
     return gains
 
 
