@@ -33,8 +33,8 @@ import numpy as np
 from on_mujoco import Arm, MujocoLoop
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
+from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.rollout import Rollout, RunLog
-from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import configuration, make_plant

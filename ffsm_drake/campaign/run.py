@@ -23,9 +23,9 @@ from ffsm_drake.campaign.store import Store, check_columns, create_store, open_s
 from ffsm_drake.common.errors import CampaignError, FfsmError, InterruptedCampaign
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
+from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.runs.simulate import make_record
 
 # A process that has grown to this is replaced: Drake keeps every diagram with a system written in Python alive, some
 # 4 MiB for each closed loop that has to be built anew.

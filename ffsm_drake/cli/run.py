@@ -170,7 +170,7 @@ def _stem_of(scenario: "Scenario") -> str:
 def _tell_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) -> None:
     """Say so, in a line, when one of the runs planned in a directory will take the place of one with other settings."""
     from ffsm_drake.common.errors import FfsmError
-    from ffsm_drake.runs.simulate import repeatable_scenario
+    from ffsm_drake.preflight.simulate import repeatable_scenario
     from ffsm_drake.scenario import MANIFEST_FILE, differing_keys, load_scenario
 
     for folder, scenario in planned:
@@ -196,7 +196,7 @@ def _watch(scenario: "Scenario") -> "RunRecord":
 
 
 def _simulate(scenario: "Scenario") -> "RunRecord":
-    from ffsm_drake.runs.simulate import simulate
+    from ffsm_drake.preflight.simulate import simulate
 
     progress = RunProgress(scenario.controller)
     record = simulate(scenario, progress=progress)

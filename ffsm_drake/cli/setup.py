@@ -146,8 +146,8 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
     """
     from ffsm_drake.common.errors import FfsmError, ModelError
     from ffsm_drake.control_design.momentum import momentum_budget
-    from ffsm_drake.runs.limits import plan_clearance
-    from ffsm_drake.runs.simulate import prepare
+    from ffsm_drake.preflight.remarks import plan_clearance
+    from ffsm_drake.preflight.simulate import prepare
     from ffsm_drake.scenario import load_scenario
     from ffsm_drake.show.tables import momentum_lines
     from ffsm_drake.spacecraft.plant import check_pictures

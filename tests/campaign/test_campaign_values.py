@@ -7,8 +7,8 @@ from ffsm_drake.campaign.cases import Case, scenario_of
 from ffsm_drake.campaign.evaluate import METRICS, Evaluator, differing_columns, evaluate
 from ffsm_drake.campaign.spec import load_spec
 from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import load_scenario, scenario_from_dict, scenario_to_dict
 
 # key, value, controller, and the series that must differ

@@ -7,8 +7,9 @@ import pytest
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.control_design.planning import PlanningError, plan_motion
-from ffsm_drake.runs.limits import LimitWarning, plan_clearance, plan_remarks, saturation
-from ffsm_drake.runs.simulate import prepare
+from ffsm_drake.preflight.remarks import LimitWarning, plan_clearance, plan_remarks
+from ffsm_drake.preflight.simulate import prepare
+from ffsm_drake.runs.limits import saturation
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.plan import load_plan
 from ffsm_drake.systems.reference import make_motion

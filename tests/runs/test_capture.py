@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import RunRecord, load_scenario, override_scenario, simulate
 from ffsm_drake.analysis import analyze
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.capture import NOTHING, CaptureRollout, coast, make_rollout, seen_from
 from ffsm_drake.runs.dataset import make_dataset
 from ffsm_drake.runs.metrics import momentum_residual, phases_of
-from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.scenario import MassProperties, from_grasp
 from ffsm_drake.show.report.grasp import grasp_of
 from ffsm_drake.show.report.results import results_of

@@ -14,9 +14,9 @@ from pydrake.systems.framework import Context
 from ffsm_drake.analysis.balances import absolute_impulse, energy_residual
 from ffsm_drake.common.errors import ModelError, ScenarioError
 from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Flexible, Model, Scenario, load_scenario
 from ffsm_drake.spacecraft.flexible import add_flexible, cantilever_modes, hidden_modes, set_flexible
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_true_plant

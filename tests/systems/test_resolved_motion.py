@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.runs.limits import plan_remarks
+from ffsm_drake.preflight.remarks import plan_remarks
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.spacecraft.free_floating import free_floating

@@ -21,8 +21,8 @@ from pydrake.systems.framework import Diagram
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.loop.operator import make_operated_disturbance
+from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.meshcat import set_stage, start_meshcat
 from ffsm_drake.show.meshcat.arrows import Arrow

@@ -8,8 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.preflight.remarks import plan_remarks
 from ffsm_drake.runs.deflections import deflection_metrics
-from ffsm_drake.runs.limits import plan_remarks, run_clearance, run_remarks, saturation
+from ffsm_drake.runs.limits import run_clearance, run_remarks, saturation
 from ffsm_drake.runs.metrics import drift_metrics, frame_figures
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.report.results import Result, actuators_act, ranking

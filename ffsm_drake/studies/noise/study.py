@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from ffsm_drake.common.workers import map_tasks
-from ffsm_drake.runs.simulate import simulate
+from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.studies.noise.cases import CONTROLLERS, GAINS_OF, SIGMAS, NoiseCase, study_cases
 

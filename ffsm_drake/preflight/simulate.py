@@ -10,9 +10,9 @@ from pydrake.geometry import Meshcat
 from ffsm_drake.common.files import same_folder
 from ffsm_drake.control_design.momentum import momentum_budget
 from ffsm_drake.loop.blocks import block_choices, block_sources
+from ffsm_drake.preflight.remarks import LimitWarning, plan_remarks
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.dataset import make_dataset
-from ffsm_drake.runs.limits import LimitWarning, plan_remarks
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog, user_supplied
 from ffsm_drake.scenario import Block, Scenario

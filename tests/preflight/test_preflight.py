@@ -1,0 +1,43 @@
+"""What is said of a scenario before it runs, and what is not loaded for a run."""
+
+import subprocess
+import sys
+import warnings
+
+import pytest
+
+import ffsm_drake
+from ffsm_drake import load_scenario
+from ffsm_drake.control_design.stability import StabilityWarning
+from ffsm_drake.preflight.remarks import LimitWarning
+
+SHORT = ["duration=0.105", "sensing.delay=1"]  # no whole number of samples, and unstable
+
+
+def loaded_after(code):
+    """The modules that a new process has loaded after running some code."""
+    code += "\nimport sys; print(*sorted(sys.modules), sep='\\n')"
+    return set(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split())
+
+
+@pytest.mark.parametrize("verb", [ffsm_drake.simulate, lambda scenario: ffsm_drake.compare(scenario, ["tdc"])])
+def test_a_run_says_first_what_is_expected_of_it(verb):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        verb(load_scenario("postcapture", SHORT))
+    kinds = [warning.category for warning in caught]
+    assert kinds.count(StabilityWarning) == 1
+    assert kinds.count(LimitWarning) == 1
+
+
+def test_it_need_not():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ffsm_drake.simulate(load_scenario("postcapture", SHORT), check_stability=False)
+
+
+def test_a_rollout_loads_nothing_of_control_design():
+    run = "from ffsm_drake import Rollout, load_scenario; Rollout(load_scenario('postcapture', ['duration=0.1'])).run()"
+    loaded = loaded_after(run)
+    assert "ffsm_drake.runs.rollout" in loaded
+    assert not [name for name in loaded if name.startswith(("ffsm_drake.control_design", "ffsm_drake.preflight"))]
