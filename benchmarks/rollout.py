@@ -21,8 +21,6 @@ the same run with the panels locked: what hidden coordinates cost.
 
 import argparse
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -163,28 +161,6 @@ def variant_times(
     )
 
 
-def start_times(repeats: int, duration: str) -> dict[str, Timing]:
-    """Wall time of fresh interpreters, less that of an empty one."""
-    scenario = f"f.load_scenario('postcapture', ['{duration}'])"
-    codes = {
-        "empty": "pass",
-        "import pydrake.multibody.plant": "import pydrake.multibody.plant",
-        "import ffsm_drake": "import ffsm_drake",  # which loads the rest when it is used
-        "import ffsm_drake.runs.rollout": "import ffsm_drake.runs.rollout",
-        "first metrics, simulate": f"import ffsm_drake as f; f.simulate({scenario}).metrics",
-        "first metrics, Rollout": "import ffsm_drake as f; from ffsm_drake.runs.rollout import Rollout; "
-        f"Rollout({scenario}).run().metrics",
-    }
-    commands = {name: [sys.executable, "-c", code] for name, code in codes.items()}
-    contestants = {
-        name: lambda command=command: timed(lambda: subprocess.run(command, check=True, capture_output=True))
-        for name, command in commands.items()
-    }
-    times = interleaved(contestants, repeats)
-    empty = times.pop("empty")
-    return {name: Timing(t.median - empty.median, t.minimum - empty.minimum) for name, t in times.items()}
-
-
 def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -> None:
     a, b, c = (times[name] for name in "abc")
     print(f"  (a) bare plant         {a}")
@@ -241,7 +217,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         | {
             "build": lambda: timed(lambda: Rollout(scenario)),
             "run": lambda: timed(lambda: shipped.rollout.run().metrics),
-            "simulate": lambda: timed(lambda: simulate(scenario, check_stability=False)),
+            "simulate": lambda: timed(lambda: simulate(scenario, check_stability=False).dataset),
         },
         repeats,
     )
@@ -260,12 +236,6 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     print(f"cost against joints, generated arms, medians of {fewer} (minima)")
     print_arms(times, arms)
-
-    start = start_times(fewer, duration)
-    print(f"start-up, medians of {fewer} fresh interpreters (minima), less an empty one's")
-    for name, timing in start.items():
-        ratio = timing.over(start["import pydrake.multibody.plant"])
-        print(f"  {name:32s} {timing}   {ratio} of pydrake.multibody.plant")
 
 
 if __name__ == "__main__":

@@ -11,15 +11,8 @@ ON_BASILISK = importlib.util.find_spec("Basilisk") is not None
 
 def test_rollout(monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
-    rollout, started = importlib.import_module("rollout"), []
-
-    def start_times(repeats, duration):  # a dozen fresh interpreters take too long for a test
-        started.append((repeats, duration))
-        return {"import pydrake.multibody.plant": rollout.Timing(median=2.0, minimum=1.0)}
-
-    monkeypatch.setattr(rollout, "start_times", start_times)
+    rollout = importlib.import_module("rollout")
     rollout.main(["--repeats", "1", "--duration", "0.2"])
-    assert started == [(1, "duration=0.2")]
     printed = capsys.readouterr().out
     assert printed.startswith("postcapture, tde_aismc, 0.2 s")
     ratio = r"\d+\.\d\d \(\d+\.\d\d\)"
@@ -32,3 +25,14 @@ def test_rollout(monkeypatch, capsys):
         differences = [float(x) for x in re.findall(rf"\(b\) - \({other}\): +(\d\.\de[-+]\d\d)", printed)]
         assert len(differences) == 4
         assert 0.0 < max(differences) < 1e-7
+
+
+def test_startup(monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    startup = importlib.import_module("startup")
+    monkeypatch.setattr(startup, "PROGRAMS", {"nothing": ["-c", "pass"]})  # the others take too long for a test
+    startup.main(["--repeats", "1", "--against", str(BENCHMARKS)])
+    printed = capsys.readouterr().out.splitlines()
+    assert len(printed) == 2
+    assert float(re.search(r"(\d\.\d\d) \(\d\.\d\d\) of it", printed[1])[1]) < 0.7  # Drake takes longer
+    assert printed[1].endswith("of what it takes with --against")

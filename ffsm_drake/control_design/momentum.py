@@ -11,8 +11,6 @@ from pathlib import Path
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
-from scipy.integrate import solve_ivp
-from scipy.optimize import linprog
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
@@ -218,6 +216,8 @@ def _arm_budget(scenario: Scenario, model: PlantModel, q: np.ndarray, angular: n
 
 def _most(stack: FreeFloating, angular: np.ndarray, rate: np.ndarray) -> float | None:
     """The largest momentum along ``angular`` (3) that joints within their rates (n) hold, the base at rest; N m s."""
+    from scipy.optimize import linprog
+
     size = float(np.linalg.norm(angular))
     if size == 0.0:
         return None
@@ -236,6 +236,8 @@ def _evenest(stack: FreeFloating, angular: np.ndarray, room: np.ndarray, most: n
 
     Args: what each joint has left upwards and downwards (2, n), rad or m; the largest rates (n). None: there are none.
     """
+    from scipy.optimize import linprog
+
     unit, count = np.eye(most.size), most.size
     found = linprog(
         np.r_[np.zeros(count), 1.0],
@@ -265,6 +267,8 @@ def _coast(stack: FreeFloating, q: np.ndarray, momentum: np.ndarray, turning: np
 
     Args: the stack in its configuration (nq); linear momentum (3); the angular one that turns it (3).
     """
+    from scipy.integrate import solve_ivp
+
     R_WB, inertia, offset = _attitude(q), stack.spin_map[:, :3], stack.center_of_mass
     times = np.linspace(0.0, LONGEST, _INSTANTS_AFTER)
 

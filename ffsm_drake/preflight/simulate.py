@@ -12,7 +12,7 @@ from ffsm_drake.control_design.momentum import momentum_budget
 from ffsm_drake.loop.blocks import block_choices, block_sources
 from ffsm_drake.preflight.remarks import LimitWarning, plan_remarks
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
-from ffsm_drake.runs.dataset import make_dataset
+from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog, user_supplied
 from ffsm_drake.scenario import Block, Scenario
@@ -92,7 +92,7 @@ def make_record(log: RunLog, *, start: float, blocks: Mapping[str, Factory] | No
     return RunRecord(
         scenario=scenario,
         outcome=log.outcome,
-        dataset=make_dataset(log),
+        dataset=make_table(log),
         wall_time=log.wall_time | {"total": time.perf_counter() - start},
         software=software_versions(),
         blocks=block_sources(scenario),

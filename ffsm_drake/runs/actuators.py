@@ -10,19 +10,18 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK, DriveSet
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from ffsm_drake.runs.rollout import RunLog
+    from ffsm_drake.runs.table import Labelled, Table
 
 STANDARD_GRAVITY = 9.80665  # m/s^2; defines the specific impulse
 _WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 
 
-def add_thrusters(dataset: "xr.Dataset", scenario: Scenario, series: Mapping[str, np.ndarray]) -> "xr.Dataset":
-    """The dataset with what thrusters did, along ``thruster``: their names, with force and specific impulse.
+def add_thrusters(table: "Table", scenario: Scenario, series: Mapping[str, np.ndarray]) -> "Table":
+    """The table with what thrusters did, along ``thruster``: their names, with force and specific impulse.
 
     Args:
-      dataset: of a run.
+      table: of a run.
       scenario: of the run; the thrusters of a user-supplied actuation are numbered.
       series: of the run's log.
     """
@@ -33,20 +32,20 @@ def add_thrusters(dataset: "xr.Dataset", scenario: Scenario, series: Mapping[str
         ("thruster_force", "mean force of each thruster from this sample to the next", "N"),
         ("thruster_open", "share of the sample for which each thruster is open", "1"),
     ):
-        dataset[name] = (by_thruster, series[name], {"long_name": meaning, "units": unit})
+        table = table.assign({name: (by_thruster, series[name], {"long_name": meaning, "units": unit})})
     meaning = "part of the wanted wrench that the last allocation to thrusters could give"
-    dataset["thruster_given"] = ("time", series["thruster_given"][:, 0], {"long_name": meaning, "units": "1"})
-    dataset = dataset.assign_coords(thruster=names)
+    given = ("time", series["thruster_given"][:, 0], {"long_name": meaning, "units": "1"})
+    table = table.assign({"thruster_given": given})
+    table = table.assign_coords({"thruster": ("thruster", names)})
     if units:
         impulse = [unit.specific_impulse for unit in units.values()]
-        dataset = dataset.assign_coords(
-            specific_impulse=("thruster", impulse, {"long_name": "specific impulse", "units": "s"})
-        )
-    return dataset
+        column = ("thruster", impulse, {"long_name": "specific impulse", "units": "s"})
+        table = table.assign_coords({"specific_impulse": column})
+    return table
 
 
-def add_wheels(dataset: "xr.Dataset", scenario: Scenario, series: Mapping[str, np.ndarray]) -> "xr.Dataset":
-    """The dataset with what wheels did, along ``wheel``; ``angular_momentum`` becomes that of base, arm and wheels.
+def add_wheels(table: "Table", scenario: Scenario, series: Mapping[str, np.ndarray]) -> "Table":
+    """The table with what wheels did, along ``wheel``; ``angular_momentum`` becomes that of base, arm and wheels.
 
     Arguments as for ``add_thrusters``.
     """
@@ -59,28 +58,31 @@ def add_wheels(dataset: "xr.Dataset", scenario: Scenario, series: Mapping[str, n
         ("wheel_reaction", by_axis, "torque of the wheels on the base, part of applied_force, held likewise", "N m"),
         ("stored_momentum", by_axis, "momentum of the wheels in the world frame, part of angular_momentum", "N m s"),
     ):
-        dataset[name] = (dims, series[name], {"long_name": meaning, "units": unit})
+        table = table.assign({name: (dims, series[name], {"long_name": meaning, "units": unit})})
     unloads = {"long_name": "1 while thrusters unload the wheels", "units": "1"}
-    dataset["wheel_unloads"] = ("time", series["wheel_unloads"][:, 0], unloads)
-    dataset["angular_momentum"] = dataset["angular_momentum"].copy(
-        data=dataset["angular_momentum"].values + series["stored_momentum"]
-    )
-    dataset = dataset.assign_coords(wheel=list(units) or [f"wheel_{i + 1}" for i in range(momentum.shape[1])])
+    alone = table["angular_momentum"]
+    table = table.assign({
+        "wheel_unloads": ("time", series["wheel_unloads"][:, 0], unloads),
+        "angular_momentum": alone._replace(values=alone.values + series["stored_momentum"]),
+    })  # fmt: skip
+    names = list(units) or [f"wheel_{i + 1}" for i in range(momentum.shape[1])]
+    table = table.assign_coords({"wheel": ("wheel", names)})
     if not units:
-        return dataset
-    speed = _speed(units, momentum, dataset["position"].values[:, :4], dataset["velocity"].values[:, :3])
-    dataset["wheel_speed"] = (by_wheel, speed, {"long_name": "speed of each wheel in the base", "units": "rad/s"})
+        return table
+    speed = _speed(units, momentum, table["position"].values[:, :4], table["velocity"].values[:, :3])
+    of_speed = {"long_name": "speed of each wheel in the base", "units": "rad/s"}
+    table = table.assign({"wheel_speed": (by_wheel, speed, of_speed)})
     limits = {
         name: ("wheel", [getattr(unit, name) for unit in units.values()], {"units": unit})
         for name, unit in (("torque_limit", "N m"), ("speed_limit", "rad/s"))
     }
-    return dataset.assign_coords(limits)
+    return table.assign_coords(limits)
 
 
 def add_drives(
-    dataset: "xr.Dataset", scenario: Scenario, coordinates: Coordinates, series: Mapping[str, np.ndarray]
-) -> "xr.Dataset":
-    """The dataset with friction of the joints' drives and, along ``coordinate``, the limits of the drives.
+    table: "Table", scenario: Scenario, coordinates: Coordinates, series: Mapping[str, np.ndarray]
+) -> "Table":
+    """The table with friction of the joints' drives and, along ``coordinate``, the limits of the drives.
 
     Arguments as for ``add_thrusters``, and the coordinates.
     """
@@ -89,24 +91,27 @@ def add_drives(
         (FRICTION_WORK, "work of friction in the drives since the start", "J"),
     ):
         if name in series:
-            dataset[name] = (("time", "coordinate"), series[name], {"long_name": meaning, "units": unit})
+            column = (("time", "coordinate"), series[name], {"long_name": meaning, "units": unit})
+            table = table.assign({name: column})
     if scenario.drives is None:
-        return dataset
+        return table
     drives = DriveSet(scenario.drives, scenario.actuation.limit, coordinates)
-    rates = np.abs(dataset["velocity"].values)
+    rates = np.abs(table["velocity"].values)
     base = np.full(NUM_BASE_VELOCITIES, np.inf)
-    dataset = dataset.assign_coords(
-        drive_force_limit=("coordinate", np.r_[base, drives.force_limit], {"units": "N m or N"}),
-        drive_rate_limit=("coordinate", np.r_[base, drives.rate_limit], {"units": "rad/s or m/s"}),
-        drive_knee=("coordinate", np.r_[np.zeros(NUM_BASE_VELOCITIES), drives.knee], {"units": "1"}),
-    )
+    knee = np.r_[np.zeros(NUM_BASE_VELOCITIES), drives.knee]
+    table = table.assign_coords({
+        "drive_force_limit": ("coordinate", np.r_[base, drives.force_limit], {"units": "N m or N"}),
+        "drive_rate_limit": ("coordinate", np.r_[base, drives.rate_limit], {"units": "rad/s or m/s"}),
+        "drive_knee": ("coordinate", knee, {"units": "1"}),
+    })  # fmt: skip
     if drives.has_rate_limit:
-        shares, meaning = rates / dataset["drive_rate_limit"].values, "rate as a share of the drive's limit"
-        dataset["rate_share"] = (("time", "coordinate"), shares, {"long_name": meaning, "units": "1"})
-    return dataset
+        shares = rates / table["drive_rate_limit"].values
+        of_share = {"long_name": "rate as a share of the drive's limit", "units": "1"}
+        table = table.assign({"rate_share": (("time", "coordinate"), shares, of_share)})
+    return table
 
 
-def drive_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
+def drive_metrics(dataset: "Labelled") -> dict[str, Any]:
     """What a run asked of the drives of its joints, as plain numbers; empty for one without.
 
     Keys, by joint; the first two for joints with such a limit:
@@ -165,7 +170,7 @@ def _in_the_base(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return vectors + (w * twice + np.cross(u, twice)) / (quaternions**2).sum(axis=1)[:, None]
 
 
-def wheel_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
+def wheel_metrics(dataset: "Labelled") -> dict[str, Any]:
     """What a run asked of its wheels, as plain numbers; empty for one without, or of a user-supplied block.
 
     Keys:
@@ -223,7 +228,7 @@ def wheels_used(log: "RunLog") -> dict[str, float]:
     }
 
 
-def thruster_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
+def thruster_metrics(dataset: "Labelled") -> dict[str, Any]:
     """What a run with thrusters took, as plain numbers; empty for one without.
 
     Keys:

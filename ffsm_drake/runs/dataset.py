@@ -1,7 +1,5 @@
 """The labelled time series of a run: its log and, for what follows from the state, the true plant."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
@@ -9,6 +7,7 @@ from pydrake.math import RotationMatrix
 from ffsm_drake.runs.actuators import add_drives, add_thrusters, add_wheels
 from ffsm_drake.runs.capture import NOTHING, GraspLog
 from ffsm_drake.runs.rollout import RunLog
+from ffsm_drake.runs.table import Table
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS, frame_rows
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate
@@ -18,14 +17,9 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.plant import find_body, find_frame
 from ffsm_drake.systems.controllers import SMALLEST
 
-if TYPE_CHECKING:
-    import xarray as xr
 
-
-def make_dataset(log: RunLog) -> "xr.Dataset":
+def make_table(log: RunLog) -> Table:
     """The labelled time series of a run: its log and, for what follows from the state, the true plant."""
-    import xarray as xr
-
     scenario, coordinates, series = log.scenario, log.coordinates, log.series
     num_positions = len(coordinates.position_names)
     position, velocity = np.split(series["state"], [num_positions], axis=1)
@@ -88,19 +82,7 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
     for name in series:
         if name.startswith("force_"):  # several external forces act, and disturbance_force is their sum
             variables[name] = (by_coordinate, series[name], f"external force '{name[6:]}' at this instant", force)
-    dataset = xr.Dataset(
-        {
-            name: (dims, values, {"long_name": meaning, "units": units})
-            for name, (dims, values, meaning, units) in variables.items()
-        },
-        coords={
-            "time": ("time", log.time, {"long_name": "control sample t_k", "units": "s"}),
-            "coordinate": list(coordinates.names),
-            "position_name": list(coordinates.position_names),
-            "axis": ["x", "y", "z"],
-            "group": ("coordinate", list(coordinates.group_of)),
-            "unit": ("coordinate", list(coordinates.units)),
-        },
+    table = Table(
         attrs={
             "title": scenario.description,
             "controller": scenario.controller,
@@ -108,33 +90,46 @@ def make_dataset(log: RunLog) -> "xr.Dataset":
             "random_seed": scenario.random_seed,
         },
     )
+    table = table.assign({
+        name: (dims, values, {"long_name": meaning, "units": units})
+        for name, (dims, values, meaning, units) in variables.items()
+    })  # fmt: skip
+    table = table.assign_coords({
+        "time": ("time", log.time, {"long_name": "control sample t_k", "units": "s"}),
+        "coordinate": ("coordinate", coordinates.names),
+        "position_name": ("position_name", coordinates.position_names),
+        "axis": ("axis", ["x", "y", "z"]),
+        "group": ("coordinate", coordinates.group_of),
+        "unit": ("coordinate", coordinates.units),
+    })  # fmt: skip
     if coordinates.undriven:
-        dataset = dataset.assign_coords(driven=("coordinate", coordinates.is_driven))
+        table = table.assign_coords({"driven": ("coordinate", coordinates.is_driven)})
     if log.frame_error is not None:
-        dataset = _with_frame(dataset, log, log.frame_error)
+        table = _with_frame(table, log, log.frame_error)
     if "thruster_force" in series:
-        dataset = add_thrusters(dataset, scenario, series)
+        table = add_thrusters(table, scenario, series)
     if "wheel_momentum" in series:
-        dataset = add_wheels(dataset, scenario, series)
-    dataset = add_drives(dataset, scenario, coordinates, series)
+        table = add_wheels(table, scenario, series)
+    table = add_drives(table, scenario, coordinates, series)
     if model.hidden.names:
-        dataset = _with_hidden(dataset, model, states, series.get("hidden_force"))
-    return dataset if log.grasp is None else _with_phases(dataset, log.grasp, log.scenario, model, states)
+        table = _with_hidden(table, model, states, series.get("hidden_force"))
+    return table if log.grasp is None else _with_phases(table, log.grasp, log.scenario, model, states)
 
 
-def _with_frame(dataset: "xr.Dataset", log: RunLog, error: np.ndarray) -> "xr.Dataset":
-    """The dataset with the pose error of the frame that has a reference."""
+def _with_frame(table: Table, log: RunLog, error: np.ndarray) -> Table:
+    """The table with the pose error of the frame that has a reference."""
     meaning = {"long_name": "true pose error of the frame (rotation vector, position; world)", "units": "rad, m"}
-    dataset = dataset.assign(frame_error=(("time", "frame_coordinate"), error, meaning))
+    table = table.assign({"frame_error": (("time", "frame_coordinate"), error, meaning)})
     if SMALLEST in log.series:
         meaning = {"long_name": "smallest singular value of the joints' J*, rad counted as m", "units": "1"}
-        dataset = dataset.assign({SMALLEST: ("time", log.series[SMALLEST][:, 0], meaning)})
-    return dataset.assign_coords(
-        frame_coordinate=list(FRAME_COORDINATES),
-        frame_unit=("frame_coordinate", list(FRAME_UNITS)),
-        frame_prescribed=("frame_coordinate", frame_rows(log.scenario)),
-        frame_tracked=("frame_coordinate", log.frame_tracked),
-    )
+        table = table.assign({SMALLEST: ("time", log.series[SMALLEST][:, 0], meaning)})
+    along = "frame_coordinate"
+    return table.assign_coords({
+        "frame_coordinate": (along, FRAME_COORDINATES),
+        "frame_unit": (along, FRAME_UNITS),
+        "frame_prescribed": (along, frame_rows(log.scenario)),
+        "frame_tracked": (along, log.frame_tracked),
+    })  # fmt: skip
 
 
 def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -171,10 +166,8 @@ def _through_the_grasp(
     return np.concatenate([momentum, of_both]), np.concatenate([energy, energy_of_both])
 
 
-def _with_hidden(
-    dataset: "xr.Dataset", model: PlantModel, states: np.ndarray, force: np.ndarray | None
-) -> "xr.Dataset":
-    """The dataset with the hidden coordinates, the energy of their springs and what dampers took."""
+def _with_hidden(table: Table, model: PlantModel, states: np.ndarray, force: np.ndarray | None) -> Table:
+    """The table with the hidden coordinates, the energy of their springs and what dampers took."""
     plant, context, hidden = model.plant, model.context, model.hidden
     position, velocity = np.split(hidden.hidden_part(states), 2, axis=1)
     elastic = np.full(len(states), np.nan)
@@ -187,30 +180,33 @@ def _with_hidden(
     angle = states[:, [joint.position_start() for joint in joints]]
     rate = states[:, [plant.num_positions() + joint.velocity_start() for joint in joints]]
     # The mean square of a rate that is quadratic within a sample, from its ends and from how far it went.
-    period = float(dataset.attrs["sample_time"])
+    period = float(table.attrs["sample_time"])
     before, after = rate[:-1], rate[1:]
     bow = 6.0 * np.diff(angle, axis=0) / period - 3.0 * (before + after)
     square = (before**2 + before * after + after**2) / 3.0 + bow * (before + after) / 6.0 + bow**2 / 30.0
     lost = np.concatenate([np.zeros(1), np.cumsum(period * square @ damping)])
     along, unit = ("time", "hidden_coordinate"), "rad or m"
-    dataset = dataset.assign(
-        hidden_position=(along, position, {"long_name": "deflection, unknown to the controller", "units": unit}),
-        hidden_velocity=(along, velocity, {"long_name": "its rate", "units": f"{unit} per s"}),
-        elastic_energy=("time", elastic, {"long_name": "energy of the springs", "units": "J"}),
-        damping_loss=("time", lost, {"long_name": "energy that dampers took since the start", "units": "J"}),
-    )
+    table = table.assign({
+        "hidden_position": (
+            along, position, {"long_name": "deflection, unknown to the controller", "units": unit},
+        ),
+        "hidden_velocity": (along, velocity, {"long_name": "its rate", "units": f"{unit} per s"}),
+        "elastic_energy": ("time", elastic, {"long_name": "energy of the springs", "units": "J"}),
+        "damping_loss": (
+            "time", lost, {"long_name": "energy that dampers took since the start", "units": "J"},
+        ),
+    })  # fmt: skip
     if force is not None:
         meaning = {"long_name": "external forces on them at this instant, summed", "units": "N m or N"}
-        dataset = dataset.assign(hidden_force=(along, force, meaning))
-    return dataset.assign_coords(
-        hidden_coordinate=list(hidden.names), hidden_unit=("hidden_coordinate", list(hidden.units))
-    )
+        table = table.assign({"hidden_force": (along, force, meaning)})
+    return table.assign_coords({
+        "hidden_coordinate": ("hidden_coordinate", hidden.names),
+        "hidden_unit": ("hidden_coordinate", hidden.units),
+    })  # fmt: skip
 
 
-def _with_phases(
-    dataset: "xr.Dataset", grasp: GraspLog, scenario: Scenario, model: PlantModel, states: np.ndarray
-) -> "xr.Dataset":
-    """The dataset with the coordinate ``phase`` along time and the target's pose, held or not."""
+def _with_phases(table: Table, grasp: GraspLog, scenario: Scenario, model: PlantModel, states: np.ndarray) -> Table:
+    """The table with the coordinate ``phase`` along time and the target's pose, held or not."""
     count = grasp.sample
     body = find_body(model.plant, scenario.payload.body, key="payload.body")
     pose = np.empty((len(states), 7))
@@ -222,14 +218,15 @@ def _with_phases(
             X_WP = body.EvalPoseInWorld(model.context)
             pose[i] = *X_WP.rotation().ToQuaternion().wxyz(), *X_WP.translation()
     pose[:, :4] *= np.sign(pose[:, :1]) + (pose[:, :1] == 0.0)  # one of the two quaternions of a rotation
-    dataset["target_position"] = (
-        ("time", "axis"), pose[:, 4:], {"long_name": "origin of the target's frame in the world frame", "units": "m"},
-    )  # fmt: skip
-    dataset["target_quaternion"] = (
-        ("time", "quaternion"), pose[:, :4], {"long_name": "attitude of the target's frame in the world", "units": "1"},
-    )  # fmt: skip
+    place = {"long_name": "origin of the target's frame in the world frame", "units": "m"}
+    attitude = {"long_name": "attitude of the target's frame in the world", "units": "1"}
+    table = table.assign({
+        "target_position": (("time", "axis"), pose[:, 4:], place),
+        "target_quaternion": (("time", "quaternion"), pose[:, :4], attitude),
+    })  # fmt: skip
     phase = ["approach"] * count + ["stop"] * (len(states) - count)
-    return dataset.assign_coords(phase=("time", phase), quaternion=["w", "x", "y", "z"])
+    names = ["w", "x", "y", "z"]
+    return table.assign_coords({"phase": ("time", phase), "quaternion": ("quaternion", names)})
 
 
 def _end_effector(model: PlantModel, scenario: Scenario, positions: np.ndarray) -> np.ndarray:

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from ffsm_drake.runs.rollout import RunLog
+    from ffsm_drake.runs.table import Labelled
 
 _AT_REST = 1e-9  # rad/s or m/s; below any planned motion
 
 
-def deflection_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
+def deflection_metrics(dataset: "Labelled") -> dict[str, Any]:
     """How far the hidden coordinates moved, as plain numbers by name; empty for a run without.
 
     Keys:

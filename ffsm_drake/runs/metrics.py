@@ -4,7 +4,7 @@ Sums run over the control samples t_k = k L that begin a recorded period, with t
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -14,10 +14,15 @@ from ffsm_drake.runs.tracking import frame_metrics, tracked_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, position_errors
 
 if TYPE_CHECKING:
-    import xarray as xr
+    from ffsm_drake.runs.table import Labelled
 
 
-def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
+_Some = TypeVar("_Some", bound="Labelled")
+# Twelve times the rate at the first and the second of five samples, per period, by all five.
+_RATE = np.array([[-25.0, 48.0, -36.0, 16.0, -3.0], [-3.0, -10.0, 18.0, -6.0, 1.0]])
+
+
+def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
     """All metrics of a run's dataset (see RunRecord.dataset), as plain numbers.
 
     Keys: those of ``tracking_metrics``, and
@@ -75,7 +80,7 @@ def compute_metrics(dataset: "xr.Dataset") -> dict[str, Any]:
     return tracking | {"momentum_residual": sizes}
 
 
-def frame_figures(dataset: "xr.Dataset") -> dict[str, Any]:
+def frame_figures(dataset: "Labelled") -> dict[str, Any]:
     """``frame_metrics`` of a run's dataset and its smallest singular value; empty where no frame has a reference."""
     if "frame_error" not in dataset or not dataset.sizes["time"]:
         return {}
@@ -85,13 +90,13 @@ def frame_figures(dataset: "xr.Dataset") -> dict[str, Any]:
     return figures
 
 
-def driven_of(dataset: "xr.Dataset") -> np.ndarray:
+def driven_of(dataset: "Labelled") -> np.ndarray:
     """Whether actuators move each coordinate (nv)."""
     everything: np.ndarray = np.ones(dataset.sizes["coordinate"], dtype=bool)
     return dataset["driven"].values.astype(bool) if "driven" in dataset.coords else everything
 
 
-def drift_metrics(dataset: "xr.Dataset") -> dict[str, dict[str, float]]:
+def drift_metrics(dataset: "Labelled") -> dict[str, dict[str, float]]:
     """``base_drift`` of a run's dataset; empty where everything is driven."""
     undriven = dict.fromkeys(dataset["group"].values[~driven_of(dataset)].astype(str).tolist())
     known = undriven and "position" in dataset and dataset.sizes["time"]
@@ -113,12 +118,16 @@ def base_drift(positions: np.ndarray, undriven: Sequence[str]) -> dict[str, dict
     }
 
 
-def phases_of(dataset: "xr.Dataset") -> "dict[str, xr.Dataset]":
+def phases_of(dataset: _Some) -> dict[str, _Some]:
     """The parts of a run with a capture, by phase; empty for one without."""
     if "phase" not in dataset.coords:
         return {}
     phase = dataset["phase"].values.astype(str)
-    return {str(name): dataset.isel(time=phase == name) for name in dict.fromkeys(phase)}
+
+    def part(name: str) -> Any:
+        return dataset.isel(time=phase == name)
+
+    return {str(name): part(name) for name in dict.fromkeys(phase)}
 
 
 def tracking_metrics(
@@ -171,7 +180,7 @@ def isv(effort: np.ndarray, period: float) -> float:
     return float(np.sum(effort * effort) * period)
 
 
-def momentum_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
+def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
     """Change of ``linear`` and ``angular`` momentum minus the impulse of the external forces, each (n, 3), world frame.
 
     Only the base's force and torque are external; joint torques act between bodies. The control force is constant over
@@ -179,8 +188,6 @@ def momentum_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
     velocities, so that for an exact integrator the residual is small against every force's impulse. It ends before the
     first sample that is not finite, the last of some diverged runs.
     """
-    from scipy.interpolate import CubicHermiteSpline, CubicSpline
-
     used = ("position", "velocity", "applied_force", "disturbance_force", "linear_momentum", "angular_momentum")
     finite = np.logical_and.reduce([np.isfinite(dataset[name].values).all(axis=1) for name in used])
     dataset = dataset.isel(time=slice(0, dataset.sizes["time"] if finite.all() else max(1, int(np.argmin(finite)))))
@@ -190,29 +197,48 @@ def momentum_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
         "linear": dataset["linear_momentum"].values - dataset["linear_momentum"].values[0],
         "angular": dataset["angular_momentum"].values - dataset["angular_momentum"].values[0],
     }
-    if time.size < 4:  # too short for a spline, and no impulse to speak of
+    if time.size < len(_RATE[0]):  # too short for the rates, and no impulse to speak of
         return change
-    held = dataset["applied_force"].sel(coordinate=names["position"]).values[:-1]
-    held_torque = dataset["applied_force"].sel(coordinate=names["rotation"]).values[:-1]
+    axes = dataset["coordinate"].values.astype(str).tolist()
+    columns = {part: [axes.index(name) for name in those] for part, those in names.items()}
+
+    def of_base(name: str, part: str) -> np.ndarray:
+        values: np.ndarray = dataset[name].values[:, columns[part]]
+        return values
+
+    held, held_torque = (of_base("applied_force", part)[:-1] for part in ("position", "rotation"))
     if "wheel_reaction" in dataset:  # which is not external
         held_torque = held_torque - dataset["wheel_reaction"].values[:-1]
-    smooth = dataset["disturbance_force"].sel(coordinate=names["position"]).values
-    smooth_torque = dataset["disturbance_force"].sel(coordinate=names["rotation"]).values
-    position = dataset["position"].sel(position_name=names["position"]).values
-    velocity = dataset["velocity"].sel(coordinate=names["position"]).values
-
+    smooth, smooth_torque = (of_base("disturbance_force", part) for part in ("position", "rotation"))
+    place = dataset["position_name"].values.astype(str).tolist()
+    position = dataset["position"].values[:, [place.index(name) for name in names["position"]]]
     period = np.diff(time)[:, None]
-    path = CubicHermiteSpline(time, position, velocity).antiderivative()(time)
 
     def impulse(of_held: np.ndarray, of_smooth: np.ndarray) -> np.ndarray:
-        accumulated = np.vstack([np.zeros(3), np.cumsum(of_held, axis=0)])
-        return accumulated + CubicSpline(time, of_smooth).antiderivative()(time)
+        accumulated = np.cumsum(of_held + _integrals(of_smooth, _rates(of_smooth, period), period), axis=0)
+        return np.vstack([np.zeros(3), accumulated])
 
+    path = _integrals(position, of_base("velocity", "position"), period)
     return {
         "linear": change["linear"] - impulse(held * period, smooth),
         "angular": change["angular"]
         - impulse(
-            held_torque * period + np.cross(np.diff(path, axis=0), held),
+            held_torque * period + np.cross(path, held),
             smooth_torque + np.cross(position, smooth),
         ),
     }
+
+
+def _integrals(values: np.ndarray, rates: np.ndarray, period: np.ndarray) -> np.ndarray:
+    """Integrals (n - 1, 3) from each sample to the next, of the cubic through values and rates (n, 3)."""
+    mean = 0.5 * (values[:-1] + values[1:])
+    return period * (mean + period / 12.0 * (rates[:-1] - rates[1:]))
+
+
+def _rates(values: np.ndarray, period: np.ndarray) -> np.ndarray:
+    """Rates (n, 3) of values at equal periods (n - 1, 1), to fourth order."""
+    rates = np.empty_like(values)
+    rates[2:-2] = values[:-4] - 8.0 * values[1:-3] + 8.0 * values[3:-1] - values[4:]
+    for i, weights in enumerate(_RATE):
+        rates[i], rates[-1 - i] = weights @ values[:5], -(weights @ values[:-6:-1])
+    return rates / (12.0 * period.mean())

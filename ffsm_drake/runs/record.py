@@ -16,10 +16,13 @@ from typing import TYPE_CHECKING, Any
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import check_regular, published
 from ffsm_drake.runs.metrics import compute_metrics
+from ffsm_drake.runs.table import Table
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario, scenario_from_dict
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from ffsm_drake.runs.table import Labelled
 
 DATASET_FILE = "record.nc"
 METRICS_FILE = "metrics.json"
@@ -80,6 +83,21 @@ class Outcome:
         return self.status == "completed"
 
 
+class _Dataset:
+    """A field that is given as a dataset, or as a table of which one is made when it is asked for."""
+
+    def __get__(self, record: Any, owner: type) -> "xr.Dataset":
+        if record is None:
+            raise AttributeError  # the field has no default
+        given = vars(record)["_given"]
+        if isinstance(given, Table):
+            vars(record)["_given"] = given = given.to_dataset()
+        return given
+
+    def __set__(self, record: Any, given: "Labelled") -> None:
+        vars(record)["_given"] = given
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class RunRecord:
     """The results of a run.
@@ -91,7 +109,7 @@ class RunRecord:
 
     scenario: Scenario
     outcome: Outcome
-    dataset: "xr.Dataset"
+    dataset: _Dataset = _Dataset()
     wall_time: dict[str, float]  # s: build, advance_to, total
     software: dict[str, str]
     # block -> where it comes from: ``system``; for a user-supplied one ``file`` and its ``sha256``
@@ -103,7 +121,7 @@ class RunRecord:
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
         """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.compute_metrics``."""
-        return compute_metrics(self.dataset)
+        return compute_metrics(vars(self)["_given"])
 
     @property
     def realtime_factor(self) -> float:

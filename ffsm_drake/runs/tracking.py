@@ -12,7 +12,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.frame_path import goal_frame
 
 if TYPE_CHECKING:
-    import xarray as xr
+    from ffsm_drake.runs.table import Labelled
 
 # Rotation vector from R_WF to its reference, then the position's difference; world axes.
 FRAME_COORDINATES = tuple(name.replace("base", "frame") for name in (*BASE_ROTATION, *BASE_POSITION))
@@ -97,7 +97,7 @@ def tracked(
     )
 
 
-def tracked_of(dataset: "xr.Dataset") -> Tracked:
+def tracked_of(dataset: "Labelled") -> Tracked:
     """What counts of a recorded run."""
     has_frame = "frame_error" in dataset
     names, groups, units = (tuple(map(str, dataset[name].values)) for name in ("coordinate", "group", "unit"))

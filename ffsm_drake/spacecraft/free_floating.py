@@ -16,7 +16,6 @@ from typing import Literal
 
 import numpy as np
 from pydrake.multibody.tree import Frame
-from scipy.optimize import minimize_scalar
 
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.flexible import apparent_mass_matrix
@@ -311,6 +310,8 @@ def singularities_along(
       below: of singular values.
       others: as ``manipulability_along``.
     """
+
+    from scipy.optimize import minimize_scalar
 
     def at(some: np.ndarray) -> Manipulability:
         return manipulability_along(model, positions(some), frame, driven=driven, task=task, length=length)

@@ -9,7 +9,6 @@ import abc
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
@@ -83,6 +82,8 @@ class MomentumMotion(PlannedMotion, abc.ABC):
 
     def solve(self) -> Any:
         """The dense solution q(t) of the next part that is not integrated yet."""
+        from scipy.integrate import solve_ivp  # slow to load, as below wherever SciPy is used
+
         begin, end = (self._duration * (len(self._parts) + i) for i in (0, 1))
         first = self._parts[-1](begin) if self._parts else self._first
         return solve_ivp(

@@ -41,3 +41,31 @@ def test_a_rollout_loads_nothing_of_control_design():
     loaded = loaded_after(run)
     assert "ffsm_drake.runs.rollout" in loaded
     assert not [name for name in loaded if name.startswith(("ffsm_drake.control_design", "ffsm_drake.preflight"))]
+
+
+# What takes longer to load than a run to compute, and no run needs.
+HEAVY = ("dask", "jinja2", "matplotlib", "netCDF4", "pandas", "plotly", "scipy.interpolate", "scipy.stats", "xarray")
+
+
+@pytest.mark.parametrize(
+    ("scenario", "without"),
+    [
+        ("postcapture", ("scipy",)),
+        ("planar_detumble", ("scipy",)),
+        ("flight_sensors", ("scipy.optimize", "scipy.integrate")),  # its filter's gain takes scipy.linalg
+        ("flexible_panels", ("scipy.optimize", "scipy.integrate")),
+        ("free_floating", ()),
+    ],
+)
+def test_a_first_run_loads_only_what_it_needs(scenario, without):
+    run = f"import ffsm_drake as f; f.simulate(f.load_scenario('{scenario}', ['duration=3'])).metrics"
+    loaded = loaded_after(run)
+    assert "ffsm_drake.runs.metrics" in loaded
+    assert loaded.isdisjoint((*HEAVY, *without))
+
+
+def test_the_command_line_shows_its_help_without_drake():
+    code = "import runpy, sys; sys.argv = ['ffsm', '--help']"
+    loaded = loaded_after(f"{code}\ntry: runpy.run_module('ffsm_drake', run_name='__main__')\nexcept SystemExit: pass")
+    assert "click" in loaded
+    assert loaded.isdisjoint((*HEAVY, "numpy", "pydrake", "scipy"))

@@ -13,7 +13,7 @@ from ffsm_drake.analysis import analyze
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.capture import NOTHING, CaptureRollout, coast, make_rollout, seen_from
-from ffsm_drake.runs.dataset import make_dataset
+from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.metrics import momentum_residual, phases_of
 from ffsm_drake.scenario import MassProperties, from_grasp
 from ffsm_drake.show.report.grasp import grasp_of
@@ -332,4 +332,4 @@ def test_an_automatic_duration_is_recorded_as_it_was():
     assert 0.1 < record.scenario.reference.duration < 3.0
     again = simulate(record.scenario, check_stability=False)
     assert again.dataset.identical(record.dataset)
-    assert make_dataset(make_rollout(scenario).run()).identical(record.dataset)
+    assert make_table(make_rollout(scenario).run()).to_dataset().identical(record.dataset)

@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from ffsm_drake import load_scenario, make_closed_loop
-from ffsm_drake.runs.metrics import isv, itae
+from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.dataset import make_table
+from ffsm_drake.runs.metrics import compute_metrics, isv, itae, momentum_residual
+from ffsm_drake.runs.table import Table
 
 PERIOD, DURATION = 0.01, 20.0
 TIME = PERIOD * np.arange(2000)
@@ -67,3 +71,52 @@ def test_metrics_of_a_run(run):
     assert metrics["peak_error"]["joints"] == np.abs(data["error"].values[:, joints]).max()
     assert metrics["final_error"]["base_position"] == np.abs(data["error"].values[-1, 3:6]).max()
     assert set(metrics["peak_effort"]) == {"base_rotation", "base_position", "joints"}
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [
+        ("tumbling_capture", ["duration=32"]),
+        ("thrusters_and_wheels", []),
+        ("flexible_panels", []),
+        ("free_floating", []),
+        ("postcapture", ["actuation.limit=5", "actuation.drives={rate_limit: 0.5, coulomb_friction: 0.1}"]),
+    ],
+)
+def test_metrics_need_no_dataset(name, overrides):
+    """Those of the table are those of the dataset that is made of it, and the dataset loses nothing."""
+    table = make_table(make_rollout(load_scenario(name, ["duration=2", *overrides])).run())
+    dataset = table.to_dataset()
+    assert compute_metrics(table) == compute_metrics(dataset)
+    assert list(dataset.data_vars) == list(table.variables)
+    assert set(dataset.coords) == set(table.coords)
+    assert dict(dataset.sizes) == table.sizes
+    for column in (*table.variables, *table.coords):
+        assert dataset[column].dims == table[column].dims
+        assert dataset[column].attrs == table[column].attrs
+        np.testing.assert_array_equal(dataset[column].values, table[column].values)
+    for part in (slice(0, 5), np.arange(len(table["time"].values)) % 2 == 0, [3, 1]):
+        xr.testing.assert_identical(table.isel(time=part).to_dataset(), dataset.isel(time=part))
+
+
+@pytest.mark.parametrize("rate", [0.3, 3.0])
+def test_impulse_of_a_smooth_force(rate):
+    """A force along y that changes, one along x that is held, and where they act moves along y."""
+    time = PERIOD * np.arange(500)
+    names = [f"base_{part}_{axis}" for part in ("rotation", "position") for axis in "xyz"]
+    force, held, zero = np.zeros((500, 6)), np.zeros((500, 6)), np.zeros((500, 6))
+    force[:, 4], held[:, 3] = np.sin(rate * time + 1.0), 2.0
+    impulse = np.stack([2.0 * time, (np.cos(1.0) - np.cos(rate * time + 1.0)) / rate, 0.0 * time], axis=1)
+    path = np.stack([0.0 * time, np.cos(time), 0.0 * time], axis=1)  # of the point where both act
+    moment = np.stack([0.0 * time, 0.0 * time, -2.0 * np.sin(time)], axis=1)
+    velocity = zero.copy()
+    velocity[:, 4] = -np.sin(time)
+    along = ("time", "coordinate")
+    table = Table().assign_coords({"coordinate": ("coordinate", names), "position_name": ("position_name", names[3:])})
+    table = table.assign_coords({"time": ("time", time)}).assign({
+        "position": (("time", "position_name"), path), "velocity": (along, velocity),
+        "applied_force": (along, held), "disturbance_force": (along, force),
+        "linear_momentum": (("time", "axis"), impulse), "angular_momentum": (("time", "axis"), moment),
+    })  # fmt: skip
+    for residual in momentum_residual(table).values():
+        assert np.abs(residual).max() < PERIOD**4 * max(rate, 1.0) ** 3 / 200  # that of a cubic, twice

@@ -1,0 +1,72 @@
+"""What the first result of a fresh interpreter costs, as ratios to one that imports a bare plant.
+
+    python benchmarks/startup.py [--repeats 9] [--against FOLDER]
+
+Processor time of whole processes, which take turns, because a machine's speed changes from minute
+to minute: minima of the repeats, and medians in brackets. ``--against`` measures the package in
+another folder, such as an earlier checkout, beside this one, and prints the ratios to it.
+"""
+
+import argparse
+import os
+import resource
+import statistics
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+HERE = Path(__file__).parents[1]
+PLANT = "import pydrake.multibody.plant"
+FIRST = "import ffsm_drake as f; scenario = f.load_scenario('postcapture')"
+PROGRAMS = {
+    "ffsm --help": ["-m", "ffsm_drake", "--help"],
+    "first record": ["-c", f"{FIRST}; f.simulate(scenario).metrics"],
+    "first labelled dataset": ["-c", f"{FIRST}; f.simulate(scenario).dataset"],
+    "first rollout": ["-c", f"{FIRST}; f.Rollout(scenario).run().metrics"],
+}
+
+
+def processor_time(arguments: Sequence[str], package: Path) -> float:
+    """Of a fresh interpreter, s."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    # The folder that Python is started in comes before all others that it looks for modules in.
+    environment = os.environ | {"PYTHONPATH": str(package)}
+    command = [sys.executable, *arguments]
+    subprocess.run(command, check=True, capture_output=True, env=environment, cwd=package)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("--repeats", type=int, default=9, help="of each program (default: 9)")
+    parser.add_argument("--against", type=Path, help="folder of another ffsm_drake to compare with")
+    arguments = parser.parse_args(argv)
+    packages = [HERE, *([] if arguments.against is None else [arguments.against.resolve()])]
+    contestants = {(PLANT, HERE): ["-c", PLANT]} | {
+        (name, package): program for name, program in PROGRAMS.items() for package in packages
+    }
+    times: dict[tuple[str, Path], list[float]] = {key: [] for key in contestants}
+    for turn in range(arguments.repeats + 1):  # the first warms up
+        for key, program in contestants.items():
+            seconds = processor_time(program, key[1])
+            if turn > 0:
+                times[key].append(seconds)
+
+    def ratio(one: tuple[str, Path], other: tuple[str, Path]) -> str:
+        a, b = times[one], times[other]
+        return f"{min(a) / min(b):.2f} ({statistics.median(a) / statistics.median(b):.2f})"
+
+    plant = (PLANT, HERE)
+    print(f"{PLANT}: {min(times[plant]):.2f} s of processor time")
+    for name in PROGRAMS:
+        found = f"{min(times[name, HERE]):.2f} s, {ratio((name, HERE), plant)} of it"
+        against = "".join(
+            f"; {ratio((name, HERE), (name, package))} of what it takes with --against" for package in packages[1:]
+        )
+        print(f"{name}: {found}{against}")
+
+
+if __name__ == "__main__":
+    main()

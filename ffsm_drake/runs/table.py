@@ -1,0 +1,81 @@
+"""Labelled time series without xarray, which takes longer to load than a run to compute."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    Labelled: TypeAlias = "Table | xr.Dataset"
+
+# Dimensions, or the only one; values; attributes, if there are any.
+Given: TypeAlias = tuple[Any, ...]
+
+
+class Column(NamedTuple):
+    """A variable or a coordinate."""
+
+    dims: tuple[str, ...]
+    values: np.ndarray
+    attrs: Mapping[str, str]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Table:
+    """What of an ``xarray.Dataset`` a run's metrics are computed from; names and meaning as there."""
+
+    variables: Mapping[str, Column] = dataclasses.field(default_factory=dict)
+    coords: Mapping[str, Column] = dataclasses.field(default_factory=dict)
+    attrs: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.variables or name in self.coords
+
+    def __getitem__(self, name: str) -> Column:
+        return self.variables[name] if name in self.variables else self.coords[name]
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Length of every dimension."""
+        columns = (*self.coords.values(), *self.variables.values())
+        return {dim: size for column in columns for dim, size in zip(column.dims, column.values.shape, strict=True)}
+
+    def assign(self, variables: Mapping[str, Given]) -> "Table":
+        """The table with further variables, or others in their place."""
+        return dataclasses.replace(self, variables={**self.variables, **_columns(variables)})
+
+    def assign_coords(self, coords: Mapping[str, Given]) -> "Table":
+        """The table with further coordinates, or others in their place."""
+        return dataclasses.replace(self, coords={**self.coords, **_columns(coords)})
+
+    def isel(self, *, time: Any) -> "Table":
+        """The table at some of its samples: a slice, a mask or indices."""
+
+        def part(column: Column) -> Column:
+            if "time" not in column.dims:
+                return column
+            place = (slice(None),) * column.dims.index("time")
+            return column._replace(values=column.values[(*place, time)])
+
+        return dataclasses.replace(
+            self,
+            variables={name: part(column) for name, column in self.variables.items()},
+            coords={name: part(column) for name, column in self.coords.items()},
+        )
+
+    def to_dataset(self) -> "xr.Dataset":
+        """The same as xarray has it."""
+        import xarray as xr
+
+        return xr.Dataset(self.variables, coords=self.coords, attrs=self.attrs)
+
+
+def _columns(given: Mapping[str, Given]) -> dict[str, Column]:
+    return {name: _column(*column) for name, column in given.items()}
+
+
+def _column(dims: str | tuple[str, ...], values: Any, attrs: Mapping[str, str] | None = None) -> Column:
+    return Column((dims,) if isinstance(dims, str) else dims, np.asarray(values), attrs or {})
