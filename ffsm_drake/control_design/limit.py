@@ -1,11 +1,13 @@
 """What no linear controller can do better: the LQG front of error against effort, and how far a controller is from it.
 
 The model is that of the closed loop at the middle of the planned motion: the true plant, sampled; the scenario's sensor
-noise; and in place of all that the controller does not know an acceleration d that walks at random, as fast as the
-planned motion and the disturbance ask for. Under it the linear quadratic Gaussian controller has the least mean square
-error for its effort, which counts beyond the force -H d that keeps d from acting (H: mass matrix). Delays and slow
-sensors are left out of the limit, which they only raise. Stationary Kalman filter and regulator: Franklin, Powell and
-Workman, Digital Control of Dynamic Systems, chapter 9.
+noise, white, correlated and of biases that walk at random; and in place of all that the controller does not know an
+acceleration d that walks at random, as fast as the planned motion and the disturbance ask for. Under it the linear
+quadratic Gaussian controller has the least mean square error for its effort, which counts beyond the force -H d that
+keeps d from acting (H: mass matrix). Its filter knows how the noise is made: every process with memory is a state of
+its own. Delays and slow sensors are left out of the limit, which they only raise, and constant biases of limit and
+controller alike. Kalman filter, shaping filters and regulator: Franklin, Powell and Workman, Digital Control of Dynamic
+Systems, chapter 9.
 """
 
 import contextlib
@@ -20,9 +22,10 @@ from ffsm_drake.control_design.stability.linearization import Linearizer, smooth
 from ffsm_drake.control_design.stability.margins import expected_gains
 from ffsm_drake.control_design.stability.sampled_loop import covariance_after
 from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_true_plant
-from ffsm_drake.systems.controllers.filter_gains import kalman_gain
+from ffsm_drake.systems.controllers.filter_gains import SMALLEST_RATIO
 from ffsm_drake.systems.reference import make_motion
 
 # Prices of effort that the front is computed for, in units of the regulator's (see there).
@@ -41,7 +44,12 @@ class Limit:
 
     @property
     def distance(self) -> float:
-        """Its error over the least possible at its effort (at least 1); errors weighed by the controller's own."""
+        """Its error over the least possible at its effort (at least 1); errors weighed by the controller's own.
+
+        Infinite where it is unstable, NaN where a user-supplied block senses, whose noise has no model.
+        """
+        if not len(self.front_excess):
+            return float("nan")
         if not np.isfinite(self.error).all() or self.excess <= 0.0:
             return float("inf")
         relative = np.sqrt(np.mean((self.front_error / self.error) ** 2, axis=1))
@@ -70,44 +78,83 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
             raise BlockError(f"{scenario.controller} tracks a frame; the limit is one of coordinates")
         loop = linearizer.at(time, held=expected_gains(linearizer))
     response = loop.with_random_walk(walk, mass).noise_response(count)
-    sensing = smooth_sensing(scenario)
-    position, velocity = (
-        demand.coordinates.vector(noise, key="sensing", default=0.0)
-        for noise in (sensing.position_noise, sensing.velocity_noise)
-    )
-    axes = zip(position, velocity, walk, strict=True)
-    before, after = np.array([_filter(*map(float, axis), sample_time=step) for axis in axes]).swapaxes(0, 1)
+    noise = _sensor_noise(scenario, demand.coordinates)
+    before, after = _filter(noise, walk, samples=count, sample_time=step)
     scale = np.where(np.isfinite(response["error"]), response["error"], np.sqrt(before[:, 0, 0]) * step**2)
     front = list[tuple[np.ndarray, float]]()
-    for price in _PRICES:
+    for price in _PRICES if scenario.blocks.sensing is None else ():
         with contextlib.suppress(ValueError, np.linalg.LinAlgError):  # too badly scaled to be solved
             front.append(_regulator(mass, before, after, scale / step**2, price))
     return Limit(
         error=response["error"],
         excess=float((response["force"] ** 2).sum() * count * step),
-        front_error=np.array([error for error, _ in front]) * step**2,
+        front_error=np.array([error for error, _ in front]).reshape(-1, len(walk)) * step**2,
         front_excess=np.array([variance for _, variance in front]) * count * step,
     )
 
 
-def _filter(
-    position_noise: float, velocity_noise: float, walk: float, *, sample_time: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances (3, 3) of one axis' [q, v, d] in units of [L^2, L, 1], before and after the correction of a sample.
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class _SensorNoise:
+    """Of measured positions, then velocities (nv, 2), SI units; what is zero is not there."""
 
-    The filter knows the force, so that axes do not meet in it.
-    """
-    gain = kalman_gain(position_noise=position_noise, velocity_noise=velocity_noise, walk=walk, sample_time=sample_time)
-    size = np.array([sample_time**2, sample_time, 1.0])
-    correct = np.eye(3)
-    correct[:, :2] -= gain / size[:, None] * size[:2]
-    motion = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
-    measured = (
-        (gain / size[:, None]) @ np.diag(np.array([position_noise, velocity_noise]) ** 2) @ (gain / size[:, None]).T
+    white: np.ndarray  # standard deviations
+    correlated: np.ndarray
+    time_constant: np.ndarray  # of the correlated noise, s
+    bias_walk: np.ndarray  # (nv) of the velocities' biases, per sqrt(s)
+
+
+def _sensor_noise(scenario: Scenario, coordinates: Coordinates) -> _SensorNoise:
+    sensing = smooth_sensing(scenario)
+
+    def vector(name: str, default: float = 0.0) -> np.ndarray:
+        return coordinates.vector(getattr(sensing, name), key=f"sensing.{name}", default=default)
+
+    def both(name: str) -> np.ndarray:
+        return np.stack([vector(f"position_{name}"), vector(f"velocity_{name}")], axis=1)
+
+    time_constant = np.repeat(vector("correlation_time", 1.0)[:, None], 2, axis=1)
+    time_constant[:3, 0] = time_constant[0, 0]  # the attitude's three have one
+    return _SensorNoise(
+        white=both("noise"),
+        correlated=both("correlated_noise"),
+        time_constant=time_constant,
+        bias_walk=vector("velocity_bias_walk"),
     )
-    process = np.diag([0.0, 0.0, walk**2 * sample_time])
-    after = covariance_after(correct @ motion, measured + correct @ process @ correct.T, samples=_STATIONARY)
-    return motion @ after @ motion.T + process, after
+
+
+def _filter(
+    noise: _SensorNoise, walk: np.ndarray, *, samples: int, sample_time: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Covariances (nv, 3, 3) of each axis' [q, v, d] in units of [L^2, L, 1], of the Kalman filter.
+
+    Before and after the correction of a sample, once the next power of two of ``samples`` has
+    passed since all was known, as ``covariance_after`` has it. The filter knows the force, so that
+    axes do not meet in it. Its state is [q, v, d], the bias of v, correlated noise of q and of v.
+    """
+    step, size = sample_time, np.array([sample_time**2, sample_time])
+    kept = np.exp(-step / noise.time_constant)  # of the correlated noise, from sample to sample
+    transition = np.tile(np.eye(6), (len(walk), 1, 1))
+    transition[:, :3, :3] = [[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
+    transition[:, [4, 5], [4, 5]] = kept
+    output = np.array([[1.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0, 0.0, 1.0]])
+    correlated, white = noise.correlated / size, noise.white / size
+    process = np.zeros((len(walk), 6, 6))
+    process[:, [2, 3], [2, 3]] = step * np.stack([walk, noise.bias_walk / step], axis=1) ** 2
+    process[:, [4, 5], [4, 5]] = correlated**2 * (1.0 - kept**2)
+    # The gain takes some noise on every measurement, as that of ``kalman_gain``.
+    largest = np.column_stack([white, correlated, walk * np.sqrt(step)]).max(axis=1)
+    assumed = np.maximum(white, SMALLEST_RATIO * largest[:, None]) ** 2
+    before = process
+    for _ in range(1 << max(samples - 1, 0).bit_length()):
+        spread = output @ before @ output.T + assumed[:, None] * np.eye(2)
+        gain = np.swapaxes(np.linalg.solve(spread, output @ before), 1, 2)
+        correct = np.eye(6) - gain @ output
+        after = correct @ before @ np.swapaxes(correct, 1, 2)
+        after += (gain * white[:, None] ** 2) @ np.swapaxes(gain, 1, 2)
+        last, before = before, transition @ after @ np.swapaxes(transition, 1, 2) + process
+        if np.allclose(before, last, rtol=1e-10, atol=0.0):
+            break
+    return before[:, :3, :3], after[:, :3, :3]
 
 
 def _regulator(

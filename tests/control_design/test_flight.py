@@ -1,6 +1,8 @@
 """The mission with real sensors: what flight_sensors promises, how that is predicted, and how gains are designed."""
 
 import json
+import sys
+import types
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from ffsm_drake.control_design.stability import stability
 from ffsm_drake.control_design.stability.demand import make_demand
 from ffsm_drake.control_design.stability.prediction import predict
 from ffsm_drake.show.report.results import results_of
+from ffsm_drake.systems.sensing import make_sensing
 
 
 def rms_after(record, seconds=5.0):
@@ -140,6 +143,55 @@ def test_no_controller_beats_the_lqg_front():
         assert (np.diff(limit.front_excess) > 0.0).all()
         mean = np.mean((limit.front_error / limit.error) ** 2, axis=1)
         assert (np.diff(mean) < 0.0).all()
+
+
+NOISES = {
+    "white": [],
+    "correlated rates": ["sensing.velocity_correlated_noise=3e-4"],
+    "fast": ["sensing.velocity_correlated_noise=1e-4", "sensing.correlation_time=0.03"],
+    "slow": ["sensing.position_correlated_noise={all: 1e-5, base_position: 1e-3}", "sensing.correlation_time=100"],
+    "walking bias": ["sensing.velocity_bias_walk=1e-5"],
+    "all of it": ["sensing.velocity_correlated_noise=1e-4", "sensing.position_correlated_noise=1e-5",
+                  "sensing.velocity_bias_walk={joints: 1e-5}", "sensing.correlation_time={all: 2, joints: 0.2}"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("controller", ["tdc", "pd_plus", "tde_aismc"])
+def test_no_controller_beats_the_front_whatever_the_noise(controller, noise):
+    settings = [f"controller={controller}", "duration=8"]
+    white, limit = (
+        find_limit(load_scenario("flight_sensors", [*settings, *NOISES[name]])) for name in ("white", noise)
+    )
+    assert limit.distance >= 1.0
+    assert (np.diff(limit.front_excess) > 0.0).all()
+    least, least_of_white = limit.front_error.min(axis=0), white.front_error.min(axis=0)
+    if controller != "pd_plus":  # whose errors weigh the coordinates so differently that few fronts can be solved for
+        assert (least >= least_of_white * (1.0 - 1e-3)).all()
+    assert (least / least_of_white).max() > 1.05 or noise == "white"
+
+
+def test_noise_that_forgets_at_once_is_white():
+    sigma = {"position": 3e-5, "velocity": 2e-4}
+    white = [f"sensing.{part}_noise={{all: {np.hypot(1e-5, size)}}}" for part, size in sigma.items()]
+    both = [f"sensing.{part}_noise={{all: 1e-5}}" for part in sigma]
+    both += [f"sensing.{part}_correlated_noise={{all: {size}}}" for part, size in sigma.items()]
+    settings = ["duration=8", "sensing.correlation_time=1e-4"]
+    settings += [f"estimator.{part}_noise={{all: {size}}}" for part, size in sigma.items()]
+    one, other = (find_limit(load_scenario("flight_sensors", [*settings, *noise])) for noise in (white, both))
+    assert other.distance == pytest.approx(one.distance, rel=1e-4)
+    prices = np.log(one.front_excess[2:-2])
+    for mine, theirs in zip(one.front_error.T, other.front_error.T, strict=True):
+        found = np.interp(prices, np.log(other.front_excess), theirs)
+        assert found == pytest.approx(mine[2:-2], rel=1e-3)
+
+
+def test_the_limit_says_nothing_of_sensors_it_does_not_know(monkeypatch):
+    lab = types.ModuleType("lab_of_the_sensors")
+    lab.Sensors = lambda setup: make_sensing(setup.scenario.sensing, setup.coordinates, sample_time=setup.sample_time)
+    monkeypatch.setitem(sys.modules, lab.__name__, lab)
+    limit = find_limit(load_scenario("flight_sensors", ["duration=2", "blocks.sensing=lab_of_the_sensors:Sensors"]))
+    assert np.isnan(limit.distance)
 
 
 def test_perfect_tracking_effort_is_that_of_a_noiseless_run(run):
