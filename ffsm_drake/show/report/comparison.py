@@ -195,8 +195,8 @@ def table_notes(results: Sequence[Result], distances: Sequence[float] | None = N
     if distances is not None:
         notes.append(
             "Error over the least possible: against the LQG controller of the same effort, which no linear controller "
-            "beats, for the same noise, white or correlated, and a demand that walks at random; a dash where the loop is "
-            "unstable or a user-supplied block senses."
+            "beats, for the same noise, white or correlated, and a demand that walks at random; a dash where the loop "
+            "is unstable or a user-supplied block senses."
         )
     if not all(result.comparable for result in results):
         notes.append(
