@@ -46,6 +46,16 @@ def _packages() -> str:
     )
 
 
+def _drake() -> str:
+    from ffsm_drake.common import versions
+
+    first, last = versions.TESTED_DRAKE
+    installed = version("drake")
+    if not versions.release(first) <= versions.release(installed) <= versions.release(last):
+        raise RuntimeError(f"{installed} is outside the tested range, {first} to {last}")
+    return f"{installed}, in the tested range {first} to {last}"
+
+
 def _models() -> str:
     from ffsm_drake.spacecraft.nominal import make_true_plant
     from ffsm_drake.spacecraft.plant import models_dir

@@ -93,11 +93,7 @@ def _schema(kind: Any, default: Any) -> dict[str, Any]:
                 properties[name]["description"] = described[name]
             if value is not None and not isinstance(value, dict) and value != []:
                 properties[name]["default"] = value
-        meaning = (
-            (inspect.getdoc(kind) or "").partition("\n")[0]
-            if dataclasses.is_dataclass(kind)
-            else ""
-        )
+        meaning = summary_of(kind) if dataclasses.is_dataclass(kind) else ""
         result = {"type": "object", "properties": properties, "additionalProperties": False}
         if hasattr(kind, "SHORTHAND"):
             result = {"anyOf": [{"type": "string"}, result]}

@@ -135,14 +135,7 @@ def _map_panel(results: Sequence[Result], i: int, margin: Margins) -> Panel:
     red, green, blue = bytes.fromhex(color.removeprefix("#"))
     fill = {"fill": "tozeroy", "fillcolor": f"rgba({red}, {green}, {blue}, 0.11)"}
     traces: list[Trace] = [
-        curve(
-            (eta, limit),
-            Style(color),
-            name="stability limit",
-            width=2,
-            fill="tozeroy",
-            fillcolor=f"{color}1c",
-        )
+        curve((eta, limit), Style(color), name="stability limit", width=2, **fill)
     ]
     for (name, value), symbol in zip(used.items(), ("circle", "diamond"), strict=False):
         place = {
