@@ -74,7 +74,7 @@ def field_comments(schema: type) -> dict[str, str]:
     return comments
 
 
-def summary_of(kind: type) -> str:
+def summary_of(kind: object) -> str:
     """The first paragraph of a docstring, on one line."""
     return " ".join((inspect.getdoc(kind) or "").partition("\n\n")[0].split())
 

@@ -75,7 +75,8 @@ def system_dot(system: System, *, max_depth: int | None = None) -> str:
 
 def _without_idle_ports(dot: str, name: str) -> str:
     """Leave out the unconnected ports of the block with the given name."""
-    block = re.search(rf"(s\d+) \[[^\]]*?name={name}\n</TD></TR>\n(.*?)</TABLE>", dot, re.DOTALL)
+    heading = rf"(s\d+) \[[^\]]*?name={name}\b[^\]]*?</TD></TR>\n"
+    block = re.search(rf"{heading}(.*?)</TABLE>", dot, re.DOTALL)
     if block is None:
         return dot
     used = set(re.findall(rf"\b{block[1]}:([uy]\d+):", dot))

@@ -46,7 +46,7 @@ _SHORTENED = {
     )
 }
 RELATIVE = 1e-10  # of the largest number of a variable, or of a single figure
-ROUNDING = 1e-16  # what is smaller is what computers leave of numbers of order one
+ROUNDING = 1e-15  # what is smaller is what computers leave of numbers of order one
 _SMALLEST_CAMPAIGN = {
     "controllers": ["tdc"],
     "cases": 1,
