@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         RecordError,
         ScenarioError,
     )
+    from ffsm_drake.common.settings import setting
     from ffsm_drake.control_design.gains import design
     from ffsm_drake.control_design.stability import stability
     from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, make_closed_loop
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
     from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
     from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, Sample, gain
+    from ffsm_drake.systems.part import Metric, Part, Signal
     from ffsm_drake.systems.setup import BlockSetup
 
 # Imported on first use: Drake takes a while, and the command line's help should not wait for it.
@@ -49,7 +51,9 @@ _HOMES = {
     "spacecraft.free_floating": ("FreeFloating", "free_floating"),
     "spacecraft.nominal": ("PlantModel", "make_nominal_plant", "make_true_plant"),
     "systems.controllers": ("ControlLaw", "InjectedDynamics", "Sample", "gain"),
+    "systems.part": ("Metric", "Part", "Signal"),
     "systems.setup": ("BlockSetup",),
+    "common.settings": ("setting",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -61,8 +65,10 @@ __all__ = [
     "FfsmError",
     "FreeFloating",
     "InjectedDynamics",
+    "Metric",
     "ModelError",
     "Outcome",
+    "Part",
     "PlantModel",
     "RecordError",
     "Rollout",
@@ -71,6 +77,7 @@ __all__ = [
     "Sample",
     "Scenario",
     "ScenarioError",
+    "Signal",
     "add_closed_loop",
     "analyze",
     "compare",
@@ -83,6 +90,7 @@ __all__ = [
     "make_true_plant",
     "override_scenario",
     "run_campaign",
+    "setting",
     "simulate",
     "stability",
     "write_outputs",

@@ -21,6 +21,7 @@ from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import BlockError, LimitError, one_line
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
+from ffsm_drake.loop.blocks import parts_of
 from ffsm_drake.runs.actuators import thrusters_used, wheels_used
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.deflections import deflection_units, largest_deflections
@@ -29,7 +30,7 @@ from ffsm_drake.runs.metrics import base_drift
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
-from ffsm_drake.scenario import Actuation, Scenario
+from ffsm_drake.scenario import Actuation, Scenario, scenario_from_dict
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.reference import timed
 
@@ -79,7 +80,14 @@ def metrics_of(spec: Spec) -> tuple[str, ...]:
     of_hidden = (name for unit in hidden_units(spec) for name in OF_HIDDEN[unit])
     of_frame = (name for part in frame_parts(spec) for name in OF_FRAME[part])
     of_drift = (OF_DRIFT[group] for group in undriven_of(spec))
-    return (*METRICS, *of_capture, *of_thrusters, *of_wheels, *of_hidden, *of_frame, *of_drift)
+    further = (*of_thrusters, *of_wheels, *of_hidden, *of_frame, *of_drift, *part_columns(spec))
+    return (*METRICS, *of_capture, *further)
+
+
+def part_columns(spec: Spec) -> tuple[str, ...]:
+    """The columns that the figures of a campaign's parts fill."""
+    parts = parts_of(scenario_from_dict(spec.base))
+    return tuple(metric.column for part in parts.values() for metric in part.metrics())
 
 
 def frame_parts(spec: Spec) -> tuple[str, ...]:
@@ -237,6 +245,7 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     if undriven := undriven_of(spec):
         drift = base_drift(log.series["state"], undriven)["final"]
         values |= {OF_DRIFT[group]: size for group, size in drift.items()}
+    values |= {figure.column: figure.value for figure in log.figures}
     # The database knows no NaN.
     row = {
         name: None if value is None or math.isnan(value) else float(value)

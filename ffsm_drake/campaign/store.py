@@ -154,7 +154,7 @@ class Store:
         cells = (
             case.index,
             controller,
-            *(row[name] for name in result_columns(self.spec)),
+            *(row.get(name) for name in result_columns(self.spec)),
             row["software"],
         )
         values = (

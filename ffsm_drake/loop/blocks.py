@@ -17,7 +17,8 @@ from typing import Any
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
-from ffsm_drake.scenario import Block, Scenario
+from ffsm_drake.common.settings import require_valid
+from ffsm_drake.scenario import Block, Scenario, build_settings
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
@@ -27,6 +28,7 @@ from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST, make_cont
 from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.environment import EnvironmentForce
 from ffsm_drake.systems.frame_path import FRAME_SIZE
+from ffsm_drake.systems.part import Part, PlacedPart, place_part
 from ffsm_drake.systems.reference import make_reference
 from ffsm_drake.systems.registry import Factory, call_factory, find_factory, module_file
 from ffsm_drake.systems.sensing import make_sensing
@@ -124,8 +126,9 @@ def block_choices(scenario: Scenario) -> dict[str, Block]:
 
 def make_blocks(
     scenario: Scenario, nominal: PlantModel, factories: Mapping[str, Factory] | None = None
-) -> dict[str, System]:
-    """All blocks by name, checked. ``actuation`` is missing where what is commanded acts.
+) -> tuple[dict[str, System], dict[str, PlacedPart]]:
+    """All blocks by name, checked, and the parts among what fills them. ``actuation`` is missing
+    where what is commanded acts.
 
     Args:
       scenario: what fills them.
@@ -148,6 +151,7 @@ def make_blocks(
         name for name in (*_own_forces(scenario), *choices, *given) if name.startswith("forces.")
     ]
     blocks: dict[str, System] = {}
+    parts: dict[str, PlacedPart] = {}
     for name in ("reference", "sensing", "controller", "actuation", *dict.fromkeys(forces)):
         factory, choice = given.get(name), choices.get(name, Block())
         if name == "controller":
@@ -155,20 +159,59 @@ def make_blocks(
             made = make_controller(scenario, nominal, factory)
         else:
             place = f"blocks.{name} '{getattr(factory, '__name__', choice.system)}'"
+            part = part_of(name, scenario, factory)
             own = BlockSetup(
                 name=name.rpartition(".")[2],
                 scenario=scenario,
                 nominal=nominal,
                 settings=choice.settings,
             )
-            made = call_factory(factory or block_factory(name, scenario), own, place=place)
+            build = factory or block_factory(name, scenario) if part is None else part.build
+            made = call_factory(build, own, place=place)
             if made is None and name not in choices and name not in given:
                 continue  # an ideal actuator
         check_ports(made, kind_of(name), nominal.coordinates, place=place)
         if name != "controller":  # which has its own
             made.set_name(own.name)
+            if part is not None:
+                parts[name] = place_part(part, own, made, block=name)
         blocks[name] = made
-    return blocks
+    return blocks, parts
+
+
+def part_of(name: str, scenario: Scenario, given: Any = None) -> Part | None:
+    """The part that fills a block, with its settings; None where something else fills it.
+
+    Args:
+      name: of the block.
+      scenario: what fills it.
+      given: a factory, or a part, in place of what the scenario names.
+
+    Raises:
+      ScenarioError: a setting is unknown, or cannot have its value.
+      BlockError: what fills the block cannot be loaded.
+    """
+    choice, key = block_choices(scenario).get(name), f"blocks.{name}.settings"
+    if given is None and choice is not None:
+        given = block_factory(name, scenario)
+    if isinstance(given, type) and issubclass(given, Part):
+        settings = {} if choice is None else choice.settings
+        given = build_settings(given, settings, key)
+    if not isinstance(given, Part):
+        return None
+    require_valid(given, key, scenario)
+    return given
+
+
+def parts_of(scenario: Scenario, given: Mapping[str, Any] | None = None) -> dict[str, Part]:
+    """The parts of a scenario by block; arguments and errors as for ``part_of``."""
+    given = given or {}
+    found = {
+        name: part_of(name, scenario, given.get(name))
+        for name in dict.fromkeys((*block_choices(scenario), *given))
+        if name != "controller"
+    }
+    return {name: part for name, part in found.items() if part is not None}
 
 
 def _check_initialized(system: System, *, place: str) -> None:

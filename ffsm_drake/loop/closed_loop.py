@@ -28,7 +28,7 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.loop.blocks import kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
@@ -44,6 +44,7 @@ from ffsm_drake.systems.actuation import HELD_OUTPUTS, STORED_MOMENTUM
 from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK, DriveSet
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST
 from ffsm_drake.systems.controllers.sampled import SampledController
+from ffsm_drake.systems.part import Parts
 from ffsm_drake.systems.registry import Factory
 
 # Integration schemes that are stable at any step, however fast friction acts.
@@ -76,6 +77,7 @@ class ClosedLoop:
     blocks: Mapping[str, System]
     # signal -> the system and the name of its output port
     sources: Mapping[str, tuple[System, str]]
+    parts: Parts = dataclasses.field(default_factory=dict)  # those of ``blocks`` that are parts
     diagram: Any = None  # Diagram, of ``make_closed_loop``; its outputs are the signals
 
     @property
@@ -246,7 +248,7 @@ def add_closed_loop(
         configuration(plant, posture, key=name)
     for name in ("initial_velocity", "tolerance"):
         coordinates.check_names(getattr(scenario, name), key=name)
-    parts = make_blocks(scenario, make_nominal_plant(scenario), blocks)
+    parts, placed = make_blocks(scenario, make_nominal_plant(scenario), blocks)
     for system in parts.values():
         builder.AddSystem(system)
     controller, sensing, reference = parts["controller"], parts["sensing"], parts["reference"]
@@ -356,7 +358,16 @@ def add_closed_loop(
     if actuation is not None:
         further = (*HELD_OUTPUTS, STORED_MOMENTUM, FRICTION_FORCE, FRICTION_WORK)
         sources |= {name: (actuation, name) for name in further if actuation.HasOutputPort(name)}
+    for name, part in placed.items():
+        for signal in part.signals:
+            if signal.name in sources:
+                raise BlockError(
+                    f"blocks.{name}: signal '{signal.name}' has the name of another; rename it"
+                )
+            if signal.of is None:
+                sources[signal.name] = (parts[name], signal.name)
     return ClosedLoop(
+        parts=placed,
         scenario=scenario,
         plant=plant,
         coordinates=coordinates,

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pydrake.geometry import Meshcat
 
 from ffsm_drake.common.files import same_folder
+from ffsm_drake.common.settings import settings_of
 from ffsm_drake.control_design.momentum import momentum_budget
 from ffsm_drake.loop.blocks import block_choices, block_sources
 from ffsm_drake.preflight.remarks import LimitWarning, plan_remarks
@@ -15,8 +16,9 @@ from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import Rollout, RunLog, user_supplied
-from ffsm_drake.scenario import Block, Scenario
+from ffsm_drake.scenario import Block, Scenario, as_dict
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.reference import timed
 from ffsm_drake.systems.registry import Factory, address_of, module_folder
 
@@ -101,6 +103,7 @@ def make_record(
         scenario=scenario,
         outcome=log.outcome,
         dataset=make_table(log),
+        figures=log.figures,
         wall_time=log.wall_time | {"total": time.perf_counter() - start},
         software=software_versions(),
         blocks=block_sources(scenario),
@@ -142,6 +145,11 @@ def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Sc
     named = dataclasses.replace(scenario.blocks, forces=dict(scenario.blocks.forces))
     for name, factory in blocks.items():
         block = Block(system=address_of(factory))
+        if isinstance(factory, Part):
+            settings = {
+                name: as_dict(getattr(factory, name)) for name in settings_of(type(factory))
+            }
+            block = Block(system=address_of(type(factory)), settings=settings)
         if name.startswith("forces."):
             named.forces[name.partition(".")[2]] = block
         elif name != "controller":

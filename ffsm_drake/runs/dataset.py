@@ -6,6 +6,7 @@ import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
+from ffsm_drake.common.errors import BlockError
 from ffsm_drake.runs.actuators import add_drives, add_thrusters, add_wheels
 from ffsm_drake.runs.capture import NOTHING, GraspLog
 from ffsm_drake.runs.rollout import RunLog
@@ -18,6 +19,10 @@ from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.plant import find_body, find_frame
 from ffsm_drake.systems.controllers import SMALLEST
+from ffsm_drake.systems.part import PlacedPart, values_of
+
+# The attribute of a variable that names the part it belongs to.
+PART = "part"
 
 
 def make_table(log: RunLog) -> Table:
@@ -169,9 +174,31 @@ def make_table(log: RunLog) -> Table:
     table = add_drives(table, scenario, coordinates, series)
     if model.hidden.names:
         table = _with_hidden(table, model, states, series.get("hidden_force"))
-    return (
-        table if log.grasp is None else _with_phases(table, log.grasp, log.scenario, model, states)
-    )
+    if log.grasp is not None:
+        table = _with_phases(table, log.grasp, log.scenario, model, states)
+    for part in log.parts.values():
+        table = _with_part(table, log, part)
+    return table
+
+
+def _with_part(table: Table, log: RunLog, part: PlacedPart) -> Table:
+    """The table with the signals of a part. Raises BlockError for one that has a name taken."""
+    for signal in part.signals:
+        if signal.name in table:
+            place = f"blocks.{part.name}: signal '{signal.name}'"
+            raise BlockError(f"{place} has the name of another variable of the record; rename it")
+        attributes = {"long_name": signal.meaning, "units": signal.unit, PART: part.title}
+        table = table.assign({signal.name: (signal.dims, values_of(signal, log), attributes)})
+        if signal.components:
+            along = signal.dims[1]
+            given = list(signal.components)
+            if along not in table:
+                table = table.assign_coords({along: (along, given)})
+            elif table[along].values.tolist() != given:
+                place = f"blocks.{part.name}: signal '{signal.name}'"
+                names = ", ".join(map(str, table[along].values.tolist()))
+                raise BlockError(f"{place} stands along '{along}', whose components are {names}")
+    return table
 
 
 def _with_frame(table: Table, log: RunLog, error: np.ndarray) -> Table:

@@ -18,6 +18,7 @@ from ffsm_drake.common.files import check_regular, published
 from ffsm_drake.runs.metrics import compute_metrics
 from ffsm_drake.runs.table import Table
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario, scenario_from_dict
+from ffsm_drake.systems.part import Figure, nested
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -124,14 +125,17 @@ class RunRecord:
     blocks: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
     # of a run with a capture; ``GraspLog.ledger``, ``momentum_budget``
     grasp: dict[str, Any] | None = None
+    figures: tuple[Figure, ...] = ()  # of its parts
     # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and
     # reports carry
     identifier: str = dataclasses.field(default="", init=False)
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
-        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.compute_metrics``."""
-        return compute_metrics(vars(self)["_given"])
+        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.compute_metrics``, and
+        those of its parts.
+        """
+        return compute_metrics(vars(self)["_given"]) | nested(self.figures)
 
     @property
     def realtime_factor(self) -> float:
@@ -178,6 +182,8 @@ class RunRecord:
         }
         if self.grasp is not None:
             manifest["grasp"] = self.grasp
+        if self.figures:
+            manifest["figures"] = [dataclasses.asdict(figure) for figure in self.figures]
         with published(directory, outdated=OUTPUTS) as folder:
             try:
                 self.dataset.to_netcdf(
@@ -228,6 +234,7 @@ class RunRecord:
                 str(name): {str(key): str(text) for key, text in dict(source).items()}
                 for name, source in dict(manifest["blocks"]).items()
             }
+            figures = tuple(Figure(**figure) for figure in manifest.get("figures", ()))
             grasp = manifest.get("grasp")
             if not isinstance(grasp, dict | None):
                 raise TypeError("grasp must be an object")
@@ -278,6 +285,7 @@ class RunRecord:
             software=software,
             blocks=blocks,
             grasp=grasp,
+            figures=figures,
         )
         object.__setattr__(record, "identifier", digest)
         return record

@@ -39,6 +39,7 @@ from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
 from ffsm_drake.systems.actuation import HELD_OUTPUTS
 from ffsm_drake.systems.controllers import SMALLEST
+from ffsm_drake.systems.part import Figure, Parts, figures_of, signals_of
 from ffsm_drake.systems.registry import Factory, is_shipped
 
 if TYPE_CHECKING:
@@ -75,8 +76,21 @@ class RunLog:
     wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
     hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)
     grasp: "GraspLog | None" = None  # of a run with a capture, unless it ended before
+    parts: Parts = dataclasses.field(default_factory=dict)  # with signals and figures of their own
     # whether the controller does, and coordinates only as far as that leaves them free
     tracks_frame: bool = False
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """A signal at the samples (n, its width), or (n) where it is a single number."""
+        if name not in self.series:
+            raise KeyError(f"no signal '{name}'; there are: {', '.join(self.series)}")
+        values = self.series[name]
+        return values[:, 0] if values.shape[1] == 1 else values
+
+    @functools.cached_property
+    def figures(self) -> tuple[Figure, ...]:
+        """What the metrics of the parts came to. Raises BlockError where one fails."""
+        return tuple(figure for part in self.parts.values() for figure in figures_of(part, self))
 
     @property
     def generalized_force(self) -> np.ndarray:
@@ -285,6 +299,7 @@ class Rollout:
             coordinates=loop.coordinates,
             hidden=loop.hidden,
             tracks_frame=loop.tracks_frame,
+            parts=loop.parts,
             time=times,
             series=series,
             wall_time={
@@ -369,6 +384,7 @@ class Rollout:
     def _read_log(self, *, unfinished: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Sample times and the aligned series (copied)."""
         loop, context = self.loop, self._simulator.get_context()
+        held = {*_HELD, *(each.name for each in signals_of(loop.parts) if each.held)}
         log = self._logger.FindLog(context)
         times, rows = log.sample_times().copy(), log.data()
         if unfinished and times.size == 0:
@@ -376,13 +392,13 @@ class Rollout:
         if unfinished and times.size > 1:
             # Perhaps before the update of the last sample, which is therefore left out.
             parts = {
-                name: rows[part, 1:] if name in _HELD else rows[part, :-1]
+                name: rows[part, 1:] if name in held else rows[part, :-1]
                 for name, part in self._logged.items()
             }
             return times[:-1], {name: part.T.copy() for name, part in parts.items()}
         series = {}
         for name, part in self._logged.items():
-            if name in _HELD:
+            if name in held:
                 # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
                 last = loop.diagram.GetOutputPort(name).Eval(context)
                 series[name] = np.vstack([rows[part, 1:].T, last])

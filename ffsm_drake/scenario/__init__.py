@@ -16,7 +16,7 @@ from ffsm_drake.scenario.loading import (
     scenario_to_yaml,
     shipped_scenarios,
 )
-from ffsm_drake.scenario.resolving import schema_fields, shown
+from ffsm_drake.scenario.resolving import as_dict, build_settings, schema_fields, shown
 from ffsm_drake.scenario.schema import (
     BASE_ROTATIONS,
     CAPTURE_AXES,
@@ -60,6 +60,8 @@ from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 from ffsm_drake.scenario.thruster_layouts import own_thrusters, thruster_layouts, thrusters_of
 
 __all__ = [
+    "as_dict",
+    "build_settings",
     "MANIFEST_FILE",
     "anchor_paths",
     "differing_keys",

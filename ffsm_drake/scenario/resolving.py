@@ -225,3 +225,7 @@ def shown(data: typing.Any) -> str:
     except ValueError:  # Python does not print integers of thousands of digits
         text = "a number of thousands of digits"
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def build_settings(cls, data, key):
+    return build(cls, resolve(cls, as_dict(cls()), data, key))

@@ -126,6 +126,7 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
                 *drift_lines(record),
                 *actuator_lines(record.metrics),
                 *deflection_lines(record),
+                *part_lines(record),
             )
         ]
     return "\n".join(lines)
@@ -309,6 +310,16 @@ def actuator_lines(metrics: Mapping[str, Any]) -> list[str]:
         if parts:
             lines.append(f"drives: {', '.join(parts)}")
     return lines
+
+
+def part_lines(record: RunRecord) -> list[str]:
+    """The figures of the parts, a line for each part."""
+    by_part: dict[str, list[str]] = {}
+    for figure in record.figures:
+        unit = "" if figure.unit == "1" else f" {figure.unit}"
+        text = f"{figure.label[:1].lower()}{figure.label[1:]} {number(figure.value)}{unit}"
+        by_part.setdefault(figure.part, []).append(text)
+    return [f"{part}: {', '.join(texts)}" for part, texts in by_part.items()]
 
 
 def deflection_lines(record: RunRecord) -> list[str]:

@@ -70,7 +70,7 @@ class Metric:
 
     @property
     def column(self) -> str:
-        """Its name in a campaign."""
+        """As ``Figure.column``."""
         return self.key.replace(".", "_")
 
 
@@ -83,6 +83,11 @@ class Figure:
     unit: str
     label: str
     value: float | None  # None: not a finite number
+
+    @property
+    def column(self) -> str:
+        """Its name in a campaign."""
+        return self.key.replace(".", "_")
 
 
 class Part:
@@ -123,6 +128,9 @@ class PlacedPart:
     def title(self) -> str:
         """Heading of its rows and panels."""
         return self.part.title or type(self.part).__name__
+
+
+Parts = Mapping[str, PlacedPart]  # by block
 
 
 def place_part(part: Part, setup: BlockSetup, system: System, *, block: str) -> PlacedPart:
@@ -187,4 +195,7 @@ def values_of(signal: Signal, view: View) -> np.ndarray:
     return values.reshape(len(view.time), *(() if not signal.components else (signal.size,)))
 
 
-Parts = Mapping[str, PlacedPart]  # by block
+def signals_of(parts: Parts) -> Iterator[Signal]:
+    """Those of all parts."""
+    for placed in parts.values():
+        yield from placed.signals

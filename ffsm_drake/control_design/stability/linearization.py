@@ -29,6 +29,7 @@ from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
+from ffsm_drake.loop.blocks import parts_of
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import (
     Actuation,
@@ -85,7 +86,9 @@ class Linearizer:
         self.scenario = dataclasses.replace(
             scenario, sensing=sensing, estimator=estimator, actuation=actuation
         )
-        self.loop = make_closed_loop(self.scenario, blocks=blocks)
+        parts = parts_of(self.scenario, blocks)
+        linear = {name: part.linear() for name, part in parts.items()}
+        self.loop = make_closed_loop(self.scenario, blocks={**(blocks or {}), **linear})
         diagram, self._plant = self.loop.diagram, self.loop.plant
         self._simulator = Simulator(diagram)
         ApplySimulatorConfig(self.scenario.simulator_config, self._simulator)

@@ -93,6 +93,7 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
     rows += _of_drift(results)
     rows += _of_actuators(results)
     rows += _hidden_rows(results)
+    rows += _part_rows(results)
     simulated = [Cell(f"{result.record.outcome.time:g}") for result in results]
     rows.append(Row("Simulated time", simulated, unit="s", head="Computation"))
     for label, key in (("Wall time, simulation", "advance_to"), ("Wall time, all told", "total")):
@@ -226,6 +227,24 @@ def _hidden_rows(results: Sequence[Result]) -> list[Row]:
         for k, (name, unit) in enumerate(units.items()):
             cells = [Cell(number((figures.get(key) or {}).get(name))) for figures in found]
             rows.append(Row(name.replace("_", " "), cells, unit=unit, head="" if k else head))
+    return rows
+
+
+def _part_rows(results: Sequence[Result]) -> list[Row]:
+    """The figures of the parts of any run, under the name of the part."""
+    known = {
+        (figure.part, figure.key): figure for result in results for figure in result.record.figures
+    }
+    rows, part = [], ""
+    for (title, key), figure in known.items():
+        values = [
+            next((each.value for each in result.record.figures if each.key == key), None)
+            for result in results
+        ]
+        unit = "" if figure.unit == "1" else figure.unit
+        cells = [Cell(number(value)) for value in values]
+        rows.append(Row(figure.label, cells, unit=unit, head="" if title == part else title))
+        part = title
     return rows
 
 

@@ -20,6 +20,7 @@ from ffsm_drake.show.report.actuator_panels import actuator_tables, actuator_tex
 from ffsm_drake.show.report.comparison import rankings, table, table_notes
 from ffsm_drake.show.report.deflection_panels import deflection_views
 from ffsm_drake.show.report.grasp import grasp_of
+from ffsm_drake.show.report.part_panels import part_views
 from ffsm_drake.show.report.provenance import provenance, software
 from ffsm_drake.show.report.results import SETTLED_OVER, Result, results_of
 from ffsm_drake.show.report.stability_panels import stability_views
@@ -125,6 +126,8 @@ def render_report(
         views["actuators"] = actuators
     if deflections := deflection_views(results, thin):
         views["hidden"] = deflections
+    if parts := part_views(results, thin):
+        views["parts"] = parts
     views |= {"stability": stability_views(results, [margin for margin, _ in margins], thin)}
     descriptions = list(dict.fromkeys(record.scenario.description for record in records))
     description = descriptions[0] or "Run report"
@@ -143,6 +146,8 @@ def render_report(
             "What moves in the true spacecraft that the controller takes for rigid.",
             "",
         )
+    if parts:
+        sections["parts"] = ("Parts", "Signals of the user-supplied parts.", "")
     content: Json = {
         "title": title or description,
         "kicker": "; ".join(descriptions)

@@ -1,0 +1,209 @@
+"""A user's part has the rights of ours: one file, seen by every command, record, page and table."""
+
+import dataclasses
+import json
+import shlex
+import sqlite3
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from pydrake.systems.framework import LeafSystem
+
+from ffsm_drake import (
+    BlockError,
+    Metric,
+    Part,
+    RunRecord,
+    ScenarioError,
+    Signal,
+    load_scenario,
+    setting,
+    simulate,
+    stability,
+)
+from ffsm_drake.cli import main
+from ffsm_drake.show.report import write_report
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+BLOCK = 'blocks.actuation={system: "own_actuator:Magnetorquers", settings: {largest_dipole: 80}}'
+SCENARIO = ("flight_sensors", ["controller=tdc", "duration=0.5"])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A user's folder with the example's file, from which ``ffsm`` is called."""
+    (tmp_path / "own_actuator.py").write_text((EXAMPLES / "own_actuator.py").read_text())
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    sys.modules.pop("own_actuator", None)
+
+
+def ffsm(command, code=0):
+    result = CliRunner().invoke(main, shlex.split(command), catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+@pytest.mark.usefixtures("rough_pictures")
+def test_a_run_holds_its_signals_and_figures(folder):
+    shown = ffsm(f"run flight_sensors -c tdc --set duration=0.5 --set '{BLOCK}' --out out")
+    assert "Magnetorquers: largest dipole 80.00 A m^2, energy of the coils " in shown
+    record = RunRecord.load("out")
+    dipole = record.dataset["dipole"]
+    assert dipole.dims == ("time", "axis")
+    assert dipole.attrs["units"] == "A m^2"
+    figures = json.loads((folder / "out/metrics.json").read_text())["magnetorquers"]
+    assert figures["largest_dipole"] == pytest.approx(np.abs(dipole.values).max())
+    energy = 2e-3 * (dipole.values[:-1] ** 2).sum() * 0.01
+    assert figures["energy"] == pytest.approx(energy)
+    assert record.metrics["magnetorquers"] == figures
+    page = (folder / "out/report.html").read_text()
+    assert "Magnetorquers: magnetic torque" in page
+    assert "Energy of the coils" in page
+
+
+def test_its_torque_is_across_the_field_and_within_its_limit(folder):
+    import own_actuator
+
+    part = own_actuator.Magnetorquers(largest_dipole=30.0)
+    record = simulate(load_scenario(*SCENARIO), blocks={"actuation": part}, check_stability=False)
+    torque = record.dataset["magnetic_torque"].values
+    assert np.abs(record.dataset["dipole"].values).max() == pytest.approx(30.0)
+    assert torque @ np.array(part.field) == pytest.approx(np.zeros(len(torque)), abs=1e-18)
+    again = simulate(record.scenario, check_stability=False)  # by its address and settings
+    assert again.dataset["dipole"].equals(record.dataset["dipole"])
+    assert again.figures == record.figures
+
+
+@pytest.mark.usefixtures("folder", "rough_pictures")
+def test_it_goes_through_compare_stability_and_validate():
+    common = f"flight_sensors --set duration=0.3 --set '{BLOCK}'"
+    shown = ffsm(f"compare {common} -c tdc -c asmc --out both")
+    assert shown.count("Magnetorquers: largest dipole") == 2
+    linear, without = (
+        stability(load_scenario(SCENARIO[0], [*SCENARIO[1], *more])).loops[0]
+        for more in ([BLOCK], [])
+    )
+    assert linear.spectral_radius == pytest.approx(without.spectral_radius, abs=1e-6)
+
+
+def test_a_campaign_has_its_columns(folder):
+    (folder / "spec.yaml").write_text(
+        """{scenario: flight_sensors, controllers: [tdc], cases: 1,
+        overrides: {duration: 0.2, blocks.actuation: {system: "own_actuator:Magnetorquers"}},
+        parameters: {payload.truth.mass: {distribution: uniform, low: 80, high: 120}}}"""
+    )
+    ffsm("campaign run spec.yaml --database c.db --workers 1")
+    with sqlite3.connect("c.db") as connection:
+        rows = connection.execute(
+            "SELECT magnetorquers_largest_dipole, magnetorquers_energy FROM runs"
+        ).fetchall()
+    assert len(rows) == 1
+    assert rows[0][0] > 0.0
+    assert rows[0][1] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ("{largest_dipol: 1}", "largest_dipol: unknown key; valid here: largest_dipole, field"),
+        ("{largest_dipole: -1}", "settings.largest_dipole: must be > 0 A m^2, not -1"),
+        ("{largest_dipole: much}", "settings.largest_dipole: must be a number, not 'much'"),
+        ("{field: [0, 0, 0]}", "settings.field: must not be zero"),
+        ("{field: [1, 2]}", "settings.field: must hold 3"),
+    ],
+)
+@pytest.mark.usefixtures("folder")
+def test_its_settings_are_checked_in_one_line(settings, words):
+    block = f'blocks.actuation={{system: "own_actuator:Magnetorquers", settings: {settings}}}'
+    shown = ffsm(f"run flight_sensors -c tdc --set duration=0.1 --set '{block}'", code=2)
+    assert words in shown
+    assert shown.count("\n") == 1
+
+
+class Through(LeafSystem):
+    """What is commanded acts; with output ports of given sizes."""
+
+    def __init__(self, nv, **sizes):
+        super().__init__()
+        commanded = self.DeclareVectorInputPort("commanded_force", nv)
+        ready = {self.input_port_ticket(commanded.get_index())}
+        self.DeclareVectorOutputPort("applied_force", nv, self._pass, ready)
+        for name, size in sizes.items():
+            self.DeclareVectorOutputPort(name, size, self._ones, {self.nothing_ticket()})
+
+    def _pass(self, context, output):
+        output.SetFromVector(self.get_input_port().Eval(context))
+
+    def _ones(self, context, output):
+        output.SetFromVector(np.ones(output.size()))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Faulty(Part):
+    """A part that says of itself what is given here."""
+
+    said: tuple = ()
+    ports: tuple = ()
+    figures: tuple = ()
+    amount: float = setting(1.0, "kg", "of it", above=0)
+
+    def build(self, setup):
+        return Through(len(setup.coordinates.names), **dict(self.ports))
+
+    def signals(self, setup):
+        return self.said
+
+    def metrics(self):
+        return self.figures
+
+
+def signal(name, **rest):
+    return Signal(name=name, unit="1", meaning="of a test", **rest)
+
+
+def metric(of):
+    return Metric(key="test.figure", unit="1", label="A figure", of=of)
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        (Faulty(said=(signal("here"),)), "signal 'here' needs an output port of that name"),
+        (
+            Faulty(said=(signal("here", components=("a", "b")),), ports=(("here", 3),)),
+            "output port 'here' must have size 2, as its signal has components, not 3",
+        ),
+        (Faulty(said=(signal("two words"),)), "must be an identifier, not 'two words'"),
+        (Faulty(said=(signal("state"),), ports=(("state", 1),)), "has the name of another"),
+        (Faulty(said=(signal("error", of=lambda run: run.time),)), "has the name of another"),
+        (Faulty(figures=(metric(lambda run: 1 / 0),)), "metric 'test.figure' failed: ZeroDiv"),
+        (Faulty(figures=(metric(lambda run: run["nothing"]),)), "no signal 'nothing'; there are:"),
+        (Faulty(figures=(metric(lambda run: "much"),)), "metric 'test.figure' failed: ValueError"),
+        (Faulty(amount=-1.0), "must be > 0 kg, not -1"),
+    ],
+)
+def test_a_part_that_contradicts_itself_is_told_so(part, words):
+    with pytest.raises((BlockError, ScenarioError)) as raised:
+        simulate(load_scenario(*SCENARIO), blocks={"actuation": part}, check_stability=False)
+    assert words in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_signals_that_are_computed_and_figures_that_are_no_numbers(tmp_path):
+    part = Faulty(
+        said=(signal("twice", of=lambda run: 2.0 * run["here"]), signal("here")),
+        ports=(("here", 1),),
+        figures=(metric(lambda run: float("nan")),),
+    )
+    record = simulate(load_scenario(*SCENARIO), blocks={"actuation": part}, check_stability=False)
+    assert (record.dataset["twice"].values == 2.0).all()
+    assert record.figures[0].value is None
+    record.save(tmp_path / "run")
+    loaded = RunRecord.load(tmp_path / "run")
+    assert loaded.figures == record.figures
+    assert write_report([loaded], tmp_path / "report.html").stat().st_size > 0
