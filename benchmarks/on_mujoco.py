@@ -8,8 +8,9 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from ffsm_drake.common.so3 import rotation_error_rate
 from ffsm_drake.scenario import MassProperties, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error_rate
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers import gain_vectors
 from ffsm_drake.systems.reference import make_motion
 

@@ -15,6 +15,7 @@ from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.scenario import Capture, Scenario, planned_part
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.clearance import Clearance
@@ -30,7 +31,6 @@ from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.actuation.limits import force_limits
 from ffsm_drake.systems.actuation.wheels import WheelSet
 from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.rotation_motion import quaternion_rate
 
 LONGEST = 1000.0  # s that are looked at
 _INSTANTS = 201  # of a planned motion that are looked at, and after it as densely to the run's end

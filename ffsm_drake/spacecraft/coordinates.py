@@ -6,12 +6,12 @@ Drake's, v = [w_WB, v_WB, joint rates]; only this module depends on it.
 
 import dataclasses
 import functools
-import math
 from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean
+from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
 
 BASE_ROTATION = ("base_rotation_x", "base_rotation_y", "base_rotation_z")
 BASE_POSITION = ("base_position_x", "base_position_y", "base_position_z")
@@ -199,56 +199,6 @@ class HiddenCoordinates:
     def known_velocities(self, v: np.ndarray) -> np.ndarray:
         """The known part of a vector along the plant's v."""
         return v[self.known] if self.names else v
-
-
-def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[float, float, float]:
-    """Rotation vector, in the world frame, from R(quaternion) to R(quaternion_d): log(R_d R^T),
-    rad.
-
-    Quaternions are (w, x, y, z); their norms do not matter. Plain floats, because this runs in
-    every controller update.
-    """
-    dw, dx, dy, dz = quaternion_d.tolist()
-    w, x, y, z = quaternion.tolist()
-    # The product quaternion_d * conjugate(quaternion).
-    ew = dw * w + dx * x + dy * y + dz * z
-    ex = dx * w - dw * x - dy * z + dz * y
-    ey = dy * w - dw * y - dz * x + dx * z
-    ez = dz * w - dw * z - dx * y + dy * x
-    if ew < 0.0:  # the shorter rotation
-        ew, ex, ey, ez = -ew, -ex, -ey, -ez
-    sine = math.sqrt(ex * ex + ey * ey + ez * ez)
-    factor = 2.0 * math.atan2(sine, ew) / sine if sine > 0.0 else 0.0
-    return factor * ex, factor * ey, factor * ez
-
-
-def rotation_error_rate(
-    error: tuple[float, float, float], w_d: np.ndarray, w: np.ndarray
-) -> tuple[float, float, float]:
-    """Rate of ``rotation_error``, rad/s, for an error e and angular velocities w_d and w (3,), all
-    in the world frame.
-
-    e' = J_l(e)^-1 w_d - J_r(e)^-1 w = (w_d - w) - 1/2 e x (w_d + w) + c e x (e x (w_d - w)), with
-    the left and right Jacobians of SO(3) and c = (1 - a/2 cot a/2) / a^2, a = |e| (Sola et al.
-    2018, "A micro Lie theory for state estimation in robotics", equations (146) and (147)). Plain
-    floats, as in ``rotation_error``.
-    """
-    ex, ey, ez = error
-    dx, dy, dz = w_d.tolist()
-    x, y, z = w.tolist()
-    sx, sy, sz = 0.5 * (dx + x), 0.5 * (dy + y), 0.5 * (dz + z)
-    dx, dy, dz = dx - x, dy - y, dz - z
-    square = ex * ex + ey * ey + ez * ez
-    if square < 1e-2:  # the next term of the series is below 1e-12
-        c = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
-    else:
-        half = 0.5 * math.sqrt(square)
-        c = (1.0 - half / math.tan(half)) / square
-    # e x (c e x (w_d - w) - 1/2 (w_d + w))
-    cx = c * (ey * dz - ez * dy) - sx
-    cy = c * (ez * dx - ex * dz) - sy
-    cz = c * (ex * dy - ey * dx) - sz
-    return dx + ey * cz - ez * cy, dy + ez * cx - ex * cz, dz + ex * cy - ey * cx
 
 
 def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:

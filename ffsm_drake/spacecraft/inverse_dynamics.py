@@ -17,62 +17,13 @@ from pydrake.math import RotationMatrix
 from pydrake.multibody.tree import Joint
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.common.so3 import attitude_motion, cross
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body
 
 _STEP = 1e-30  # of the complex-step derivative, which has no truncation error worth the name
 _COLUMNS = 600  # states in one pass: as many as the processor's cache takes
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a x b for arrays (3, ...)."""
-    return np.stack(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
-
-
-def attitude_motion(
-    phi: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotation matrices exp(phi) (3, 3, n), angular velocities and accelerations (3, n), world
-    frame.
-
-    w = phi' + b phi x phi' + c phi x (phi x phi') with b = (1 - cos a)/a^2, c = (a - sin a)/a^3, a
-    = |phi|: the left Jacobian of SO(3) (Sola et al. 2018, equation (145)); the acceleration is its
-    exact derivative. Complex arrays pass.
-
-    Args:
-      phi, rate, acceleration: rotation vectors (3, n), rad, and their time derivatives.
-    """
-    square = (phi * phi).sum(axis=0)
-    small = np.abs(square) < 1e-4
-    safe = np.where(small, 1.0, square)
-    angle = np.sqrt(safe)
-    a = np.where(small, 1 - square / 6 + square**2 / 120, np.sin(angle) / angle)
-    b = np.where(small, 0.5 - square / 24 + square**2 / 720, (1 - np.cos(angle)) / safe)
-    c = np.where(
-        small, 1 / 6 - square / 120 + square**2 / 5040, (angle - np.sin(angle)) / (safe * angle)
-    )
-    # by the square
-    db = np.where(small, -1 / 24 + square / 360 - square**2 / 13440, (a - 2 * b) / (2 * safe))
-    dc = np.where(small, -1 / 120 + square / 2520 - square**2 / 120960, (b - 3 * c) / (2 * safe))
-    growth = 2 * (phi * rate).sum(axis=0)  # of the square
-    once = cross(phi, rate)
-    twice = cross(phi, once)
-    w = rate + b * once + c * twice
-    turned = cross(phi, acceleration)
-    alpha = (
-        acceleration
-        + b * turned
-        + c * (cross(phi, turned) + cross(rate, once))
-        + growth * (db * once + dc * twice)
-    )
-    zero = np.zeros_like(square)
-    skew = np.array([[zero, -phi[2], phi[1]], [phi[2], zero, -phi[0]], [-phi[1], phi[0], zero]])
-    identity = np.eye(3)[:, :, None]
-    rotation = identity + a * skew + b * (phi[:, None] * phi[None] - square * identity)
-    return rotation, w, alpha
 
 
 def complex_step(

@@ -13,13 +13,12 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.so3 import eigenaxis_motion, rotation_error, rotation_vector_motion
 from ffsm_drake.scenario import FrameGoal, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
-from ffsm_drake.spacecraft.coordinates import rotation_error
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.blend import Blend
-from ffsm_drake.systems.rotation_motion import eigenaxis_motion, rotation_vector_motion
 
 FRAME_SIZE = 19  # of a row of FramePath
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.rotation_motion import quaternion_rate
 
 
 class MomentumMotion(PlannedMotion, abc.ABC):

@@ -17,9 +17,9 @@ from pydrake.trajectories import BsplineTrajectory
 
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.common.files import check_regular, write_text
+from ffsm_drake.common.so3 import attitude_motion, turned_by
 from ffsm_drake.scenario import StrictYamlError, read_yaml
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.inverse_dynamics import attitude_motion
 from ffsm_drake.spacecraft.plant import resolve_package
 
 DEGREE = 3
@@ -73,15 +73,7 @@ class Plan:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,), s."""
         z, rate, acceleration = self.curve(times)
         _, w, alpha = attitude_motion(z[:3], rate[:3], acceleration[:3])
-        half = 0.5 * np.sqrt((z[:3] ** 2).sum(axis=0))
-        scalar, vector = np.cos(half), 0.5 * np.sinc(half / np.pi) * z[:3]
-        first, rest = self.first_attitude[0], np.array(self.first_attitude[1:])[:, None]
-        quaternion = np.vstack(
-            [
-                scalar * first - (vector * rest).sum(axis=0),
-                scalar * rest + first * vector + np.cross(vector, rest, axis=0),
-            ]
-        )
+        quaternion = turned_by(z[:3].T, np.array(self.first_attitude)).T
         return np.vstack([quaternion, z[3:], w, rate[3:], alpha, acceleration[3:]]).T
 
     def save(self, path: Path, *, title: str) -> None:

@@ -23,9 +23,15 @@ from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuil
 from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.common.so3 import (
+    eigenaxis_motion,
+    rotation_error,
+    rotation_vector_motion,
+    rpy_motion,
+)
 from ffsm_drake.scenario import Posture, Scenario, planned_part
 from ffsm_drake.spacecraft.capture import planned_contact
-from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.blend import Blend, make_impulses
@@ -35,7 +41,6 @@ from ffsm_drake.systems.free_motion import FreeMotion
 from ffsm_drake.systems.plan import Plan, load_plan
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.resolved_motion import ResolvedMotion
-from ffsm_drake.systems.rotation_motion import eigenaxis_motion, rotation_vector_motion, rpy_motion
 
 
 class PolynomialMotion(PlannedMotion):

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydrake.multibody.tree import Frame
 
+from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.scenario import FrameGoal
 from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
@@ -32,7 +33,6 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.frame_path import FramePath
 from ffsm_drake.systems.free_motion import MomentumMotion
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.rotation_motion import quaternion_rate
 
 # of a twist
 _ROWS = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6), "none": slice(0, 0)}

@@ -29,6 +29,7 @@ from pydrake.systems.primitives import (
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.common.so3 import turning_matrix
 from ffsm_drake.scenario import schema
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
@@ -325,10 +326,6 @@ def _rotate_attitude(rotation_vector: np.ndarray, size: int) -> np.ndarray:
     """The matrix (size, size) that turns the quaternion of [q; v] by a world-frame rotation
     vector.
     """
-    angle = float(np.linalg.norm(rotation_vector))
-    half = 0.5 * angle
-    w = np.cos(half)
-    x, y, z = 0.5 * np.sinc(half / np.pi) * rotation_vector
     matrix = np.eye(size)
-    matrix[:4, :4] = [[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]]
+    matrix[:4, :4] = turning_matrix(rotation_vector)
     return matrix

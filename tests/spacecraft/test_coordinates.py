@@ -5,13 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
 from ffsm_drake.spacecraft.coordinates import (
     Coordinates,
     error_rate,
     position_error,
     position_errors,
-    rotation_error,
-    rotation_error_rate,
 )
 
 COORDINATES = Coordinates(("joint_1", "slider"), ("rad", "m"))

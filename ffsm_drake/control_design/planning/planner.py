@@ -11,6 +11,7 @@ from pydrake.math import RotationMatrix
 from pydrake.solvers import SolutionResult
 
 from ffsm_drake.common.errors import FfsmError, ScenarioError
+from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.control_design.planning.free_dynamics import FreeDynamics
 from ffsm_drake.control_design.planning.limits import Margin, MotionLimits, margins, motion_limits
 from ffsm_drake.control_design.planning.program import PlanningProgram
@@ -21,7 +22,6 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
     NUM_BASE_VELOCITIES,
     position_errors,
-    rotation_error,
 )
 from ffsm_drake.spacecraft.inverse_dynamics import InverseDynamics
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant

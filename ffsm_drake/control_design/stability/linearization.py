@@ -28,6 +28,7 @@ from pydrake.systems.primitives import RandomSource
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.common.memo import content_of
+from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.loop.blocks import parts_of
 from ffsm_drake.loop.closed_loop import make_closed_loop
@@ -41,12 +42,7 @@ from ffsm_drake.scenario import (
     Sensing,
     from_grasp,
 )
-from ffsm_drake.spacecraft.coordinates import (
-    BASE_ROTATION,
-    NUM_BASE_POSITIONS,
-    position_errors,
-    rotation_error,
-)
+from ffsm_drake.spacecraft.coordinates import BASE_ROTATION, NUM_BASE_POSITIONS, position_errors
 from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.actuation import make_actuation

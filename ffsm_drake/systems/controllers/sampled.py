@@ -7,7 +7,8 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.spacecraft.coordinates import Coordinates, rotation_error, rotation_error_rate
+from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 

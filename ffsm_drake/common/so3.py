@@ -1,0 +1,206 @@
+"""Rotations: quaternions (w, x, y, z), rotation vectors, and attitudes that move, with their exact
+derivatives. All vectors stand in the world frame.
+
+Sola et al. 2018, "A micro Lie theory for state estimation in robotics".
+"""
+
+import math
+
+import numpy as np
+
+
+def quaternion_of(vector: np.ndarray) -> np.ndarray:
+    """Quaternions (..., 4) of rotation vectors (..., 3), rad."""
+    half = 0.5 * np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * vector], axis=-1)
+
+
+def turned_by(vector: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4) of a first attitude, quaternion (4), turned by rotation vectors (n, 3)."""
+    turn = quaternion_of(vector)
+    w, v = turn[:, :1], turn[:, 1:]
+    scalar = w * first[0] - (v * first[1:]).sum(axis=1, keepdims=True)
+    return np.hstack([scalar, w * first[1:] + first[0] * v + np.cross(v, first[1:])])
+
+
+def turning_matrix(vector: np.ndarray) -> np.ndarray:
+    """The matrix (4, 4) that turns quaternions by a rotation vector (3), rad."""
+    w, x, y, z = quaternion_of(vector)
+    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+
+
+def rotation_error(quaternion_d: np.ndarray, quaternion: np.ndarray) -> tuple[float, float, float]:
+    """Rotation vector, in the world frame, from R(quaternion) to R(quaternion_d): log(R_d R^T),
+    rad.
+
+    Quaternions are (w, x, y, z); their norms do not matter. Plain floats, because this runs in
+    every controller update.
+    """
+    dw, dx, dy, dz = quaternion_d.tolist()
+    w, x, y, z = quaternion.tolist()
+    # The product quaternion_d * conjugate(quaternion).
+    ew = dw * w + dx * x + dy * y + dz * z
+    ex = dx * w - dw * x - dy * z + dz * y
+    ey = dy * w - dw * y - dz * x + dx * z
+    ez = dz * w - dw * z - dx * y + dy * x
+    if ew < 0.0:  # the shorter rotation
+        ew, ex, ey, ez = -ew, -ex, -ey, -ez
+    sine = math.sqrt(ex * ex + ey * ey + ez * ez)
+    factor = 2.0 * math.atan2(sine, ew) / sine if sine > 0.0 else 0.0
+    return factor * ex, factor * ey, factor * ez
+
+
+def rotation_error_rate(
+    error: tuple[float, float, float], w_d: np.ndarray, w: np.ndarray
+) -> tuple[float, float, float]:
+    """Rate of ``rotation_error``, rad/s, for an error e and angular velocities w_d and w (3,), all
+    in the world frame.
+
+    e' = J_l(e)^-1 w_d - J_r(e)^-1 w = (w_d - w) - 1/2 e x (w_d + w) + c e x (e x (w_d - w)), with
+    the left and right Jacobians of SO(3) and c = (1 - a/2 cot a/2) / a^2, a = |e| (Sola et al.
+    2018, "A micro Lie theory for state estimation in robotics", equations (146) and (147)). Plain
+    floats, as in ``rotation_error``.
+    """
+    ex, ey, ez = error
+    dx, dy, dz = w_d.tolist()
+    x, y, z = w.tolist()
+    sx, sy, sz = 0.5 * (dx + x), 0.5 * (dy + y), 0.5 * (dz + z)
+    dx, dy, dz = dx - x, dy - y, dz - z
+    square = ex * ex + ey * ey + ez * ez
+    if square < 1e-2:  # the next term of the series is below 1e-12
+        c = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
+    else:
+        half = 0.5 * math.sqrt(square)
+        c = (1.0 - half / math.tan(half)) / square
+    # e x (c e x (w_d - w) - 1/2 (w_d + w))
+    cx = c * (ey * dz - ez * dy) - sx
+    cy = c * (ez * dx - ex * dz) - sy
+    cz = c * (ex * dy - ey * dx) - sz
+    return dx + ey * cz - ez * cy, dy + ez * cx - ex * cz, dz + ex * cy - ey * cx
+
+
+def quaternion_rate(quaternion: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """Rate (4, ...) of a quaternion (4, ...; w, x, y, z) of R_WB, of an angular velocity w_WB_W (3,
+    ...), rad/s.
+    """
+    (w, x, y, z), (a, b, c) = quaternion, 0.5 * omega
+    return np.array(
+        [
+            -a * x - b * y - c * z,
+            a * w + b * z - c * y,
+            b * w + c * x - a * z,
+            c * w + a * y - b * x,
+        ]
+    )
+
+
+def attitude_motion(
+    phi: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rotation matrices exp(phi) (3, 3, n), angular velocities and accelerations (3, n), world
+    frame.
+
+    w = phi' + b phi x phi' + c phi x (phi x phi') with b = (1 - cos a)/a^2, c = (a - sin a)/a^3, a
+    = |phi|: the left Jacobian of SO(3) (Sola et al. 2018, equation (145)); the acceleration is its
+    exact derivative. Complex arrays pass.
+
+    Args:
+      phi, rate, acceleration: rotation vectors (3, n), rad, and their time derivatives.
+    """
+    square = (phi * phi).sum(axis=0)
+    small = np.abs(square) < 1e-4
+    safe = np.where(small, 1.0, square)
+    angle = np.sqrt(safe)
+    a = np.where(small, 1 - square / 6 + square**2 / 120, np.sin(angle) / angle)
+    b = np.where(small, 0.5 - square / 24 + square**2 / 720, (1 - np.cos(angle)) / safe)
+    c = np.where(
+        small, 1 / 6 - square / 120 + square**2 / 5040, (angle - np.sin(angle)) / (safe * angle)
+    )
+    # by the square
+    db = np.where(small, -1 / 24 + square / 360 - square**2 / 13440, (a - 2 * b) / (2 * safe))
+    dc = np.where(small, -1 / 120 + square / 2520 - square**2 / 120960, (b - 3 * c) / (2 * safe))
+    growth = 2 * (phi * rate).sum(axis=0)  # of the square
+    once = cross(phi, rate)
+    twice = cross(phi, once)
+    w = rate + b * once + c * twice
+    turned = cross(phi, acceleration)
+    alpha = (
+        acceleration
+        + b * turned
+        + c * (cross(phi, turned) + cross(rate, once))
+        + growth * (db * once + dc * twice)
+    )
+    zero = np.zeros_like(square)
+    skew = np.array([[zero, -phi[2], phi[1]], [phi[2], zero, -phi[0]], [-phi[1], phi[0], zero]])
+    identity = np.eye(3)[:, :, None]
+    rotation = identity + a * skew + b * (phi[:, None] * phi[None] - square * identity)
+    return rotation, w, alpha
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a x b for arrays (3, ...)."""
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def eigenaxis_motion(
+    first: np.ndarray, rotation: np.ndarray, blend: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations
+    alpha_WB_W (n, 3).
+
+    Args:
+      first: quaternion (4,) of the first attitude.
+      rotation: rotation vector (3,) from the first attitude to the last, in the world frame, rad.
+      blend: s, its first and its second derivative, (n, 1) each.
+    """
+    s, ds, dds = blend
+    return turned_by(s * rotation, first), ds * rotation, dds * rotation
+
+
+def rotation_vector_motion(
+    first: np.ndarray, vector: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Quaternions (n, 4) of R_WB, angular velocities w_WB_W (n, 3) and accelerations alpha_WB_W (n,
+    3).
+
+    Args:
+      first: quaternion (4,) of the first attitude.
+      vector: rotation vector from the first attitude (n, 3), rad.
+      rate, acceleration: its time derivatives (n, 3).
+    """
+    _, omega, alpha = attitude_motion(vector.T, rate.T, acceleration.T)
+    return turned_by(vector, first), omega.T, alpha.T
+
+
+def rpy_motion(
+    rpy: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Quaternions (n, 4; w, x, y, z) of R_WB, angular velocities w_WB_W (n, 3) and accelerations
+    alpha_WB_W (n, 3).
+
+    Args:
+      rpy: roll, pitch, yaw (n, 3), rad, R_WB = R_z(yaw) R_y(pitch) R_x(roll).
+      rate, acceleration: their time derivatives (n, 3).
+    """
+    r, p, y = rpy.T
+    dr, dp, dy = rate.T
+    ddr, ddp, ddy = acceleration.T
+    sp, cp, sy, cy = np.sin(p), np.cos(p), np.sin(y), np.cos(y)
+    omega = (cp * cy * dr - sy * dp, cp * sy * dr + cy * dp, dy - sp * dr)
+    alpha = (
+        cp * cy * ddr - sy * ddp - (sp * cy * dp + cp * sy * dy) * dr - cy * dy * dp,
+        cp * sy * ddr + cy * ddp - (sp * sy * dp - cp * cy * dy) * dr - sy * dy * dp,
+        ddy - sp * ddr - cp * dp * dr,
+    )
+    sr2, cr2 = np.sin(0.5 * r), np.cos(0.5 * r)
+    sp2, cp2 = np.sin(0.5 * p), np.cos(0.5 * p)
+    sy2, cy2 = np.sin(0.5 * y), np.cos(0.5 * y)
+    quaternion = (
+        cr2 * cp2 * cy2 + sr2 * sp2 * sy2,
+        sr2 * cp2 * cy2 - cr2 * sp2 * sy2,
+        cr2 * sp2 * cy2 + sr2 * cp2 * sy2,
+        cr2 * cp2 * sy2 - sr2 * sp2 * cy2,
+    )
+    return np.stack(quaternion, axis=1), np.stack(omega, axis=1), np.stack(alpha, axis=1)
