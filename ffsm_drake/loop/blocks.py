@@ -166,8 +166,7 @@ def make_blocks(
                 nominal=nominal,
                 settings=choice.settings,
             )
-            build = factory or block_factory(name, scenario) if part is None else part.build
-            made = call_factory(build, own, place=place)
+            made = call_factory(part or factory or block_factory(name, scenario), own, place=place)
             if made is None and name not in choices and name not in given:
                 continue  # an ideal actuator
         check_ports(made, kind_of(name), nominal.coordinates, place=place)

@@ -23,8 +23,12 @@ from ffsm_drake.systems.setup import BlockSetup
 class View(Protocol):
     """A run, as the figures of a part see it."""
 
-    scenario: Scenario
-    time: np.ndarray  # (n,) control samples, s
+    @property
+    def scenario(self) -> Scenario: ...
+
+    @property
+    def time(self) -> np.ndarray:
+        """Control samples (n,), s."""
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A signal at the control samples: (n, its components), or (n) of one without components.
@@ -102,6 +106,10 @@ class Part:
     def build(self, setup: BlockSetup) -> System:
         """The system with the block's ports, and one output port for each signal that has one."""
         raise NotImplementedError
+
+    def __call__(self, setup: BlockSetup) -> System:
+        """As ``build``: a part is the factory of its block."""
+        return self.build(setup)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """What it gives besides the block's own ports."""

@@ -82,8 +82,9 @@ class Linearizer:
         self.scenario = dataclasses.replace(
             scenario, sensing=sensing, estimator=estimator, actuation=actuation
         )
-        parts = parts_of(self.scenario, blocks)
-        linear = {name: part.linear() for name, part in parts.items()}
+        linear: dict[str, Factory] = {
+            name: part.linear() for name, part in parts_of(self.scenario, blocks).items()
+        }
         self.loop = make_closed_loop(self.scenario, blocks={**(blocks or {}), **linear})
         diagram, self._plant = self.loop.diagram, self.loop.plant
         self._simulator = Simulator(diagram)
