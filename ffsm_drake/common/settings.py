@@ -3,7 +3,7 @@
     @dataclasses.dataclass(frozen=True, kw_only=True)
     class Drag:
         area: float = setting(1.0, "m^2", "frontal area", above=0)
-        axis: list[float] = setting([1.0, 0.0, 0.0], "", "of any length", size=3, nonzero=True)
+        axis: list[float] = setting([1.0, 0.0, 0.0], "", "of any length", size=(3, 3), nonzero=True)
         regime: str = setting("free", "", "of the flow", one_of=("free", "slip"))
 
 Loading, checks and their errors, the JSON Schema and the scenario reference are derived from them.
@@ -35,8 +35,7 @@ class Setting:
     below: float = math.inf  # < this,
     most: float = math.inf  # <= this
     one_of: tuple[str, ...] = ()
-    # of a list or mapping: exact, or smallest and largest
-    size: int | tuple[int, int] | None = None
+    size: tuple[float, float] = (0, math.inf)  # smallest and largest, of a list or mapping
     nonzero: bool = False  # a vector that must not be zero
 
     @property
@@ -50,25 +49,28 @@ class Setting:
         lower = f"> {self.above:.10g}" * (self.above > -math.inf)
         return ", ".join(filter(None, (lower, upper or (most and f"at most {most}"))))
 
-    @property
-    def sizes(self) -> tuple[int, int] | None:
-        """The smallest and the largest size of a list or mapping."""
-        return (self.size, self.size) if isinstance(self.size, int) else self.size
-
     def problems(self, value: Any, key: str) -> Problems:
         """What is wrong with a value: the key, or that of an entry, and the problem."""
         if isinstance(value, Mapping):
-            yield from self._problems_of_size(value, key)
-            for name, item in value.items():
-                yield from self.problems(item, f"{key}.{name}")
+            entries = {f"{key}.{name}": item for name, item in value.items()}
         elif isinstance(value, (list, tuple)):
-            yield from self._problems_of_size(value, key)
-            for index, item in enumerate(value):
-                yield from self.problems(item, f"{key}[{index}]")
-        elif isinstance(value, str):
-            if self.one_of and value not in self.one_of:
-                yield key, unknown(value, self.one_of)
-        elif isinstance(value, (int, float)) and not (
+            entries = {f"{key}[{index}]": item for index, item in enumerate(value)}
+        else:
+            yield from self._problems_of_entry(value, key)
+            return
+        low, high = self.size
+        if not low <= len(entries) <= high:
+            words = f"{low}" if low == high else f"{low} to {high}" if low else f"at most {high}"
+            yield key, f"must hold {words} values, not {len(entries)}"
+        elif self.nonzero and sum(item**2 for item in entries.values()) <= 1e-18:
+            yield key, "must not be zero"
+        for place, item in entries.items():
+            yield from self.problems(item, place)
+
+    def _problems_of_entry(self, value: Any, key: str) -> Problems:
+        if isinstance(value, str) and self.one_of and value not in self.one_of:
+            yield key, unknown(value, self.one_of)
+        if isinstance(value, (int, float)) and not (
             self.above < value <= self.most
             and self.least <= value
             and (value < self.below or self.below == math.inf)
@@ -76,14 +78,6 @@ class Setting:
             # a unit that depends on the coordinate, or a bare 1/s, would obscure the range
             plain = " or " not in self.unit and self.unit[:1] != "1"
             yield key, f"must be {self.range} {self.unit * plain}".strip() + f", not {value:.10g}"
-
-    def _problems_of_size(self, value: Any, key: str) -> Problems:
-        low, high = self.sizes or (0, math.inf)
-        if not low <= len(value) <= high:
-            words = f"{low}" if low == high else f"{low} to {high}" if low else f"at most {high}"
-            yield key, f"must hold {words} values, not {len(value)}"
-        elif self.nonzero and sum(item**2 for item in value) <= 1e-18:
-            yield key, "must not be zero"
 
 
 def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> Any:
@@ -93,8 +87,10 @@ def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> A
       default: its value where none is given.
       unit: such as "N m or N"; empty for a text, or a number without unit.
       meaning: one line.
-      limits: the further fields of ``Setting``.
+      limits: the further fields of ``Setting``; ``size`` may be one number, for exactly so many.
     """
+    if isinstance(size := limits.get("size"), int):
+        limits["size"] = (size, size)
     metadata = {"setting": Setting(unit=unit, meaning=meaning, **limits)}
     if default is None or isinstance(default, (str, int, float)):
         return dataclasses.field(default=default, metadata=metadata)

@@ -54,16 +54,18 @@ from ffsm_drake.scenario.schema import (
     controller_key,
     from_grasp,
     inertia_matrix,
+    own_thrusters,
     planned_part,
+    thruster_layouts,
+    thrusters_of,
 )
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
-from ffsm_drake.scenario.thruster_layouts import own_thrusters, thruster_layouts, thrusters_of
 
 __all__ = [
     "as_dict",
-    "build_settings",
     "MANIFEST_FILE",
     "anchor_paths",
+    "build_settings",
     "differing_keys",
     "flatten",
     "relate_paths",
