@@ -9,16 +9,16 @@ ports from ffsm_drake.loop.blocks. A table stands between the lines ``<!-- writt
 import dataclasses
 import inspect
 import re
-import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from ffsm_drake.common.files import write_text
+from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.scenario import PerCoordinate, Scenario, schema_fields
-from ffsm_drake.scenario.json_schema import field_comments
+from ffsm_drake.scenario.resolving import without_null
 from ffsm_drake.systems.controllers.law import gains_of
 from ffsm_drake.systems.registry import SHIPPED, find_factory
 
@@ -27,7 +27,6 @@ BEGIN, END = "<!-- written by python docs/write_tables.py -->", "<!-- end -->"
 # keys of Drake's own settings that not every version has
 _OLDER_DRAKE = ("publish_every_time_step",)
 _BLOCK_KEYS = {"controller": "`controller`", "forces": "`blocks.forces.<name>`"}
-_UNIT = re.compile(r"(?:(?:kg|rad|m|s|N|1)(?:\^\d)?|sqrt\(s\)|control samples|or|per|[ /()])+")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,31 +49,22 @@ class Section:
     rows: list[Row]
 
 
-def _split_unit(comment: str) -> tuple[str, str]:
-    """Unit and meaning of a comment "unit; meaning"; a quantity without unit has the meaning
-    alone.
-    """
-    unit, _, meaning = comment.partition("; ")
-    return (unit, meaning) if _UNIT.fullmatch(unit) else ("", comment)
-
-
-def _without_null(kind: Any) -> Any:
-    return (
-        typing.get_args(kind)[0]
-        if typing.get_origin(kind) in (typing.Union, types.UnionType)
-        else kind
-    )
-
-
-def _kind(kind: Any) -> str:
-    kind = _without_null(kind)
-    if kind == PerCoordinate:
-        return "by coordinate"
-    if typing.get_origin(kind) is list:
-        return "list of texts" if typing.get_args(kind) == (str,) else "list of numbers"
-    if typing.get_origin(kind) is dict:
-        return "mapping"
-    return {float: "number", int: "whole number", bool: "true/false", str: "text"}[kind]
+def _kind(kind: Any, declared: Setting) -> str:
+    """The type of a key's value, with its range."""
+    if kind in (PerCoordinate, dict[str, int]):
+        words = "by coordinate"
+    elif typing.get_origin(kind) is list:
+        words = "list of texts" if typing.get_args(kind) == (str,) else "list of numbers"
+    elif typing.get_origin(kind) is dict:
+        words = "mapping"
+    else:
+        words = {float: "number", int: "whole number", bool: "true/false", str: "text"}[kind]
+    low, high = declared.size
+    if low == high:
+        words = words.replace("list of", f"list of {low}")
+    if words == "text" and declared.one_of:
+        words = f"text: {', '.join(f'`{choice}`' for choice in declared.one_of)}"
+    return f"{words}, {declared.range}" if declared.range else words
 
 
 def _default(value: Any) -> str:
@@ -94,23 +84,24 @@ def _default(value: Any) -> str:
 
 def rows(cls: type, default: Any) -> list[Row]:
     """The plain keys of one group of settings; those that are groups themselves are left out."""
-    comments = field_comments(cls)
+    fields = schema_fields(cls) or {}
     return [
         Row(
             name,
-            _kind(kind),
+            _kind(without_null(fields[name]), declared),
             _default(getattr(default, name)),
-            *_split_unit(comments.get(name, "")),
+            declared.unit,
+            declared.meaning,
         )
-        for name, kind in (schema_fields(cls) or {}).items()
-        if schema_fields(_without_null(kind)) is None and name not in _OLDER_DRAKE
+        for name, declared in settings_of(cls).items()
+        if schema_fields(without_null(fields[name])) is None and name not in _OLDER_DRAKE
     ]
 
 
 def _groups(cls: type, default: Any, path: str = "") -> Iterator[tuple[str, type, Any]]:
     yield path, cls, default
     for name, kind in (schema_fields(cls) or {}).items():
-        inner = _without_null(kind)
+        inner = without_null(kind)
         place = f"{path}.{name}" if path else name
         if schema_fields(inner) is not None:
             given = getattr(default, name)
@@ -132,7 +123,7 @@ def _gains(controller: str) -> list[Row]:
     return [
         Row(
             name,
-            "number" if item.scalar else "by coordinate",
+            _kind(float if item.scalar else PerCoordinate, item),
             _default(item.default),
             item.unit,
             item.meaning,
@@ -211,7 +202,7 @@ def written(page: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    """A comment as Markdown for a table's cell."""
+    """A text as Markdown for a table's cell."""
     text = re.sub(r"``(.+?)``", r"`\1`", text).replace("|", "\\|")
     text = re.sub(r"\bK_([A-Za-z])\b", r"$K_\1$", text)
     text = text.replace("sqrt(s)", "√s").replace("^2", "²").replace("^3", "³")

@@ -67,5 +67,5 @@ def first_at_rest(velocity: np.ndarray) -> int:
 
 
 def deflection_units(kinds: Sequence[str]) -> tuple[str, ...]:
-    """The units of the hidden coordinates of parts of these kinds (``scenario.FLEXIBLE_KINDS``)."""
+    """The units of the hidden coordinates of parts of these kinds (``Flexible.kind``)."""
     return tuple(dict.fromkeys("m" if kind in ("mass", "beam") else "rad" for kind in kinds))

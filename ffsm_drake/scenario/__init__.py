@@ -16,7 +16,7 @@ from ffsm_drake.scenario.loading import (
     scenario_to_yaml,
     shipped_scenarios,
 )
-from ffsm_drake.scenario.resolving import schema_fields, shown
+from ffsm_drake.scenario.resolving import build_settings, schema_fields, shown
 from ffsm_drake.scenario.schema import (
     BASE_ROTATIONS,
     CAPTURE_AXES,
@@ -54,14 +54,17 @@ from ffsm_drake.scenario.schema import (
     controller_key,
     from_grasp,
     inertia_matrix,
+    own_thrusters,
     planned_part,
+    thruster_layouts,
+    thrusters_of,
 )
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
-from ffsm_drake.scenario.thruster_layouts import own_thrusters, thruster_layouts, thrusters_of
 
 __all__ = [
     "MANIFEST_FILE",
     "anchor_paths",
+    "build_settings",
     "differing_keys",
     "flatten",
     "relate_paths",

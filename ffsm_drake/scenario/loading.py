@@ -3,17 +3,15 @@
 """
 
 import os
-import typing
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-
-import yaml
+from typing import Any
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario.resolving import apply_override, as_dict, build, resolve
 from ffsm_drake.scenario.schema import Scenario
-from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
-from ffsm_drake.scenario.validation import require, validate
+from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml, write_yaml
 
 MANIFEST_FILE = "manifest.json"  # of a run's folder; holds its scenario
 MAX_FILE_SIZE = 1_000_000  # bytes
@@ -75,12 +73,14 @@ def scenario_from_yaml(text: str, overrides: Iterable[str] = (), *, source: str 
 
 
 def scenario_from_dict(
-    data: Mapping[str, typing.Any], overrides: Iterable[str] = (), *, source: str = ""
+    data: Mapping[str, Any], overrides: Iterable[str] = (), *, source: str = ""
 ) -> Scenario:
     """Build a scenario from plain data (as read from YAML or JSON)."""
     try:
         resolved = resolve(Scenario, as_dict(Scenario()), data, "")
-        _choose_model_source(resolved["model"], data.get("model") or {})
+        model, given = resolved["model"], data.get("model") or {}
+        if model["servicer"] is not None and given.get("directives") is None:
+            model["directives"] = None  # the default, which the servicer replaces
     except ScenarioError as error:
         raise error.located(source) from None
     if source:
@@ -93,7 +93,7 @@ def scenario_from_dict(
             raise error.located("override") from None
     scenario: Scenario = build(Scenario, resolved)
     try:
-        validate(scenario)
+        require_valid(scenario, scenario=scenario)
     except ScenarioError as error:
         raise error.located(
             "override" if is_overridden(error.key, overridden) else source
@@ -110,15 +110,15 @@ def is_overridden(key: str, overridden: Iterable[str]) -> bool:
     return any(within(key, other) or within(other, key) for other in overridden)
 
 
-def scenario_to_dict(scenario: Scenario) -> dict[str, typing.Any]:
+def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
     """The whole scenario as plain data: what ``scenario_from_dict`` takes back unchanged."""
-    data: dict[str, typing.Any] = as_dict(scenario)
+    data: dict[str, Any] = as_dict(scenario)
     return data
 
 
-def flatten(data: Mapping[str, typing.Any], prefix: str = "") -> dict[str, typing.Any]:
+def flatten(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested mappings as one, with dotted keys."""
-    flat: dict[str, typing.Any] = {}
+    flat: dict[str, Any] = {}
     for key, value in data.items():
         if isinstance(value, Mapping) and value:
             flat |= flatten(value, f"{prefix}{key}.")
@@ -136,25 +136,24 @@ def differing_keys(*scenarios: Scenario) -> list[str]:
 
 def scenario_to_yaml(scenario: Scenario) -> str:
     """The whole scenario as YAML text: what ``load_scenario`` reads back from a file."""
-    text: str = yaml.safe_dump(scenario_to_dict(scenario), sort_keys=False)
-    return text
+    return write_yaml(scenario_to_dict(scenario))
 
 
-def portable_scenario(scenario: Scenario, folder: Path) -> dict[str, typing.Any]:
+def portable_scenario(scenario: Scenario, folder: Path) -> dict[str, Any]:
     """The whole scenario as plain data for a file in ``folder``, with paths relative to that."""
     data = scenario_to_dict(scenario)
     relate_paths(data, folder)
     return data
 
 
-def relate_paths(data: dict[str, typing.Any], folder: Path) -> None:
+def relate_paths(data: dict[str, Any], folder: Path) -> None:
     """Make the paths of a scenario in plain data relative to a folder; package:// addresses
     stay.
     """
     _map_paths(data, lambda path: os.path.relpath(path, folder.resolve()))
 
 
-def anchor_paths(data: dict[str, typing.Any], folder: Path) -> None:
+def anchor_paths(data: dict[str, Any], folder: Path) -> None:
     """Make the paths of a scenario in plain data absolute, relative ones from a folder."""
     _map_paths(data, lambda path: str((folder / path).resolve()))
 
@@ -193,18 +192,7 @@ def _find(name: str) -> Path:
     )
 
 
-def _choose_model_source(model: dict[str, typing.Any], given: Mapping[str, typing.Any]) -> None:
-    """Of directives and servicer keep the one that was given."""
-    if model["servicer"] is not None and given.get("directives") is None:
-        model["directives"] = None
-    require(
-        (model["servicer"] is None) != (model["directives"] is None),
-        "model",
-        "give either directives or servicer (a URDF), not both and not neither",
-    )
-
-
-def _map_paths(data: dict[str, typing.Any], changed: Callable[[str], str]) -> None:
+def _map_paths(data: dict[str, Any], changed: Callable[[str], str]) -> None:
     """Apply a function to every path of a scenario in plain data that is not a package://
     address.
     """

@@ -9,19 +9,22 @@ import re
 import types
 import typing
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.settings import join, require_valid, settings_of
 from ffsm_drake.scenario.schema import Scenario
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 
+_LEAVES = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
 MAX_NUMBER = 1e20  # so that what is computed from a few values stays finite
 
 
-def as_dict(value: typing.Any) -> typing.Any:
+def as_dict(value: Any) -> Any:
     """Plain data (mappings, lists, leaves) of a dataclass, one of Drake's parameter structs, or a
     container of them.
     """
-    kind: typing.Any = type(value)
+    kind: Any = type(value)
     fields = schema_fields(kind)
     if fields is not None:
         return {key: as_dict(getattr(value, key)) for key in fields}
@@ -33,34 +36,63 @@ def as_dict(value: typing.Any) -> typing.Any:
 
 
 @functools.cache
-def schema_fields(schema: typing.Any) -> dict[str, typing.Any] | None:
-    """Field name -> type of a dataclass or of one of Drake's parameter structs; None for anything
-    else.
+def schema_fields(schema: Any) -> dict[str, Any] | None:
+    """Name -> type of the settings of a dataclass or of one of Drake's parameter structs; None for
+    anything else.
     """
+    names = settings_of(schema)
+    if not names:
+        return None
     if dataclasses.is_dataclass(schema):
-        return {field.name: field.type for field in dataclasses.fields(schema)}
-    fields = getattr(schema, "__fields__", None)
-    return None if fields is None else {field.name: field.type for field in fields}
+        kinds = typing.get_type_hints(schema)
+    else:
+        kinds = {field.name: field.type for field in schema.__fields__}
+    return {name: kinds[name] for name in names}
 
 
-def build(schema: typing.Any, data: typing.Any) -> typing.Any:
+def without_null(schema: Any) -> Any:
+    """The type of an optional value; any other type as it is. A schema has no further unions."""
+    if typing.get_origin(schema) not in (typing.Union, types.UnionType):
+        return schema
+    return next(kind for kind in typing.get_args(schema) if kind is not types.NoneType)
+
+
+def build(schema: Any, data: Any) -> Any:
     """The typed object that plain data, complete and checked, stands for."""
+    if data is None:
+        return None
+    schema = without_null(schema)
     fields = schema_fields(schema)
     if fields is not None:
         return schema(**{key: build(kind, data[key]) for key, kind in fields.items()})
     origin, args = typing.get_origin(schema), typing.get_args(schema)
-    if origin in (typing.Union, types.UnionType):
-        return None if data is None else build(args[0], data)
     if origin is dict:
         return {key: build(args[1], item) for key, item in data.items()}
     return list(data) if origin is list else data
 
 
-def resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: str) -> typing.Any:
+def build_settings(cls: Any, data: Any, key: str, scenario: Any = None) -> Any:
+    """An instance of a dataclass of settings (see ``common.settings``), from what a file gives.
+
+    Args:
+      cls: the dataclass; fields that are no settings need a default.
+      data: plain data; what it leaves out keeps its default.
+      key: where ``data`` stands, such as ``blocks.sensing.settings``, for errors.
+      scenario: for the ``check`` of the dataclass; without one that is left out.
+
+    Raises:
+      ScenarioError: an unknown key, a wrong type, or a value out of its range.
+    """
+    built = build(cls, resolve(cls, as_dict(cls()), data, key))
+    require_valid(built, key, scenario)
+    return built
+
+
+def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
     """Plain data for ``schema``: ``default`` (plain data, complete) overlaid with ``data``, each
     leaf checked.
     """
-    if schema is typing.Any:
+    if schema is Any:
         return _plain(data, path)
     fields = schema_fields(schema)
     if fields is not None:
@@ -79,24 +111,21 @@ def resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: str
             else default[key]
             for key, kind in fields.items()
         }
+    inner = without_null(schema)
+    if inner is not schema:
+        if default is None and schema_fields(inner) is not None:
+            default = as_dict(inner())
+        absent = data is None or (data == "auto" and inner is float)
+        return None if absent else resolve(inner, default, data, path)
     origin, args = typing.get_origin(schema), typing.get_args(schema)
-    # the only unions of the schema are optional values
-    if origin in (typing.Union, types.UnionType):
-        if default is None and schema_fields(args[0]) is not None:
-            default = as_dict(args[0]())
-        return (
-            None
-            if data is None or (data == "auto" and args[0] is float)
-            else resolve(args[0], default, data, path)
-        )
     if origin is dict:
-        if args[1] is float and isinstance(data, (list, tuple)):
-            raise ScenarioError(
-                join(path, "all"),
-                f"must be a number, not {shown(data)}; several go by name, as in "
-                f"{{all: 1, joints: 2}}",
-            )
-        if args[1] is float and not isinstance(data, Mapping):
+        if args[1] in (float, int) and not isinstance(data, Mapping):
+            if isinstance(data, (list, tuple)):
+                raise ScenarioError(
+                    join(path, "all"),
+                    f"must be a number, not {shown(data)}; several go by name, as in "
+                    "{all: 1, joints: 2}",
+                )
             data = {"all": data}
         if not isinstance(data, Mapping):
             raise ScenarioError(path, f"must be a mapping, not {shown(data)}")
@@ -113,7 +142,7 @@ def resolve(schema: typing.Any, default: typing.Any, data: typing.Any, path: str
     return _convert_leaf(schema, data, path)
 
 
-def _plain(data: typing.Any, path: str) -> typing.Any:
+def _plain(data: Any, path: str) -> Any:
     """Settings of a user-supplied block: mappings, lists and leaves that a file can hold."""
     if isinstance(data, Mapping):
         return {
@@ -130,8 +159,11 @@ def _plain(data: typing.Any, path: str) -> typing.Any:
     return _convert_leaf(str, data, path)
 
 
-def _convert_leaf(schema: type, data: typing.Any, path: str) -> typing.Any:
-    wanted = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}[schema]
+def _convert_leaf(schema: Any, data: Any, path: str) -> Any:
+    wanted = _LEAVES.get(schema)
+    if wanted is None:
+        kinds = "float, int, bool, str, list, dict or a dataclass of settings"
+        raise ScenarioError(path, f"its class must declare it as {kinds}, not {schema}")
     if schema is float and isinstance(data, (int, float, str)) and not isinstance(data, bool):
         try:
             number = float(data)
@@ -159,7 +191,7 @@ def _convert_leaf(schema: type, data: typing.Any, path: str) -> typing.Any:
     raise ScenarioError(path, f"must be {wanted}, not {shown(data)}")
 
 
-def apply_override(resolved: dict[str, typing.Any], override: str) -> str:
+def apply_override(resolved: dict[str, Any], override: str) -> str:
     """Write one ``key=value`` into plain data; returns the key."""
     key, equals, text = override.partition("=")
     key = key.strip()
@@ -169,13 +201,12 @@ def apply_override(resolved: dict[str, typing.Any], override: str) -> str:
         value = read_yaml(text)
     except StrictYamlError as error:
         raise ScenarioError(key, f"value is not valid YAML: {one_line(error)}") from error
-    schema: typing.Any = Scenario
-    target: typing.Any = resolved
+    schema: Any = Scenario
+    target: Any = resolved
     *parents, last = key.split(".")
     for depth, part in enumerate(parents):
         schema = _child_schema(schema, part, ".".join(parents[:depth]))
-        if typing.get_origin(schema) in (typing.Union, types.UnionType):
-            schema = typing.get_args(schema)[0]
+        schema = without_null(schema)
         if target.get(part) is None:
             target[part] = {} if schema_fields(schema) is None else as_dict(schema())
         target = target[part]
@@ -190,9 +221,9 @@ def apply_override(resolved: dict[str, typing.Any], override: str) -> str:
     return key
 
 
-def _child_schema(schema: typing.Any, part: str, path: str) -> typing.Any:
+def _child_schema(schema: Any, part: str, path: str) -> Any:
     """The type of one step down a dotted key."""
-    if schema is typing.Any:
+    if schema is Any:
         return schema
     fields = schema_fields(schema)
     if fields is not None:
@@ -205,7 +236,7 @@ def _child_schema(schema: typing.Any, part: str, path: str) -> typing.Any:
     raise ScenarioError(join(path, part), f"unknown key; {path} holds {holds}")
 
 
-def _unknown_key(path: str, key: typing.Any, fields: Iterable[str]) -> ScenarioError:
+def _unknown_key(path: str, key: Any, fields: Iterable[str]) -> ScenarioError:
     valid = list(fields)
     return ScenarioError(
         join(path, key if isinstance(key, str) else shown(key)),
@@ -213,11 +244,7 @@ def _unknown_key(path: str, key: typing.Any, fields: Iterable[str]) -> ScenarioE
     )
 
 
-def join(path: str, key: typing.Any) -> str:
-    return f"{path}.{key}" if path else str(key)
-
-
-def shown(data: typing.Any) -> str:
+def shown(data: Any) -> str:
     if data is None:
         return "null (no value)"
     try:

@@ -62,6 +62,10 @@ class _StrictLoader(yaml.SafeLoader):
             raise StrictYamlError(f"{_place(node.start_mark)}: {text}") from error
 
 
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that this reader or a usual one would take for a number."""
+
+
 # YAML 1.1, which PyYAML reads, takes 1:30 for 90, 017 for 15, and 1e-5 for text. YAML 1.2 and JSON
 # do not.
 _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
@@ -77,7 +81,8 @@ for _tag, _form in zip(
     ),
     strict=True,
 ):
-    _StrictLoader.add_implicit_resolver(_tag, re.compile(_form), list("-+.0123456789"))
+    for _side in (_StrictLoader, _Dumper):
+        _side.add_implicit_resolver(_tag, re.compile(_form), list("-+.0123456789"))
 
 
 @memoized(maxsize=64)  # the shipped files are read again and again, and PyYAML is slow
@@ -106,6 +111,12 @@ def read_yaml(text: str) -> Any:
         raise StrictYamlError(_described(error)) from error
     except yaml.reader.ReaderError as error:
         raise StrictYamlError(f"character {error.position + 1}: {error.reason}") from error
+
+
+def write_yaml(data: Any) -> str:
+    """Plain data as YAML text that ``read_yaml`` reads back as it was."""
+    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False)
+    return text
 
 
 def _described(error: yaml.MarkedYAMLError) -> str:

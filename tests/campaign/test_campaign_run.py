@@ -151,7 +151,7 @@ def test_a_failing_case_is_a_row(tmp_path):
             "tdc": {"settled": 1, "not_settled": 0, "diverged": 0, "refused": 0, "error": 1}
         }
         assert store.result(1, "tdc")["message"] == (
-            "ScenarioError: payload.truth.mass: must be > 0 kg, not -1.0"
+            "ScenarioError: payload.truth.mass: must be > 0 kg, not -1"
         )
     result = invoke("rerun", path, "--case", "1")
     assert result.exit_code == 0, result.output

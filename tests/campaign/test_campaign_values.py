@@ -125,7 +125,7 @@ def test_a_run_that_cannot_be_is_a_row(spec):
         spec.to_json(), Case(index=0, seed=1, values={"payload.truth.mass": -5.0}), "tdc"
     )
     assert row["outcome"] == "error"
-    assert row["message"] == "ScenarioError: payload.truth.mass: must be > 0 kg, not -5.0"
+    assert row["message"] == "ScenarioError: payload.truth.mass: must be > 0 kg, not -5"
     assert all(row[name] is None for name in METRICS)
 
 

@@ -204,7 +204,7 @@ def test_scenarios_and_validate(tmp_path):
     assert bad.exit_code == 2
     results = json.loads(bad.stdout)
     assert results["postcapture"]["valid"]
-    assert results[str(mine)]["error"] == f"{mine}: payload.truth.mass: must be > 0 kg, not -1.0"
+    assert results[str(mine)]["error"] == f"{mine}: payload.truth.mass: must be > 0 kg, not -1"
 
 
 @pytest.mark.slow

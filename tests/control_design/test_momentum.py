@@ -275,7 +275,7 @@ def test_where_all_is_driven_force_and_torque_take_it_out() -> None:
         ("capture.accepted_drift.base_rotation=0.1", "leave it out"),
         (f"{JOINTS} capture.accepted_drift.base_rotation=4", "below pi, not 4"),
         (f"{JOINTS} capture.accepted_drift.base_position=0", "must be > 0, not 0"),
-        (f"{JOINTS} capture.accepted_drift.joints=1", "choose of base_rotation, base_position"),
+        (f"{JOINTS} capture.accepted_drift.joints=1", "choose one of base_rotation, base_position"),
     ],
 )
 def test_bad_accepted_drift_is_refused(override: str, problem: str) -> None:

@@ -147,19 +147,19 @@ directives:
             "override: simulator_config.max_step_size: must be > 0 s",
         ),
         ("simulator_config.use_error_control=maybe", "must be true or false, not 'maybe'"),
-        ("payload.truth.mass=-5", "override: payload.truth.mass: must be > 0 kg, not -5.0"),
+        ("payload.truth.mass=-5", "override: payload.truth.mass: must be > 0 kg, not -5"),
         ("payload.nominal.inertia=[1, 1, 5]", "violate the triangle inequality"),
         ("payload.nominal.inertia=[1, 1]", "must hold three moments [Ixx, Iyy, Izz]"),
         (
             "payload.nominal.inertia=[1, 1, 1, 2, 0, 0]",
             "override: payload.nominal.inertia: must be positive definite",
         ),
-        ("payload.truth.center_of_mass=[1]", "must hold three numbers [x, y, z]"),
+        ("payload.truth.center_of_mass=[1]", "must hold 3 values, not 1"),
         (
             "initial_posture.base_rpy=[0, 0]",
-            "override: initial_posture.base_rpy: must hold three numbers",
+            "override: initial_posture.base_rpy: must hold 3 values, not 2",
         ),
-        ("sensing.velocity_noise=-1e-6", "a standard deviation must be >= 0"),
+        ("sensing.velocity_noise=-1e-6", "sensing.velocity_noise.all: must be >= 0, not -1e-06"),
         (
             "sensing.velocity_noise",
             "override: 'sensing.velocity_noise': must have the form key=value",

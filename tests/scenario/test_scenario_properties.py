@@ -12,14 +12,17 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from ffsm_drake import ScenarioError, load_scenario
+from ffsm_drake.common.settings import settings_of
 from ffsm_drake.scenario import (
     BASE_ROTATIONS,
     CAPTURE_AXES,
     ESTIMATOR_KINDS,
     GOALS,
     Block,
+    FrameGoal,
     Reference,
     Scenario,
+    Thrusters,
     override_scenario,
     scenario_from_dict,
     scenario_from_yaml,
@@ -28,7 +31,6 @@ from ffsm_drake.scenario import (
     schema_fields,
     thruster_layouts,
 )
-from ffsm_drake.scenario.schema import FRAME_TASKS, MODULATORS
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
 
 SETTINGS = settings(
@@ -56,7 +58,7 @@ def moments(draw):
     return [a, b, abs(a - b) + fraction * (a + b - abs(a - b))]
 
 
-WHOLE = st.integers(1, 1000).map(float)
+WHOLE = st.integers(1, 1000)
 
 # Where a type alone does not make a value valid, by the end of the key.
 SPECIAL = {
@@ -98,7 +100,10 @@ SPECIAL = {
     "thrusters": st.none()
     | st.fixed_dictionaries(
         {"layout": st.sampled_from(tuple(thruster_layouts())), "frame": st.integers(20, 1000)},
-        optional={"modulator": st.sampled_from(MODULATORS), "rise_time": st.floats(0.0, 1.0)},
+        optional={
+            "modulator": st.sampled_from(settings_of(Thrusters)["modulator"].one_of),
+            "rise_time": st.floats(0.0, 1.0),
+        },
     ),
     "wheels": st.none()
     | st.fixed_dictionaries(
@@ -161,7 +166,12 @@ REFERENCES = st.fixed_dictionaries(
         "base_rotation": st.sampled_from(BASE_ROTATIONS),
         "frame": st.none()
         | st.fixed_dictionaries(
-            {}, optional={"frame": TEXT, "task": st.sampled_from(FRAME_TASKS), "damping": POSITIVE}
+            {},
+            optional={
+                "frame": TEXT,
+                "task": st.sampled_from(settings_of(FrameGoal)["task"].one_of),
+                "damping": POSITIVE,
+            },
         ),
     },
 ) | st.fixed_dictionaries({"kind": st.just("optimal"), "plan": NAME})
@@ -193,7 +203,7 @@ def values(kind, key=""):
         return POSITIVE | by_name if args[1] is float else by_name
     if origin is list:
         return st.lists(NAME if args[0] is str else SIGNED, min_size=3, max_size=3)
-    return {float: POSITIVE, bool: st.booleans(), str: TEXT}[kind]
+    return {float: POSITIVE, int: WHOLE, bool: st.booleans(), str: TEXT}[kind]
 
 
 def consistent(data):
@@ -270,6 +280,7 @@ def test_plain_data_round_trip(scenario):
 
 @FEW
 @given(SCENARIOS)
+@example(scenario_from_dict({"description": "1e5"}))
 def test_yaml_round_trip(scenario):
     assert scenario_to_dict(scenario_from_yaml(scenario_to_yaml(scenario))) == scenario_to_dict(
         scenario

@@ -212,7 +212,7 @@ def test_the_estimate_is_fed_the_applied_force(run, kind, override):
         ("actuation.limit.elbow=1", "actuation.limit.elbow: unknown coordinate; valid here: all"),
         (
             "actuation.quantization=-0.1",
-            "actuation.quantization.all: must be >= 0 (0: none), not -0.1",
+            "actuation.quantization.all: must be >= 0, not -0.1",
         ),
         ("actuation.quantization.elbow=1", "actuation.quantization.elbow: unknown coordinate"),
         ("actuation.delay=-1", "actuation.delay: must be from 0 to 1000 control samples, not -1"),

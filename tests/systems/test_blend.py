@@ -206,11 +206,11 @@ def test_a_capture_is_shaped_on_both_sides_of_the_grasp():
         ),
         (
             ("reference.shaper={}",),
-            "reference.shaper.frequencies: give 1 to 4 frequencies in Hz, not 0",
+            "reference.shaper.frequencies: must hold 1 to 4 values, not 0",
         ),
         (
             ("reference.shaper={frequencies: [0]}",),
-            "reference.shaper.frequencies: must be > 0, at most 1000 Hz, not 0",
+            "reference.shaper.frequencies[0]: must be > 0, at most 1000 Hz, not 0",
         ),
         (
             ("reference.shaper={kind: zvx, frequencies: [1]}",),

@@ -331,7 +331,7 @@ def test_a_step_that_does_not_resolve_friction_is_refused_before_the_run(two_bod
         ("gear_ratio: 0", "actuation.drives.gear_ratio.all: must be > 0, not 0"),
         (
             "rotor_inertia: {joint_1: -1}",
-            "actuation.drives.rotor_inertia.joint_1: must be >= 0, not -1",
+            "actuation.drives.rotor_inertia.joint_1: must be >= 0 kg m^2, not -1",
         ),
         (
             "rotor_inertia: {elbow: 1}",

@@ -522,7 +522,7 @@ def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
         ),
         (
             "estimator.velocity_bias_walk.joint_1=-1",
-            "velocity_bias_walk.joint_1: a standard deviation must be >= 0",
+            "velocity_bias_walk.joint_1: must be >= 0",
         ),
         (
             "estimator.velocity_bias_walk.elbow=1",
@@ -563,11 +563,11 @@ def test_gain_exists_for_exact_measurements(position, velocity):
     [
         (
             "estimator.position_noise=-1",
-            "override: estimator.position_noise.all: a standard deviation must be >= 0",
+            "override: estimator.position_noise.all: must be >= 0",
         ),
         (
             "estimator.velocity_noise.joint_1=-1",
-            "estimator.velocity_noise.joint_1: a standard deviation must be >= 0",
+            "estimator.velocity_noise.joint_1: must be >= 0",
         ),
         ("sensing.velocity_noise.foo=1", "sensing.velocity_noise.foo: unknown coordinate"),
     ],

@@ -133,7 +133,7 @@ def test_a_filter_goes_through_a_grasp(run):
         ),
         (
             ("command_filter.low_pass=-1",),
-            "command_filter.low_pass.all: must be >= 0 Hz (0: none), not -1",
+            "command_filter.low_pass.all: must be >= 0 Hz, not -1",
         ),
         (("command_filter.notch_width=0",), "command_filter.notch_width.all: must be > 0, not 0"),
         (("command_filter.notch.panel=1",), "command_filter.notch.panel: unknown coordinate"),

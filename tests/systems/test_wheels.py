@@ -240,7 +240,7 @@ def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():
     [
         (
             ("actuation.wheels={units: {z: {}}, assist_above: 0.5}",),
-            "assist_above: must be null or at least 1, not 0.5",
+            "assist_above: must be >= 1, not 0.5",
         ),
         (("actuation.wheels.units={}",), "actuation.wheels.units: give wheels by name"),
         (
@@ -253,7 +253,7 @@ def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():
         ),
         (
             ("actuation.wheels.units={z: {inertia: 0}}",),
-            "actuation.wheels.units.z.inertia: must be > 0, not 0",
+            "actuation.wheels.units.z.inertia: must be > 0 kg m^2, not 0",
         ),
         (
             ("actuation.wheels.units={z: {initial_momentum: 60}}",),

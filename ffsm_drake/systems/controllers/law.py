@@ -19,12 +19,14 @@ them as vectors (nv).
 import abc
 import dataclasses
 import inspect
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
+from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import GROUPS, Coordinates
 from ffsm_drake.systems.setup import BlockSetup
@@ -57,15 +59,12 @@ class Sample(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Gain:
-    """The declaration of one gain."""
+class Gain(Setting):
+    """The declaration of one gain: a setting of a law."""
 
     # by coordinate or group; a number: for all; None: no bound
     default: float | PerCoordinate | None
-    unit: str
-    meaning: str
     scalar: bool  # one number for all coordinates
-    positive: bool  # must be > 0; otherwise >= 0
     bound: bool  # an upper bound, which null takes away
     feedback: bool  # acts on the error; otherwise on how the law adapts
 
@@ -80,17 +79,18 @@ def gain(
     bound: bool = False,
     feedback: bool = True,
 ) -> Any:
-    """A field of a law that a scenario can set; see Gain."""
+    """A field of a law that a scenario can set, by default >= 0, if ``positive`` > 0; see Gain."""
     declared = Gain(
         default=default,
         unit=unit,
         meaning=meaning,
+        above=0.0 if positive else -math.inf,
+        least=0.0,
         scalar=scalar,
-        positive=positive,
         bound=bound,
         feedback=feedback,
     )
-    return dataclasses.field(metadata={"gain": declared})
+    return dataclasses.field(metadata={"setting": declared})
 
 
 class ControlLaw(abc.ABC):
@@ -153,8 +153,7 @@ class ControlLaw(abc.ABC):
 
 def gains_of(kind: Any) -> dict[str, Gain]:
     """The gains that a law declares, by name."""
-    fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
-    return {field.name: field.metadata["gain"] for field in fields if "gain" in field.metadata}
+    return {name: item for name, item in settings_of(kind).items() if isinstance(item, Gain)}
 
 
 def field_values(kind: type, setup: BlockSetup, **given: Any) -> dict[str, Any]:
@@ -227,17 +226,11 @@ def _value(declared: Gain, given: Any, coordinates: Coordinates, *, key: str) ->
     values = complete_gain(declared, given)
     if values is None:
         return np.full(len(coordinates.names), np.inf)
-    for name, number in values.items():
-        wanted = "> 0" if declared.positive else ">= 0"
-        if not (number > 0.0 if declared.positive else number >= 0.0):
-            raise ScenarioError(
-                key if declared.scalar else f"{key}.{name}", f"must be {wanted}, not {number:g}"
-            )
+    if declared.scalar and set(values) != {"all"}:
+        raise ScenarioError(key, f"must be one number for all coordinates, not {', '.join(values)}")
+    for place, problem in declared.problems(values["all"] if declared.scalar else values, key):
+        raise ScenarioError(place, problem)
     if declared.scalar:
-        if set(values) != {"all"}:
-            raise ScenarioError(
-                key, f"must be one number for all coordinates, not {', '.join(values)}"
-            )
         return values["all"]
     return coordinates.vector(values, key=key, default=np.inf if declared.bound else None)
 

@@ -1,0 +1,167 @@
+"""Settings: fields of a dataclass that a user sets, each with its unit, meaning and range.
+
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Drag:
+        area: float = setting(1.0, "m^2", "frontal area", above=0)
+        axis: list[float] = setting([1.0, 0.0, 0.0], "", "of any length", size=(3, 3), nonzero=True)
+        regime: str = setting("free", "", "of the flow", one_of=("free", "slip"))
+
+Loading, checks and their errors, the JSON Schema and the scenario reference are derived from them.
+What no single setting can say is a method ``check(key, scenario)`` of the dataclass, which yields
+``(key, problem)`` pairs.
+"""
+
+import copy
+import dataclasses
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
+
+from ffsm_drake.common.errors import ScenarioError, did_you_mean
+
+Problems = Iterator[tuple[str, str]]  # key and problem
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What a field may hold. Limits hold for a number, and for each of a list or mapping."""
+
+    unit: str = ""
+    meaning: str = ""
+    above: float = -math.inf  # values are > this,
+    least: float = -math.inf  # >= this,
+    below: float = math.inf  # < this,
+    most: float = math.inf  # <= this
+    one_of: tuple[str, ...] = ()
+    size: tuple[float, float] = (0, math.inf)  # smallest and largest, of a list or mapping
+    nonzero: bool = False  # a vector that must not be zero
+
+    @property
+    def range(self) -> str:
+        """The limits of a number in words, such as ``> 0`` or ``from 0 to below 1``."""
+        upper = f"below {self.below:.10g}" * (self.below < math.inf)
+        most = f"{self.most:.10g}" * (self.most < math.inf)
+        if self.least > self.above:
+            least = f"{self.least:.10g}"
+            return f"from {least} to {upper or most}" if upper or most else f">= {least}"
+        lower = f"> {self.above:.10g}" * (self.above > -math.inf)
+        return ", ".join(filter(None, (lower, upper or (most and f"at most {most}"))))
+
+    def problems(self, value: Any, key: str) -> Problems:
+        """What is wrong with a value: the key, or that of an entry, and the problem."""
+        if isinstance(value, Mapping):
+            entries = {f"{key}.{name}": item for name, item in value.items()}
+        elif isinstance(value, (list, tuple)):
+            entries = {f"{key}[{index}]": item for index, item in enumerate(value)}
+        else:
+            yield from self._problems_of_entry(value, key)
+            return
+        low, high = self.size
+        if not low <= len(entries) <= high:
+            words = f"{low}" if low == high else f"{low} to {high}" if low else f"at most {high}"
+            yield key, f"must hold {words} values, not {len(entries)}"
+        elif self.nonzero and sum(item**2 for item in entries.values()) <= 1e-18:
+            yield key, "must not be zero"
+        for place, item in entries.items():
+            yield from self.problems(item, place)
+
+    def _problems_of_entry(self, value: Any, key: str) -> Problems:
+        if isinstance(value, str) and self.one_of and value not in self.one_of:
+            yield key, unknown(value, self.one_of)
+        if isinstance(value, (int, float)) and not (
+            self.above < value <= self.most and self.least <= value < self.below
+        ):
+            # a unit that depends on the coordinate, or a bare 1/s, would obscure the range
+            plain = " or " not in self.unit and self.unit[:1] != "1"
+            yield key, f"must be {self.range} {self.unit * plain}".strip() + f", not {value:.10g}"
+
+
+def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> Any:
+    """A field of a dataclass that is a setting; instances share no mutable default.
+
+    Args:
+      default: its value where none is given.
+      unit: such as "N m or N"; empty for a text, or a number without unit.
+      meaning: one line.
+      limits: the further fields of ``Setting``.
+    """
+    metadata = {"setting": Setting(unit=unit, meaning=meaning, **limits)}
+    if default is None or isinstance(default, (str, int, float)):
+        return dataclasses.field(default=default, metadata=metadata)
+    return dataclasses.field(default_factory=lambda: copy.deepcopy(default), metadata=metadata)
+
+
+def settings_of(kind: Any) -> dict[str, Setting]:
+    """Name -> setting, of a dataclass or Drake's ``SimulatorConfig``; empty for anything else."""
+    if kind is SimulatorConfig:
+        return {field.name: _SIMULATOR.get(field.name, Setting()) for field in kind.__fields__}
+    fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
+    return {
+        field.name: field.metadata["setting"] for field in fields if "setting" in field.metadata
+    }
+
+
+def problems(value: Any, key: str = "", scenario: Any = None) -> Problems:
+    """Everything that is wrong with a dataclass of settings and those within it: first of single
+    settings; then, with a scenario, what each ``check`` finds.
+    """
+    parts = list(_parts(value, key))
+    for place, part in parts:
+        for name, declared in settings_of(type(part)).items():
+            yield from declared.problems(getattr(part, name), join(place, name))
+    for place, part in parts:
+        if scenario is not None and hasattr(part, "check"):
+            yield from part.check(place, scenario)
+
+
+def require_valid(value: Any, key: str = "", scenario: Any = None) -> None:
+    """Raise ScenarioError for the first of ``problems``."""
+    for place, problem in problems(value, key, scenario):
+        raise ScenarioError(place, problem)
+
+
+def unknown(name: str, valid: Iterable[str]) -> str:
+    """The problem with a name that is none of the valid ones."""
+    valid = list(valid)
+    return f"'{name}' is unknown; choose one of {', '.join(valid)}{did_you_mean(name, valid)}"
+
+
+def join(path: str, key: Any) -> str:
+    """A dotted key."""
+    return f"{path}.{key}" if path else str(key)
+
+
+def _parts(value: Any, key: str) -> Iterator[tuple[str, Any]]:
+    """Key and object of everything with settings in a value, outermost first."""
+    if names := settings_of(type(value)):
+        yield key, value
+        value = {name: getattr(value, name) for name in names}
+    for name, item in value.items() if isinstance(value, Mapping) else ():
+        yield from _parts(item, join(key, name))
+
+
+# Drake's struct names neither units nor meanings. Its "cenic" wants the plant at the top of the
+# diagram.
+_SIMULATOR = {
+    "integration_scheme": Setting(
+        meaning="Drake's name of the integrator; the paper's: explicit_euler at max_step_size = "
+        "sample_time",
+        one_of=tuple(name for name in GetIntegrationSchemes() if name != "cenic"),
+    ),
+    "max_step_size": Setting(
+        unit="s",
+        meaning="step of a fixed-step integrator, largest step of one with error control",
+        above=0,
+    ),
+    "accuracy": Setting(
+        meaning="relative accuracy asked of an integrator with error control", above=0
+    ),
+    "use_error_control": Setting(meaning="let the integrator choose its steps"),
+    "start_time": Setting(unit="s", meaning="Drake's start time; a scenario starts at 0"),
+    "target_realtime_rate": Setting(
+        meaning="1 paces the run to real time; 0 runs as fast as it can", least=0
+    ),
+    "publish_every_time_step": Setting(meaning="Drake's publishing at every step; not needed here"),
+}
