@@ -273,7 +273,7 @@ def test_every_scenario_key_is_in_the_reference_with_a_meaning():
         ("estimator.kind", ""),
     ],
 )
-def test_units_are_read_from_the_comments(key, unit):
+def test_units_are_in_the_reference(key, unit):
     text = (DOCS / "scenario.md").read_text()
     place, _, name = key.rpartition(".")
     section = text.split(f"## `{place}`\n")[1].split("\n## ")[0]

@@ -1296,12 +1296,12 @@ class Scenario:
     @property
     def wheels(self) -> Wheels | None:
         """The wheels of the scenario's own actuators."""
-        return None if self.blocks.actuation is not None else self.actuation.wheels
+        return None if self.blocks.actuation else self.actuation.wheels
 
     @property
     def drives(self) -> Drives | None:
         """The drives of the scenario's own actuators."""
-        return None if self.blocks.actuation is not None else self.actuation.drives
+        return None if self.blocks.actuation else self.actuation.drives
 
     @property
     def grasp_time(self) -> float:

@@ -119,6 +119,12 @@ def read_yaml(text: str) -> Any:
         raise StrictYamlError(f"character {error.position + 1}: {error.reason}") from error
 
 
+def write_yaml(data: Any) -> str:
+    """Plain data as YAML text that ``read_yaml`` reads back as it was."""
+    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False)
+    return text
+
+
 def _described(error: yaml.MarkedYAMLError) -> str:
     problem = " ".join((error.problem or error.context or "cannot be read").split())
     if error.context and problem.startswith("but "):
