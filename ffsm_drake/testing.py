@@ -134,9 +134,10 @@ def check_block(
     place = f"blocks.{block} '{getattr(factory, '__name__', type(factory).__name__)}'"
     base = dataclasses.replace(base, duration=_SAMPLES * base.sample_time)
     if settings:
+        key = "sensing.sensing" if block == "sensing" else block
         base = scenario_from_dict(
             scenario_to_dict(base),
-            [f"blocks.{block}={json.dumps({'system': 'given', 'settings': dict(settings)})}"],
+            [f"blocks.{key}={json.dumps({'system': 'given', 'settings': dict(settings)})}"],
         )
     try:
         rollout = Rollout(base, blocks={block: factory})

@@ -196,8 +196,10 @@ def _with_python_path(spec: Spec) -> Spec:
     any folder.
     """
     base = spec.base
-    blocks = [(name, base["blocks"][name]) for name in ("reference", "sensing", "actuation")]
-    blocks += [("forces", block) for block in base["blocks"]["forces"].values()]
+    blocks = [(name, base["blocks"][name]) for name in ("reference", "actuation")]
+    blocks += [
+        (kind, block) for kind in ("sensing", "forces") for block in base["blocks"][kind].values()
+    ]
     named = [("controller", name) for name in spec.controllers]
     named += [(kind, block["system"]) for kind, block in blocks if block is not None]
     for kind, system in named:

@@ -97,7 +97,7 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
         np.isfinite(response["error"]), response["error"], np.sqrt(before[:, 0, 0]) * step**2
     )
     front = list[tuple[np.ndarray, float]]()
-    for price in _PRICES if scenario.blocks.sensing is None else ():
+    for price in _PRICES if not scenario.blocks.sensing else ():
         # too badly scaled to be solved
         with contextlib.suppress(ValueError, np.linalg.LinAlgError):
             front.append(_regulator(mass, before, after, scale / step**2, price))

@@ -58,7 +58,9 @@ BLOCKS: dict[str, Ports] = {
         optional_outputs={"desired_frame": FRAME},
     ),
     "sensing": Ports(
+        # ``state`` is what the stage before gives, of the first one the plant's state.
         inputs={"state": STATE},
+        optional_inputs={"true_state": STATE},
         outputs={"estimated_state": STATE},
         # 1: this control sample brings a new measurement, 0: an earlier one is repeated. Without it
         # all are new.
@@ -112,14 +114,26 @@ _SECTIONS: dict[str, Factory] = {
 }
 
 
+# Blocks of which there may be several.
+_SEVERAL = ("sensing.<name>", "forces.<name>")
+# Names of systems that are part of every loop.
+_TAKEN = ("plant", "measurement", "states", "reference", "sensing", "controller", "actuation")
+
+
 def kind_of(name: str) -> str:
     """The row of BLOCKS of a block's name: "forces" for "forces.friction"."""
     return name.partition(".")[0]
 
 
+def stage_name(name: str) -> str:
+    """The block of a stage of ``blocks.sensing``; ``sensing`` is that of the scenario's section."""
+    return name if name == "sensing" else f"sensing.{name}"
+
+
 def block_choices(scenario: Scenario) -> dict[str, Block]:
     """The blocks that the scenario fills with something else than its own section, by name."""
-    named = {name: getattr(scenario.blocks, name) for name in ("reference", "sensing", "actuation")}
+    named = {name: getattr(scenario.blocks, name) for name in ("reference", "actuation")}
+    named |= {stage_name(name): block for name, block in scenario.blocks.sensing.items()}
     named |= {f"forces.{name}": block for name, block in scenario.blocks.forces.items()}
     return {name: block for name, block in named.items() if block is not None}
 
@@ -141,18 +155,21 @@ def make_blocks(
     """
     given, choices = dict(factories or {}), block_choices(scenario)
     for name in given:
-        valid = [*(block for block in BLOCKS if block != "forces"), "forces.<name>"]
-        if name not in valid[:-1] and not (name.startswith("forces.") and name[7:].isidentifier()):
+        valid = [*(block for block in BLOCKS if block != "forces"), *_SEVERAL]
+        several = f"{kind_of(name)}.<name>" in _SEVERAL and name.partition(".")[2].isidentifier()
+        if not several and (name not in valid or name in _SEVERAL):
             raise ScenarioError(
                 f"blocks.{name}",
                 f"is no block; choose {', '.join(valid)}{did_you_mean(name, valid)}",
             )
-    forces = [
-        name for name in (*_own_forces(scenario), *choices, *given) if name.startswith("forces.")
-    ]
+    everything = (*_own_forces(scenario), *choices, *given)
+    stages, forces = (
+        dict.fromkeys(name for name in everything if name.startswith(f"{kind}."))
+        for kind in ("sensing", "forces")
+    )
     blocks: dict[str, System] = {}
     parts: dict[str, PlacedPart] = {}
-    for name in ("reference", "sensing", "controller", "actuation", *dict.fromkeys(forces)):
+    for name in ("reference", "sensing", *stages, "controller", "actuation", *forces):
         factory, choice = given.get(name), choices.get(name, Block())
         if name == "controller":
             place = f"controller '{getattr(factory, '__name__', scenario.controller)}'"
@@ -171,7 +188,7 @@ def make_blocks(
                 continue  # an ideal actuator
         check_ports(made, kind_of(name), nominal.coordinates, place=place)
         if name != "controller":  # which has its own
-            made.set_name(own.name)
+            made.set_name(own.name if own.name not in _TAKEN else name.replace(".", "_"))
             if part is not None:
                 parts[name] = place_part(part, own, made, block=name)
         blocks[name] = made

@@ -251,28 +251,30 @@ def add_closed_loop(
     parts, placed = make_blocks(scenario, make_nominal_plant(scenario), blocks)
     for system in parts.values():
         builder.AddSystem(system)
-    controller, sensing, reference = parts["controller"], parts["sensing"], parts["reference"]
+    controller, reference = parts["controller"], parts["reference"]
+    stages = [system for name, system in parts.items() if kind_of(name) == "sensing"]
     actuation = parts.get("actuation")
 
     states = {"state": (plant, "state")}
     if hidden.names:
         states = _add_states(builder, plant, hidden)
     state = states["state"][0].GetOutputPort(states["state"][1])
-    builder.Connect(state, sensing.GetInputPort("state"))
+    measured = state
+    for stage in stages:
+        builder.Connect(measured, stage.GetInputPort("state"))
+        if stage.HasInputPort("true_state"):
+            builder.Connect(state, stage.GetInputPort("true_state"))
+        measured = stage.GetOutputPort("estimated_state")
+    sensing = stages[-1]
     # What the controller read at its last sample, for the record.
     measurement = ZeroOrderHold(scenario.sample_time, 2 * len(coordinates.names) + 1)
     builder.AddNamedSystem("measurement", measurement)
-    builder.Connect(sensing.GetOutputPort("estimated_state"), measurement.get_input_port())
-    builder.Connect(
-        sensing.GetOutputPort("estimated_state"), controller.GetInputPort("estimated_state")
-    )
-    if sensing.HasOutputPort("measurement_is_new") and controller.HasInputPort(
-        "measurement_is_new"
-    ):
-        builder.Connect(
-            sensing.GetOutputPort("measurement_is_new"),
-            controller.GetInputPort("measurement_is_new"),
-        )
+    builder.Connect(measured, measurement.get_input_port())
+    builder.Connect(measured, controller.GetInputPort("estimated_state"))
+    new = "measurement_is_new"  # of the last stage that says so
+    timed = [stage for stage in stages if stage.HasOutputPort(new)]
+    if timed and controller.HasInputPort(new):
+        builder.Connect(timed[-1].GetOutputPort(new), controller.GetInputPort(new))
     for name in ("desired_state", "desired_acceleration"):
         builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
     if reference.HasOutputPort("desired_frame") and controller.HasInputPort("desired_frame"):

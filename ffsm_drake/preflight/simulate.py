@@ -142,7 +142,11 @@ def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Sc
         scenario = dataclasses.replace(scenario, controller=address_of(blocks["controller"]))
     else:
         scenario = complete_gains(scenario)
-    named = dataclasses.replace(scenario.blocks, forces=dict(scenario.blocks.forces))
+    named = dataclasses.replace(
+        scenario.blocks,
+        forces=dict(scenario.blocks.forces),
+        sensing=dict(scenario.blocks.sensing),
+    )
     for name, factory in blocks.items():
         block = Block(system=address_of(factory))
         if isinstance(factory, Part):
@@ -150,8 +154,9 @@ def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Sc
                 name: as_dict(getattr(factory, name)) for name in settings_of(type(factory))
             }
             block = Block(system=address_of(type(factory)), settings=settings)
-        if name.startswith("forces."):
-            named.forces[name.partition(".")[2]] = block
+        kind, _, own = name.partition(".")
+        if kind in ("forces", "sensing"):
+            getattr(named, kind)[own or kind] = block
         elif name != "controller":
             setattr(named, name, block)
     scenario = dataclasses.replace(scenario, blocks=named)

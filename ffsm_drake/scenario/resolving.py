@@ -127,6 +127,9 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
                     "{all: 1, joints: 2}",
                 )
             data = {"all": data}
+        alone = getattr(args[1], "SHORTHAND", None)
+        if alone and (isinstance(data, str) or (isinstance(data, Mapping) and alone in data)):
+            data = {"own": data}
         if not isinstance(data, Mapping):
             raise ScenarioError(path, f"must be a mapping, not {shown(data)}")
         blank = None if schema_fields(args[1]) is None else as_dict(args[1]())

@@ -1130,12 +1130,17 @@ class Block:
 
 @dataclass
 class Blocks:
-    """User-supplied blocks in place of those that the scenario's sections of the same names
-    describe.
+    """User-supplied blocks, in place of those that the scenario's sections of the same names
+    describe, or beside them.
     """
 
     reference: Block | None = _unitless(None, "the planned motion")
-    sensing: Block | None = _unitless(None, "from the state to the controller's measurement of it")
+    sensing: dict[str, Block] = _unitless(
+        {},
+        "by name: further stages from the state to the controller's measurement of it, in a row "
+        "after the section ``sensing``; one named ``sensing`` replaces that section; a block alone "
+        "stands for {own: block}",
+    )
     actuation: Block | None = _unitless(None, "from the commanded to the applied force")
     forces: dict[str, Block] = _unitless(
         {},
@@ -1146,6 +1151,7 @@ class Blocks:
     def check(self, key: str, scenario: "Scenario") -> Problems:
         """Names that the diagram can have."""
         yield from _identifiers(f"{key}.forces", self.forces, "a force's")
+        yield from _identifiers(f"{key}.sensing", self.sensing, "a stage's")
 
 
 @dataclass

@@ -85,12 +85,6 @@ for _tag, _form in zip(
         _side.add_implicit_resolver(_tag, re.compile(_form), list("-+.0123456789"))
 
 
-def write_yaml(data: Any) -> str:
-    """Plain data as YAML text that ``read_yaml`` reads back as it was."""
-    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False)
-    return text
-
-
 @memoized(maxsize=64)  # the shipped files are read again and again, and PyYAML is slow
 def read_yaml(text: str) -> Any:
     """Plain data (mappings, lists, leaves) of one YAML document; None for an empty one.

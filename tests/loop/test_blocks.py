@@ -298,20 +298,20 @@ def test_a_failing_block_gets_one_line():
     [
         (
             "blocks.sensing=nowhere:Vicon",
-            "blocks.sensing 'nowhere:Vicon' cannot be loaded: No module named 'nowhere'",
+            "blocks.sensing.own 'nowhere:Vicon' cannot be loaded: No module named 'nowhere'",
         ),
-        ("blocks.sensing=vicon", "blocks.sensing: 'vicon' is unknown; give module:attribute"),
+        ("blocks.sensing=vicon", "blocks.sensing.own: 'vicon' is unknown; give module:attribute"),
         (
             "blocks.sensing=two words",
-            "blocks.sensing.system: 'two words' must be a name or module:attribute",
+            "blocks.sensing.own.system: 'two words' must be a name or module:attribute",
         ),
         (
-            "blocks.sensing.settings={a: 1}",
-            "blocks.sensing.system: '' must be a name or module:attribute",
+            "blocks.sensing.own.settings={a: 1}",
+            "blocks.sensing.own.system: '' must be a name or module:attribute",
         ),
         (
             "blocks.sensing=math:pi",
-            "blocks.sensing 'math:pi' must be a class or function, not float",
+            "blocks.sensing.own 'math:pi' must be a class or function, not float",
         ),
         ("blocks.sensing=math:tau.x", "math has no 'tau.x'"),
         (
@@ -328,11 +328,11 @@ def test_a_failing_block_gets_one_line():
         ),
         (
             "blocks.sensing={system: 'a:b', settings: [1]}",
-            "blocks.sensing.settings: must be a mapping, not [1]",
+            "blocks.sensing.own.settings: must be a mapping, not [1]",
         ),
         (
             "blocks.sensing={system: 'a:b', settings: {x: .nan}}",
-            "blocks.sensing.settings.x: must be finite",
+            "blocks.sensing.own.settings.x: must be finite",
         ),
     ],
 )
@@ -366,7 +366,7 @@ class WithPorts(LeafSystem):
         (
             "sensing",
             {"inputs": [("stat", 23)]},
-            "unknown input port 'stat'; known: state; did you mean 'state'?",
+            "unknown input port 'stat'; known: state, true_state; did you mean 'state'?",
         ),
         (
             "actuation",
@@ -429,3 +429,60 @@ def test_an_unknown_block_is_refused():
         r"sensing, controller, ",
     ):
         make_blocks(scenario, make_nominal_plant(scenario), {"sensors": pulse})
+
+
+class Shift(LeafSystem):
+    """A stage of sensing that adds to the base's position along x, m."""
+
+    def __init__(self, setup, *, true=False):
+        super().__init__()
+        size = 2 * len(setup.coordinates.names) + 1
+        names = ["state", *(["true_state"] if true else [])]
+        self.inputs = [self.DeclareVectorInputPort(name, size) for name in names]
+        self.offset = setup.settings.get("offset", 0.5)
+        self.DeclareVectorOutputPort("estimated_state", size, self.calc)
+
+    def calc(self, context, output):
+        values = self.inputs[-1].Eval(context).copy()
+        values[4] += self.offset
+        output.SetFromVector(values)
+
+
+class TrueShift(Shift):
+    """The same of the true state."""
+
+    def __init__(self, setup):
+        super().__init__(setup, true=True)
+
+
+def measured(overrides=(), blocks=None):
+    scenario = load_scenario("flight_sensors", ["controller=tdc", "duration=0.05", *overrides])
+    data = simulate(scenario, blocks=blocks, check_stability=False).dataset
+    return (
+        (data["measured_position"] - data["position"]).sel(position_name="base_position_x").values
+    )
+
+
+def test_a_sensor_of_ones_own_stands_after_the_shipped_ones_whose_noise_stays():
+    noise = measured()
+    assert noise.std() > 1e-4
+    # The state differs as soon as the controller has read another one.
+    assert measured(blocks={"sensing.shift": Shift})[0] == pytest.approx(0.5 + noise[0])
+    both = measured(blocks={"sensing.shift": Shift, "sensing.again": Shift})
+    assert both[0] == pytest.approx(1.0 + noise[0])
+
+
+def test_a_stage_may_see_the_true_state_or_replace_the_section():
+    assert measured(blocks={"sensing.shift": TrueShift})[0] == pytest.approx(0.5, abs=1e-15)
+    assert measured(blocks={"sensing": Shift})[0] == pytest.approx(0.5, abs=1e-15)
+
+
+def test_stages_of_a_file_go_by_name_in_their_order_and_a_run_is_repeated():
+    scenario = load_scenario("flight_sensors", ["controller=tdc", "duration=0.05"])
+    record = simulate(scenario, blocks={"sensing.a": Shift, "sensing.b": TrueShift})
+    assert list(record.scenario.blocks.sensing) == ["a", "b"]
+    assert record.blocks["sensing.b"]["system"].endswith(":TrueShift")
+    alone = load_scenario("postcapture", ["blocks.sensing=lab:Vicon"]).blocks.sensing
+    assert alone["own"].system == "lab:Vicon"
+    with pytest.raises(ScenarioError, match="a stage's name must be"):
+        load_scenario("postcapture", ["blocks.sensing={a b: lab:Vicon}"])

@@ -343,5 +343,5 @@ def test_numbers_are_numbers_with_an_exponent_too(tmp_path):
     (tmp_path / "mine.yaml").write_text(
         "blocks: {sensing: {system: 'a:b', settings: {x: 1e-5, y: 1.5E3, z: 2e+1}}}\n"
     )
-    settings = load_scenario(tmp_path / "mine.yaml").blocks.sensing.settings
+    settings = load_scenario(tmp_path / "mine.yaml").blocks.sensing["own"].settings
     assert settings == {"x": 1e-5, "y": 1500.0, "z": 20.0}
