@@ -51,6 +51,7 @@ def points(database):
     return {(*point.levels.values(), point.controller): point for point in found}
 
 
+@pytest.mark.smoke
 def test_a_grid_has_every_combination_once_the_last_value_fastest():
     spec = load_spec("noise")
     cases = list(make_cases(spec))

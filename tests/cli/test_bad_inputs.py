@@ -545,6 +545,7 @@ def test_one_line(row, tmp_path, monkeypatch, capfd, good_run):
     assert out + err == ""  # nothing past Python's streams either
 
 
+@pytest.mark.smoke
 def test_the_table_is_long_and_its_names_differ():
     assert len(TABLE) >= 70
     assert len({row.id for row in TABLE}) == len(TABLE)
@@ -612,6 +613,7 @@ def test_empty_scenario_is_the_defaults(tmp_path):
     assert result.exit_code == 0, result.output
 
 
+@pytest.mark.smoke
 def test_several_scenarios_one_line_each(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("a.yaml").write_text("duration: -1\n")
