@@ -32,7 +32,6 @@ LONGEST = (
     "task_space",
     "report",
     "reproduction",
-    "noise_study",
     "resolved_motion",
     "stability",
     "rehearsal",

@@ -1,6 +1,9 @@
-"""A room imports only rooms before it in this list: data flows one way."""
+"""A room imports only rooms before it in this list: data flows one way, and files in no circle.
+Every room's tests have a few that are quick.
+"""
 
 import ast
+import graphlib
 from pathlib import Path
 
 import pytest
@@ -56,3 +59,57 @@ def test_imports_go_one_way(path):
             if parts[0] == "ffsm_drake" and len(parts) > 1 and parts[1] != room:
                 assert ROOMS.index(parts[1]) < ROOMS.index(room), f"{path.name} imports {module}"
                 assert {parts[1], room} not in APART, f"{path.name} imports {module}"
+
+
+# Files that import each other today; no others may.
+CIRCLES = (("ffsm_drake.cli", "ffsm_drake.cli.setup"),)
+
+
+def module_files() -> dict[str, Path]:
+    names = {
+        path.relative_to(PACKAGE.parent).with_suffix(""): path for path in PACKAGE.rglob("*.py")
+    }
+    return {".".join(name.parts).removesuffix(".__init__"): path for name, path in names.items()}
+
+
+def imported(path: Path, modules: dict[str, Path]) -> set[str]:
+    """The files of the package that a file imports by name, within functions too, but not those
+    that only a type checker reads.
+    """
+    tree, found = ast.parse(path.read_text()), set()
+    unread = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for statement in node.body
+        for inner in ast.walk(statement)
+    }
+    for node in ast.walk(tree):
+        if id(node) in unread:
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} imports relatively"
+            names = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {name if name in modules else str(node.module) for name in names}
+    return found & set(modules)
+
+
+def test_no_files_import_each_other_in_a_circle():
+    modules = module_files()
+    graph = {name: imported(path, modules) for name, path in modules.items()}
+    for circle in CIRCLES:
+        for one, other in zip(circle, (*circle[1:], circle[0]), strict=True):
+            assert other in graph[one], f"{one} no longer imports {other}: take it out of CIRCLES"
+        graph[circle[-1]].discard(circle[0])
+    graphlib.TopologicalSorter(graph).prepare()  # a CycleError names the circle
+
+
+@pytest.mark.parametrize(
+    "folder",
+    sorted({path.parent for path in Path(__file__).parent.glob("*/test_*.py")}),
+    ids=lambda folder: folder.name,
+)
+def test_every_folder_has_smoke_tests(folder):
+    assert any("@pytest.mark.smoke\n" in path.read_text() for path in folder.glob("test_*.py"))

@@ -32,10 +32,12 @@ def make_cases(spec: Spec) -> Iterator[Case]:
     distributions = spec.distributions
     sampled = [name for name, distribution in distributions.items() if distribution.uses_point]
     points = unit_points(spec.sampling, cases=spec.cases, dimensions=len(sampled), seed=spec.seed)
+    strides = spec.strides
     for index in range(spec.cases):
         point = dict(zip(sampled, points[index].tolist(), strict=True))
         drawn = {
-            name: item.value(point.get(name, 0.0), index) for name, item in distributions.items()
+            name: item.value(point.get(name, 0.0), index // strides[name])
+            for name, item in distributions.items()
         }
         yield make_case(spec, index, drawn)
 

@@ -25,7 +25,7 @@ import numpy as np
 from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.scenario import shown
 
-SAMPLINGS = ("latin_hypercube", "sobol", "random")
+SAMPLINGS = ("latin_hypercube", "sobol", "random", "grid")
 # Keeps quantiles of unbounded distributions finite: SciPy's points may touch zero.
 _INSIDE = 2.0**-40
 
@@ -62,6 +62,7 @@ class Distribution:
     value: Callable[[float, int], Any]  # of the case with a number, at the quantile u in (0, 1)
     uses_point: bool = True  # whether it uses a dimension of the sampling
     is_logarithmic: bool = False
+    levels: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # of a list, by name
 
 
 _DISTRIBUTIONS = {
@@ -87,12 +88,12 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
         example="distribution: uniform, low: 0, high: 1",
     )
     if kind in ("choice", "list"):
-        values = data["values"]
-        if not isinstance(values, list) or not values:
-            raise CampaignError(f"{place}.values: must be a list of at least one value")
-        values = [_tidy(value, place=f"{place}.values[{i}]") for i, value in enumerate(values)]
+        levels = _levels(data["values"], place=f"{place}.values")
+        values = list(levels.values())
         if kind == "list":
-            return Distribution(value=lambda u, case: values[case % len(values)], uses_point=False)
+            return Distribution(
+                value=lambda u, case: values[case % len(values)], uses_point=False, levels=levels
+            )
         return Distribution(
             value=lambda u, case: values[min(int(u * len(values)), len(values) - 1)]
         )
@@ -119,6 +120,21 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
         return min(max(math.exp(exponent), first), second)
 
     return Distribution(value=log_uniform, is_logarithmic=True)
+
+
+def _levels(data: Any, *, place: str) -> dict[str, Any]:
+    """The values of a choice or list by name; values without names are their own."""
+    if not isinstance(data, (list, Mapping)) or not data:
+        raise CampaignError(f"{place}: must be a list of at least one value, or values by name")
+    if isinstance(data, Mapping):
+        return {name: _tidy(value, place=f"{place}.{name}") for name, value in data.items()}
+    values = [_tidy(value, place=f"{place}[{i}]") for i, value in enumerate(data)]
+    names = [f"{value:g}" if isinstance(value, float) else str(value) for value in values]
+    unique = len(set(names)) == len(names)
+    return {
+        name if unique else f"{i}: {name}": value
+        for i, (name, value) in enumerate(zip(names, values, strict=True))
+    }
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

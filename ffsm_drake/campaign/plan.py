@@ -3,7 +3,7 @@
 import itertools
 import statistics
 
-from ffsm_drake.campaign.cases import make_cases
+from ffsm_drake.campaign.cases import Case, make_cases
 from ffsm_drake.campaign.evaluate import OUTCOMES, Evaluator
 from ffsm_drake.campaign.run import MEMORY_LIMIT, check_cases, duration_text
 from ffsm_drake.campaign.spec import Spec
@@ -41,7 +41,7 @@ def plan_text(spec: Spec, *, workers: int) -> str:
     ]
     for name in spec.names:
         lines.append(
-            f"{name:<{width}}" + "".join(f"{_short(case.values[name]):>14}" for case in first)
+            f"{name:<{width}}" + "".join(f"{_short(spec, name, case):>14}" for case in first)
         )
     total = statistics.fmean(seconds) * spec.runs / workers
     per_run = ", ".join(
@@ -95,7 +95,10 @@ def status_text(store: Store) -> str:
     return "\n".join(lines)
 
 
-def _short(value: object) -> str:
+def _short(spec: Spec, name: str, case: Case) -> str:
+    if name in spec.distributions and spec.distributions[name].levels:
+        return spec.level(name, case.index)[:12]
+    value = case.values[name]
     if isinstance(value, list):
         return f"[{value[0]:.3g}, …]" if value and isinstance(value[0], float) else str(value)[:12]
     return f"{value:.4g}" if isinstance(value, float) else str(value)[:12]

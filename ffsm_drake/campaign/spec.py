@@ -7,6 +7,7 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -136,6 +137,22 @@ class Spec:
         return (*self.parameters, *self.factors, *self.derive)
 
     @property
+    def strides(self) -> dict[str, int]:
+        """How many cases in a row have the same value of a list: 1, in a grid as many as the lists
+        after it have combinations.
+        """
+        strides, names = {}, tuple(self.distributions)
+        for i, name in enumerate(names):
+            after = names[i + 1 :] if self.sampling == "grid" else ()
+            strides[name] = math.prod(len(self.distributions[each].levels) for each in after)
+        return strides
+
+    def level(self, name: str, case: int) -> str:
+        """The name of the value that a list has in a case."""
+        names = tuple(self.distributions[name].levels)
+        return names[case // self.strides[name] % len(names)]
+
+    @property
     def runs(self) -> int:
         return self.cases * len(self.controllers)
 
@@ -222,9 +239,6 @@ def spec_from_json(text: str, folder: Path | None = None) -> Spec:
 
 def spec_from_data(data: Mapping[str, Any]) -> Spec:
     """The specification of plain data whose ``base`` holds the resolved scenario."""
-    if "cases" not in data:
-        raise CampaignError("cases: is missing; say how many")
-    cases = _whole(data["cases"], place="cases", least=1, most=_MOST_CASES)
     seed = _whole(data.get("seed", 0), place="seed", least=0, most=_LARGEST_SEED)
     time_limit = number(data.get("time_limit", _TIME_LIMIT), place="time_limit")
     if not 0.0 < time_limit <= 1e6:
@@ -247,6 +261,11 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
         str(name): parse_rule(entry, place=f"derive.{name}")
         for name, entry in _section(data, "derive").items()
     }
+    if sampling == "grid":
+        data = {"cases": _grid_size({**parameters, **factors}), **data}
+    if "cases" not in data:
+        raise CampaignError("cases: is missing; say how many")
+    cases = _whole(data["cases"], place="cases", least=1, most=_MOST_CASES)
     spec = Spec(
         data=data,
         controllers=_controllers(data.get("controllers", [data["base"]["controller"]])),
@@ -330,6 +349,14 @@ def _whole(data: Any, *, place: str, least: int, most: int) -> int:
     if value > most:
         raise CampaignError(f"{place}: must be at most {most}, not {data}")
     return int(value)
+
+
+def _grid_size(distributions: Mapping[str, Distribution]) -> int:
+    """The number of combinations of the values of lists."""
+    for name, distribution in distributions.items():
+        if not distribution.levels:
+            raise CampaignError(f"{name}: must be a list, since sampling is grid")
+    return math.prod(len(distribution.levels) for distribution in distributions.values())
 
 
 def _controllers(data: Any) -> tuple[str, ...]:

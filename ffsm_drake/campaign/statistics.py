@@ -317,6 +317,44 @@ def quantiles(runs: Runs, metric: str) -> tuple[float, float, float]:
     return float(low), float(middle), float(high)
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GridPoint:
+    """The runs of one controller at one combination of a grid's values."""
+
+    levels: Mapping[str, str]  # the names of the values
+    controller: str
+    outcomes: Mapping[str, int]  # number of runs, of outcomes that there are
+    means: Mapping[str, float]  # of every metric over the runs that reached the end; NaN: none
+
+
+def grid_points(spec: Spec, table: Table) -> list[GridPoint]:
+    """Every combination and controller that was run; none where the sampling is not a grid."""
+    if spec.sampling != "grid":
+        return []
+    return [
+        _grid_point(spec, runs, first)
+        for first in range(math.prod(len(item.levels) for item in spec.distributions.values()))
+        for runs in table.runs.values()
+        if first in runs.case
+    ]
+
+
+def _grid_point(spec: Spec, runs: Runs, first: int) -> GridPoint:
+    size = math.prod(len(item.levels) for item in spec.distributions.values())
+    here = runs.case % size == first
+    ended = here & np.isin(runs.outcome, ("settled", "not_settled"))
+    names, counts = np.unique(runs.outcome[here], return_counts=True)
+    return GridPoint(
+        levels={name: spec.level(name, first) for name in spec.distributions},
+        controller=runs.controller,
+        outcomes=dict(zip(map(str, names), map(int, counts), strict=True)),
+        means={
+            name: float(values[ended].mean()) if ended.any() else math.nan
+            for name, values in runs.metrics.items()
+        },
+    )
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Findings:
     """The evaluation of a campaign."""
@@ -329,6 +367,7 @@ class Findings:
     influential: list[str]  # sampled numbers, most influential first
     agreement: list[Agreement]
     map: StabilityMap | None  # None with fewer than two sampled numbers
+    grid: list[GridPoint]  # empty where the sampling is not a grid
 
     @property
     def runs(self) -> int:
@@ -361,4 +400,5 @@ def find(
         influential=influential,
         agreement=[agreement(runs) for runs in table.runs.values()],
         map=None if axes is None else predict_map(spec, axes, table.values, progress=progress),
+        grid=grid_points(spec, table),
     )

@@ -12,7 +12,7 @@ import click
 from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.cli.common import CommandGroup
 from ffsm_drake.cli.evaluate import analyze, design, stability
-from ffsm_drake.cli.paper import noise, reproduce
+from ffsm_drake.cli.paper import reproduce
 from ffsm_drake.cli.plan import plan
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, doctor, new, scenarios, schema, validate
@@ -49,6 +49,6 @@ def main() -> None:
 
 for command in (
     new, plan, run, compare, analyze, stability, design, campaign, replay, plot, diagram,
-    scenarios, validate, schema, reproduce, noise, doctor, completion,
+    scenarios, validate, schema, reproduce, doctor, completion,
 ):  # fmt: skip
     main.add_command(command)

@@ -1,4 +1,4 @@
-"""Commands about the paper: reproduce, noise."""
+"""The command about the paper: reproduce."""
 
 from pathlib import Path
 
@@ -29,29 +29,3 @@ def reproduce(what: str, out: Path, seeds: int) -> None:
 
     main_file = reproduce_paper(what, out, seeds=seeds, workers=2, progress=batch_progress)
     click.echo(f"Written to {out}; open {main_file}")
-
-
-@click.command()
-@out_option(default=Path("out/noise"), show_default=True)
-@click.option(
-    "--seeds",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Seeds of the noise per point.",
-)
-def noise(out: Path, seeds: int) -> None:
-    """What the published gains cost with real sensors: error and effort against noise, all
-    controllers, both estimates.
-
-    Writes noise.md, noise.csv, noise.png and noise.svg.
-
-    \b
-    Example:
-      ffsm noise --seeds 3
-    """
-    from ffsm_drake.studies.noise import study_noise, write_study
-
-    written = write_study(study_noise(seeds=seeds, workers=2, progress=batch_progress), out)
-    click.echo(written.read_text(encoding="utf-8"))
-    click.echo(f"Written to {out}; open {written.with_suffix('.png')}")

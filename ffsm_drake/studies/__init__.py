@@ -1,1 +1,1 @@
-"""Studies made of many runs: the paper's reproduction, and what noise costs."""
+"""Studies made of many runs: the paper's reproduction."""

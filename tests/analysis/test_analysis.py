@@ -106,6 +106,7 @@ def test_what_the_reaching_law_leaves_out_on_the_euler_plant_is_the_sampled_refe
     assert result.finding("reaching_law").numbers["rms_ratio"] > 2.0
 
 
+@pytest.mark.smoke
 def test_tde_error_is_that_of_equations_2_and_5_on_the_true_plant(run, analysis):
     """N from the true H, C, tau_d; Nhat from the measured past. Explicit Euler makes N that of the
     whole period.
@@ -192,6 +193,7 @@ def test_eta_says_how_the_payload_is_believed(analysis, belief, low, high):
     assert result.series["posture_time"].values == pytest.approx([0, 0.1, 0.2, 0.3, 0.4, 0.5])
 
 
+@pytest.mark.smoke
 def test_inertia_match_by_hand():
     """E - H^-1 Hhat = [[0, -1/2], [-1/2, 0]]; a unit ten times smaller makes lengths ten times
     larger numbers.
@@ -231,6 +233,7 @@ def test_the_verdict_of_condition_8_depends_on_the_unit_of_length(run, analysis)
 # The proof
 
 
+@pytest.mark.smoke
 def test_lyapunov_function_by_hand():
     s, k_s, g = np.array([[3.0], [1.0]]), np.array([[6.0], [4.0]]), np.array([[1.0], [2.0]])
     v = lyapunov(
@@ -281,6 +284,7 @@ def test_in_the_proofs_own_world_v_falls_outside():
     assert (np.abs(s[1000:]) <= limit).all()
 
 
+@pytest.mark.smoke
 def test_bounds_by_hand():
     alpha, beta, phi = np.array([2.0, 4.0]), np.array([10.0, 1e6]), np.array([1.0, 0.5])
     # max(0.3, 0.01)^2 + max(3e-6, 0.01)^2 + 9/2 + 9/4 + 9 + 18.
@@ -387,6 +391,7 @@ def test_direct_bound_needs_short_samples(analysis):
 # Chattering
 
 
+@pytest.mark.smoke
 def test_chattering_of_a_known_signal():
     """A 1 Hz cosine of amplitude 2 (variance 2) on a ramp; +-0.3 in turns (variance 0.09) at 50 Hz;
     9 and 11 Hz.
@@ -405,6 +410,7 @@ def test_chattering_of_a_known_signal():
     assert [split_frequency(period) for period in (0.001, 0.01, 0.05)] == [10.0, 10.0, 2.0]
 
 
+@pytest.mark.smoke
 def test_total_variation_and_reversals():
     ramp = np.linspace(-1.0, 4.0, 101)
     triangle = np.abs((np.arange(101) % 20) - 10.0)  # up and down five times: nine turns
@@ -463,6 +469,7 @@ def test_energy_balance_sees_a_force_that_did_not_act(run):
     assert result.series["energy_residual"].values == pytest.approx(-0.01 * work, abs=1e-7)
 
 
+@pytest.mark.smoke
 def test_displacement_is_the_integral_of_velocity():
     """Turning about a fixed axis at 0.3 rad/s while moving: the rotation vector of each period, and
     differences.
@@ -539,6 +546,7 @@ def test_the_figure_can_be_drawn(analysis, overrides):
     assert len(file.getvalue()) > 5000
 
 
+@pytest.mark.smoke
 def test_every_finding_is_documented():
     page = Path(__file__).parents[2] / "docs" / "findings.md"
     headings = [

@@ -143,6 +143,7 @@ def test_the_load_is_the_peak_of_a_run_without_limits_and_noise(duration, end):
     assert predict(scenario)[-1] == pytest.approx(share.max(), rel=0.1)
 
 
+@pytest.mark.smoke
 def test_a_campaign_without_a_capture_has_the_columns_it_had():
     from ffsm_drake.campaign.evaluate import METRICS, PREDICTIONS, metrics_of, predictions_of
 

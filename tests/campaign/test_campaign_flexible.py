@@ -21,6 +21,7 @@ SHORT = {"duration": 0.4, "reference.duration": 0.2, "divergence_speed": 100.0}
 @pytest.mark.parametrize(
     "name", [name for name in shipped_campaigns() if name.startswith("flexible_panels")]
 )
+@pytest.mark.smoke
 def test_the_shipped_campaigns_give_both_panels_one_value(name):
     spec = load_spec(name)
     for case in list(make_cases(spec))[:5]:

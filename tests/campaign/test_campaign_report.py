@@ -47,6 +47,7 @@ def make_runs(settled, *, controller="tdc", **metrics):
     )
 
 
+@pytest.mark.smoke
 def test_success_rate_has_the_exact_interval():
     # Nothing fails in n runs: the lower limit solves p^n = 2.5 %.
     rate = success_rate(make_runs([True] * 20))
@@ -60,6 +61,7 @@ def test_success_rate_has_the_exact_interval():
     )
 
 
+@pytest.mark.smoke
 def test_paired_differences_find_a_known_factor():
     generator = np.random.default_rng(0)
     itae = np.exp(generator.normal(size=400))  # cases differ by far more than controllers
@@ -128,6 +130,7 @@ def test_sensitivity_tells_the_cause_from_the_bystander():
     assert most_influential(list(found.values())) == ["cause", "bystander"]
 
 
+@pytest.mark.smoke
 def test_agreement_and_worst_runs():
     runs = make_runs(
         [True, False, True, False],

@@ -219,6 +219,7 @@ def test_rerun_notices_another_result(database, tmp_path):
     assert "NOT as stored: isv" in result.output
 
 
+@pytest.mark.smoke
 def test_status_and_export(database, tmp_path):
     result = invoke("status", database)
     assert result.exit_code == 0

@@ -267,6 +267,7 @@ def test_points_are_uniform_and_repeatable(sampling):
         assert all(len({int(512 * x) for x in column}) == 512 for column in points.T)
 
 
+@pytest.mark.smoke
 def test_distributions_have_their_quantiles():
     make = lambda **data: parse_distribution(data, place="x")  # noqa: E731
     uniform = make(distribution="uniform", low=2, high=6)
@@ -283,6 +284,7 @@ def test_distributions_have_their_quantiles():
     assert [listed.value(0.5, case) for case in range(3)] == [3, 1, 3]
 
 
+@pytest.mark.smoke
 def test_rules():
     apply = lambda values, **data: parse_rule(data, place="x").apply(values)  # noqa: E731
     assert apply([100.0], rule="solid_cube", mass="m", side=1.0) == pytest.approx([100 / 6] * 3)
@@ -302,6 +304,7 @@ def test_rules():
         apply([[1.0], [2.0, 3.0]], rule="sum", of=["a", "b"])
 
 
+@pytest.mark.smoke
 def test_cases_follow_from_the_specification_alone(tmp_path):
     spec = load_spec(write_spec(tmp_path / "s.yaml"))
     cases = list(make_cases(spec))
@@ -375,6 +378,7 @@ def test_set_value_reaches_lists_and_absent_mappings():
         set_value(data, "a.1.x", 0)
 
 
+@pytest.mark.smoke
 def test_settled_means_until_the_end():
     import numpy as np
 

@@ -120,6 +120,7 @@ def test_a_reused_build_has_the_bits_of_a_fresh_one(tmp_path):
         assert not differing_columns(reused, evaluate(spec.to_json(), case, "tdc"))
 
 
+@pytest.mark.smoke
 def test_a_run_that_cannot_be_is_a_row(spec):
     row = evaluate(
         spec.to_json(), Case(index=0, seed=1, values={"payload.truth.mass": -5.0}), "tdc"
@@ -129,6 +130,7 @@ def test_a_run_that_cannot_be_is_a_row(spec):
     assert all(row[name] is None for name in METRICS)
 
 
+@pytest.mark.smoke
 def test_a_diverging_run_says_when(spec):
     case = Case(index=0, seed=1, values={"controllers.tdc.k_d": 400.0})
     row = evaluate(spec.to_json(), case, "tdc")

@@ -34,6 +34,7 @@ def ffsm(*arguments):
 @pytest.mark.parametrize(
     "command", [[], *[[name] for name in main.commands]], ids=lambda command: " ".join(command)
 )
+@pytest.mark.smoke
 def test_help_has_examples(command):
     result = ffsm(*command, "--help")
     assert result.exit_code == 0
@@ -70,6 +71,7 @@ def test_run_writes_record_and_report(tmp_path, monkeypatch):
     assert f"{record.metrics['isv']:.5g}" in row
 
 
+@pytest.mark.smoke
 def test_run_as_json(tmp_path):
     result = ffsm("run", *SHORT, "--no-report", "--json", "--out", tmp_path)
     assert result.exit_code == 0, result.output
@@ -110,6 +112,7 @@ def test_compare_overlays_and_ranks(tmp_path, monkeypatch):
     assert (tmp_path / "report.html").is_file()
 
 
+@pytest.mark.smoke
 def test_compare_refuses_the_same_twice():
     result = ffsm("compare", "-c", "tdc", "-c", "tdc")
     assert result.exit_code == 2
@@ -190,6 +193,7 @@ def test_diagram(tmp_path):
     assert (tmp_path / "loop.dot").read_text().strip() == printed.stdout.strip()
 
 
+@pytest.mark.smoke
 def test_scenarios_and_validate(tmp_path):
     listed = json.loads(ffsm("scenarios", "--json").stdout)
     assert set(listed) == set(shipped_scenarios())
@@ -272,6 +276,7 @@ def test_doctor_remarks_on_an_untested_drake(tested, status, monkeypatch):
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+@pytest.mark.smoke
 def test_completion(shell):
     result = ffsm("completion", shell)
     assert result.exit_code == 0

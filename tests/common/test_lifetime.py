@@ -96,6 +96,7 @@ def test_the_operators_disturbance_is_freed():
     assert [part() for part in made] == [None] * 4
 
 
+@pytest.mark.smoke
 def test_a_system_that_was_never_wired_is_freed():
     scenario = load_scenario("postcapture")
     nominal = make_nominal_plant(scenario)

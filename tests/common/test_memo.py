@@ -53,6 +53,7 @@ def test_a_scenario_that_is_read_again_is_the_same(name):
     assert content_of(load_scenario(name)) == content_of(load_scenario(name))
 
 
+@pytest.mark.smoke
 def test_a_setting_of_drake_is_part_of_the_key():
     plain = content_of(SimulatorConfig())
     for field in SimulatorConfig.__fields__:
@@ -91,6 +92,7 @@ def test_what_differs_is_told_apart(one, other):
     assert len(calls) == 2
 
 
+@pytest.mark.smoke
 def test_equal_content_is_found_again():
     function, calls = counted()
     for array in (np.arange(8.0)[::2], np.array([0.0, 2.0, 4.0, 6.0])):
@@ -107,6 +109,7 @@ def test_what_is_passed_may_change_afterwards():
     assert len(calls) == 2
 
 
+@pytest.mark.smoke
 def test_a_file_counts_with_its_change(tmp_path):
     function, calls = counted()
     file = tmp_path / "model.urdf"

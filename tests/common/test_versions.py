@@ -15,10 +15,12 @@ from ffsm_drake.common.versions import TESTED_DRAKE, release
         ("0.0.20260101", (0, 0, 20260101)),
     ],
 )
+@pytest.mark.smoke
 def test_release(version, numbers):
     assert release(version) == numbers
 
 
+@pytest.mark.smoke
 def test_the_tested_range_is_one():
     first, last = map(release, TESTED_DRAKE)
     assert len(first) == len(last) == 3

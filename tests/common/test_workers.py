@@ -115,6 +115,7 @@ def nap(seconds):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.smoke
 def test_an_error_of_a_task_is_passed_on(workers):
     with pytest.raises(ScenarioError, match=r"^task: is odd$") as caught:
         map_tasks(fail_if_odd, [2, 4, 3, 6], workers=workers)
@@ -163,6 +164,7 @@ def test_signals_stop_after_the_tasks_under_way(tmp_path, workers, sent):
     assert "Traceback" not in output
 
 
+@pytest.mark.smoke
 def test_handlers_are_as_before_afterwards():
     before = signal.getsignal(signal.SIGINT)
     with stop_on_signals() as stop:
@@ -173,6 +175,7 @@ def test_handlers_are_as_before_afterwards():
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.smoke
 def test_no_scheduler_there():
     pytest.importorskip("distributed")
     with (

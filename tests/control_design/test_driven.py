@@ -62,6 +62,7 @@ def test_the_edge_of_stability_from_both_sides(controller):
     )
 
 
+@pytest.mark.smoke
 def test_poles_are_those_of_the_reduced_plant():
     """Computed torque with the true payload: at rest each joint's loop is e'' + K_d e' + K_p e = 0,
     sampled.

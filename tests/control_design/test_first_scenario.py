@@ -387,6 +387,7 @@ def test_mounting_refused_in_one_line(tmp_path, monkeypatch, case):
     assert not Path("mine").exists()
 
 
+@pytest.mark.smoke
 def test_an_arm_without_a_world_stands_on_the_middle_of_a_cube(tmp_path):
     (tmp_path / "ur5.urdf").write_text(arm_alone(stand=False))
     servicer = read_urdf(tmp_path / "ur5.urdf", bus=make_bus(400.0))

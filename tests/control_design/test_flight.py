@@ -351,6 +351,7 @@ def test_design_says_when_a_budget_cannot_be_met(tmp_path, monkeypatch):
     assert "error: budget: ISV 50.0 cannot be met; the cheapest gains found need" in result.output
 
 
+@pytest.mark.smoke
 def test_margins_know_the_estimator():
     """The Kalman estimate tolerates over-estimated inertia that the one-sample estimate does
     not.

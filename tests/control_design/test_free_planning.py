@@ -66,6 +66,7 @@ def test_force_and_rates_are_those_of_the_reduced_dynamics(driven):
     assert by[1, :, 1] == pytest.approx((sides[0] - sides[1]) / (2.0 * step), abs=1e-6)
 
 
+@pytest.mark.smoke
 def test_small_rotations_add_up_and_their_derivatives_are_exact():
     def rates(times, extra):
         w = np.array([0.3 * np.cos(times), 0.2 + extra * times, 0.4 * np.sin(2.0 * times)]).T

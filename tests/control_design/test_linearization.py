@@ -93,6 +93,7 @@ class Damper(ControlLaw):
         return force, {"count": state["count"] + 1.0}
 
 
+@pytest.mark.smoke
 def test_modes_of_a_users_law_are_those_of_its_gains():
     """Computed torque with its poles at -1 and -4 1/s, on a nominal payload that is the true
     one.

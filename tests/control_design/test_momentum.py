@@ -154,6 +154,7 @@ def test_wheels_that_are_too_small_are_told_of_and_saturate() -> None:
     assert np.abs(record.dataset["error"].values[:, :3]).max() > 1e-3
 
 
+@pytest.mark.smoke
 def test_what_wheels_hold_is_what_their_directions_say() -> None:
     settings = known(wheels()).wheels
     assert settings is not None

@@ -142,6 +142,7 @@ def test_goal_posture_and_effort():
     assert found.effort < 0.95 * np.trapezoid((force**2).sum(axis=1), times)
 
 
+@pytest.mark.smoke
 def test_the_limit_in_the_way_is_named():
     """3.85 N m s in 1.5 s: more than the base's torque and force can take out."""
     with pytest.raises(

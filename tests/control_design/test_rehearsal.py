@@ -93,6 +93,7 @@ def test_the_share_of_saturated_samples(with_wheels):
     )
 
 
+@pytest.mark.smoke
 def test_what_the_actuators_give():
     """Four wheels of 1 N m along the diagonals of a cube: 4/sqrt(3) about its axes, 4/3 about a
     diagonal.

@@ -46,6 +46,7 @@ PUBLISHED = LawGains(k_d=100 * ONE, k_p=200 * ONE, integral=True, k_s=80 * ONE, 
         (LoopGains(k_v=100.0, k_p=200.0, k_i=0.0), [0.97979, 0.01021]),
     ],
 )
+@pytest.mark.smoke
 def test_poles_at_eta_1(gains, expected):
     poles = axis_poles(gains, eta=1.0, sampling=SAMPLED)
     assert poles[: len(expected)] == pytest.approx(expected, abs=1e-5)
@@ -90,6 +91,7 @@ def test_poles_of_many_axes_are_those_of_each(estimator):
         (1.2, 33),
     ],
 )
+@pytest.mark.smoke
 def test_largest_stable_k_s(eta, expected):
     limit = largest_stable_k_s(PUBLISHED, 0, eta=eta, sampling=SAMPLED)
     assert limit == pytest.approx(expected, rel=0.0102)
@@ -97,6 +99,7 @@ def test_largest_stable_k_s(eta, expected):
         assert (100.0 + limit) * L == pytest.approx(2 * (2 - eta) / eta, rel=1e-6)
 
 
+@pytest.mark.smoke
 def test_other_limits_follow_from_the_pole_at_minus_one():
     assert largest_sample_time(PUBLISHED, 0, eta=1.0, sampling=SAMPLED) == pytest.approx(
         2.0 / 180.0, rel=1e-5
@@ -224,6 +227,7 @@ def test_noise_amplification_against_the_simulated_plant(controller, noise, dura
     assert ("sliding_variable" in predicted) == (controller == "aismc")
 
 
+@pytest.mark.smoke
 def test_noise_figures_of_the_published_gains():
     """White velocity noise sigma costs an rms acceleration command of about 375 sigma (TDC), 1325
     sigma (AISMC).

@@ -18,11 +18,13 @@ def test_what_must_not_move(path):
     assert not changes, "\n".join([f"{len(changes)} changes in {path.name}", *changes[:20]])
 
 
+@pytest.mark.smoke
 def test_it_is_all_there_and_nothing_else():
     assert set(golden.FOLDER.glob("**/*.json")) == set(PARTS)
     assert sum(path.stat().st_size for path in PARTS) < 2_000_000
 
 
+@pytest.mark.smoke
 def test_every_kind_of_change_is_seen():
     expected = golden.read(golden.RUNS / "postcapture.json")
 

@@ -134,6 +134,7 @@ def lab(tmp_path, monkeypatch):
     sys.modules.pop("lab_blocks", None)
 
 
+@pytest.mark.smoke
 def test_the_blocks_are_short():
     assert set(LAB) == set(BLOCKS)
     for text in LAB.values():
@@ -282,6 +283,7 @@ class Fails(LeafSystem):
         output.SetFromVector(np.full(output.size(), np.nan if context.get_time() > 0.02 else 0.0))
 
 
+@pytest.mark.smoke
 def test_a_failing_block_gets_one_line():
     with pytest.raises(
         BlockError,
@@ -419,6 +421,7 @@ def test_the_kit_passes_good_blocks_and_finds_hidden_memory(lab):
         check_block("forces.counts", Counts)
 
 
+@pytest.mark.smoke
 def test_an_unknown_block_is_refused():
     from ffsm_drake import make_nominal_plant
 

@@ -19,6 +19,7 @@ from ffsm_drake.systems.reference import make_motion
 DIAGRAMS = Path(__file__).parents[2] / "diagrams"
 
 
+@pytest.mark.smoke
 def test_systems_and_signals_have_names():
     loop = make_closed_loop(load_scenario("postcapture"))
     names = {system.get_name() for system in loop.diagram.GetSystems()}
@@ -84,6 +85,7 @@ def test_showing_the_bodies_does_not_make_them_collide(tmp_path):
         assert np.array_equal(derivatives, np.zeros(17)), meshcat
 
 
+@pytest.mark.smoke
 def test_the_plant_is_continuous_weightless_and_free():
     plant = make_closed_loop(load_scenario("postcapture")).plant
     assert plant.time_step() == 0.0
@@ -93,6 +95,7 @@ def test_the_plant_is_continuous_weightless_and_free():
     assert plant.num_actuators() == 5  # of the joints' rotors; no force goes that way
 
 
+@pytest.mark.smoke
 def test_initialize_sets_posture_payload_and_seed():
     loop = make_closed_loop(
         load_scenario("postcapture", ["random_seed=5", "payload.truth.mass=123"])

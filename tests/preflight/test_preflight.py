@@ -36,6 +36,7 @@ def test_a_run_says_first_what_is_expected_of_it(verb):
     assert kinds.count(LimitWarning) == 1
 
 
+@pytest.mark.smoke
 def test_it_need_not():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -90,6 +91,7 @@ def test_a_first_run_loads_only_what_it_needs(scenario, without):
     assert loaded.isdisjoint((*HEAVY, *without))
 
 
+@pytest.mark.smoke
 def test_the_command_line_shows_its_help_without_drake():
     code = "import runpy, sys; sys.argv = ['ffsm', '--help']"
     loaded = loaded_after(

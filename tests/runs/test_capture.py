@@ -159,6 +159,7 @@ def test_what_the_arm_misses_by_stays_in_the_payload(log):
     assert_allclose(place, log.grasp.target[-1, 4:7], atol=1e-12)
 
 
+@pytest.mark.smoke
 def test_mass_properties_in_another_frame():
     properties = MassProperties(
         mass=3.0, center_of_mass=[0.1, -0.2, 0.3], inertia=[1.0, 1.2, 1.4, 0.1, -0.05, 0.2]
@@ -328,6 +329,7 @@ def test_another_centre_of_mass_needs_another_plan():
     assert np.abs(start - rollout.run().series["desired_state"][0]).max() > 1e-4
 
 
+@pytest.mark.smoke
 def test_without_an_approach_it_begins_with_the_grasp():
     scenario = override_scenario(
         from_grasp(SCENARIO), ["duration=1", "initial_velocity.joint_2=0.001"]

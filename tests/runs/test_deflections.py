@@ -27,6 +27,7 @@ def dataset(duration):
     )
 
 
+@pytest.mark.smoke
 def test_what_is_left_after_the_motion_is_measured_about_its_mean():
     found = deflection_metrics(dataset(9.0))
     assert found["peak"] == pytest.approx({"port": 0.03, "slosh": 0.4}, rel=1e-3)
@@ -48,6 +49,7 @@ def test_a_run_that_ends_with_the_motion_leaves_nothing_to_measure(duration):
     ] * 3
 
 
+@pytest.mark.smoke
 def test_a_reference_that_pauses_is_not_over():
     velocity = np.array([[0.1], [0.0], [0.0], [0.1], [0.0], [0.0]])
     assert first_at_rest(velocity) == 4

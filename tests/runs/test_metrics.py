@@ -14,6 +14,7 @@ PERIOD, DURATION = 0.01, 20.0
 TIME = PERIOD * np.arange(2000)
 
 
+@pytest.mark.smoke
 def test_constant_error_and_constant_effort():
     error, effort = np.full((2000, 11), -0.3), np.tile(np.arange(11.0), (2000, 1))
     # left sums: L / t_f off
@@ -29,6 +30,7 @@ def test_constant_error_and_constant_effort():
         (["disturbance.amplitude_scale=3"], 9 * 6.921),
     ],
 )
+@pytest.mark.smoke
 def test_energy_of_the_disturbances(scales, expected):
     loop = make_closed_loop(load_scenario("paper", scales))
     port, context = (
@@ -110,6 +112,7 @@ def test_metrics_need_no_dataset(name, overrides):
 
 
 @pytest.mark.parametrize("rate", [0.3, 3.0])
+@pytest.mark.smoke
 def test_impulse_of_a_smooth_force(rate):
     """A force along y that changes, one along x that is held, and where they act moves along y."""
     time = PERIOD * np.arange(500)

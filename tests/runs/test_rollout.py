@@ -71,6 +71,7 @@ def test_what_needs_another_build_is_refused(rollout, override):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.smoke
 def test_metrics_of_the_log_are_those_of_the_record(rollout):
     log, record = rollout.run(), simulate(SCENARIO)
     expected = {key: value for key, value in record.metrics.items() if key != "momentum_residual"}
@@ -81,6 +82,7 @@ def test_metrics_of_the_log_are_those_of_the_record(rollout):
     assert log.outcome == record.outcome
 
 
+@pytest.mark.smoke
 def test_a_log_is_frozen(rollout):
     with pytest.raises(dataclasses.FrozenInstanceError):
         rollout.run().time = np.zeros(1)

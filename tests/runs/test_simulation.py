@@ -22,6 +22,7 @@ from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import base_rpy, make_plant
 
 
+@pytest.mark.smoke
 def test_dataset_is_labelled_and_complete(run):
     data = run("postcapture").dataset
     assert data.sizes == {"time": 2001, "position_name": 12, "coordinate": 11, "axis": 3}
@@ -90,6 +91,7 @@ def test_every_sample_satisfies_the_control_law(run, controller):
         assert tau[k] == pytest.approx(previous + nominal.calc_mass_matrix(q[k]) @ u, abs=1e-9), k
 
 
+@pytest.mark.smoke
 def test_motion_follows_from_the_recorded_forces(run):
     """True plant, recorded tau and tau_d: the acceleration over a period is the change of
     velocity.
@@ -164,6 +166,7 @@ def test_noise_has_the_given_spread_and_is_white():
     )
 
 
+@pytest.mark.smoke
 def test_save_and_load(run, tmp_path):
     record = run("postcapture")
     loaded = RunRecord.load(record.save(tmp_path / "new" / "folder"))

@@ -13,6 +13,7 @@ from ffsm_drake import (
 from ffsm_drake.scenario import scenario_from_dict, scenario_to_dict, shipped_scenarios
 
 
+@pytest.mark.smoke
 def test_shipped_scenarios():
     assert set(shipped_scenarios()) >= {"paper", "postcapture"}
     paper, postcapture = load_scenario("paper"), load_scenario("postcapture")
@@ -48,11 +49,13 @@ def test_the_two_scenarios_differ_only_where_they_say():
 
 
 @pytest.mark.parametrize("name", ["paper", "postcapture"])
+@pytest.mark.smoke
 def test_plain_data_round_trip(name):
     data = scenario_to_dict(load_scenario(name, ["controllers.aismc.k_s_max.joint_1=30"]))
     assert scenario_to_dict(scenario_from_dict(data)) == data
 
 
+@pytest.mark.smoke
 def test_overrides():
     scenario = load_scenario(
         "postcapture",
@@ -201,6 +204,7 @@ directives:
         ("tolerance.joints=0", "override: tolerance.joints: must be > 0, not 0"),
     ],
 )
+@pytest.mark.smoke
 def test_wrong_overrides_get_one_clear_line(override, expected):
     with pytest.raises(ScenarioError) as error:
         load_scenario("postcapture", [override])

@@ -281,6 +281,7 @@ def test_plain_data_round_trip(scenario):
 @FEW
 @given(SCENARIOS)
 @example(scenario_from_dict({"description": "1e5"}))
+@pytest.mark.smoke
 def test_yaml_round_trip(scenario):
     assert scenario_to_dict(scenario_from_yaml(scenario_to_yaml(scenario))) == scenario_to_dict(
         scenario
@@ -372,6 +373,7 @@ def test_any_text_as_override(key, equals, value):
 
 
 @pytest.mark.parametrize("path", PLACES, ids=lambda path: ".".join(map(str, path)))
+@pytest.mark.smoke
 def test_nan_is_refused_everywhere(path):
     data = copy.deepcopy(VALID)
     target = data

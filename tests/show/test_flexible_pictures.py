@@ -144,6 +144,7 @@ def test_a_run_to_watch_is_the_run(meshcat, record):
     assert meshcat.HasPath("visualizer/flexible/port")
 
 
+@pytest.mark.smoke
 def test_the_diagram_tells_known_from_hidden_states(record):
     assert "hidden_state" in closed_loop_dot(record.scenario)
     assert "hidden_state" not in closed_loop_dot(dataclasses.replace(

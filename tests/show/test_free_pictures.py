@@ -69,6 +69,7 @@ def test_plain_text_has_no_error_where_nothing_tracks(by_joints):
     assert any(line.startswith("the base, which nothing drives there, ends") for line in lines)
 
 
+@pytest.mark.smoke
 def test_the_reports_panels(record):
     views = run_views(results_of([record]), Thinning(50))
     assert views["error"][0].label == "Frame"

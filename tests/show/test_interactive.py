@@ -346,6 +346,7 @@ def test_ctrl_c_between_two_controls_keeps_the_records(meshcat, scenario, monkey
     assert meshcat.GetButtonNames() == []
 
 
+@pytest.mark.smoke
 def test_clicks_while_nothing_runs_do_nothing(meshcat, scenario, plain):
     (record,) = operate(meshcat, scenario, press(push_button("x")), press(PAUSE), start())
     assert record.dataset.identical(plain.dataset)

@@ -94,6 +94,7 @@ def test_the_page_plays_at_the_asked_speed(record):
         assert last_frame / fps == pytest.approx(2.0 / speed, abs=1.0 / fps)
 
 
+@pytest.mark.smoke
 def test_frames_show_the_instants_that_are_due(record, monkeypatch):
     shown = []
     show = ReplayView.show
@@ -134,6 +135,7 @@ def test_the_caption_is_text_not_markup(record, tmp_path):
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.smoke
 def test_a_bad_speed_gets_one_line(record, meshcat, speed):
     with pytest.raises(FfsmError, match="speed: must be > 0"):
         recording_html(record, speed=speed)

@@ -182,6 +182,7 @@ def test_table_holds_the_metrics(short, text):
             assert value(rows[label][0]) == pytest.approx(metrics[key][group], rel=5e-4), label
 
 
+@pytest.mark.smoke
 def test_numbers_as_text():
     assert [number(x) for x in (0.0, 12.3456, 9.99996, 1.23456e-7, -4.5e9, math.nan, math.inf)] == [
         "0", "12.35", "10.00", "1.235×10⁻⁷", "-4.500×10⁹", "–", "–",
@@ -293,6 +294,7 @@ def test_no_record_is_an_error_of_one_line(tmp_path):
 
 
 @pytest.mark.usefixtures("plain")
+@pytest.mark.smoke
 def test_loads_nothing_from_elsewhere(short):
     page = page_of(short, recording="<!DOCTYPE html><script>let a = '<\\/script>'</script>")
     for tag, attributes in page.tags:

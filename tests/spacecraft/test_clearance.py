@@ -31,6 +31,7 @@ def test_neighbours_and_what_is_grasped_are_left_out(planar):
     } <= names(planar)
 
 
+@pytest.mark.smoke
 def test_distance_of_a_stretched_arm(planar):
     """The hand starts 0.7 + 0.3 - 0.01 m from the second joint; the tube of the second link ends
     after 0.7 m.

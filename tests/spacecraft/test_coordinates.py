@@ -16,6 +16,7 @@ from ffsm_drake.spacecraft.coordinates import (
 COORDINATES = Coordinates(("joint_1", "slider"), ("rad", "m"))
 
 
+@pytest.mark.smoke
 def test_the_more_specific_key_wins():
     values = {"joint_1": 3.0, "all": 1.0, "base_position": 2.0, "base_position_y": 5.0}
     assert COORDINATES.vector(values, key="k").tolist() == [1, 1, 1, 2, 5, 2, 3, 1]
@@ -44,6 +45,7 @@ def test_names_groups_and_units_line_up():
     assert dict(zip(COORDINATES.names, COORDINATES.group_of, strict=True))["slider"] == "joints"
 
 
+@pytest.mark.smoke
 def test_rotation_error_is_the_world_frame_logarithm():
     rng = np.random.default_rng(0)
     for _ in range(200):
@@ -68,6 +70,7 @@ def test_tiny_rotations_keep_their_precision():
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.0999, 0.1001, 1.0, 3.0, 3.14])
+@pytest.mark.smoke
 def test_rate_of_the_rotation_error_is_its_derivative(angle):
     """By central differences, both attitudes turning at constant angular velocities in the world
     frame.

@@ -107,6 +107,7 @@ def test_two_panels_on_a_free_hub_vibrate_as_the_closed_form_says():
     ],
     ids=["plates", "beam", "pendulum", "mass"],
 )
+@pytest.mark.smoke
 def test_held_fast_the_lowest_frequency_is_the_given_one(part):
     plant, context = free_hub(1e9, 1e9, part=part)
     found = sorted(mode.frequency for mode in modes_of(plant, context))

@@ -271,6 +271,7 @@ def applied(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 @of_each_library
+@pytest.mark.smoke
 def test_generalized_jacobian_reduced_dynamics_and_projectors(case: Case, library: Library) -> None:
     model = case.model
     q, v = random_states(model, STATES)
@@ -381,6 +382,7 @@ def test_a_free_plant_moves_as_momentum_says(case: Case) -> None:
     assert_allclose(spacecraft.velocity(v[6:], momentum), v, rtol=0, atol=1e-10)
 
 
+@pytest.mark.smoke
 def test_singular_values_of_the_planar_servicer(planar: PlantModel) -> None:
     """Figures on which three independent codes agree; the other three rows are zero."""
     q = np.r_[1.0, np.zeros(6), -0.72, 1.2, 0.72]

@@ -66,6 +66,7 @@ def momentum_and_energy(
     )
 
 
+@pytest.mark.smoke
 def test_momentum_is_kept_and_energy_never_rises_in_random_grasps(model: PlantModel) -> None:
     rng, plant, context = np.random.default_rng(14), model.plant, model.context
     servicer = [plant.GetModelInstanceByName("servicer")]

@@ -28,6 +28,7 @@ def states(model, count=20):
     )
 
 
+@pytest.mark.smoke
 def test_force_is_drakes_with_the_joints_damping(model):
     first = RollPitchYaw([0.3, -0.5, 1.1]).ToRotationMatrix()
     z, rate, acceleration = states(model)

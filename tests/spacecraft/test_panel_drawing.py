@@ -37,6 +37,7 @@ def port(**changes):
     return Model(flexible={"port": Flexible(position=HINGE.tolist(), frequency=0.25, **changes)})
 
 
+@pytest.mark.smoke
 def test_the_panel_swings_and_the_rest_stays():
     rigid, angle = shapes(Model(), flexible=False), 0.2
     bent = shapes(port(), deflection=np.array([angle]))

@@ -184,6 +184,7 @@ def assert_same_dynamics(
             assert_allclose(mine, expected, rtol=0, atol=1e-10 * np.abs(expected).max() + 1e-14)
 
 
+@pytest.mark.smoke
 def test_dynamics_agree_with_mujoco(ours: tuple[MultibodyPlant, Context, oracle.Target]) -> None:
     assert_same_dynamics(ours, mujoco_dynamics(ours[2]))
 
@@ -431,6 +432,7 @@ def test_centre_of_mass_accelerates_by_the_external_force_alone(
         )
 
 
+@pytest.mark.smoke
 def test_mass_properties_are_those_of_table_1(plant: MultibodyPlant, context: Context) -> None:
     def rod(mass: float, length: float) -> tuple[float, float, list[float]]:
         across, along = mass * length**2 / 12, mass * 0.05**2 / 2

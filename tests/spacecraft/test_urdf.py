@@ -22,6 +22,7 @@ def read(folder, text, **options):
     return read_urdf(urdf, **options)
 
 
+@pytest.mark.smoke
 def test_tips_masses_and_reach(tmp_path):
     six, arms, hand, seven = (
         read(tmp_path, OUTSIDE[name]())

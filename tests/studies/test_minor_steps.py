@@ -34,6 +34,7 @@ def test_the_loop_is_the_simulations(scheme, held, overrides, tolerance):
     assert made.largest_k_s == pytest.approx(record.dataset["reaching_gain"].values.max(), rel=1e-2)
 
 
+@pytest.mark.smoke
 def test_minor_steps_change_the_force():
     scenario = load_scenario("paper", QUIET)
     assert run(scenario, RUNGE_KUTTA).itae > 1.1 * run(scenario, RUNGE_KUTTA, held=True).itae

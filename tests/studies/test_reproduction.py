@@ -143,6 +143,7 @@ def test_mean_and_spread_over_the_seeds():
     assert cell.spread == pytest.approx(np.std(values, ddof=1))
 
 
+@pytest.mark.smoke
 def test_a_single_seed_has_no_spread(results):
     rows = table.make_table(results)
     assert all(np.isnan(cell.spread) for row in rows for cell in (row.itae, row.isv))
@@ -418,6 +419,7 @@ def test_without_graphviz_the_figure_says_so(tmp_path, monkeypatch):
     assert page._data_address(figure) == ""
 
 
+@pytest.mark.smoke
 def test_wrong_requests_get_one_line(tmp_path):
     with pytest.raises(
         FfsmError, match=re.escape(f"what: 'fig9' is unknown; choose one of {', '.join(PARTS)}")

@@ -218,6 +218,7 @@ def test_the_estimate_is_fed_the_applied_force(run, kind, override):
         ("actuation.delay=-1", "actuation.delay: must be from 0 to 1000 control samples, not -1"),
     ],
 )
+@pytest.mark.smoke
 def test_errors_are_one_clear_line(override, expected):
     with pytest.raises(ScenarioError) as error:
         make_closed_loop(load_scenario("postcapture", [override]))

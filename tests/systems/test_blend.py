@@ -44,6 +44,7 @@ def closed_form(impulses, frequency, damping):
     return abs((shares * np.exp(damping * w * (delays - impulses.length) + phases)).sum())
 
 
+@pytest.mark.smoke
 def test_septic_starts_and_ends_without_jerk():
     h = 1e-5
     for of in (septic_blend, septic_stop):
@@ -92,6 +93,7 @@ def test_rates_are_derivatives_and_the_ends_exact(kind, shaper):
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.005, 0.1])
+@pytest.mark.smoke
 def test_zv_leaves_no_vibration_at_its_frequency(damping):
     """The oscillator hangs on what moves by the blend, or by the stop from a velocity."""
     shaped = blend(frequencies=[FREQUENCY], damping_ratio=damping)

@@ -47,6 +47,7 @@ def assert_consistent(motion, times, *, h=1e-4):
     assert_allclose(np.linalg.norm(now[0][:, :4], axis=1), 1.0, atol=1e-14)
 
 
+@pytest.mark.smoke
 def test_angular_velocity_and_acceleration_of_a_rotation_vector():
     rng, h = np.random.default_rng(3), 1e-4
     first = np.array([0.5, -0.5, 0.5, 0.5])

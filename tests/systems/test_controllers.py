@@ -115,6 +115,7 @@ def poles(law):
         (tdc_law(k_p=200.0), [0.01021, 0.97979]),
     ],
 )
+@pytest.mark.smoke
 def test_poles_of_the_sampled_loop(law, expected):
     assert poles(law) == pytest.approx(expected, abs=1e-5)
 
@@ -156,6 +157,7 @@ def test_sliding_variable_on_the_euler_plant():
 @pytest.mark.parametrize(
     ("lumped", "expected"), [(lambda k: 3.0, 0.0), (lambda k: 0.25 * k, -0.25)]
 )
+@pytest.mark.smoke
 def test_time_delay_estimation_error(lumped, expected):
     """A constant lumped uncertainty is met exactly from the second step; a ramp leaves its
     increment per sample.
@@ -209,6 +211,7 @@ def test_without_reaching_and_switching_the_proposed_is_tdc_bit_for_bit():
 
 
 @pytest.mark.parametrize("name", PAPER_LAWS)
+@pytest.mark.smoke
 def test_the_force_opposes_the_error(name):
     """q > q_d at rest asks for negative acceleration, in every coordinate."""
     _, laws = coordinates_and_laws()
@@ -305,6 +308,7 @@ def test_switching_gain_law_19():
     assert below[2] < -1e3  # s = 0: finite, and enough to clip G at zero at once
 
 
+@pytest.mark.smoke
 def test_published_gains_are_those_of_section_4():
     coordinates, laws = coordinates_and_laws()
     position, rotation, joints = (

@@ -50,6 +50,7 @@ def test_the_errors_obey_the_linearised_equation(model):
         assert found == pytest.approx(expected, abs=2e-3 * np.abs(expected).max())
 
 
+@pytest.mark.smoke
 def test_its_gains_are_those_of_the_riccati_equation():
     scenario = load_scenario("tumbling_capture", TUMBLING)
     law, model = make_law(scenario, make_nominal_plant(scenario)), make_nominal_plant(scenario)

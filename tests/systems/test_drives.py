@@ -111,6 +111,7 @@ def assert_balanced(record):
     assert np.abs(parts["residual"]).max() < 1e-9 * turned
 
 
+@pytest.mark.smoke
 def test_viscous_friction_is_exponential(two_bodies):
     record, rate = coast(two_bodies(0.1, {"viscous_friction": 4.0}))
     time = record.dataset["time"].values

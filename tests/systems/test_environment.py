@@ -122,6 +122,7 @@ def envisat_state() -> np.ndarray:
     return np.concatenate([START["quaternion"], np.zeros(3), rate, np.zeros(3)])
 
 
+@pytest.mark.smoke
 def test_envisat_turns_as_in_d_spose():
     after = coast(envisat(), envisat_state(), duration=10.0, mass=7827.867, inertia=ENVISAT)
     rate = rotation(after[:4]).T @ after[7:10]
@@ -298,6 +299,7 @@ def test_every_body_is_pulled_at(scenario, settings):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
+@pytest.mark.smoke
 def test_gravity_gradient_is_at_most_what_the_inertia_says():
     """Of the shipped stack, about its centre of mass, over all attitudes: 1.5 n^2 of the difference
     of inertias.

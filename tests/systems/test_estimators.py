@@ -107,6 +107,7 @@ def test_one_sample_is_the_limit_of_kalman(seed):
     assert np.array(tau[1]) == pytest.approx(np.array(tau[0]), abs=1e-6 * np.abs(tau[0]).max())
 
 
+@pytest.mark.smoke
 def test_limit_of_the_gain():
     """Exact velocities give e' and, differentiated, d; a position is no use to anything."""
     expected = np.array([[0.0, PERIOD / 2], [0.0, 1.0], [0.0, 1.0 / PERIOD]])
@@ -115,6 +116,7 @@ def test_limit_of_the_gain():
         assert np.abs((kalman_gain(**LIMIT | half_way) - expected) * SCALE).max() > 1e-3, half_way
 
 
+@pytest.mark.smoke
 def test_gain_is_the_steady_state_of_the_riccati_iteration():
     """Noise sets of the flight scenario (three groups), of postcapture, and others, against a loop
     of our own in SI.

@@ -46,6 +46,7 @@ def response(settings: CommandFilter, frequency: float) -> np.ndarray:
     return 2j * (wave @ np.array(rows)[late:]) / (samples - late)
 
 
+@pytest.mark.smoke
 def test_a_notch_takes_its_frequency_out():
     settings = CommandFilter(notch={"base_rotation": 0.5, "joints": 2.0}, notch_width={"all": 0.5})
     at_half, at_two = response(settings, 0.5), response(settings, 2.0)
@@ -58,6 +59,7 @@ def test_a_notch_takes_its_frequency_out():
     assert np.abs(response(settings, 0.5 * edge)[0]) == pytest.approx(np.sqrt(0.5), rel=0.02)
 
 
+@pytest.mark.smoke
 def test_a_low_pass_is_a_first_order_lag():
     settings = CommandFilter(low_pass={"joints": 1.0})
     share = 1.0 - np.exp(-2 * np.pi * PERIOD)

@@ -72,6 +72,7 @@ def test_from_rest_along_a_line_and_about_the_eigenaxis_to_the_goal(shaper):
     assert_consistent(path, np.array([1.3, 7.3, 15.0]))
 
 
+@pytest.mark.smoke
 def test_where_nothing_is_asked_it_stays():
     path, _, _ = path_of("reference.frame={}")
     assert_allclose(

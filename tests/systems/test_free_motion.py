@@ -67,6 +67,7 @@ def test_velocities_are_the_rates_of_the_place_that_is_integrated():
     assert rate[nq : nq + v.size] == pytest.approx(a, abs=1e-8)
 
 
+@pytest.mark.smoke
 def test_rows_do_not_depend_on_what_was_asked_before():
     asked, fresh = make(*JOINTS)[2], make(*JOINTS)[2]
     asked.rows(np.array([37.0]))

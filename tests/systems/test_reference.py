@@ -37,6 +37,7 @@ def slew(loop, start, target, base_rotation):
     return make_motion(scenario, loop.coordinates)
 
 
+@pytest.mark.smoke
 def test_blend_has_the_quintic_peaks():
     times = np.linspace(0, DURATION, 200001)
     s, rate, acceleration = quintic_blend(times, DURATION)
@@ -60,6 +61,7 @@ def test_rest_at_and_beyond_both_ends(loop, motion, time):
     assert q[7:] == pytest.approx(list(posture.joints.values()), abs=1e-15)
 
 
+@pytest.mark.smoke
 def test_peak_speed_of_a_joint_and_of_the_base(motion):
     _, v, _ = motion.evaluate(DURATION / 2)
     change = np.deg2rad([-35, 45, -10, 30, 15])

@@ -43,6 +43,7 @@ def assert_consistent(motion, times, *, h=1e-3, atol=1e-7):
     assert_allclose((after[1] - before[1]) / (2 * h), now[2], atol=atol)
 
 
+@pytest.mark.smoke
 def test_the_damped_inverse_is_smooth_and_bounded():
     damping, step = 0.05, 1e-7
     assert_allclose(

@@ -34,6 +34,7 @@ def rotation(quaternion):
     return RotationMatrix(Quaternion(quaternion / np.linalg.norm(quaternion))).matrix()
 
 
+@pytest.mark.smoke
 def test_quantize():
     step = np.array([0.1, 0.1, 0.1, 2.0, 0.0, 0.5])
     given = np.array([0.26, -0.26, 0.04, 3.1, 0.123456789, -0.76])
@@ -69,6 +70,7 @@ def test_by_default_there_is_noise_and_nothing_else(name):
     assert added == {"attitude_bias", "bias", "biased", "quantizer", "sampling"}
 
 
+@pytest.mark.smoke
 def test_without_noise_the_measurement_is_the_state(run):
     q, v, q_m, v_m = values(
         run(*SHORT, *NO_NOISE), "position", "velocity", "measured_position", "measured_velocity"

@@ -64,6 +64,7 @@ def sample_at(q, v, random):
 
 
 @pytest.mark.parametrize("driven", ["[joints]", "[base_rotation, joints]", "[all]"])
+@pytest.mark.smoke
 def test_bias_acceleration_of_a_frame(driven):
     """J' v by differences; J* dv_a/dt + A_0 is the frame's acceleration under forces on the driven
     coordinates.

@@ -52,6 +52,7 @@ def wrenches_of(layout):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.smoke
 def test_allocation_takes_the_least_propellant(layout):
     wrenches, largest, cost = wrenches_of(layout)
     allocation = Allocation(wrenches, largest=largest, cost=cost)
@@ -92,6 +93,7 @@ def test_a_lost_direction_is_one_that_no_thruster_helps_along():
     assert (np.delete(wrenches, [0, 3], axis=1).T @ lost <= 1e-9).all()
 
 
+@pytest.mark.smoke
 def test_open_times():
     share = np.array([0.0, 0.04, 0.06, 0.2, 0.5, 0.8, 1.0])
     assert whole_frames(share, frame=0.02, threshold=0.5).tolist() == [0, 0, 0, 0, 0.02, 0.02, 0.02]

@@ -416,6 +416,7 @@ class Gains(ControlLaw):
         return self.k * sample.e, state
 
 
+@pytest.mark.smoke
 def test_gains_default_and_override():
     coordinates = make_nominal_plant(load_scenario("postcapture")).coordinates
 

@@ -133,6 +133,7 @@ def test_wheels_are_rotors_on_joints(turning):
     )
 
 
+@pytest.mark.smoke
 def test_torque_on_the_base_is_what_the_wheels_take(turning):
     data = turning.dataset
     for residual in momentum_residual(data).values():
@@ -189,6 +190,7 @@ def test_thrusters_unload_full_wheels(run):
     assert record.metrics["peak_error"]["base_rotation"] < 3e-4
 
 
+@pytest.mark.smoke
 def test_unloading_has_hysteresis():
     units = {"z": Wheel(inertia=0.1, speed_limit=100.0)}
     settings = Wheels(units=units, desaturate_above=0.8, desaturate_below=0.2)

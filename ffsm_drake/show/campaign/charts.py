@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.campaign.statistics import Findings, Runs
+from ffsm_drake.campaign.statistics import Findings, GridPoint, Runs
 from ffsm_drake.show.curves import cumulative, thinned
 from ffsm_drake.show.panels import Panel, Trace, View, curve, figure, log_axis
 from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, label_of, styles_of
@@ -16,6 +16,12 @@ SETTLED = "#4477AA"
 _LIMITS = (FAILED, "#EE7733", "#AA3377", "#009988", "#BBBBBB")  # failed runs by the first limit
 _POINTS = 1500  # of a cumulative curve
 _SHARE = {"range": [0, 101]}
+GRID_METRICS = {
+    "isv": "ISV",
+    "itae": "ITAE",
+    "peak_effort_base_position": "peak base force [N]",
+    "peak_error_base_rotation": "peak attitude error [rad]",
+}
 
 
 def chart_views(findings: Findings) -> dict[str, list[View]]:
@@ -31,7 +37,9 @@ def chart_views(findings: Findings) -> dict[str, list[View]]:
         if findings.map is not None
         else [],
     }
-    return {key: [View(label="", panels=shown)] for key, shown in panels.items() if shown}
+    views = {key: [View(label="", panels=shown)] for key, shown in panels.items() if shown}
+    grid = _grid(findings)
+    return views | ({"grid": grid} if grid else {})
 
 
 def _styles(findings: Findings) -> dict[str, Style]:
@@ -124,6 +132,47 @@ def _differences(findings: Findings) -> list[Panel]:
     return [
         _bars(title, [boxes], x=x, rows=len(pairs), xaxis=log_axis("~g", ticks=3), shapes=[one])
     ]
+
+
+def _grid(findings: Findings) -> list[View]:
+    """Metrics over the value of a grid that has most numbers, a view for each combination of the
+    others.
+    """
+    if not findings.grid or not findings.table.values:
+        return []
+    levels = {name: item.levels for name, item in findings.spec.distributions.items()}
+    along = max(findings.table.values, key=lambda name: len(levels[name]))
+    views: dict[str, list[GridPoint]] = {}
+    for point in findings.grid:
+        others = [level for name, level in point.levels.items() if name != along]
+        views.setdefault(", ".join(others), []).append(point)
+    return [
+        View(
+            label=label, panels=[_grid_panel(findings, along, points, key) for key in GRID_METRICS]
+        )
+        for label, points in views.items()
+    ]
+
+
+def _grid_panel(findings: Findings, along: str, points: Sequence[GridPoint], metric: str) -> Panel:
+    values = findings.spec.distributions[along].levels
+    traces = []
+    for name, style in _styles(findings).items():
+        own = sorted(
+            (values[point.levels[along]], point.means[metric])
+            for point in points
+            if point.controller == name
+        )
+        x, y = np.array(own, dtype=float).reshape(-1, 2).T
+        traces.append(
+            curve((x, y), style, name=label_of(name), width=2) | {"mode": "lines+markers"}
+        )
+    wide = min(values.values()) > 0 and max(values.values()) >= 100 * min(values.values())
+    shown = figure(
+        traces, x=along, y="", showlegend=True,
+        xaxis=log_axis("~e", ticks=3) if wide else {}, yaxis=log_axis("~g"),
+    )  # fmt: skip
+    return Panel(title=GRID_METRICS[metric], figure=shown, kind="chart")
 
 
 def _sensitivity(findings: Findings) -> Panel:

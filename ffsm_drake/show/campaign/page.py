@@ -28,7 +28,7 @@ from ffsm_drake.campaign.statistics import (
 from ffsm_drake.campaign.store import Store
 from ffsm_drake.common.errors import CampaignError, RecordError, one_line
 from ffsm_drake.common.files import write_text
-from ffsm_drake.show.campaign.charts import chart_views, limits_of
+from ffsm_drake.show.campaign.charts import GRID_METRICS, chart_views, limits_of
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.style import label_of
 from ffsm_drake.show.tables import NONE, aligned, number, percent
@@ -186,6 +186,18 @@ def _page(store: Store, findings: Findings) -> str:
             for limit, count in limits_of(runs).items()
         ],
         "has_capture": spec.base["capture"] is not None,
+        "grid_header": [*spec.distributions, "controller", "outcome", *GRID_METRICS.values()],
+        "grid_rows": [
+            [
+                *point.levels.values(),
+                label_of(point.controller),
+                ", ".join(
+                    f"{count} {kind.replace('_', ' ')}" for kind, count in point.outcomes.items()
+                ),
+                *(_mean(point.means[name]) for name in GRID_METRICS),
+            ]
+            for point in findings.grid
+        ],
         "differences": [
             [
                 f"{label_of(d.first)} against {label_of(d.second)}",
@@ -277,6 +289,10 @@ def _spread(values: tuple[float, float, float]) -> str:
         if math.isnan(middle)
         else (f"{number(middle, 3)} ({number(low, 3)} … {number(high, 3)})")
     )
+
+
+def _mean(value: float) -> str:
+    return NONE if math.isnan(value) else number(value, 3)
 
 
 def _plain(value: Any) -> str:

@@ -8,7 +8,6 @@ from pathlib import Path
 from ffsm_drake.common.errors import FfsmError
 
 PARTS = ("table2", "fig3", "fig4", "fig5", "all")
-NOISE_SWEEP = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)  # rad/s and m/s; 'ffsm noise' looks closer
 
 __all__ = ["PARTS", "reproduce"]
 
@@ -53,7 +52,6 @@ def reproduce(
         raise FfsmError(f"workers: must be at least 1, not {workers}")
     directory = Path(directory)
     # Drawing and templates are slow to import, and whoever only asks for PARTS needs neither.
-    from ffsm_drake.studies.noise import study_noise
     from ffsm_drake.studies.paper import claims, figures, page, runs, table
 
     if what in ("table2", "all"):
@@ -64,10 +62,6 @@ def reproduce(
         )
     results = runs.run_cases(
         cases, num_seeds=seeds, overrides=overrides, workers=workers, progress=progress
-    )
-    with_noise = what == "all" and not overrides
-    noise = (
-        study_noise(sigmas=NOISE_SWEEP, workers=workers, progress=progress) if with_noise else None
     )
     if progress is not None:
         progress(len(cases), len(cases), "tables, figures, page")
@@ -88,6 +82,5 @@ def reproduce(
         figures.write_divergence(results, directory),
         figures.write_figure_2(directory),
         *[figure for write in drawing.values() for figure in write(results, directory)],
-        *([figures.write_noise(noise, directory)] if noise else []),
     ]
     return page.write_page(results, rows, drawn, claims.evaluate(results), directory)

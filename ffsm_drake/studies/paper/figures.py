@@ -19,8 +19,6 @@ from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
 from ffsm_drake.show.figures.axes import tidy
 from ffsm_drake.show.figures.run import plot_efforts, plot_errors, plot_trajectories
 from ffsm_drake.show.style import BLUE, GREEN, GRID, VERMILION, Style
-from ffsm_drake.studies.noise.picture import plot_study
-from ffsm_drake.studies.noise.study import NoiseRow, NoiseStudy
 from ffsm_drake.studies.paper.runs import (
     CONTROLLERS,
     DISTURBANCES,
@@ -298,34 +296,6 @@ def _largest_departure(record: RunRecord) -> str:
     peak = record.metrics["peak_error"]
     rotation = max(peak["base_rotation"], peak["joints"])
     return f"{1e6 * rotation:.2g} µrad and {1e6 * peak['base_position']:.2g} µm"
-
-
-def write_noise(study: NoiseStudy, directory: Path) -> FigureFile:
-    """Error and effort against sensor noise."""
-    flying = {(row.controller, row.estimator): row for row in study.rows if row.sigma is None}
-
-    def told(row: NoiseRow) -> str:
-        return "diverges" if row.diverged else f"ISV {row.isv:.3g}"
-
-    told_rows = "; ".join(
-        f"{NAMES[name]} {told(flying[name, 'one_sample'])} with the published estimate, "
-        f"{told(flying[name, 'kalman'])} with the Kalman estimate"
-        for name in CONTROLLERS
-    )
-    caption = (
-        "Not in the paper. Error and effort against white velocity noise σ, published gains with "
-        "the one-sample "
-        "estimate and bandwidth gains with a Kalman estimate, τ_d1, seed 0. With the sensors of "
-        "the scenario "
-        f"flight_sensors: {told_rows} (perfect tracking: ISV {study.ideal_isv:.3g})."
-    )
-    return _write(
-        plot_study(study),
-        "noise",
-        "What the published gains cost with real sensors",
-        caption,
-        directory,
-    )
 
 
 def _write(figure: Figure, name: str, title: str, caption: str, directory: Path) -> FigureFile:
