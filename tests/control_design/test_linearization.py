@@ -25,8 +25,7 @@ from ffsm_drake.control_design.stability.boundaries import (
     with_sample_time,
 )
 from ffsm_drake.control_design.stability.linearization import NOT_LINEAR, Linearizer
-from ffsm_drake.control_design.stability.margins import sampling_of
-from ffsm_drake.control_design.stability.sampled_loop import LoopGains, axis_loop, law_gains
+from ffsm_drake.control_design.stability.one_axis import axis_loop
 from ffsm_drake.scenario import Actuation, Drives, Thrusters, Wheel, Wheels
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains

@@ -5,6 +5,17 @@ import dataclasses
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from ffsm_drake.control_design.stability.sampled_loop import (
+    LawGains,
+    LoopGains,
+    Sampling,
+    axis_loop,
+    axis_poles,
+    inertia_ratios,
+    largest_sample_time,
+    largest_stable_k_s,
+    tolerated_eta,
+)
 from scipy.optimize import brentq
 
 from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
@@ -17,17 +28,6 @@ from ffsm_drake.control_design.stability import (
 )
 from ffsm_drake.control_design.stability.boundaries import Boundaries
 from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.sampled_loop import (
-    LawGains,
-    LoopGains,
-    Sampling,
-    axis_loop,
-    axis_poles,
-    inertia_ratios,
-    largest_sample_time,
-    largest_stable_k_s,
-    tolerated_eta,
-)
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers.filter_gains import kalman_gain
 

@@ -17,6 +17,7 @@ class DesignPoint:
     scenario: Scenario
     prediction: Prediction
     radius_by_mass: Mapping[float, float]  # true payload mass in kg -> spectral radius
+    is_by_axis: bool = True  # whether its loop is made of axes (``adaptation.axis_law``)
     rehearsal: Rehearsal | None = None  # with thrusters or wheels, where all else is kept to
 
 

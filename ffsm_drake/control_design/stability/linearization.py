@@ -52,6 +52,7 @@ from ffsm_drake.systems.actuation import make_actuation
 from ffsm_drake.systems.actuation.drives import FRICTION
 from ffsm_drake.systems.actuation.mean import make_mean_base
 from ffsm_drake.systems.controllers.estimators import assumed_noise
+from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.reference import make_motion, timed
 from ffsm_drake.systems.registry import Factory
@@ -98,6 +99,7 @@ class Linearizer:
         self.loop.set_blocks(self._context, self._known_state())
         self._start = self._context.Clone()
         controller = self.loop.blocks["controller"]
+        self.law: ControlLaw | None = getattr(controller, "law", None)  # None: it is no law
         self._held: Mapping[str, tuple[int, float | None]] = getattr(
             controller, "held_groups", dict
         )()

@@ -171,19 +171,14 @@ def _noise_gain(controller: str) -> float:
     """Rms of Hhat^-1 tau on a base attitude axis per unit of velocity noise, published gains, 1/s,
     for H = Hhat.
     """
-    from ffsm_drake.control_design.stability.sampled_loop import (
-        LoopGains,
-        Sampling,
-        axis_loop,
-        law_gains,
-    )
+    from ffsm_drake.control_design.stability.one_axis import axis_loop
     from ffsm_drake.spacecraft.nominal import make_nominal_plant
+    from ffsm_drake.systems.controllers import make_law
 
     scenario = NoiseCase(
         controller=controller, estimator="one_sample", gains="published", sigma=1.0
     ).scenario()
-    gains = law_gains(scenario, make_nominal_plant(scenario).coordinates).at()
-    one_axis = LoopGains(**{name: np.asarray(values)[0] for name, values in vars(gains).items()})
-    loop = axis_loop(one_axis, sampling=Sampling(sample_time=scenario.sample_time))
+    loop = axis_loop(make_law(scenario, make_nominal_plant(scenario)).by_axis)
     covariance = loop.covariance(position_noise=0.0, velocity_noise=1.0)
-    return float(np.sqrt(loop.force @ covariance @ loop.force))
+    force = loop.part("force")
+    return float(np.sqrt(covariance[0, force, force]))
