@@ -52,12 +52,12 @@ class AxisSearch:
         scenario: Scenario,
         demand: Demand,
         kind: str,
-        masses: list[float],
+        etas: np.ndarray,
         *,
         on_price: Callable[[], None],
     ) -> None:
         self._scenario, self._demand, self._kind = scenario, demand, kind
-        inertia, etas = PlannedInertia(scenario), _eta_range(scenario, masses)
+        inertia = PlannedInertia(scenario)
         law, coordinates = one_sample_law(scenario), demand.coordinates
         assert law is not None
         # The cost of a unit of Hhat^-1 tau: columns of Hhat at mid-motion.
@@ -295,7 +295,7 @@ class _Axis:
         return found
 
 
-def _eta_range(scenario: Scenario, masses: list[float]) -> np.ndarray:
+def eta_range(scenario: Scenario, masses: list[float]) -> np.ndarray:
     """Five inertia ratios over what the payload range and the planned motion hold, and a little
     more on both sides: the axes are coupled, and the motion moves the poles.
     """

@@ -1,16 +1,17 @@
 """Choosing gains for a scenario's sensors, period, delays, limits and payload range, never worse
 than those given.
 
-Candidates are judged alike, by ``predict`` on the closed loop as it is wired: the least error, as
-the mean of the groups' log(rms error), that keeps to the budget of effort and to the actuators'
+Candidates are evaluated alike, by ``predict`` on the closed loop as it is wired: the least error,
+as the mean of the groups' log(rms error), that keeps to the budget of effort and to the actuators'
 limits, and that is stable for every payload of the range. Where they come from depends on the law:
 
-- *The paper's laws.* Every group has its natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s
+- *Laws that are designed by axis* (``InjectedDynamics.gains_for``; the paper's). Every group has
+  its natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s
   = w), its K_s where the surface has an integral, and the random walk q_N of its Kalman estimate.
   The groups share only the effort, so each is designed alone on its one-axis loop for a price of
   effort, with either estimate. Lowering the price traces the front of accuracy against effort.
-- *Every other law, and every loop that the one-axis formulas do not describe* (delays, replaced
-  blocks). The gains that the law declares, and the random walks, are varied by group from the best
+- *Every other law, and every loop that is not made of axes* (delays, replaced blocks). The gains
+  that the law declares, and the random walks, are varied by group from the best
   there is, all groups at once, as long as that pays at a price of effort.
 """
 
@@ -29,6 +30,7 @@ from ffsm_drake.control_design.gains.axis_search import (
     PRICES,
     AxisSearch,
     FrontPoint,
+    eta_range,
     one_sample_law,
     with_true_mass,
 )
@@ -227,8 +229,9 @@ def _candidates(
         if progress is not None:
             progress(next(done), steps)
 
+    etas = eta_range(scenario, masses)
     for kind in ("kalman", "one_sample") if by_axis else ():
-        searches[kind] = search = AxisSearch(scenario, demand, kind, masses, on_price=step)
+        searches[kind] = search = AxisSearch(scenario, demand, kind, etas, on_price=step)
         found[kind] = search.at_budget(requirement, evaluate)
         if kind == "kalman":
             with contextlib.suppress(ScenarioError):  # late or slow sensors, which it does not take

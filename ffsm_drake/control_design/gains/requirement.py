@@ -1,4 +1,4 @@
-"""What a design must keep to, and by what designs are judged."""
+"""The requirements of a design, and the order in which designs are ranked."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from ffsm_drake.scenario import Scenario
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DesignPoint:
-    """A scenario and what is predicted of it."""
+    """A scenario and its prediction."""
 
     scenario: Scenario
     prediction: Prediction
@@ -23,7 +23,7 @@ class DesignPoint:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """What a design must keep to."""
+    """Limits on a design."""
 
     budget: float  # largest ISV
     limit: np.ndarray  # (nv,) of the actuators, N m or N; infinite: none
@@ -52,9 +52,7 @@ class Requirement:
         return ""
 
     def rank(self, point: DesignPoint) -> tuple[int, float]:
-        """By which points are judged, the smaller the better: requirements first, then error, or
-        effort over budget.
-        """
+        """The smaller the better: requirements first, then error, or effort over budget."""
         prediction, violated = point.prediction, self.violated(point)
         if not violated:
             return 0, prediction.mean_log_error
