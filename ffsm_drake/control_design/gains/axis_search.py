@@ -2,11 +2,12 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from scipy.optimize import fmin
 
+from ffsm_drake.common.memo import memoized
 from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.control_design.stability.demand import Demand
 from ffsm_drake.control_design.stability.linearization import smooth_sensing
@@ -32,6 +33,7 @@ LARGEST_RADIUS = 0.9995
 # s; times the velocity noise, what a filter assumes of positions that are exact: it would else only
 # differentiate them.
 _POSITION_NOISE_TIME = 0.1
+_KEPT = 10_000  # costs and designs of a group
 # By how much the range of inertia ratios is widened for it.
 _WIDER = 1.05
 
@@ -50,6 +52,7 @@ class AxisSearch:
     def __init__(
         self,
         scenario: Scenario,
+        law: TimeDelayControl,
         demand: Demand,
         kind: str,
         etas: np.ndarray,
@@ -58,8 +61,7 @@ class AxisSearch:
     ) -> None:
         self._scenario, self._demand, self._kind = scenario, demand, kind
         inertia = PlannedInertia(scenario)
-        law, coordinates = one_sample_law(scenario), demand.coordinates
-        assert law is not None
+        coordinates = demand.coordinates
         # The cost of a unit of Hhat^-1 tau: columns of Hhat at mid-motion.
         nominal = inertia.at(inertia.motion.part(0.5))[1]
         weight = (nominal[coordinates.driven] ** 2).sum(axis=0)
@@ -172,22 +174,6 @@ def one_sample_law(scenario: Scenario) -> TimeDelayControl | None:
     return law if law is not None and law.dynamics.gains_for(1.0, 1.0) else None
 
 
-_T = TypeVar("_T")
-
-
-def _memoized(function: Callable[..., _T]) -> Callable[..., _T]:
-    """A function of numbers and arrays that is computed once for each."""
-    known: dict[tuple[float | bytes, ...], _T] = {}
-
-    def look_up(*given: Any) -> _T:
-        key = tuple(each.tobytes() if isinstance(each, np.ndarray) else each for each in given)
-        if key not in known:
-            known[key] = function(*given)
-        return known[key]
-
-    return look_up
-
-
 def _rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
@@ -224,8 +210,8 @@ class _Axis:
         self.assumed = position or _POSITION_NOISE_TIME * velocity, velocity
         # The search comes back to a design, with another estimate of the same gains from its
         # beginning.
-        self.cost = _memoized(self._cost)
-        self.minimize = _memoized(self._minimize)
+        self.cost = memoized(maxsize=_KEPT)(self._cost)
+        self.minimize = memoized(maxsize=_KEPT)(self._minimize)
 
     def start(self) -> np.ndarray:
         """Logarithms of a first guess: a slow loop that is stable for any sensors."""

@@ -221,23 +221,25 @@ def _candidates(
 ) -> tuple[dict[str, DesignPoint], dict[str, AxisSearch]]:
     """The best of each kind of estimate, or of varied gains, and the searches by axis."""
     scenario, found, searches = given.scenario, dict[str, DesignPoint](), dict[str, AxisSearch]()
-    by_axis = one_sample_law(scenario) is not None
-    steps = 2 * len(PRICES) * by_axis + len(PRICES_VARIED) * (not given.is_by_axis)
+    law = one_sample_law(scenario)
+    steps = 2 * len(PRICES) * (law is not None) + len(PRICES_VARIED) * (not given.is_by_axis)
     done = itertools.count(1)
 
     def step() -> None:
         if progress is not None:
             progress(next(done), steps)
 
-    etas = eta_range(scenario, masses)
-    for kind in ("kalman", "one_sample") if by_axis else ():
-        searches[kind] = search = AxisSearch(scenario, demand, kind, etas, on_price=step)
-        found[kind] = search.at_budget(requirement, evaluate)
-        if kind == "kalman":
-            with contextlib.suppress(ScenarioError):  # late or slow sensors, which it does not take
-                found["coupled"] = search.at_budget(
-                    requirement, lambda made: evaluate(_with_estimator(made, kind="coupled"))
-                )
+    if law is not None:
+        etas = eta_range(scenario, masses)
+        for kind in ("kalman", "one_sample"):
+            searches[kind] = AxisSearch(scenario, law, demand, kind, etas, on_price=step)
+            found[kind] = searches[kind].at_budget(requirement, evaluate)
+            if kind == "kalman":
+                # late or slow sensors, which it does not take
+                with contextlib.suppress(ScenarioError):
+                    found["coupled"] = searches[kind].at_budget(
+                        requirement, lambda made: evaluate(_with_estimator(made, kind="coupled"))
+                    )
     if not given.is_by_axis:
         best = min([given, *found.values()], key=requirement.rank)
         tried = list(varied(best, evaluate, on_price=step))
