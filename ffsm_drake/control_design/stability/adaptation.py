@@ -147,7 +147,7 @@ def _sliding_response(
     )
     eta = np.diagonal(np.linalg.solve(*inertia.at(wired.time)))
     many = law.with_reaching_gain(grid[:, None])
-    loop = axis_loop(many, eta=eta, euler=is_euler(scenario))
+    loop = axis_loop(many, eta=eta, euler=is_euler(scenario), also="sliding_variable")
     s, step = loop.part("sliding_variable"), scenario.sample_time
     stable = loop.spectral_radius <= 1.0 - 1e-9
     covariance = loop.covariance(position_noise=position, velocity_noise=velocity)

@@ -27,7 +27,7 @@ from ffsm_drake.systems.controllers.law import Sample
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 _STEPS = 400  # of a scan for a limit
-_HALVINGS = 40  # of the step in which the limit lies
+_HALVINGS = 30  # of the step in which the limit lies
 _STATIONARY = 2**18  # control samples
 
 
@@ -35,8 +35,7 @@ _STATIONARY = 2**18  # control samples
 class AxisLoop:
     """x+ = A x + B [position noise; velocity noise] + f d + g u, for any shape (...) of gains.
 
-    x is [e, de/dt, t] and the memory of the law and its estimator that feeds back, with the
-    sliding variable.
+    x is [e, de/dt, t] and the memory of the law and its estimator that feeds back.
     """
 
     names: tuple[str, ...]  # of x: "error", "error_rate", "force", then those of the memory
@@ -77,7 +76,11 @@ class AxisLoop:
 
 
 def axis_loop(
-    law: TimeDelayControl, *, eta: np.ndarray | float = 1.0, euler: bool = False
+    law: TimeDelayControl,
+    *,
+    eta: np.ndarray | float = 1.0,
+    euler: bool = False,
+    also: str = "",
 ) -> AxisLoop:
     """The loops of the coordinates of a law, linearised exactly.
 
@@ -86,6 +89,7 @@ def axis_loop(
         Adapted gains are those of the start.
       eta: (..., nv).
       euler: whether the plant steps as explicit Euler at the control period does, as in the paper.
+      also: a piece of the memory that is kept though nothing depends on it.
     """
     held, memory = law.held(), law.initial_state()
     step: Any = vars(law.estimator)["sample_time"]
@@ -117,18 +121,18 @@ def axis_loop(
     found = np.empty((size, *acceleration.shape))
     for k, row in enumerate(rows):
         found[k] = row
-    return _reduced(names, np.moveaxis(found, (0, 1), (-2, -1)))
+    return _reduced(names, np.moveaxis(found, (0, 1), (-2, -1)), also)
 
 
-def _reduced(names: list[str], found: np.ndarray) -> AxisLoop:
-    """The loop of [A, B, f, g] (..., m, m + 4) without what drives nothing or is not driven; s is
-    kept.
+def _reduced(names: list[str], found: np.ndarray, also: str) -> AxisLoop:
+    """The loop of [A, B, f, g] (..., m, m + 4) without the memory that drives nothing or is not
+    driven.
     """
     size = len(names)
     arrows = (found[..., :size] != 0.0).reshape(-1, size, size).any(axis=0)
     np.fill_diagonal(arrows, val=False)
     keep = arrows.any(axis=0) & arrows.any(axis=1)
-    keep |= [k < 3 or name == "sliding_variable" for k, name in enumerate(names)]
+    keep |= [k < 3 or name == also for k, name in enumerate(names)]
     a, b = found[..., keep, :size][..., keep], found[..., keep, size : size + 2]
     return AxisLoop(
         names=tuple(itertools.compress(names, keep)),
