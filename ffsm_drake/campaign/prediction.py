@@ -15,16 +15,16 @@ import numpy as np
 from ffsm_drake.campaign.cases import make_case, scenario_of
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.common.errors import CampaignError, FfsmError, LimitError
+from ffsm_drake.control_design.stability.adaptation import expected_gains
+from ffsm_drake.control_design.stability.demand import perfect_tracking
 from ffsm_drake.control_design.stability.linearization import Linearizer, has_base_actuators
-from ffsm_drake.control_design.stability.margins import POSTURES, expected_gains
+from ffsm_drake.control_design.stability.margins import POSTURES
+from ffsm_drake.control_design.stability.mass_ratios import PlannedInertia
 from ffsm_drake.control_design.stability.rehearsal import rehearse
-from ffsm_drake.control_design.stability.sampled_loop import inertia_ratios
 from ffsm_drake.scenario import Scenario, from_grasp
-from ffsm_drake.spacecraft.free_floating import driven_model
-from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.actuation.limits import force_limits
-from ffsm_drake.systems.disturbance import make_disturbance
-from ffsm_drake.systems.reference import make_motion, timed
+from ffsm_drake.systems.reference import timed
 
 _ANSWER = 1.0  # s; in which the loop answers to a wrong velocity at the start
 _INSTANTS = 101  # of the plan after that
@@ -73,22 +73,13 @@ def predicted_load(linearizer: Linearizer) -> float:
     perfect tracking of the plan takes with the true payload, less the disturbance.
     """
     scenario, motion = linearizer.given, linearizer.motion
-    true = driven_model(make_true_plant(scenario))
-    disturbance = make_disturbance(scenario.disturbance, motion.coordinates)
-    port, context = (
-        disturbance.GetOutputPort("generalized_force"),
-        disturbance.CreateDefaultContext(),
-    )
     answer = min(round(_ANSWER / scenario.sample_time), scenario.num_control_periods)
     _, force = linearizer.follow(samples=answer)
-    ideal = np.empty((_INSTANTS, force.shape[1]))
     begin = answer * scenario.sample_time
-    for i, time in enumerate(
-        np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
-    ):
-        context.SetTime(time)
-        ideal[i] = true.calc_inverse_dynamics(*motion.evaluate(time)) - port.Eval(context)
-    share = np.abs(np.concatenate([force, ideal])) / force_limits(scenario, true.plant)
+    times = np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
+    _, ideal = perfect_tracking(scenario, times)
+    limits = force_limits(scenario, make_true_plant(scenario).plant)
+    share = np.abs(np.concatenate([force, ideal])) / limits
     return float(np.nan_to_num(share, nan=np.inf).max())
 
 
@@ -105,23 +96,10 @@ def _most_overestimated(scenario: Scenario) -> list[float]:
     """Times (s) of the postures, the one with the largest inertia ratio first, of equal ones the
     earliest.
     """
-    nominal, true = (
-        driven_model(make_nominal_plant(scenario)),
-        driven_model(make_flexible_plant(scenario)),
-    )
-    pick = np.ix_(nominal.coordinates.driven, nominal.coordinates.driven)
-    reference = make_motion(scenario, nominal.coordinates)
-    times = [reference.part(share) for share in POSTURES]
-    postures = {time: reference.evaluate(time)[0] for time in times}
-    ratio = {
-        time: round(
-            inertia_ratios(
-                true.calc_apparent_mass_matrix(q)[pick], nominal.calc_mass_matrix(q)[pick]
-            )[-1],
-            9,
-        )  # beyond: rounding
-        for time, q in postures.items()
-    }
+    inertia = PlannedInertia(scenario)
+    times = [inertia.motion.part(share) for share in POSTURES]
+    # beyond nine digits: rounding
+    ratio = {time: round(inertia.ratios(time)[-1], 9) for time in times}
     return sorted(times, key=lambda time: -ratio[time])
 
 

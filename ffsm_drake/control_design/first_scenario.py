@@ -441,9 +441,7 @@ def _margins(scenario: Scenario) -> dict[str, Any]:
         "verdict": margins.verdict,
         "stable": margins.is_stable,
         "spectral_radius": margins.worst.spectral_radius,
-        "k_s_bound": float("nan")
-        if np.isnan(axes.k_s_limit).all()
-        else float(axes.law.k_s_max.max()),
+        "k_s_bound": float("nan") if np.isnan(axes.k_s_limit).all() else float(axes.k_s_max.max()),
         "k_s_limit": float(axes.k_s_limit.min()),
         "sample_time_limit": float(axes.sample_time_limit.min()),
         "eta": (float(eta.min()), float(eta.max())),  # met along the motion

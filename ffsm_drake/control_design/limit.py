@@ -19,10 +19,10 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from ffsm_drake.common.errors import BlockError
+from ffsm_drake.control_design.stability.adaptation import expected_gains
 from ffsm_drake.control_design.stability.demand import Demand, make_demand
+from ffsm_drake.control_design.stability.linear_loop import covariance_after
 from ffsm_drake.control_design.stability.linearization import Linearizer, smooth_sensing
-from ffsm_drake.control_design.stability.margins import expected_gains
-from ffsm_drake.control_design.stability.sampled_loop import covariance_after
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model

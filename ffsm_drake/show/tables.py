@@ -400,9 +400,7 @@ def margins_table(margins: "Margins") -> str:
     lines += aligned(rows)
     if margins.axes is not None:
         plant = (
-            "explicit Euler at the control period"
-            if margins.axes.sampling.euler
-            else "exactly integrated"
+            "explicit Euler at the control period" if margins.axes.euler else "exactly integrated"
         )
         lines += [
             "",
@@ -517,9 +515,9 @@ def margins_data(margins: "Margins") -> dict[str, Any]:
     axes = margins.axes
     by_coordinate = {} if axes is None else {
         name: {
-            "k_s_start": float(axes.law.k_s[i]),
+            "k_s_start": float(axes.k_s[i]),
             "k_s_expected": float(axes.forecast_k_s[:, i].max()),
-            "k_s_bound": float(axes.law.k_s_max[i]),
+            "k_s_bound": float(axes.k_s_max[i]),
             "k_s_limit": float(axes.k_s_limit[i]),
             "sample_time_limit": float(axes.sample_time_limit[i]),
             "eta_tolerated": axes.eta_tolerated[i].tolist(),

@@ -115,7 +115,7 @@ def test_margins_are_those_of_the_stability_command(made):
     shown = new.margins["aismc"]
     assert margins.verdict == shown["verdict"] == "stable"
     assert shown["k_s_limit"] == pytest.approx(margins.axes.k_s_limit.min(), rel=0.02)
-    assert margins.axes.k_s_limit.min() > 1.5 * margins.axes.law.k_s_max.max()
+    assert margins.axes.k_s_limit.min() > 1.5 * margins.axes.k_s_max.max()
 
 
 def test_folder_can_be_moved(made, tmp_path):

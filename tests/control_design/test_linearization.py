@@ -1,4 +1,4 @@
-"""The loop read from its wiring: against the closed forms, against known figures, and against
+"""The loop read from its wiring: against the loops of its axes, against known figures, and against
 simulation.
 """
 
@@ -25,8 +25,7 @@ from ffsm_drake.control_design.stability.boundaries import (
     with_sample_time,
 )
 from ffsm_drake.control_design.stability.linearization import NOT_LINEAR, Linearizer
-from ffsm_drake.control_design.stability.margins import sampling_of
-from ffsm_drake.control_design.stability.sampled_loop import LoopGains, axis_loop, law_gains
+from ffsm_drake.control_design.stability.one_axis import axis_loop
 from ffsm_drake.scenario import Actuation, Drives, Thrusters, Wheel, Wheels
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
@@ -54,7 +53,7 @@ def test_spectral_radius(name, overrides, radius):
 
 @pytest.mark.parametrize("name", ["postcapture", "flight_sensors"])
 @pytest.mark.parametrize("controller", PAPER_LAWS)
-def test_poles_are_those_of_the_closed_form(name, controller):
+def test_poles_are_those_of_the_axes(name, controller):
     """With the true payload the axes do not meet; the plant's velocity half-way changes fast poles
     a little.
     """
@@ -62,17 +61,7 @@ def test_poles_are_those_of_the_closed_form(name, controller):
     scenario = load_scenario(name, [f"controller={controller}", *same])
     with Linearizer(scenario) as linearizer:
         found = linearizer.at(10.0)
-    sampling, gains = (
-        sampling_of(scenario, found.coordinates),
-        law_gains(scenario, found.coordinates).at(),
-    )
-    expected = max(
-        axis_loop(
-            LoopGains(**{key: values[i] for key, values in vars(gains).items()}),
-            sampling=sampling.axis(i),
-        ).spectral_radius
-        for i in range(11)
-    )
+    expected = axis_loop(linearizer.law.by_axis).spectral_radius.max()
     assert found.spectral_radius == pytest.approx(expected, abs=2e-4 if expected > 0.9 else 5e-3)
 
 

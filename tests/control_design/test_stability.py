@@ -17,94 +17,96 @@ from ffsm_drake.control_design.stability import (
 )
 from ffsm_drake.control_design.stability.boundaries import Boundaries
 from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.sampled_loop import (
-    LawGains,
-    LoopGains,
-    Sampling,
+from ffsm_drake.control_design.stability.mass_ratios import inertia_ratios
+from ffsm_drake.control_design.stability.one_axis import (
     axis_loop,
-    axis_poles,
-    inertia_ratios,
     largest_sample_time,
     largest_stable_k_s,
+    of_axes,
     tolerated_eta,
+    with_sample_time,
 )
 from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.systems.controllers import make_law
+from ffsm_drake.systems.controllers.estimators import KalmanEstimator
 from ffsm_drake.systems.controllers.filter_gains import kalman_gain
 
 L = 0.01
-SAMPLED = Sampling(sample_time=L)
-ONE = np.ones(1)
-PUBLISHED = LawGains(k_d=100 * ONE, k_p=200 * ONE, integral=True, k_s=80 * ONE, k_s_max=80 * ONE)
+
+
+def one_axis(controller, **gains):
+    """One axis of a law with the published gains (K_D 100, K_P 200, K_s 80) or others, one-sample
+    estimate.
+    """
+    scenario = load_scenario("postcapture", [f"controller={controller}"])
+    law = of_axes(make_law(scenario, make_nominal_plant(scenario)).by_axis, [3])
+    given = {"k_d": 100.0, "k_p": 200.0, "k_s": 80.0, "k_s_initial": 80.0, "k_s_max": 80.0, **gains}
+    own = {
+        name: np.array([value])
+        for name, value in given.items()
+        if name in {field.name for field in dataclasses.fields(law.dynamics)}
+    }
+    return dataclasses.replace(law, dynamics=dataclasses.replace(law.dynamics, **own))
+
+
+PUBLISHED = one_axis("aismc")
 
 
 @pytest.mark.parametrize(
-    ("gains", "expected"),
+    ("law", "expected"),
     [
-        (LoopGains(k_v=180.0, k_p=8200.0, k_i=16000.0), [0.97957, -0.73921, 0.54964]),
-        (LoopGains(k_v=180.0, k_p=8100.0, k_i=8000.0), [0.98990, -0.73976, 0.54487]),
-        (LoopGains(k_v=180.0, k_p=8000.0, k_i=0.0), [-0.74031, 0.54031]),
-        (LoopGains(k_v=100.0, k_p=200.0, k_i=0.0), [0.97979, 0.01021]),
+        (PUBLISHED, [0.97957, -0.73921, 0.54964]),
+        (one_axis("tde_aismc", k_p=100.0), [0.98990, -0.73976, 0.54487]),
+        (one_axis("asmc"), [-0.74031, 0.54031]),
+        (one_axis("tdc"), [0.97979, 0.01021]),
     ],
 )
 @pytest.mark.smoke
-def test_poles_at_eta_1(gains, expected):
-    poles = axis_poles(gains, eta=1.0, sampling=SAMPLED)
+def test_poles_at_eta_1(law, expected):
+    poles = axis_loop(law).poles[0]
     assert poles[: len(expected)] == pytest.approx(expected, abs=1e-5)
     # the delayed acceleration, cancelled exactly
-    assert poles[len(expected) :] == pytest.approx(0.0, abs=1e-9)
+    assert poles[len(expected) :] == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("estimator", ["one_sample", "kalman"])
 def test_poles_of_many_axes_are_those_of_each(estimator):
     """Stacked gains, eta and sample times give what the loop of one axis gives for each."""
-    sampling = SAMPLED
+    law = one_axis("aismc", k_d=20.0, k_p=100.0)
     if estimator == "kalman":
         gain = kalman_gain(position_noise=1e-5, velocity_noise=1e-4, walk=1e-2, sample_time=L)
-        sampling = Sampling(sample_time=L, kalman_gain=gain[None])
-    law = LawGains(k_d=20.0, k_p=100.0, integral=True, k_s=None, k_s_max=None)
-    k_s, eta, steps = (
-        np.linspace(0.5, 30, 6)[:, None, None],
-        np.linspace(0.3, 2, 5)[:, None],
-        np.array([0.004, 0.02]),
-    )
-    poles = axis_poles(law.at(k_s), eta=eta, sampling=sampling, sample_time=steps)
-    assert poles.shape[:-1] == (6, 5, 2)
-    assert (np.abs(poles) < 1).all(axis=-1).any()
-    assert (np.abs(poles) > 1).any()
+        law = dataclasses.replace(law, estimator=KalmanEstimator(sample_time=L, gain=gain[None]))
+    k_s, eta = np.linspace(0.5, 30, 6)[:, None, None, None], np.linspace(0.3, 2, 5)[:, None, None]
+    steps = np.array([[0.004], [0.02]])
+    many = with_sample_time(law.with_reaching_gain(k_s), steps)
+    radius = axis_loop(many, eta=eta).spectral_radius
+    assert radius.shape == (6, 5, 2, 1)
+    assert (radius < 1).any()
+    assert (radius > 1).any()
     for i, j, k in np.ndindex(6, 5, 2):
-        each = dataclasses.replace(sampling, sample_time=steps[k])
-        loop = axis_loop(law.at(k_s[i, 0, 0]), eta=float(eta[j, 0]), sampling=each)
-        assert np.abs(poles[i, j, k, 0]) == pytest.approx(loop.spectral_radius, abs=1e-9)
+        each = with_sample_time(law.with_reaching_gain(k_s[i, 0, 0]), steps[k])
+        found = axis_loop(each, eta=eta[j, 0]).spectral_radius
+        assert radius[i, j, k] == pytest.approx(found, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("eta", "expected"),
-    [
-        (0.3, 51),
-        (0.5, 197),
-        (0.7, 271),
-        (0.8, 199),
-        (0.9, 144),
-        (1.0, 99.5),
-        (1.05, 80.5),
-        (1.1, 63.5),
-        (1.2, 33),
-    ],
-)
 @pytest.mark.smoke
-def test_largest_stable_k_s(eta, expected):
-    limit = largest_stable_k_s(PUBLISHED, 0, eta=eta, sampling=SAMPLED)
-    assert limit == pytest.approx(expected, rel=0.0102)
-    if eta > 0.6:  # there the pole at z = -1 decides
-        assert (100.0 + limit) * L == pytest.approx(2 * (2 - eta) / eta, rel=1e-6)
+def test_largest_stable_k_s():
+    expected = {
+        0.3: 51, 0.5: 197, 0.7: 271, 0.8: 199, 0.9: 144, 1.0: 99.5, 1.05: 80.5, 1.1: 63.5, 1.2: 33,
+    }  # fmt: skip
+    limits = largest_stable_k_s(PUBLISHED, 0, eta=np.array(list(expected)))
+    assert limits == pytest.approx(list(expected.values()), rel=0.0102)
+    for eta, limit in zip(expected, limits, strict=True):
+        if eta > 0.6:  # there the pole at z = -1 decides
+            assert (100.0 + limit) * L == pytest.approx(2 * (2 - eta) / eta, rel=1e-6)
+    assert np.isnan(largest_stable_k_s(one_axis("tdc"), 0, eta=np.ones(2))).all()
 
 
 @pytest.mark.smoke
 def test_other_limits_follow_from_the_pole_at_minus_one():
-    assert largest_sample_time(PUBLISHED, 0, eta=1.0, sampling=SAMPLED) == pytest.approx(
-        2.0 / 180.0, rel=1e-5
-    )
-    low, high = tolerated_eta(PUBLISHED, 0, sampling=SAMPLED)
+    one = np.ones(1)
+    assert largest_sample_time(PUBLISHED, 0, eta=one) == pytest.approx(2.0 / 180.0, rel=1e-5)
+    low, high = tolerated_eta(PUBLISHED, 0)
     assert high == pytest.approx(4.0 / (2.0 + 180.0 * L), rel=1e-6)
     for eta, stable in (
         (low - 1e-4, False),
@@ -112,12 +114,26 @@ def test_other_limits_follow_from_the_pole_at_minus_one():
         (high - 1e-4, True),
         (high + 1e-4, False),
     ):
-        gains = LoopGains(k_v=180.0, k_p=8200.0, k_i=16000.0)
-        assert (np.abs(axis_poles(gains, eta=eta, sampling=SAMPLED)).max() < 1.0) == stable
+        assert (axis_loop(PUBLISHED, eta=eta).spectral_radius < 1.0) == stable
     # Explicit Euler doubles the room: the limit of the paper's own simulation.
-    assert largest_stable_k_s(
-        PUBLISHED, 0, eta=1.0, sampling=Sampling(sample_time=L, euler=True)
-    ) == pytest.approx(200.0, rel=1e-6)
+    assert largest_stable_k_s(PUBLISHED, 0, eta=one, euler=True) == pytest.approx(200.0, rel=1e-6)
+
+
+SAME = ["payload.nominal.mass=100", "payload.nominal.inertia=[16.7, 16.7, 16.7]"]
+
+
+@pytest.mark.parametrize("name", ["postcapture", "flight_sensors"])
+def test_the_limit_of_one_axis_is_that_of_the_wiring(name):
+    """Every K_s held 1 % below and above the limit by axis, with the true payload."""
+    scenario = load_scenario(name, ["controller=aismc", *SAME])
+    law = make_law(scenario, make_nominal_plant(scenario)).by_axis
+    limit = min(largest_stable_k_s(law, axis, eta=np.ones(1))[0] for axis in (0, 3, 6))
+    with Linearizer(scenario) as linearizer:
+        inside, outside = (
+            linearizer.at(10.0, held={"reaching_gain": np.full(11, factor * limit)}).spectral_radius
+            for factor in (0.99, 1.01)
+        )
+    assert inside < 1.0 < outside
 
 
 def at_start(*overrides):
@@ -232,11 +248,10 @@ def test_noise_figures_of_the_published_gains():
     """White velocity noise sigma costs an rms acceleration command of about 375 sigma (TDC), 1325
     sigma (AISMC).
     """
-    published = LoopGains(k_v=180.0, k_p=8200.0, k_i=16000.0)
-    for gains, expected in ((LoopGains(k_v=100.0, k_p=100.0, k_i=0.0), 375), (published, 1325)):
-        loop = axis_loop(gains, sampling=SAMPLED)
-        covariance = loop.covariance(position_noise=0.0, velocity_noise=1.0)
-        assert np.sqrt(loop.force @ covariance @ loop.force) == pytest.approx(expected, rel=0.1)
+    for law, expected in ((one_axis("tdc", k_p=100.0), 375), (PUBLISHED, 1325)):
+        loop = axis_loop(law)
+        variance = np.diagonal(loop.covariance(position_noise=0.0, velocity_noise=1.0)[0])
+        assert np.sqrt(variance[loop.part("force")]) == pytest.approx(expected, rel=0.1)
 
 
 PUBLISHED_UNBOUNDED = ("controllers.tde_aismc.k_s_initial=80", "controllers.tde_aismc.k_s_max=null")

@@ -1,4 +1,4 @@
-"""Designs of the paper's laws, group by group on the one-axis loop."""
+"""Designs of laws by axis, group by group on the one-axis loop (``one_axis``)."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -7,21 +7,24 @@ from typing import Any
 import numpy as np
 from scipy.optimize import fmin
 
+from ffsm_drake.common.memo import memoized
 from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.control_design.stability.demand import Demand
 from ffsm_drake.control_design.stability.linearization import smooth_sensing
-from ffsm_drake.control_design.stability.sampled_loop import (
-    LoopGains,
-    Sampling,
-    axis_loop,
-    axis_poles,
-    inertia_ratios,
+from ffsm_drake.control_design.stability.mass_ratios import PlannedInertia
+from ffsm_drake.control_design.stability.one_axis import axis_loop, of_axes
+from ffsm_drake.scenario import (
+    Estimator,
+    Scenario,
+    controller_key,
+    scenario_from_dict,
+    scenario_to_dict,
 )
-from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
-from ffsm_drake.spacecraft.free_floating import driven_model
-from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_nominal_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.controllers import make_law
+from ffsm_drake.systems.controllers.estimators import KalmanEstimator
 from ffsm_drake.systems.controllers.filter_gains import kalman_gain
-from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 # Prices of effort that the front is computed for, per unit of ISV.
 PRICES = (0.2, 0.08, 0.04, 0.022, 0.012, 0.006)
@@ -30,17 +33,9 @@ LARGEST_RADIUS = 0.9995
 # s; times the velocity noise, what a filter assumes of positions that are exact: it would else only
 # differentiate them.
 _POSITION_NOISE_TIME = 0.1
+_KEPT = 10_000  # costs and designs of a group
 # By how much the range of inertia ratios is widened for it.
 _WIDER = 1.05
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class GroupDesign:
-    """The design of one coordinate group of one of the paper's laws."""
-
-    omega: float  # rad/s
-    walk: float  # rad/s^2 or m/s^2 per sqrt(s); NaN for the one-sample estimate
-    k_s: float  # 1/s; zero for TDC
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,23 +47,29 @@ class FrontPoint:
 
 
 class AxisSearch:
-    """The designs of one of the paper's laws with one kind of estimate, group by group on the
-    one-axis loop.
-    """
+    """The designs of a law with one kind of estimate, group by group on the one-axis loop."""
 
     def __init__(
         self,
         scenario: Scenario,
+        law: TimeDelayControl,
         demand: Demand,
         kind: str,
-        masses: list[float],
+        etas: np.ndarray,
         *,
         on_price: Callable[[], None],
     ) -> None:
         self._scenario, self._demand, self._kind = scenario, demand, kind
-        etas = _eta_range(scenario, masses)
-        groups = dict.fromkeys(demand.coordinates.group_of)
-        self._axes = {group: _Axis(scenario, demand, group, kind, etas) for group in groups}
+        inertia = PlannedInertia(scenario)
+        coordinates = demand.coordinates
+        # The cost of a unit of Hhat^-1 tau: columns of Hhat at mid-motion.
+        nominal = inertia.at(inertia.motion.part(0.5))[1]
+        weight = (nominal[coordinates.driven] ** 2).sum(axis=0)
+        self._axes = {
+            group: _Axis(scenario, law, demand, group, kind, etas, float(weight[part].sum()))
+            for group, part in coordinates.groups.items()
+            if part.stop > part.start
+        }
         self._designs, point = [], {group: axis.start() for group, axis in self._axes.items()}
         for price in PRICES:
             point = self._minimize(price, point)
@@ -78,7 +79,7 @@ class AxisSearch:
 
     @property
     def front(self) -> tuple[FrontPoint, ...]:
-        """What the one-axis loops promise at each price."""
+        """Prediction of the one-axis loops at each price."""
         points = []
         for point in self._designs:
             costs = {group: axis.cost(point[group]) for group, axis in self._axes.items()}
@@ -148,42 +149,33 @@ class AxisSearch:
 
     def _with_gains(self, point: Mapping[str, np.ndarray]) -> Scenario:
         """The scenario with designed gains, three digits each."""
-        scenario, groups = (
-            self._scenario,
-            {group: self._axes[group].read(x) for group, x in point.items()},
-        )
-
-        def each(value: Callable[[GroupDesign], float]) -> dict[str, float]:
-            return {name: float(f"{value(group):.3g}") for name, group in groups.items()}
-
-        data: dict[str, Any] = scenario_to_dict(scenario)
-        data["estimator"]["kind"] = self._kind
+        data: dict[str, Any] = scenario_to_dict(self._scenario)
+        estimator, axes = data["estimator"], self._axes.items()
+        estimator["kind"] = self._kind
         if self._kind == "kalman":
-            data["estimator"]["walk"] = each(lambda group: group.walk)
-            if any(axis.assumed != axis.noise for axis in self._axes.values()):
-                assumed = {group: axis.assumed for group, axis in self._axes.items()}
-                data["estimator"]["position_noise"] = {
-                    group: position for group, (position, _) in assumed.items()
-                }
-                data["estimator"]["velocity_noise"] = {
-                    group: velocity for group, (_, velocity) in assumed.items()
-                }
-        gains = data["controllers"].setdefault(scenario.controller, {})
-        if scenario.controller == "asmc":
-            gains |= {"k_d": each(lambda group: group.omega), "k_s": each(lambda group: group.k_s)}
-        else:
-            gains |= {
-                "k_d": each(lambda group: 2.0 * group.omega),
-                "k_p": each(lambda group: group.omega**2),
-            }
-        if scenario.controller in ("aismc", "tde_aismc"):
-            # Real noise drives |s| far past the laws' thresholds, so K_s would adapt to its bound,
-            # which is the design.
-            gains |= {
-                "k_s_initial": each(lambda group: group.k_s),
-                "k_s_max": each(lambda group: group.k_s),
-            }
+            estimator["walk"] = {group: _rounded(np.exp(point[group][-1])) for group, _ in axes}
+            if any(axis.assumed != axis.noise for _, axis in axes):
+                for k, name in enumerate(("position_noise", "velocity_noise")):
+                    estimator[name] = {group: axis.assumed[k] for group, axis in axes}
+        designed = {group: axis.gains(point[group]) for group, axis in axes}
+        key = controller_key(self._scenario.controller)
+        gains = data["controllers"].setdefault(key, {})
+        for name in next(iter(designed.values())):
+            gains[name] = {group: _rounded(each[name]) for group, each in designed.items()}
         return scenario_from_dict(data)
+
+
+def one_sample_law(scenario: Scenario) -> TimeDelayControl | None:
+    """The scenario's law with the one-sample estimate; None for one that is not designed by
+    axis.
+    """
+    published = dataclasses.replace(scenario, estimator=Estimator())
+    law = getattr(make_law(published, make_nominal_plant(scenario)), "by_axis", None)
+    return law if law is not None and law.dynamics.gains_for(1.0, 1.0) else None
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.3g}")
 
 
 class _Axis:
@@ -192,74 +184,71 @@ class _Axis:
     """
 
     def __init__(
-        self, scenario: Scenario, demand: Demand, group: str, kind: str, etas: np.ndarray
+        self,
+        scenario: Scenario,
+        law: TimeDelayControl,
+        demand: Demand,
+        group: str,
+        kind: str,
+        etas: np.ndarray,
+        weight: float,
     ) -> None:
         part, sensing = demand.coordinates.groups[group], smooth_sensing(scenario)
-        self.controller, self.etas, self.kalman = scenario.controller, etas, kind == "kalman"
-        self.period = scenario.sample_time
+        self.kalman, self.period = kind == "kalman", scenario.sample_time
+        self.law, self.weight = of_axes(law, [part.start]), weight
+        self.etas = np.append(etas, 1.0)[:, None]
         self.duration = demand.times.size * self.period
         # Of the run's demand, padded: by it the error is a product.
         self.spectrum = np.fft.rfft(demand.lumped[:, part].T, 2 * demand.times.size)
         # at the end of each sample
         self.late = demand.times + self.period > min(5.0, 0.25 * self.duration)
         # The group's worst sensors.
-        self.noise = tuple(
+        position, velocity = self.noise = tuple(
             float(demand.coordinates.vector(noise, key="sensing", default=0.0)[part].max())
             for noise in (sensing.position_noise, sensing.velocity_noise)
         )
-        position, velocity = self.noise
         self.assumed = position or _POSITION_NOISE_TIME * velocity, velocity
-        # What a unit of Hhat^-1 tau costs: columns of Hhat at mid-motion.
-        self.weight = float((_mass_matrices(scenario, [0.5])[0][1] ** 2).sum(axis=0)[part].sum())
-        self.integral = self.controller in ("aismc", "tde_aismc")
         # The search comes back to a design, with another estimate of the same gains from its
         # beginning.
-        self._costs = dict[bytes, tuple[float, float]]()
-        self._designs = dict[tuple[float, bytes], np.ndarray]()
+        self.cost = memoized(maxsize=_KEPT)(self._cost)
+        self.minimize = memoized(maxsize=_KEPT)(self._minimize)
 
     def start(self) -> np.ndarray:
         """Logarithms of a first guess: a slow loop that is stable for any sensors."""
-        return np.log([3.0, *([0.5] if self.integral else []), *([1e-3] if self.kalman else [])])
+        chooses = self.law.dynamics.chooses_k_s
+        return np.log([3.0, *([0.5] if chooses else []), *([1e-3] if self.kalman else [])])
 
-    def read(self, x: np.ndarray) -> GroupDesign:
-        omega = float(np.exp(x[0]))
-        k_s = float(np.exp(x[1])) if self.integral else omega if self.controller == "asmc" else 0.0
-        return GroupDesign(
-            omega=omega, walk=float(np.exp(x[-1])) if self.kalman else np.nan, k_s=k_s
+    def gains(self, x: np.ndarray) -> dict[str, float]:
+        """The law's gains of a design."""
+        omega, second = np.exp(x[[0, min(1, x.size - 1)]]).tolist()
+        return self.law.dynamics.gains_for(omega, second)
+
+    def _with(self, x: np.ndarray) -> TimeDelayControl:
+        gains: dict[str, Any] = {name: np.array([value]) for name, value in self.gains(x).items()}
+        dynamics: Any = self.law.dynamics
+        law = dataclasses.replace(self.law, dynamics=dataclasses.replace(dynamics, **gains))
+        if not self.kalman:
+            return law
+        position, velocity = self.assumed
+        gain = kalman_gain(
+            position_noise=position,
+            velocity_noise=velocity,
+            walk=float(np.exp(x[-1])),
+            sample_time=self.period,
         )
+        estimator = KalmanEstimator(sample_time=self.period, gain=gain[None])
+        return dataclasses.replace(law, estimator=estimator)
 
-    def cost(self, x: np.ndarray) -> tuple[float, float]:
+    def _cost(self, x: np.ndarray) -> tuple[float, float]:
         """Mean square error (rad^2 or m^2) and effort of the noise (ISV); infinite outside the
         stable region.
         """
-        key = x.tobytes()
-        if key not in self._costs:
-            self._costs[key] = self._cost(x)
-        return self._costs[key]
-
-    def _cost(self, x: np.ndarray) -> tuple[float, float]:
-        group, gain = self.read(x), None
-        if self.kalman:
-            position, velocity = self.assumed
-            gain = kalman_gain(
-                position_noise=position,
-                velocity_noise=velocity,
-                walk=group.walk,
-                sample_time=self.period,
-            )[None]
-        sampling = Sampling(sample_time=self.period, kalman_gain=gain)
-        omega, k_s = group.omega, group.k_s
-        if self.controller == "asmc":
-            gains = LoopGains(k_v=2.0 * omega, k_p=omega**2, k_i=0.0)
-        else:
-            gains = LoopGains(
-                k_v=2.0 * omega + k_s, k_p=omega**2 + 2.0 * k_s * omega, k_i=k_s * omega**2
-            )
-        if np.abs(axis_poles(gains, eta=self.etas, sampling=sampling)).max() > LARGEST_RADIUS:
+        loops = axis_loop(self._with(x), eta=self.etas)
+        if np.abs(np.linalg.eigvals(loops.a[:-1])).max() > LARGEST_RADIUS:
             return np.inf, np.inf
-        loop = axis_loop(gains, sampling=sampling)
+        loop = loops[-1, 0]
         covariance = loop.covariance(position_noise=self.noise[0], velocity_noise=self.noise[1])
-        force = loop.force @ covariance @ loop.force
+        force = loop.part("force")
         # The error's response to the demand of one sample, its length doubled until it covers the
         # run.
         count = self.late.size
@@ -269,17 +258,11 @@ class _Axis:
         response = np.fft.rfft(columns[0, :count], 2 * count)
         error = np.fft.irfft(response * self.spectrum)[:, :count]
         return float((error[:, self.late] ** 2).mean() + covariance[0, 0]), float(
-            self.duration * force * self.weight
+            self.duration * covariance[force, force] * self.weight
         )
 
-    def minimize(self, price: float, start: np.ndarray) -> np.ndarray:
-        """The design (logarithms) that is best for a price of effort."""
-        key = price, start.tobytes()
-        if key not in self._designs:
-            self._designs[key] = self._minimize(price, start)
-        return self._designs[key]
-
     def _minimize(self, price: float, start: np.ndarray) -> np.ndarray:
+        """The design (logarithms) that is best for a price of effort."""
 
         def objective(x: np.ndarray) -> float:
             square, effort = self.cost(x)
@@ -298,34 +281,15 @@ class _Axis:
         return found
 
 
-def _eta_range(scenario: Scenario, masses: list[float]) -> np.ndarray:
+def eta_range(scenario: Scenario, masses: list[float]) -> np.ndarray:
     """Five inertia ratios over what the payload range and the planned motion hold, and a little
-    more on both sides.
-
-    The axes are coupled, and the motion moves the poles.
+    more on both sides: the axes are coupled, and the motion moves the poles.
     """
-    pairs = [
-        pair
-        for mass in masses
-        for pair in _mass_matrices(with_true_mass(scenario, mass), [0.0, 0.5, 1.0])
-    ]
-    spread = np.array([inertia_ratios(true, nominal) for true, nominal in pairs])
-    return np.linspace(spread.min() / _WIDER, spread.max() * _WIDER, 5)
-
-
-def _mass_matrices(scenario: Scenario, parts: list[float]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(H, Hhat) at fractions of the planned motion."""
-    nominal, true = (
-        driven_model(make_nominal_plant(scenario)),
-        driven_model(make_flexible_plant(scenario)),
-    )
-    pick = np.ix_(nominal.coordinates.driven, nominal.coordinates.driven)
-    motion = make_motion(scenario, nominal.coordinates)
-    configurations = [motion.evaluate(motion.part(share))[0] for share in parts]
-    return [
-        (true.calc_apparent_mass_matrix(q)[pick], nominal.calc_mass_matrix(q)[pick])
-        for q in configurations
-    ]
+    spread = list[np.ndarray]()
+    for mass in masses:
+        inertia = PlannedInertia(with_true_mass(scenario, mass))
+        spread += [inertia.ratios(inertia.motion.part(share)) for share in (0.0, 0.5, 1.0)]
+    return np.linspace(np.min(spread) / _WIDER, np.max(spread) * _WIDER, 5)
 
 
 def with_true_mass(scenario: Scenario, mass: float) -> Scenario:

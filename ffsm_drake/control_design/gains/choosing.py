@@ -1,22 +1,24 @@
 """Choosing gains for a scenario's sensors, period, delays, limits and payload range, never worse
 than those given.
 
-Candidates are judged alike, by ``predict`` on the closed loop as it is wired: the least error, as
-the mean of the groups' log(rms error), that keeps to the budget of effort and to the actuators'
+Candidates are evaluated alike, by ``predict`` on the closed loop as it is wired: the least error,
+as the mean of the groups' log(rms error), that keeps to the budget of effort and to the actuators'
 limits, and that is stable for every payload of the range. Where they come from depends on the law:
 
-- *The paper's laws.* Every group has its natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s
+- *Laws that are designed by axis* (``InjectedDynamics.gains_for``; the paper's). Every group has
+  its natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s
   = w), its K_s where the surface has an integral, and the random walk q_N of its Kalman estimate.
   The groups share only the effort, so each is designed alone on its one-axis loop for a price of
   effort, with either estimate. Lowering the price traces the front of accuracy against effort.
-- *Every other law, and every loop that the one-axis formulas do not describe* (delays, replaced
-  blocks). The gains that the law declares, and the random walks, are varied by group from the best
+- *Every other law, and every loop that is not made of axes* (delays, replaced blocks). The gains
+  that the law declares, and the random walks, are varied by group from the best
   there is, all groups at once, as long as that pays at a price of effort.
 """
 
 import contextlib
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -28,14 +30,16 @@ from ffsm_drake.control_design.gains.axis_search import (
     PRICES,
     AxisSearch,
     FrontPoint,
+    eta_range,
+    one_sample_law,
     with_true_mass,
 )
 from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.control_design.gains.variation import PRICES_VARIED, varied
 from ffsm_drake.control_design.limit import Limit, find_limit
-from ffsm_drake.control_design.stability.demand import make_demand
+from ffsm_drake.control_design.stability.adaptation import axis_law
+from ffsm_drake.control_design.stability.demand import Demand, make_demand
 from ffsm_drake.control_design.stability.linearization import Linearizer, has_base_actuators
-from ffsm_drake.control_design.stability.margins import has_closed_form
 from ffsm_drake.control_design.stability.prediction import Prediction, predict, predict_from
 from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.scenario import Estimator, Scenario
@@ -137,62 +141,16 @@ def design(
         tracks a frame.
     """
     scenario, demand = complete_gains(scenario), make_demand(scenario)
-    nominal = scenario.payload.nominal.mass
-    low, high = payload_range or (0.6 * nominal, 2.5 * nominal)
-    if not 0.0 < low < high:
-        raise ScenarioError(
-            "payload range", f"must be two masses 0 < LOW < HIGH in kg, not {low:g} and {high:g}"
-        )
-    masses = [float(mass) for mass in np.linspace(low, high, 5)]
+    masses = _masses(scenario, payload_range)
     requirement = Requirement(
         budget=1.1 * demand.ideal_isv if budget is None else budget,
         limit=demand.coordinates.vector(
             scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
         ),
     )
-
-    def evaluate(candidate: Scenario) -> DesignPoint:
-        with Linearizer(candidate) as linearizer:
-            if linearizer.loop.tracks_frame:
-                raise BlockError(
-                    f"{candidate.controller} tracks a frame; gains are designed for "
-                    "errors of coordinates"
-                )
-            point = DesignPoint(
-                scenario=candidate,
-                prediction=predict_from(linearizer),
-                radius_by_mass=_radius_by_mass(linearizer, (masses[0], masses[-1])),
-            )
-        if not has_base_actuators(candidate) or requirement.violated(point):
-            return point
-        return dataclasses.replace(point, rehearsal=rehearse(candidate, seeds=_SEEDS))
-
-    given, found, searches = evaluate(scenario), dict[str, DesignPoint](), dict[str, AxisSearch]()
-    by_formula = scenario.controller in PAPER_LAWS
-    varies = not has_closed_form(scenario)
-    steps = 2 * len(PRICES) * by_formula + len(PRICES_VARIED) * varies
-    done = 0
-
-    def step() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, steps)
-
-    if by_formula:
-        for kind in ("kalman", "one_sample"):
-            searches[kind] = search = AxisSearch(scenario, demand, kind, masses, on_price=step)
-            found[kind] = search.at_budget(requirement, evaluate)
-            if kind == "kalman":
-                # late or slow sensors, which it does not take
-                with contextlib.suppress(ScenarioError):
-                    found["coupled"] = search.at_budget(
-                        requirement, lambda made: evaluate(_with_estimator(made, kind="coupled"))
-                    )
-    if varies:
-        best = min([given, *found.values()], key=requirement.rank)
-        tried = list(varied(best, evaluate, on_price=step))
-        found["varied"] = min(tried, key=requirement.rank)
+    evaluate = functools.partial(_evaluate, requirement=requirement, masses=masses)
+    given = evaluate(scenario)
+    found, searches = _candidates(given, demand, requirement, masses, evaluate, progress)
     best = min(found.values(), key=requirement.rank)
     kept = requirement.rank(given) <= (
         requirement.rank(best)[0],
@@ -207,22 +165,86 @@ def design(
         raise ScenarioError("budget", f"ISV {requirement.budget:.1f} cannot be met; {cheapest}")
     with Linearizer(chosen.scenario) as linearizer:
         radius_by_mass = _radius_by_mass(linearizer, masses)
-    search_of_chosen = next(
-        (searches[kind] for kind, point in found.items() if point is chosen and kind in searches),
-        None,
-    )
-    shown = search_of_chosen or searches.get("kalman")
+    search = next((searches.get(kind) for kind, point in found.items() if point is chosen), None)
+    shown = search or searches.get("kalman")
     return Design(
         chosen=dataclasses.replace(chosen, radius_by_mass=radius_by_mass),
         given=given,
         found=found,
         kept=kept,
-        held_back=_held_back(chosen, requirement, search_of_chosen),
+        held_back=_held_back(chosen, requirement, search),
         front=() if shown is None else shown.front,
         limit=find_limit(chosen.scenario, demand),
         ideal_isv=demand.ideal_isv,
         requirement=requirement,
     )
+
+
+def _masses(scenario: Scenario, payload_range: tuple[float, float] | None) -> list[float]:
+    """True payload masses over the range, kg, ascending."""
+    nominal = scenario.payload.nominal.mass
+    low, high = payload_range or (0.6 * nominal, 2.5 * nominal)
+    if not 0.0 < low < high:
+        raise ScenarioError(
+            "payload range", f"must be two masses 0 < LOW < HIGH in kg, not {low:g} and {high:g}"
+        )
+    return [float(mass) for mass in np.linspace(low, high, 5)]
+
+
+def _evaluate(
+    candidate: Scenario, *, requirement: Requirement, masses: Sequence[float]
+) -> DesignPoint:
+    with Linearizer(candidate) as linearizer:
+        if linearizer.loop.tracks_frame:
+            raise BlockError(
+                f"{candidate.controller} tracks a frame; gains are designed for "
+                "errors of coordinates"
+            )
+        point = DesignPoint(
+            scenario=candidate,
+            prediction=predict_from(linearizer),
+            radius_by_mass=_radius_by_mass(linearizer, (masses[0], masses[-1])),
+            is_by_axis=axis_law(linearizer) is not None,
+        )
+    if not has_base_actuators(candidate) or requirement.violated(point):
+        return point
+    return dataclasses.replace(point, rehearsal=rehearse(candidate, seeds=_SEEDS))
+
+
+def _candidates(
+    given: DesignPoint,
+    demand: Demand,
+    requirement: Requirement,
+    masses: list[float],
+    evaluate: Callable[[Scenario], DesignPoint],
+    progress: Callable[[int, int], None] | None,
+) -> tuple[dict[str, DesignPoint], dict[str, AxisSearch]]:
+    """The best of each kind of estimate, or of varied gains, and the searches by axis."""
+    scenario, found, searches = given.scenario, dict[str, DesignPoint](), dict[str, AxisSearch]()
+    law = one_sample_law(scenario)
+    steps = 2 * len(PRICES) * (law is not None) + len(PRICES_VARIED) * (not given.is_by_axis)
+    done = itertools.count(1)
+
+    def step() -> None:
+        if progress is not None:
+            progress(next(done), steps)
+
+    if law is not None:
+        etas = eta_range(scenario, masses)
+        for kind in ("kalman", "one_sample"):
+            searches[kind] = AxisSearch(scenario, law, demand, kind, etas, on_price=step)
+            found[kind] = searches[kind].at_budget(requirement, evaluate)
+            if kind == "kalman":
+                # late or slow sensors, which it does not take
+                with contextlib.suppress(ScenarioError):
+                    found["coupled"] = searches[kind].at_budget(
+                        requirement, lambda made: evaluate(_with_estimator(made, kind="coupled"))
+                    )
+    if not given.is_by_axis:
+        best = min([given, *found.values()], key=requirement.rank)
+        tried = list(varied(best, evaluate, on_price=step))
+        found["varied"] = min(tried, key=requirement.rank)
+    return found, searches
 
 
 def _with_estimator(scenario: Scenario, **settings: Any) -> Scenario:

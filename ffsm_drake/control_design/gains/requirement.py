@@ -1,4 +1,4 @@
-"""What a design must keep to, and by what designs are judged."""
+"""The requirements of a design, and the order in which designs are ranked."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -12,17 +12,18 @@ from ffsm_drake.scenario import Scenario
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DesignPoint:
-    """A scenario and what is predicted of it."""
+    """A scenario and its prediction."""
 
     scenario: Scenario
     prediction: Prediction
     radius_by_mass: Mapping[float, float]  # true payload mass in kg -> spectral radius
+    is_by_axis: bool = True  # whether its loop is made of axes (``adaptation.axis_law``)
     rehearsal: Rehearsal | None = None  # with thrusters or wheels, where all else is kept to
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """What a design must keep to."""
+    """Limits on a design."""
 
     budget: float  # largest ISV
     limit: np.ndarray  # (nv,) of the actuators, N m or N; infinite: none
@@ -51,9 +52,7 @@ class Requirement:
         return ""
 
     def rank(self, point: DesignPoint) -> tuple[int, float]:
-        """By which points are judged, the smaller the better: requirements first, then error, or
-        effort over budget.
-        """
+        """The smaller the better: requirements first, then error, or effort over budget."""
         prediction, violated = point.prediction, self.violated(point)
         if not violated:
             return 0, prediction.mean_log_error

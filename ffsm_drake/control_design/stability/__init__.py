@@ -1,6 +1,4 @@
-"""Stability of the sampled loop, read from its wiring, and its closed forms for the paper's
-laws.
-"""
+"""Stability of the sampled loop, read from its wiring; limits by axis from a law's own step."""
 
 from ffsm_drake.control_design.stability.margins import (
     Margins,

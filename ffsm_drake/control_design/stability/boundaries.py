@@ -21,8 +21,8 @@ _ACCURACY = 1e-3  # of a factor, relative
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Boundaries:
-    """Where the loop becomes unstable. NaN: it is so already; infinite: stable as far as was
-    looked.
+    """Stability limits, one parameter at a time. NaN: unstable as it is; infinite: stable over the
+    whole search range.
     """
 
     # factor on all feedback gains of the controller; infinite, too, where it declares none
@@ -40,7 +40,7 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
     """The boundaries at one posture of the planned motion; takes some seconds.
 
     Args:
-      scenario: what to look at.
+      scenario: the loop.
       time: s, the posture; ``Margins.edge_time`` of ``stability``.
 
     Raises ModelError, ScenarioError and BlockError as ``stability`` does.
@@ -146,11 +146,10 @@ def with_delay(scenario: Scenario, delay: int) -> Scenario:
 
 
 def _largest_factor(is_stable: Callable[[float], bool]) -> float:
-    """The largest factor from 1 up with which the loop is stable; infinite where there is no other
-    up to the last.
+    """The largest factor from 1 up with which the loop is stable; infinite where it is over
+    the whole search range.
 
-    A model that cannot be built any more (of a part that outweighs what carries it) ends the
-    search, too.
+    A model that cannot be built any more (a part outweighs its carrier) ends the search, too.
     """
     inside, outside = 1.0, _RATIO
     try:

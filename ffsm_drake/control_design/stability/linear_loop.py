@@ -8,7 +8,6 @@ from typing import Self
 
 import numpy as np
 
-from ffsm_drake.control_design.stability.sampled_loop import covariance_after
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
@@ -211,3 +210,20 @@ class LinearLoop:
                 driven | (arrows[:, driven].any(axis=1)),
             )
         return acting & driven
+
+
+def covariance_after(a: np.ndarray, noise: np.ndarray, *, samples: int) -> np.ndarray:
+    """Covariance (..., m, m) of x from zero, x+ = A x + w, w of covariance ``noise``, after the
+    next power of two of ``samples``.
+
+    By doubling: the sum of A^k noise A^k' (a discrete Lyapunov equation where it converges). Not
+    finite where it grows beyond all numbers.
+    """
+    covariance, power = noise, a
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        for _ in range(max(samples - 1, 0).bit_length()):
+            covariance, power = (
+                covariance + power @ covariance @ np.swapaxes(power, -1, -2),
+                power @ power,
+            )
+    return covariance

@@ -49,12 +49,13 @@ from ffsm_drake.systems.actuation import make_actuation
 from ffsm_drake.systems.actuation.drives import FRICTION
 from ffsm_drake.systems.actuation.mean import make_mean_base
 from ffsm_drake.systems.controllers.estimators import assumed_noise
+from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.reference import make_motion, timed
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.setup import BlockSetup
 
-# Of a difference: rad, m, and per s; of other states relative to their size.
+# Step of a difference: rad, m, and per s; other states: relative to their size.
 _STEP = 1e-7
 # Control samples on the plan before the map is taken: by then every memory holds what was measured.
 _WARM_UP = 5
@@ -73,15 +74,9 @@ class Linearizer:
         """
         # before the actuators' limits are taken away
         self.given = scenario = timed(from_grasp(scenario))
-        sensing, estimator = smooth_sensing(scenario), scenario.estimator
-        if sensing is not scenario.sensing:  # the estimator goes on to assume what it assumed
-            estimator = _with_assumptions(scenario)
-        actuation = linear_actuation(scenario.actuation)
         if has_base_actuators(scenario):
             blocks = {"actuation": _mean_actuation, **(blocks or {})}
-        self.scenario = dataclasses.replace(
-            scenario, sensing=sensing, estimator=estimator, actuation=actuation
-        )
+        self.scenario = _without_limits(scenario)
         linear: dict[str, Factory] = {
             name: part.linear() for name, part in parts_of(self.scenario, blocks).items()
         }
@@ -98,6 +93,7 @@ class Linearizer:
         self.loop.set_blocks(self._context, self._known_state())
         self._start = self._context.Clone()
         controller = self.loop.blocks["controller"]
+        self.law: ControlLaw | None = getattr(controller, "law", None)  # None: it is no law
         self._held: Mapping[str, tuple[int, float | None]] = getattr(
             controller, "held_groups", dict
         )()
@@ -109,9 +105,8 @@ class Linearizer:
         parts = [part for part in diagram.GetSystems() if part in heard]
         leaves = [leaf for part in parts for leaf in _leaves(part) if leaf not in noise]
         for leaf in leaves:
-            if leaf is self._plant or leaf.get_name() == FRICTION:
-                continue
-            if leaf.num_continuous_states() + leaf.num_abstract_states():
+            known = leaf is self._plant or leaf.get_name() == FRICTION
+            if not known and leaf.num_continuous_states() + leaf.num_abstract_states():
                 raise BlockError(
                     f"{leaf.get_name()}: continuous or abstract state cannot be "
                     "linearised, only discrete"
@@ -447,9 +442,7 @@ class Linearizer:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class _Update:
-    """What the update of a control sample makes of the plant's state and the memory, [x; w], to
-    first order.
-    """
+    """First-order map of a control sample's update, from [x; w], and the state after it."""
 
     index: int
     after: Context
@@ -582,6 +575,15 @@ def linear_actuation(actuation: Actuation) -> Actuation:
         drives = dataclasses.replace(drives, **changes)
     changes = {name: getattr(plain, name) for name in NOT_LINEAR["actuation"]}
     return dataclasses.replace(actuation, drives=drives, **changes)
+
+
+def _without_limits(scenario: Scenario) -> Scenario:
+    """The scenario without quantisation and without ``NOT_LINEAR``."""
+    sensing, estimator = smooth_sensing(scenario), scenario.estimator
+    if sensing is not scenario.sensing:  # the estimator goes on to assume what it assumed
+        estimator = _with_assumptions(scenario)
+    actuation = linear_actuation(scenario.actuation)
+    return dataclasses.replace(scenario, sensing=sensing, estimator=estimator, actuation=actuation)
 
 
 def _mean_actuation(setup: BlockSetup) -> Diagram | None:

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ffsm_drake.control_design.stability.adaptation import expected_gains
 from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.margins import expected_gains
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.registry import Factory

@@ -3,21 +3,21 @@ does it settle?
 
 The controller and the plant are linear about the planned motion (``linearization``); in every
 control sample the actuators are given what the loop asks for, and what they do instead acts on it.
-That takes a tenth of a run's time, and tells what no spectral radius does: whether the loop can go
-without what saturation takes.
+That takes a tenth of a run's time, and tells what no spectral radius does: whether the loop
+tolerates saturation.
 """
 
 import dataclasses
-import functools
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
+from ffsm_drake.control_design.stability.demand import make_demand
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.scenario import Scenario
@@ -27,8 +27,7 @@ from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.actuation import make_actuation, make_base_actuators
 from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.actuation.limits import base_limits
-from ffsm_drake.systems.controllers import gain_vectors
-from ffsm_drake.systems.controllers.laws import asmc, tde_aismc
+from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.systems.setup import BlockSetup
@@ -44,7 +43,7 @@ _FULL = 1.0 - 1e-9  # of a limit, or of a wanted wrench
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Rehearsal:
-    """What the linearised loop does under its thrusters and wheels, with some seeds of the
+    """Outcome of the linearised loop under its thrusters and wheels, with some seeds of the
     noise.
     """
 
@@ -59,7 +58,7 @@ class Rehearsal:
     largest_error: np.ndarray  # (nv,) of the last two seconds, rad or m; the median of the seeds
 
     def __str__(self) -> str:
-        """What is asked of the actuators, what they give, and what comes of it: a line."""
+        """One line: the actuators' limits, the forces asked of them, and the outcome."""
         parts = self.coordinates.groups["base_rotation"], self.coordinates.groups["base_position"]
         noise, motion = (
             " and ".join(
@@ -94,7 +93,7 @@ class Rehearsal:
 
     @property
     def share_diverged(self) -> float:
-        """Of the seeds."""
+        """Fraction of seeds that diverged."""
         return float(np.isfinite(self.diverged).mean())
 
 
@@ -118,15 +117,13 @@ def rehearse(
     """
     with Linearizer(scenario, blocks={"actuation": _pushed}) as linearizer:
         loops = [linearizer.at(linearizer.motion.part(share), held=held) for share in _POSTURES]
-        scenario, motion = linearizer.given, linearizer.motion
+        scenario, motion, law = linearizer.given, linearizer.motion, linearizer.law
     if mean is None:
-        from ffsm_drake.control_design.stability.demand import make_demand  # SciPy is slow to load
-
         ideal = make_demand(scenario).force
         mean = np.zeros_like(ideal), ideal
     times = np.arange(scenario.num_control_periods) * scenario.sample_time
     mean = np.nan_to_num(mean[0]), np.nan_to_num(mean[1])
-    runs = [_Run(scenario, loops, motion, mean).go(times, seed) for seed in range(seeds)]
+    runs = [_Run(scenario, loops, motion, mean, law).go(times, seed) for seed in range(seeds)]
     diverged, wheels, thrusters, largest = (np.array(each) for each in zip(*runs, strict=True))
     return Rehearsal(
         scenario=scenario,
@@ -151,26 +148,23 @@ class _Run:
         loops: Sequence[LinearLoop],
         motion: PlannedMotion,
         mean: tuple[np.ndarray, np.ndarray],
+        law: ControlLaw | None,
     ) -> None:
-        nominal, period, settings = (
-            driven_model(make_nominal_plant(scenario)),
-            scenario.sample_time,
-            scenario.actuation,
-        )
-        coordinates = motion.coordinates
-        self._scenario, self._loops, self._motion, (self._error, self._force) = (
-            scenario,
-            loops,
-            motion,
-            mean,
-        )
-        self._switch = _switching_gain(scenario, coordinates)
+        settings, coordinates = scenario.actuation, motion.coordinates
+        self._scenario, self._loops, self._motion, self._law = scenario, loops, motion, law
+        self._error, self._force = mean
         self._times = [motion.part(share) for share in _POSTURES]
         self._samples = [_from_start(loop) for loop in loops]
-        self._mass = [
-            nominal.calc_mass_matrix(motion.evaluate(motion.part(share))[0]) for share in _POSTURES
-        ]
-        self._base = make_base_actuators(settings, coordinates, sample_time=period)[0]
+        nominal = driven_model(make_nominal_plant(scenario))
+        self._mass = [nominal.calc_mass_matrix(motion.evaluate(time)[0]) for time in self._times]
+        self._base, _ = make_base_actuators(settings, coordinates, sample_time=scenario.sample_time)
+        ends = np.cumsum([0, *self._base.sizes.values()]).tolist()
+        self._part = {
+            name: slice(*pair)
+            for name, pair in zip(self._base.sizes, itertools.pairwise(ends), strict=True)
+        }
+        motors = [] if settings.wheels is None else settings.wheels.units.values()
+        self._motors = np.array([unit.torque_limit for unit in motors])
         self._limit = coordinates.vector(
             settings.limit or {}, key="actuation.limit", default=np.inf
         )
@@ -182,34 +176,15 @@ class _Run:
         """When it diverged, the limited shares of wheels and thrusters, and the largest errors (nv)
         at the end.
         """
-        scenario, base, settings, nv = (
-            self._scenario,
-            self._base,
-            self._scenario.actuation,
-            self._force.shape[1],
-        )
-        noise = np.random.default_rng(seed)
-        sizes = np.cumsum([0, *base.sizes.values()])
-        part = {
-            name: slice(*ends)
-            for name, ends in zip(base.sizes, itertools.pairwise(sizes.tolist()), strict=True)
-        }
-        motors = np.array(
-            []
-            if settings.wheels is None
-            else [u.torque_limit for u in settings.wheels.units.values()]
-        )
+        scenario, settings, loop = self._scenario, self._scenario.actuation, self._loops[0]
+        nv, noise, push = self._force.shape[1], np.random.default_rng(seed), loop.noise[_PUSH]
         frame = 1 if settings.thrusters is None else settings.thrusters.frame
-        push = self._loops[0].noise[_PUSH]
-        x, memory, switching = (
-            np.zeros(len(self._loops[0].a)),
-            base.initial_memory,
-            self._switch.start,
-        )
-        late = [np.zeros(nv)] * settings.delay  # total, then what of it is the linear loop's
-        own, wheels_limited, thrusters_limited, errors = list(late), 0, 0, [np.zeros(nv)]
+        x, memory, limited = np.zeros(len(loop.a)), self._base.initial_memory, np.zeros(2)
+        switching = self._switching_at_start
+        late = [np.zeros(nv)] * settings.delay  # total, then the linear loop's own part of it
+        own, errors = list(late), [np.zeros(nv)]
         for k, (time, rotation, turning) in enumerate(
-            zip(times, *self._base_motion(times), strict=True)
+            zip(times.tolist(), *self._base_motion(times), strict=True)
         ):
             if k % _BLENDED == 0:
                 samples, mass = self._near(time)
@@ -218,37 +193,39 @@ class _Run:
             w[push] = 0.0
             force, after = self._force[k] + step.c @ x + step.d @ w, step.a @ x + step.b @ w
             own.append(force)
-            if switching.size:
-                s = after[self._loops[0].memory["sliding_variable"]]
+            if self._law is not None and switching.size:
+                s = after[loop.memory["sliding_variable"]]
                 force = force + mass @ (switching * np.sign(s))
-                switching = self._switch.after(s, switching)
+                switching = self._law.switching_gain_after(s, switching)
             late.append(quantize(np.clip(force, -self._limit, self._limit), self._resolution))
-            sample = base.give(
+            sample = self._base.give(
                 late.pop(0), memory, rotation=rotation, turning=turning, begins=k % frame == 0
             )
-            memory = sample[part["memory"]]
-            wheels_limited += motors.size > 0 and bool(
-                (np.abs(sample[part["wheel_torque"]]) >= _FULL * motors).any()
-            )
-            thrusters_limited += "thruster_given" in part and bool(
-                sample[part["thruster_given"]][0] < _FULL
-            )
-            x = after + step.b[:, push] @ (sample[part["applied_force"]] - own.pop(0))
+            memory = sample[self._part["memory"]]
+            limited += self._limited(sample)
+            x = after + step.b[:, push] @ (sample[self._part["applied_force"]] - own.pop(0))
             if not np.abs(x[nv : 2 * nv]).max() < scenario.divergence_speed:
-                return (
-                    float(time),
-                    wheels_limited / (k + 1),
-                    thrusters_limited / (k + 1),
-                    np.full(nv, np.inf),
-                )
+                wheels, thrusters = (limited / (k + 1)).tolist()
+                return time, wheels, thrusters, np.full(nv, np.inf)
             if time >= times[-1] - _LAST:
                 errors.append(np.abs(self._error[k] + x[:nv]))
-        return (
-            math.nan,
-            wheels_limited / times.size,
-            thrusters_limited / times.size,
-            np.max(errors, axis=0),
-        )
+        wheels, thrusters = (limited / times.size).tolist()
+        return math.nan, wheels, thrusters, np.max(errors, axis=0)
+
+    @property
+    def _switching_at_start(self) -> np.ndarray:
+        """G (nv), which the linear loop leaves out; empty where the law has none."""
+        start = {} if self._law is None else self._law.initial_state()
+        known = {"sliding_variable", "switching_gain"} <= set(start)
+        return np.array(start["switching_gain"]) if known else np.zeros(0)
+
+    def _limited(self, sample: np.ndarray) -> tuple[bool, bool]:
+        """Whether a motor is at its limit, and whether thrusters give less than the wanted
+        wrench.
+        """
+        torque = np.abs(sample[self._part.get("wheel_torque", slice(0))])
+        given = sample[self._part.get("thruster_given", slice(0))]
+        return bool((torque >= _FULL * self._motors).any()), bool((given[:1] < _FULL).any())
 
     def _near(self, time: float) -> tuple[list[SampleMap], np.ndarray]:
         """The loop's maps of one common period near a time, and the nominal mass matrix: of the
@@ -309,29 +286,6 @@ def _without_push(loop: LinearLoop) -> LinearLoop:
         dataclasses.replace(each, b=heard(each.b), d=heard(each.d)) for each in loop.samples
     )
     return dataclasses.replace(loop, samples=samples)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class _Switching:
-    """The switching gain of a law, which the linear loop leaves out."""
-
-    start: np.ndarray  # (nv) rad/s^2 or m/s^2; empty where the law has none
-    after: Callable[[np.ndarray, np.ndarray], np.ndarray]  # G (nv) of the next sample from s and G
-
-
-def _switching_gain(scenario: Scenario, coordinates: Coordinates) -> _Switching:
-    gains = gain_vectors(scenario, coordinates)
-    laws = {"asmc": (asmc, ("a", "b", "epsilon")), "tde_aismc": (tde_aismc, ("phi", "epsilon"))}
-    if scenario.controller not in laws:
-        return _Switching(start=np.zeros(0), after=lambda s, g: g)
-    law, names = laws[scenario.controller]
-    rate = functools.partial(law.switching_gain_rate, **{name: gains[name] for name in names})
-    bound = gains.get("g_max", np.full_like(gains["g_initial"], np.inf))
-
-    def after(s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        return np.minimum(np.maximum(g + scenario.sample_time * rate(s, g), 0.0), bound)
-
-    return _Switching(start=gains["g_initial"], after=after)
 
 
 def _pushed(setup: BlockSetup) -> Diagram | None:

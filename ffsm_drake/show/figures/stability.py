@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
-from ffsm_drake.control_design.stability.sampled_loop import LoopGains, axis_poles
+from ffsm_drake.control_design.stability.one_axis import axis_loop, of_axes, with_sample_time
 from ffsm_drake.show.figures.axes import plain, tidy
 from ffsm_drake.show.style import (
     BLUE,
@@ -52,21 +52,16 @@ def plot_margins(margins: Margins) -> Figure:
 
 
 def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins) -> None:
-    law, scenario, adapts = limits.law, margins.scenario, limits.has_k_s
-    eta = np.linspace(0.2, 1.4, 90)
+    adapts, eta = limits.has_k_s, np.linspace(0.2, 1.4, 90)
     top = float(
-        1.35 * max(np.nanmax(limits.k_s_limit), law.k_s.max())
+        1.35 * max(np.nanmax(limits.k_s_limit), limits.k_s.max())
         if adapts
         else 1500.0 * limits.sample_time_limit.max()
     )
     vertical = np.linspace(top / 200, top, 90)
-    gains = law.at(vertical[:, None]) if adapts else law.at()
-    poles = axis_poles(
-        LoopGains(**{name: np.asarray(values)[..., :1] for name, values in vars(gains).items()}),
-        eta=eta,
-        sampling=limits.sampling.axis(0),
-        sample_time=None if adapts else 1e-3 * vertical[:, None],
-    )
+    law, each = of_axes(limits.law, [0]), vertical[:, None, None]
+    law = law.with_reaching_gain(each) if adapts else with_sample_time(law, 1e-3 * each)
+    poles = axis_loop(law, eta=eta[:, None], euler=limits.euler).poles[..., 0, :]
     largest, ringing = np.abs(poles).max(axis=-1), -poles.real.min(axis=-1)
     shades = axes.contourf(
         eta, vertical, ringing, levels=[-1.0, 0.0, 0.25, 0.5, 0.75, 1.0], cmap="Blues", alpha=0.75
@@ -85,7 +80,7 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins)
     if not adapts:
         axes.plot(
             margins.eta.max(),
-            1e3 * scenario.sample_time,
+            1e3 * margins.scenario.sample_time,
             "o",
             color="black",
             label="sample time in use",
@@ -93,7 +88,7 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins)
         axes.set(ylabel="sample time L [ms]", title="Stability map")
     else:
         for k, (group, part) in enumerate(margins.coordinates.groups.items()):
-            if part.start >= law.k_s.size:
+            if part.start >= limits.k_s.size:
                 continue
             path, color = limits.forecast_k_s[:, part], GROUP_STYLES[group].color
             extreme = path[:, np.argmax(path.max(axis=0))]
@@ -125,7 +120,7 @@ def _draw_forecast(axes: Axes, margins: Margins, limits: AxisMargins) -> None:
         )
         return
     for group, part in margins.coordinates.groups.items():
-        for i in range(*part.indices(limits.law.k_s.size)):
+        for i in range(*part.indices(limits.k_s.size)):
             axes.plot(
                 limits.forecast_times,
                 limits.forecast_k_s[:, i],
@@ -137,8 +132,8 @@ def _draw_forecast(axes: Axes, margins: Margins, limits: AxisMargins) -> None:
     limit = np.nanmin(limits.k_s_limit)
     axes.axhline(limit, color="black", linewidth=2)
     axes.text(0.01, limit, " limit", va="bottom", transform=axes.get_yaxis_transform())
-    bound = limits.law.k_s_max
-    if np.isfinite(bound).all() and (bound > limits.law.k_s).any():
+    bound = limits.k_s_max
+    if np.isfinite(bound).all() and (bound > limits.k_s).any():
         axes.axhline(bound.max(), color=GREY, linestyle="--")
         axes.text(
             0.99,

@@ -6,7 +6,7 @@ import numpy as np
 
 from ffsm_drake.control_design.stability import Margins
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop
-from ffsm_drake.control_design.stability.sampled_loop import largest_sample_time, largest_stable_k_s
+from ffsm_drake.control_design.stability.one_axis import largest_sample_time, largest_stable_k_s
 from ffsm_drake.show.panels import Panel, Thinning, Trace, View, curve, figure, time_panel
 from ffsm_drake.show.report.results import Result, values_of
 from ffsm_drake.show.report.time_panels import run_curve
@@ -116,19 +116,15 @@ def _map_panel(results: Sequence[Result], i: int, margin: Margins) -> Panel:
     assert axes is not None
     if axes.has_k_s:
         axis = int(np.nanargmin(axes.k_s_limit / np.maximum(axes.forecast_k_s.max(axis=0), 1e-9)))
-        limit = np.array(
-            [largest_stable_k_s(axes.law, axis, eta=x, sampling=axes.sampling) for x in eta]
-        )
+        limit = largest_stable_k_s(axes.law, axis, eta=eta, euler=axes.euler)
         used = {
-            "Kₛ at the start": axes.law.k_s[axis],
+            "Kₛ at the start": axes.k_s[axis],
             "largest expected Kₛ": axes.forecast_k_s[:, axis].max(),
         }
         unit, what = "Kₛ [1/s]", "Kₛ"
     else:
         axis = int(np.nanargmin(axes.sample_time_limit))
-        limit = 1e3 * np.array(
-            [largest_sample_time(axes.law, axis, eta=x, sampling=axes.sampling) for x in eta]
-        )
+        limit = 1e3 * largest_sample_time(axes.law, axis, eta=eta, euler=axes.euler)
         used = {"sample time in use": 1e3 * margin.scenario.sample_time}
         unit, what = "L [ms]", "sample time"
     color = results[i].style.color

@@ -28,7 +28,7 @@ each.
 
 import dataclasses
 import functools
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -59,6 +59,8 @@ class Estimate(NamedTuple):
 
 class Estimator(Protocol):
     """An estimator as a pure function of arrays."""
+
+    by_axis: ClassVar[bool]  # whether it treats every coordinate by itself, with no delay
 
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the estimator's memory."""
@@ -94,6 +96,7 @@ class Estimator(Protocol):
 class OneSampleEstimator:
     """Time-delay estimation as published: N(t - L) for N(t), equation (5)."""
 
+    by_axis: ClassVar[bool] = True
     sample_time: float
     num_velocities: int
 
@@ -129,6 +132,7 @@ class KalmanEstimator:
     It starts from zero error: the planned motion begins at the nominal initial posture.
     """
 
+    by_axis: ClassVar[bool] = True
     sample_time: float
     gain: np.ndarray  # (nv, 3, 2): correction of [e, e', d] per unit of innovation of (e, e')
 
@@ -174,6 +178,7 @@ class LateKalmanEstimator:
     then, [q_d(t_k) - q(t_(k-j)), ...].
     """
 
+    by_axis: ClassVar[bool] = False
     sample_time: float
     delay: np.ndarray  # (2 nv) of e, then e': whole control samples
     # (4, 4 nv + sum of the delays, 2): correction of x per unit of innovation of its coordinate's e
@@ -272,6 +277,7 @@ class CoupledEstimator:
     others one by one.
     """
 
+    by_axis: ClassVar[bool] = False
     separate: KalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
     gain: np.ndarray  # (3 n, 2 n): correction of [e, e', f] per unit of innovation of [e, e']

@@ -10,7 +10,8 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import CommandFilter
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
+from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
+from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 _KEY = "command_filter"
 
@@ -42,6 +43,20 @@ class FilteredLaw(ControlLaw):
     def held(self) -> Mapping[str, float | None]:
         """As the law says."""
         return self.law.held()
+
+    @property
+    def by_axis(self) -> TimeDelayControl | None:
+        """The law's, without filters."""
+        return self.law.by_axis
+
+    @property
+    def reaching_gain(self) -> ReachingGain | None:
+        """As the law says."""
+        return self.law.reaching_gain
+
+    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
+        """As the law says."""
+        return self.law.switching_gain_after(s, g)
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see ControlLaw."""

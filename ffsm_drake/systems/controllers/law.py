@@ -20,8 +20,8 @@ import abc
 import dataclasses
 import inspect
 import math
-from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import GROUPS, Coordinates
 from ffsm_drake.systems.setup import BlockSetup
+
+if TYPE_CHECKING:
+    from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 State = Mapping[str, np.ndarray]
 
@@ -93,6 +96,29 @@ def gain(
     return dataclasses.field(metadata={"setting": declared})
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReachingGain:
+    """The gain K_s on a law's sliding variable s; dK_s/dt = rate |s| sgn(|s| - rest(K_s))."""
+
+    start: np.ndarray  # (nv) 1/s
+    # (nv) 1/s, where adaptation is stopped: the start where nothing adapts, infinite where nothing
+    # stops it
+    largest: np.ndarray
+    rate: np.ndarray | None = None  # (nv) alpha; None: K_s is constant
+    # K_s (..., nv) -> the |s| at which K_s rests
+    rest: Callable[[np.ndarray], np.ndarray] = np.zeros_like
+
+    @property
+    def is_adapted(self) -> bool:
+        """Whether K_s is part of the law's memory, as ``reaching_gain``."""
+        return self.rate is not None
+
+    @property
+    def changes(self) -> bool:
+        """Whether adaptation can take K_s anywhere."""
+        return not np.array_equal(self.largest, self.start)
+
+
 class ControlLaw(abc.ABC):
     """Base of every control law; a subclass is a frozen dataclass with a ``step``.
 
@@ -113,6 +139,22 @@ class ControlLaw(abc.ABC):
         term, which has no derivative.
         """
         return {}
+
+    @property
+    def by_axis(self) -> "TimeDelayControl | None":
+        """The law as one that treats every coordinate alike and by itself, linear while ``held`` is
+        held; None: it is not one.
+        """
+        return None
+
+    @property
+    def reaching_gain(self) -> ReachingGain | None:
+        """K_s and its adaptation; None: the law has none."""
+        return None
+
+    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
+        """The gain G (nv) of the sign term at the next sample, from s and G at this one."""
+        return g
 
     @abc.abstractmethod
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:

@@ -12,13 +12,20 @@ in which only the *injected dynamics* u differs between controllers (equations (
 import abc
 import dataclasses
 from collections.abc import Mapping
+from typing import ClassVar, Self
 
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.estimators import Estimator, make_estimator
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values
+from ffsm_drake.systems.controllers.law import (
+    ControlLaw,
+    ReachingGain,
+    Sample,
+    State,
+    field_values,
+)
 from ffsm_drake.systems.setup import BlockSetup
 
 
@@ -27,6 +34,10 @@ class InjectedDynamics(abc.ABC):
     ``step``.
     """
 
+    # Whether it treats every coordinate by itself and is linear while ``held`` is held:
+    # ``ffsm stability`` then gives limits by coordinate.
+    by_axis: ClassVar[bool] = False
+
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the dynamics' memory."""
         return {}
@@ -34,6 +45,30 @@ class InjectedDynamics(abc.ABC):
     def held(self) -> Mapping[str, float | None]:
         """What of the memory a linearisation holds; see ControlLaw."""
         return {}
+
+    @property
+    def reaching_gain(self) -> ReachingGain | None:
+        """See ControlLaw."""
+        return None
+
+    def with_reaching_gain(self, k_s: np.ndarray) -> Self:
+        """The law with another K_s (..., nv) at the start."""
+        return self
+
+    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
+        """See ControlLaw."""
+        return g
+
+    @classmethod
+    def gains_for(cls, omega: float, k_s: float) -> dict[str, float]:
+        """The gains that place the poles of an axis at the natural frequency omega, rad/s, for
+        ``ffsm design``; empty where the law cannot be designed so.
+
+        ``k_s``, 1/s, counts where K_s is chosen by itself (``chooses_k_s``).
+        """
+        return {}
+
+    chooses_k_s: ClassVar[bool] = False
 
     def resume(self, state: State, ratio: np.ndarray) -> State:
         """What changes of the memory at the grasp of a target, by name.
@@ -86,6 +121,21 @@ class TimeDelayControl(ControlLaw):
 
     def held(self) -> Mapping[str, float | None]:
         return self.dynamics.held()
+
+    @property
+    def by_axis(self) -> "TimeDelayControl | None":
+        return self if self.dynamics.by_axis and self.estimator.by_axis else None
+
+    @property
+    def reaching_gain(self) -> ReachingGain | None:
+        return self.dynamics.reaching_gain
+
+    def with_reaching_gain(self, k_s: np.ndarray) -> Self:
+        """The law with another K_s (..., nv), 1/s, at the start."""
+        return dataclasses.replace(self, dynamics=self.dynamics.with_reaching_gain(k_s))
+
+    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
+        return self.dynamics.switching_gain_after(s, g)
 
     def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
         """See ControlLaw: what stands for an acceleration goes on as the force that it took."""

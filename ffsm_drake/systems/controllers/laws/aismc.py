@@ -4,10 +4,11 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import ClassVar, Self
 
 import numpy as np
 
-from ffsm_drake.systems.controllers.law import State, gain
+from ffsm_drake.systems.controllers.law import ReachingGain, State, gain
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
 _SMALLEST_SCALE = 1e-9  # 1/s^3, of K_s K_P where it is divided by
@@ -31,6 +32,8 @@ class Aismc(InjectedDynamics):
     exact plant, hence the defaults of K_s.
     """
 
+    by_axis: ClassVar[bool] = True
+    chooses_k_s: ClassVar[bool] = True
     sample_time: float
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the error's rate")
     k_p: np.ndarray = gain({"all": 100.0, "base_position": 200.0}, "1/s^2", "gain K_P on the error")
@@ -60,6 +63,25 @@ class Aismc(InjectedDynamics):
 
     def held(self) -> Mapping[str, float | None]:
         return {"reaching_gain": None}
+
+    @property
+    def reaching_gain(self) -> ReachingGain:
+        largest = np.where(self.alpha > 0, self.k_s_max, self.k_s_initial)
+        return ReachingGain(
+            start=self.k_s_initial, largest=largest, rate=self.alpha, rest=self._rest
+        )
+
+    def _rest(self, k_s: np.ndarray) -> np.ndarray:
+        return k_s * k_s / self.beta
+
+    def with_reaching_gain(self, k_s: np.ndarray) -> Self:
+        return dataclasses.replace(self, k_s_initial=k_s)
+
+    @classmethod
+    def gains_for(cls, omega: float, k_s: float) -> dict[str, float]:
+        # Real noise drives |s| far past the thresholds, so K_s would adapt to its bound.
+        gains = {"k_d": 2.0 * omega, "k_p": omega**2}
+        return {**gains, "k_s_initial": k_s, "k_s_max": k_s}
 
     def resume(self, state: State, ratio: np.ndarray) -> State:
         """See InjectedDynamics. K_s K_P times the integral goes on as a force."""

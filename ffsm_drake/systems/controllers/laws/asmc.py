@@ -2,10 +2,11 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import ClassVar, Self
 
 import numpy as np
 
-from ffsm_drake.systems.controllers.law import State, gain
+from ffsm_drake.systems.controllers.law import ReachingGain, State, gain
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
 # Floor of b|s| where (19) divides by it: the gain is clipped at zero long before the quotient
@@ -36,6 +37,7 @@ class Asmc(InjectedDynamics):
     (nv).
     """
 
+    by_axis: ClassVar[bool] = True
     sample_time: float
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the error's rate")
     k_s: np.ndarray = gain(80.0, "1/s", "reaching gain K_s, constant")
@@ -72,6 +74,21 @@ class Asmc(InjectedDynamics):
     def held(self) -> Mapping[str, float | None]:
         return {"switching_gain": 0.0}
 
+    @property
+    def reaching_gain(self) -> ReachingGain:
+        return ReachingGain(start=self.k_s, largest=self.k_s)
+
+    def with_reaching_gain(self, k_s: np.ndarray) -> Self:
+        return dataclasses.replace(self, k_s=k_s)
+
+    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
+        rate = switching_gain_rate(s, g, a=self.a, b=self.b, epsilon=self.epsilon)
+        return np.minimum(np.maximum(g + self.sample_time * rate, 0.0), self.g_max)
+
+    @classmethod
+    def gains_for(cls, omega: float, k_s: float) -> dict[str, float]:
+        return {"k_d": omega, "k_s": omega}
+
     def resume(self, state: State, ratio: np.ndarray) -> State:
         """See InjectedDynamics. G goes on as a bound of forces."""
         return {"switching_gain": np.abs(ratio) @ state["switching_gain"]}
@@ -83,6 +100,4 @@ class Asmc(InjectedDynamics):
         g = state["switching_gain"]
         s = e_dot + self.k_d * e
         u = a_d + self.k_d * e_dot + self.k_s * s + g * np.sign(s)
-        g_rate = switching_gain_rate(s, g, a=self.a, b=self.b, epsilon=self.epsilon)
-        g_next = np.minimum(np.maximum(g + self.sample_time * g_rate, 0.0), self.g_max)
-        return u, {"sliding_variable": s, "switching_gain": g_next}
+        return u, {"sliding_variable": s, "switching_gain": self.switching_gain_after(s, g)}

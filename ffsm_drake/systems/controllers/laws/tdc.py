@@ -1,6 +1,7 @@
 """TDC: time-delay control, equation (17)."""
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,8 +13,13 @@ from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 class Tdc(InjectedDynamics):
     """u = a_d + K_D e' + K_P e (equation (17)); no memory. Gains are diagonals (nv)."""
 
+    by_axis: ClassVar[bool] = True
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the error's rate")
     k_p: np.ndarray = gain({"all": 100.0, "base_position": 200.0}, "1/s^2", "gain K_P on the error")
+
+    @classmethod
+    def gains_for(cls, omega: float, k_s: float) -> dict[str, float]:
+        return {"k_d": 2.0 * omega, "k_p": omega**2}
 
     def step(
         self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State

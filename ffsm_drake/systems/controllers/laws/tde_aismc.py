@@ -4,10 +4,11 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import ClassVar, Self
 
 import numpy as np
 
-from ffsm_drake.systems.controllers.law import State, gain
+from ffsm_drake.systems.controllers.law import ReachingGain, State, gain
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
 _SMALLEST_SCALE = 1e-9  # 1/s^3, of K_s K_P where it is divided by
@@ -41,6 +42,8 @@ class TdeAismc(InjectedDynamics):
     loop's stability on an exact plant, hence the defaults of K_s.
     """
 
+    by_axis: ClassVar[bool] = True
+    chooses_k_s: ClassVar[bool] = True
     sample_time: float
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the error's rate")
     k_p: np.ndarray = gain({"all": 100.0, "base_position": 200.0}, "1/s^2", "gain K_P on the error")
@@ -89,6 +92,29 @@ class TdeAismc(InjectedDynamics):
     def held(self) -> Mapping[str, float | None]:
         return {"reaching_gain": None, "switching_gain": 0.0}
 
+    @property
+    def reaching_gain(self) -> ReachingGain:
+        largest = np.where(self.alpha > 0, self.k_s_max, self.k_s_initial)
+        return ReachingGain(
+            start=self.k_s_initial, largest=largest, rate=self.alpha, rest=self._rest
+        )
+
+    def _rest(self, k_s: np.ndarray) -> np.ndarray:
+        return k_s / self.beta
+
+    def with_reaching_gain(self, k_s: np.ndarray) -> Self:
+        return dataclasses.replace(self, k_s_initial=k_s)
+
+    @classmethod
+    def gains_for(cls, omega: float, k_s: float) -> dict[str, float]:
+        # Real noise drives |s| far past the thresholds, so K_s would adapt to its bound.
+        gains = {"k_d": 2.0 * omega, "k_p": omega**2}
+        return {**gains, "k_s_initial": k_s, "k_s_max": k_s}
+
+    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
+        rate = switching_gain_rate(s, g, phi=self.phi, epsilon=self.epsilon)
+        return np.minimum(np.maximum(g + self.sample_time * rate, 0.0), self.g_max)
+
     def resume(self, state: State, ratio: np.ndarray) -> State:
         """See InjectedDynamics. K_s K_P times the integral goes on as a force, G as a bound of
         forces.
@@ -107,14 +133,11 @@ class TdeAismc(InjectedDynamics):
         s = e_dot + self.k_d * e + self.k_p * integral
         u = a_d + self.k_d * e_dot + self.k_p * e + k_s * s + g * np.sign(s)
         k_s_rate = reaching_gain_rate(s, k_s, alpha=self.alpha, beta=self.beta)
-        g_rate = switching_gain_rate(s, g, phi=self.phi, epsilon=self.epsilon)
         return u, {
             "integral_error": integral + self.sample_time * e,
             "sliding_variable": s,
             "reaching_gain": np.minimum(
                 np.maximum(k_s + self.sample_time * k_s_rate, 0.0), self.k_s_max
             ),
-            "switching_gain": np.minimum(
-                np.maximum(g + self.sample_time * g_rate, 0.0), self.g_max
-            ),
+            "switching_gain": self.switching_gain_after(s, g),
         }

@@ -1,0 +1,174 @@
+"""The K_s that adaptation is expected to reach, from the noise and the drift that the sliding
+variable sees.
+"""
+
+import math
+
+import numpy as np
+
+from ffsm_drake.control_design.stability.demand import perfect_tracking
+from ffsm_drake.control_design.stability.linear_loop import LinearLoop
+from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.mass_ratios import PlannedInertia
+from ffsm_drake.control_design.stability.one_axis import axis_loop
+from ffsm_drake.loop.blocks import block_choices
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
+
+# times 2/L: beyond, no loop is stable whose inertia is at least a sixth of the nominal one
+_RUN_AWAY = 5.0
+
+
+def axis_law(linearizer: Linearizer) -> TimeDelayControl | None:
+    """The linearizer's control law where its loop is made of axes (``one_axis``): a law by axis,
+    nothing late, slow or replaced. Otherwise None.
+    """
+    scenario = linearizer.given
+    sensing, estimator = scenario.sensing, scenario.estimator
+    late = (sensing.position_delay, sensing.velocity_delay, estimator.velocity_bias_walk)
+    slow = (sensing.position_period, sensing.velocity_period)
+    if (
+        block_choices(scenario)
+        or scenario.actuation.delay
+        or sensing.delay
+        or estimator.delay
+        or any(value for values in late for value in values.values())
+        or any(value > 1 for values in slow for value in values.values())
+    ):
+        return None
+    return None if linearizer.law is None else linearizer.law.by_axis
+
+
+def is_euler(scenario: Scenario) -> bool:
+    """Whether the plant steps as explicit Euler at the control period, which is a plant of its own;
+    with smaller steps it is just inexact.
+    """
+    config = scenario.simulator_config
+    at_period = config.max_step_size >= 0.999 * scenario.sample_time
+    return config.integration_scheme == "explicit_euler" and at_period
+
+
+def expected_gains(linearizer: Linearizer, loop: LinearLoop | None = None) -> dict[str, np.ndarray]:
+    """The held gains (``Linearizer.at``) that adaptation is expected to lead to: every K_s at its
+    largest.
+
+    ``loop`` is that at the starting gains, where it is known; default: at the start. Empty where
+    nothing adapts or no forecast is known.
+    """
+    law = axis_law(linearizer)
+    gain = None if law is None else law.reaching_gain
+    if law is None or gain is None or not gain.changes:
+        return {}
+    loop = linearizer.at(0.0) if loop is None else loop
+    inertia = PlannedInertia(linearizer.given)
+    _, k_s = forecast_reaching_gain(linearizer.given, law, inertia, loop, points=51)
+    return {"reaching_gain": k_s.max(axis=0)}
+
+
+def forecast_reaching_gain(
+    scenario: Scenario,
+    law: TimeDelayControl,
+    inertia: PlannedInertia,
+    loop: LinearLoop,
+    *,
+    points: int = 101,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The expected course of K_s: times (p,) in s, K_s (p, nv) in 1/s; zero for a law without.
+
+    Adaptation sees |s|. Its steady part follows the planned motion: what a steadily changing N
+    leaves of s (-Ntilde / K_s for the one-sample estimate, with Ntilde the change of N over one
+    sample). The noise part is Gaussian: its deviation at the starting gains is that of ``loop``,
+    and changes with K_s as that of the one-axis loop does whose eta is the coordinate's own entry
+    of H^-1 Hhat at the time of ``loop``. The sign term adds its own oscillation at half the
+    sampling rate. The mean of the law over that distribution is integrated. A K_s that grows past
+    all that this covers is given as the largest that it can become.
+    """
+    times = np.linspace(0.0, scenario.num_control_periods * scenario.sample_time, points)
+    size, gain = len(inertia.nominal.coordinates.names), law.reaching_gain
+    if gain is None or gain.rate is None:
+        return times, np.tile(np.zeros(size) if gain is None else gain.start, (points, 1))
+    switching = law.initial_state().get("switching_gain", np.zeros(size))
+    drift = np.gradient(perfect_tracking(scenario, times)[0], times, axis=0)
+    grid = np.linspace(1.0, 2.0 / scenario.sample_time, 20)
+    deviation, drift_gain, sign_amplitude = _sliding_response(scenario, law, inertia, loop, grid)
+    k_s = np.empty((points, size))
+    k_s[0] = gain.start
+    for j in range(points - 1):
+        now, step = k_s[j], times[j + 1] - times[j]
+        sigma, per_drift, per_sign = (
+            np.array([np.interp(now[i], grid, of[:, i]) for i in range(size)])
+            for of in (deviation, drift_gain, sign_amplitude)
+        )
+        mean = np.hypot(drift[j] * per_drift, switching * per_sign)
+        seen = map(
+            _mean_signed_magnitude, *(each.tolist() for each in (mean, sigma, gain.rest(now)))
+        )
+        after = np.maximum(now + gain.rate * np.array(list(seen)) * step, 0.0)
+        k_s[j + 1] = np.minimum(np.minimum(after, gain.largest), grid[-1])
+    return times, np.where(k_s < grid[-1], k_s, np.minimum(gain.largest, _RUN_AWAY * grid[-1]))
+
+
+def _mean_signed_magnitude(mean: float, sigma: float, threshold: float) -> float:
+    """E[|s| sgn(|s| - threshold)] for a Gaussian s."""
+    if sigma <= 0.0:
+        return abs(mean) * math.copysign(1.0, abs(mean) - threshold)
+
+    def partial(a: float, b: float) -> float:
+        """Integral of s times the density from a to b."""
+        za, zb = (a - mean) / (sigma * math.sqrt(2.0)), (b - mean) / (sigma * math.sqrt(2.0))
+        density = sigma / math.sqrt(2.0 * math.pi) * (math.exp(-za * za) - math.exp(-zb * zb))
+        return density + 0.5 * mean * (math.erf(zb) - math.erf(za))
+
+    inside = partial(0.0, threshold) - partial(-threshold, 0.0)
+    far = abs(mean) + 12.0 * sigma + threshold
+    outside = partial(threshold, far) - partial(-far, -threshold)
+    return outside - inside
+
+
+def _sliding_response(
+    scenario: Scenario,
+    law: TimeDelayControl,
+    inertia: PlannedInertia,
+    wired: LinearLoop,
+    grid: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Response of s to its inputs for each K_s of the grid (k, nv): its deviation under the noise;
+    |s| per unit of dN/dt; its amplitude per unit of G.
+
+    The sign term's oscillation alternates every sample, so its amplitude is the loop's gain from u
+    to s at z = -1.
+    """
+    coordinates = inertia.nominal.coordinates
+    position, velocity = (
+        coordinates.vector(
+            getattr(scenario.sensing, f"{name}_noise"), key=f"sensing.{name}_noise", default=0.0
+        )
+        for name in ("position", "velocity")
+    )
+    eta = np.diagonal(np.linalg.solve(*inertia.at(wired.time)))
+    many = law.with_reaching_gain(grid[:, None])
+    loop = axis_loop(many, eta=eta, euler=is_euler(scenario), also="sliding_variable")
+    s, step = loop.part("sliding_variable"), scenario.sample_time
+    stable = loop.spectral_radius <= 1.0 - 1e-9
+    covariance = loop.covariance(position_noise=position, velocity_noise=velocity)
+    eye, a = np.eye(loop.a.shape[-1]), np.where(stable[..., None, None], loop.a, 0.0)
+    ramp = np.linalg.solve(eye - a, loop.f[..., None] * step)
+    drift = np.linalg.solve(eye - a, ramp)[..., s, 0]
+    alternating = np.linalg.solve(-eye - a, loop.g[..., None])[..., s, 0]
+    with np.errstate(invalid="ignore"):  # of the unstable ones
+        deviation = np.sqrt(np.maximum(covariance[..., s, s], 0.0))
+
+    def bounded(values: np.ndarray) -> np.ndarray:
+        """Past the limit s grows without bound; a value far beyond every threshold stands for
+        it.
+        """
+        largest = np.where(stable, values, 0.0).max(axis=0)
+        return np.where(stable, values, np.where(largest > 0.0, 10.0 * largest, 1e3))
+
+    deviation = bounded(deviation)
+    start = law.initial_state()["reaching_gain"]
+    alone = np.array([np.interp(start[i], grid, deviation[:, i]) for i in range(start.size)])
+    found = wired.noise_response(scenario.num_control_periods).get("sliding_variable", alone)
+    usable = np.isfinite(found) & (alone > 0.0)
+    factor = np.divide(found, alone, out=np.ones_like(alone), where=usable)
+    return factor * deviation, bounded(np.abs(drift)), bounded(np.abs(alternating))
