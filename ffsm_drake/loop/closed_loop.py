@@ -12,7 +12,7 @@
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any
 
 import numpy as np
@@ -360,14 +360,7 @@ def add_closed_loop(
     if actuation is not None:
         further = (*HELD_OUTPUTS, STORED_MOMENTUM, FRICTION_FORCE, FRICTION_WORK)
         sources |= {name: (actuation, name) for name in further if actuation.HasOutputPort(name)}
-    for name, part in placed.items():
-        for signal in part.signals:
-            if signal.name in sources:
-                raise BlockError(
-                    f"blocks.{name}: signal '{signal.name}' has the name of another; rename it"
-                )
-            if signal.of is None:
-                sources[signal.name] = (parts[name], signal.name)
+    sources |= _sources_of_parts(builder, scenario, parts, placed, taken=sources)
     return ClosedLoop(
         parts=placed,
         scenario=scenario,
@@ -396,6 +389,33 @@ def build_closed_loop(builder: DiagramBuilder, loop: ClosedLoop) -> ClosedLoop:
     diagram = builder.Build()
     diagram.set_name("closed_loop")
     return dataclasses.replace(loop, diagram=diagram)
+
+
+def _sources_of_parts(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    systems: Mapping[str, System],
+    parts: Parts,
+    *,
+    taken: Container[str],
+) -> dict[str, tuple[System, str]]:
+    """The ports of the parts' signals; those of sensing as they were at the last sample."""
+    found: dict[str, tuple[System, str]] = {}
+    for name, part in parts.items():
+        for signal in part.signals:
+            if signal.name in taken or signal.name in found:
+                problem = f"signal '{signal.name}' has the name of another; rename it"
+                raise BlockError(f"blocks.{name}: {problem}")
+            if signal.of is not None:
+                continue
+            found[signal.name] = (systems[name], signal.name)
+            if kind_of(name) == "sensing":
+                hold = ZeroOrderHold(scenario.sample_time, signal.size)
+                builder.AddNamedSystem(f"{signal.name}_at_samples", hold)
+                port = systems[name].GetOutputPort(signal.name)
+                builder.Connect(port, hold.get_input_port())
+                found[signal.name] = (hold, hold.get_output_port().get_name())
+    return found
 
 
 def _add_states(

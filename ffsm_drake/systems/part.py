@@ -145,6 +145,8 @@ def place_part(part: Part, setup: BlockSetup, system: System, *, block: str) -> 
     """A part with its signals, checked against the system that it built. Raises BlockError."""
     place = f"blocks.{block} '{type(part).__name__}'"
     signals = tuple(part.signals(setup))
+    if block.startswith("sensing"):  # recorded as the controller reads it, at its samples
+        signals = tuple(dataclasses.replace(signal, held=True) for signal in signals)
     for signal in signals:
         if not signal.name.isidentifier():
             raise BlockError(f"{place}: a signal's name must be an identifier, not {signal.name!r}")

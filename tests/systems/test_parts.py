@@ -207,3 +207,83 @@ def test_signals_that_are_computed_and_figures_that_are_no_numbers(tmp_path):
     loaded = RunRecord.load(tmp_path / "run")
     assert loaded.figures == record.figures
     assert write_report([loaded], tmp_path / "report.html").stat().st_size > 0
+
+
+class Drag(LeafSystem):
+    """A force against the base's velocity, and how much it is."""
+
+    def __init__(self, nv, coefficient):
+        super().__init__()
+        self._state = self.DeclareVectorInputPort("state", 2 * nv + 1)
+        self._nv, self._coefficient = nv, coefficient
+        self.DeclareVectorOutputPort("generalized_force", nv, self._force)
+        self.DeclareVectorOutputPort("drag", 3, self._drag)
+
+    def _drag(self, context, output):
+        velocity = self._state.Eval(context)[-self._nv :][3:6]
+        output.SetFromVector(-self._coefficient * velocity)
+
+    def _force(self, context, output):
+        force = np.zeros(self._nv)
+        force[3:6] = self.GetOutputPort("drag").Eval(context)
+        output.SetFromVector(force)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Atmosphere(Part):
+    """A force as a part."""
+
+    title = "Drag"
+    coefficient: float = setting(2.0, "N s/m", "force per velocity", least=0)
+
+    def build(self, setup):
+        return Drag(len(setup.coordinates.names), self.coefficient)
+
+    def signals(self, setup):
+        axes = {"components": ("x", "y", "z"), "dimension": "axis", "held": False}
+        return (Signal(name="drag", unit="N", meaning="force against the velocity", **axes),)
+
+    def metrics(self):
+        def largest(run):
+            return np.linalg.norm(run["drag"], axis=1).max()
+
+        return (Metric(key="drag.largest", unit="N", label="Largest drag", of=largest),)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Tracker(Part):
+    """A stage of sensing as a part: it shows what it reads."""
+
+    def build(self, setup):
+        return Stage(2 * len(setup.coordinates.names) + 1)
+
+    def signals(self, setup):
+        return (Signal(name="seen", unit="1", meaning="scalar of the quaternion", held=False),)
+
+
+class Stage(LeafSystem):
+    def __init__(self, size):
+        super().__init__()
+        self._state = self.DeclareVectorInputPort("state", size)
+        self.DeclareVectorOutputPort("estimated_state", size, self._pass)
+        self.DeclareVectorOutputPort("seen", 1, self._see)
+
+    def _pass(self, context, output):
+        output.SetFromVector(self._state.Eval(context))
+
+    def _see(self, context, output):
+        output.SetFromVector(self._state.Eval(context)[:1])
+
+
+def test_forces_and_sensors_are_parts_too():
+    blocks = {"forces.drag": Atmosphere(coefficient=3.0), "sensing.tracker": Tracker()}
+    record = simulate(load_scenario(*SCENARIO), blocks=blocks, check_stability=False)
+    data = record.dataset
+    velocity = data["velocity"].sel(coordinate=[f"base_position_{axis}" for axis in "xyz"]).values
+    assert data["drag"].values == pytest.approx(-3.0 * velocity, abs=1e-15)
+    assert data["force_drag"].values[:, 3:6] == pytest.approx(data["drag"].values, abs=1e-15)
+    assert record.metrics["drag"]["largest"] == pytest.approx(
+        3.0 * np.linalg.norm(velocity, axis=1).max()
+    )
+    assert data["seen"].values == pytest.approx(data["measured_position"].values[:, 0], abs=1e-15)
+    assert [figure.part for figure in record.figures] == ["Drag"]
