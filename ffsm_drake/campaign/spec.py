@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 
 from ffsm_drake.campaign.dispersion import (
     SAMPLINGS,
@@ -326,11 +325,8 @@ def _base(data: Mapping[str, Any], *, folder: Path) -> dict[str, Any]:
     for key in overrides:
         _check_not_reserved(key, place="overrides")
     place = name if name in shipped_scenarios() else folder / name
-    texts = [
-        f"{key}={yaml.safe_dump(value, default_flow_style=True).strip()}"
-        for key, value in overrides.items()
-    ]
-    return scenario_to_dict(load_scenario(place, [text.removesuffix("\n...") for text in texts]))
+    texts = [f"{key}={json.dumps(value)}" for key, value in overrides.items()]  # JSON is YAML
+    return scenario_to_dict(load_scenario(place, texts))
 
 
 def _section(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -297,6 +297,5 @@ def completion(shell: str | None) -> None:
     completer = get_completion_class(shell)
     if completer is None:
         raise click.UsageError(f"shell '{shell}' is not known; choose one of bash, zsh, fish")
-    from ffsm_drake.cli import main
-
-    click.echo(completer(main, {}, "ffsm", "_FFSM_COMPLETE").source())
+    ffsm = click.get_current_context().find_root().command
+    click.echo(completer(ffsm, {}, "ffsm", "_FFSM_COMPLETE").source())

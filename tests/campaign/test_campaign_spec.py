@@ -430,3 +430,8 @@ def test_help_needs_no_drake():
         subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout
         == "set()\n"
     )
+
+
+def test_texts_that_look_like_numbers_stay_texts_in_overrides(tmp_path):
+    spec = load_spec(write_spec(tmp_path / "spec.yaml", overrides={"description": "1e5"}))
+    assert spec.base["description"] == "1e5"
