@@ -17,7 +17,6 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Adder, LogVectorOutput, MatrixGain
 
-from ffsm_drake.runs.actuators import pulses_of
 from ffsm_drake.scenario import Flexible, Model, schema, thruster_layouts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.flexible import add_flexible, set_flexible
@@ -25,6 +24,7 @@ from ffsm_drake.spacecraft.mass_properties import set_wheels
 from ffsm_drake.spacecraft.plant import hidden_of
 from ffsm_drake.systems.actuation import make_actuation
 from ffsm_drake.systems.actuation.base import attitude_ahead
+from ffsm_drake.systems.part import pulses_of
 
 PERIOD, DURATION = 0.01, 20.0  # s
 MASS = 400.0  # kg

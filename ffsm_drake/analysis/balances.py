@@ -8,6 +8,7 @@ import numpy as np
 from ffsm_drake.analysis.evidence import Evidence, ratio
 from ffsm_drake.analysis.findings import Finding, finding, not_applicable
 from ffsm_drake.runs.metrics import momentum_residual
+from ffsm_drake.runs.table import with_role
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
     BASE_ROTATION,
@@ -15,7 +16,7 @@ from ffsm_drake.spacecraft.coordinates import (
     position_error,
 )
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.actuation.drives import FRICTION_WORK
+from ffsm_drake.systems.part import INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERGY
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -57,8 +58,8 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
     held = dataset["applied_force"].values[:-1]
     smooth = dataset["disturbance_force"].values
     energy = dataset["kinetic_energy"].values
-    if "elastic_energy" in dataset:
-        energy = energy + dataset["elastic_energy"].values + dataset["damping_loss"].values
+    for name in with_role(dataset, STORED_ENERGY):
+        energy = energy + dataset[name].values
     if "hidden_force" in dataset:
         pull, path = dataset["hidden_force"].values, dataset["hidden_position"].values
         work = (0.5 * (pull[1:] + pull[:-1]) * np.diff(path, axis=0)).sum(axis=1)
@@ -75,9 +76,9 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
         return np.concatenate([np.zeros(1), np.cumsum(work.sum(axis=1))])
 
     friction = np.zeros(len(energy))
-    if FRICTION_WORK in dataset:
-        work = dataset[FRICTION_WORK].values.sum(axis=1)
-        friction = work - work[0]
+    for name in with_role(dataset, INTERNAL_WORK):
+        work = dataset[name].values.reshape(len(energy), -1).sum(axis=1)
+        friction = friction + work - work[0]
     energy = energy - friction
     moved = displacements(dataset["position"].values)
     middle = 0.5 * period * (velocity[1:] + velocity[:-1])
@@ -99,8 +100,8 @@ def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
     force, torque = (
         total.sel(coordinate=list(names)).values for names in (BASE_POSITION, BASE_ROTATION)
     )
-    if "wheel_reaction" in dataset:  # which is not external
-        torque = torque - dataset["wheel_reaction"].values
+    for name in with_role(dataset, INTERNAL_TORQUE):  # which is not external
+        torque = torque - dataset[name].values
     arm = dataset["position"].sel(position_name=list(BASE_POSITION)).values
     about_origin = torque + np.cross(arm, force)
     return {
@@ -168,7 +169,7 @@ def _energy(run: Evidence) -> Finding:
         "absolute_work": work,
         "ratio": ratio(missed, work),
     }
-    forces = "tau, tau_d and friction" if FRICTION_WORK in run.data else "tau and tau_d"
+    forces = "tau, tau_d and friction" if with_role(run.data, INTERNAL_WORK) else "tau and tau_d"
     return finding(
         "energy_balance",
         f"Kinetic energy follows the work of {forces} "

@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +20,8 @@ from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import BlockError, LimitError, one_line
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
-from ffsm_drake.loop.blocks import parts_of
-from ffsm_drake.runs.actuators import thrusters_used, wheels_used
+from ffsm_drake.loop.blocks import is_rehearsed, parts_of, section_parts
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
-from ffsm_drake.runs.deflections import deflection_units, largest_deflections
 from ffsm_drake.runs.limits import CLEARANCE, limits_left
 from ffsm_drake.runs.metrics import base_drift
 from ffsm_drake.runs.record import software_versions
@@ -32,6 +29,7 @@ from ffsm_drake.runs.rollout import Rollout, RunLog
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Actuation, Scenario, scenario_from_dict
 from ffsm_drake.spacecraft.coordinates import GROUPS
+from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.reference import timed
 
 # refused: no motion keeps the limits
@@ -43,51 +41,34 @@ METRICS = ("itae", "isv", *(f"{kind}_{group}" for kind, group in _BY_GROUP), "se
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
 # Further columns where the scenario has a capture. The first limit that a run leaves is text.
 OF_CAPTURE = ("grasp_impulse", "grasp_angular_impulse", "first_limit_time")
-# Further columns where it has thrusters: kg, N s, number, and the share of the samples whose wrench
-# they could not give whole; where it has wheels: the largest share of a limit, and shares of the
-# samples.
-OF_THRUSTERS = ("propellant", "thruster_impulse", "thruster_pulses", "thrusters_saturated")
-OF_WHEELS = ("wheel_speed_used", "wheel_torque_used", "wheels_torque_limited", "wheels_unloading")
-# Further columns where it has hidden coordinates, by their unit: the largest deflection and
-# residual amplitude of any.
-OF_HIDDEN = {
-    "rad": ("peak_deflection_angle", "residual_angle"),
-    "m": ("peak_deflection_distance", "residual_distance"),
-}
 # Further columns where a frame has a reference: its errors, rad and m; where the base is not
 # driven: how far it is from its start at the end, rad and m.
 OF_FRAME = {
     part: (f"largest_frame_{part}", f"final_frame_{part}") for part in ("rotation", "position")
 }
 OF_DRIFT = {"base_rotation": "final_drift_rotation", "base_position": "final_drift_position"}
-_FURTHER = (
-    *OF_CAPTURE,
-    *OF_THRUSTERS,
-    *OF_WHEELS,
-    *chain(*OF_HIDDEN.values()),
-    *chain(*OF_FRAME.values()),
-    *OF_DRIFT.values(),
-)
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
-DIVERGENCE = "predicted_divergence"  # with thrusters or wheels
+DIVERGENCE = "predicted_divergence"  # with parts that are rehearsed
 
 
 def metrics_of(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign that a run's metrics fill."""
     of_capture = OF_CAPTURE if spec.base["capture"] is not None else ()
-    of_thrusters = OF_THRUSTERS if has_actuators(spec, "thrusters") else ()
-    of_wheels = OF_WHEELS if has_actuators(spec, "wheels") else ()
-    of_hidden = (name for unit in hidden_units(spec) for name in OF_HIDDEN[unit])
     of_frame = (name for part in frame_parts(spec) for name in OF_FRAME[part])
     of_drift = (OF_DRIFT[group] for group in undriven_of(spec))
-    further = (*of_thrusters, *of_wheels, *of_hidden, *of_frame, *of_drift, *part_columns(spec))
-    return (*METRICS, *of_capture, *further)
+    return (*METRICS, *of_capture, *part_columns(spec), *of_frame, *of_drift)
+
+
+def parts_of_campaign(spec: Spec) -> tuple[Part, ...]:
+    """The parts of its scenario."""
+    scenario = scenario_from_dict(spec.base)
+    return (*section_parts(scenario).values(), *parts_of(scenario).values())
 
 
 def part_columns(spec: Spec) -> tuple[str, ...]:
     """The columns that the figures of a campaign's parts fill."""
-    parts = parts_of(scenario_from_dict(spec.base))
-    return tuple(metric.column for part in parts.values() for metric in part.metrics())
+    metrics = (metric for part in parts_of_campaign(spec) for metric in part.metrics())
+    return tuple(metric.column_name for metric in metrics if metric.column_name)
 
 
 def frame_parts(spec: Spec) -> tuple[str, ...]:
@@ -107,21 +88,10 @@ def undriven_of(spec: Spec) -> tuple[str, ...]:
     return Scenario(actuation=Actuation(driven=spec.base["actuation"]["driven"])).undriven
 
 
-def has_actuators(spec: Spec, kind: str) -> bool:
-    """Whether a campaign's scenario has ``thrusters`` or ``wheels`` of its own."""
-    base = spec.base
-    return base["actuation"].get(kind) is not None and base["blocks"]["actuation"] is None
-
-
-def hidden_units(spec: Spec) -> tuple[str, ...]:
-    """The units of the hidden coordinates of a campaign's scenario."""
-    return deflection_units([part["kind"] for part in spec.base["model"]["flexible"].values()])
-
-
 def predictions_of(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign that predictions fill: below 1 a run is foreseen to settle."""
     of_capture = (LOAD,) if spec.base["capture"] is not None else ()
-    rehearsed = has_actuators(spec, "thrusters") or has_actuators(spec, "wheels")
+    rehearsed = is_rehearsed(scenario_from_dict(spec.base))
     return (*PREDICTIONS, *of_capture, *((DIVERGENCE,) if rehearsed else ()))
 
 
@@ -155,6 +125,7 @@ class Evaluator:
 
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
+        self._metrics, self._predictions = metrics_of(spec), predictions_of(spec)
         self._rollouts: dict[str, Rollout | CaptureRollout] = {}
         self._software = " ".join(
             f"{name} {version}" for name, version in software_versions().items()
@@ -163,20 +134,20 @@ class Evaluator:
     def evaluate(self, case: Case, controller: str) -> Row:
         """One row, as the function of the same name returns it."""
         start = time.perf_counter()
-        row: Row = dict.fromkeys((*metrics_of(self._spec), *predictions_of(self._spec)))
+        row: Row = dict.fromkeys((*self._metrics, *self._predictions))
         try:
             with time_limit(self._spec.time_limit):
                 scenario = timed(scenario_of(self._spec, case, controller))
                 row |= evaluate_run(self._spec, self._run(scenario))
                 # a user-supplied block that cannot be linearised: no prediction
                 with contextlib.suppress(BlockError):
-                    row |= dict(zip(predictions_of(self._spec), predict(scenario), strict=False))
+                    row |= dict(zip(self._predictions, predict(scenario), strict=False))
         except LimitError as error:
-            row |= _refused_row(error)
+            row = dict.fromkeys(row) | _refused_row(error)
         except (Exception, TimeLimit) as error:
             if isinstance(error, TimeLimit):
                 self._rollouts.pop(controller, None)  # it may be half done
-            row |= error_row(described(error))
+            row = dict.fromkeys(row) | error_row(described(error))
         return row | {
             "wall_time": time.perf_counter() - start,
             "worker": f"{socket.gethostname()}:{os.getpid()}",
@@ -226,12 +197,6 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
         values["grasp_angular_impulse"], values["grasp_impulse"] = (
             float(np.linalg.norm(part)) for part in np.split(impulse, 2)
         )
-    if has_actuators(spec, "thrusters"):
-        values |= thrusters_used(log)
-    if has_actuators(spec, "wheels"):
-        values |= wheels_used(log)
-    for unit in hidden_units(spec):
-        values |= dict(zip(OF_HIDDEN[unit], largest_deflections(log, unit), strict=True))
     if log.frame_error is not None:
         sizes = frame_metrics(log.frame_error, frame_rows(log.scenario))
         for part in frame_parts(spec):
@@ -245,7 +210,9 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     if undriven := undriven_of(spec):
         drift = base_drift(log.series["state"], undriven)["final"]
         values |= {OF_DRIFT[group]: size for group, size in drift.items()}
-    values |= {figure.column: figure.value for figure in log.figures}
+    for figure in log.figures:
+        if figure.column_name:
+            values[figure.column_name] = figure.value
     # The database knows no NaN.
     row = {
         name: None if value is None or math.isnan(value) else float(value)
@@ -262,8 +229,7 @@ def described(error: BaseException) -> str:
 
 def error_row(message: str) -> Row:
     """The results in the row of a run that failed."""
-    names = (*METRICS, *PREDICTIONS, *_FURTHER, LOAD, FIRST_LIMIT)
-    return {**dict.fromkeys(names), "outcome": "error", "outcome_time": None, "message": message}
+    return {"outcome": "error", "outcome_time": None, "message": message, FIRST_LIMIT: None}
 
 
 def _refused_row(error: LimitError) -> Row:
@@ -283,5 +249,9 @@ def resident_memory() -> float:
 
 def differing_columns(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
     """Of the columns that a repeated run must reproduce bit for bit, those that differ."""
-    names = ("outcome", "outcome_time", "message", *METRICS, *_FURTHER, FIRST_LIMIT)
-    return [name for name in names if first.get(name) != second.get(name)]
+    left = {*CIRCUMSTANCES, *PREDICTIONS, LOAD, DIVERGENCE}
+    return [
+        name
+        for name in first
+        if name in second and name not in left and first[name] != second[name]
+    ]

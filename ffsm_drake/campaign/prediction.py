@@ -17,10 +17,11 @@ from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.common.errors import CampaignError, FfsmError, LimitError
 from ffsm_drake.control_design.stability.adaptation import expected_gains
 from ffsm_drake.control_design.stability.demand import perfect_tracking
-from ffsm_drake.control_design.stability.linearization import Linearizer, has_base_actuators
+from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.margins import POSTURES
 from ffsm_drake.control_design.stability.mass_ratios import PlannedInertia
 from ffsm_drake.control_design.stability.rehearsal import rehearse
+from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.actuation.limits import force_limits
@@ -50,15 +51,15 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
     """What tells of a run beforehand whether it settles: every number below 1.
 
     The two of ``predict_stability``; with a capture and limits of force also ``predicted_load``;
-    with thrusters or wheels also whether the linearised loop diverges under them, 0 or 1
-    (``rehearse``).
+    with parts that are rehearsed also whether the linearised loop diverges under their limits, 0 or
+    1 (``rehearse``).
     """
     scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
         found = list(_radii(linearizer, _most_overestimated(scenario)[:1]))
         if scenario.capture is not None:
             found.append(predicted_load(linearizer))
-        if has_base_actuators(scenario):
+        if is_rehearsed(scenario):
             stable = max(found[:2]) < 1.0
             found.append(rehearse(scenario, seeds=1).share_diverged if stable else 1.0)
         return tuple(found)

@@ -189,11 +189,10 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
       ffsm validate postcapture --set payload.truth.mass=-5
     """
     from ffsm_drake.common.errors import FfsmError, ModelError
-    from ffsm_drake.control_design.momentum import momentum_budget
+    from ffsm_drake.control_design.momentum import momentum_budget, momentum_lines
     from ffsm_drake.preflight.remarks import plan_clearance
     from ffsm_drake.preflight.simulate import prepare
     from ffsm_drake.scenario import load_scenario
-    from ffsm_drake.show.tables import momentum_lines
     from ffsm_drake.spacecraft.plant import check_pictures
 
     results: dict[str, dict[str, Any]] = {}

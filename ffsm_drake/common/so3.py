@@ -204,3 +204,11 @@ def rpy_motion(
         cr2 * cp2 * sy2 - sr2 * sp2 * cy2,
     )
     return np.stack(quaternion, axis=1), np.stack(omega, axis=1), np.stack(alpha, axis=1)
+
+
+def in_body_axes(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors in world axes (n, 3) in those of bodies with attitudes (w, x, y, z) (n, 4)."""
+    w, u = quaternions[:, :1], -quaternions[:, 1:]
+    twice = 2.0 * np.cross(u, vectors)
+    turned: np.ndarray = w * twice + np.cross(u, twice)
+    return vectors + turned / (quaternions**2).sum(axis=1)[:, None]

@@ -7,7 +7,9 @@ linear momentum moves it on.
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -15,6 +17,7 @@ from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.scenario import Capture, Scenario, planned_part
 from ffsm_drake.spacecraft.capture import planned_contact
@@ -39,6 +42,8 @@ _STEP = 0.1  # rad or m of a joint between two looks at the arm
 _SHARE = 0.2  # of the time that is left to the joint that reaches its limit first, likewise
 _OVER = 0.1  # s; when less of it is left
 _TURN = 2.0 * math.pi  # what a joint without limits counts as having left
+_MOMENTA = {"base_rotation": "angular", "base_position": "linear"}
+_BEYOND = "longer than was looked at"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -342,3 +347,75 @@ def _coast(
     found /= np.linalg.norm(found, axis=1, keepdims=True)
     center = q[4:NUM_BASE_POSITIONS] + offset + times[:, None] * momentum / stack.mass_matrix[3, 3]
     return np.hstack([found, center - np.array([turned(each) @ offset for each in found])])
+
+
+def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
+    """Where the momentum can go after a grasp (``MomentumBudget`` as plain data), a line each; none
+    without.
+    """
+    if budget is None:
+        return []
+    linear, angular = (number(math.hypot(*budget[key])) for key in ("linear", "angular"))
+    lines = [
+        f"after the grasp as planned: {linear} N s, and {angular} N m s about the centre of mass"
+    ]
+    wheels, arm, turning = budget["wheels"], budget["arm"], ""
+    if budget["rate"] is not None:
+        turning = f"turns the stack at {number(180.0 / math.pi * budget['rate'], 3)} deg/s"
+    for group, what in (("base_rotation", "torque"), ("base_position", "force")):
+        if group in budget["least_time"] and (wheels is None or group == "base_position"):
+            least = budget["least_time"][group]
+            within = f" in {number(least, 3)} s at the least" if least > 0.0 else ""
+            lines.append(f"{what} on the base takes out the {_MOMENTA[group]} momentum{within}")
+    if wheels is not None:
+        rest = f"; what they do not hold {turning}" if turning else ""
+        lines.append(
+            f"wheels: the angular momentum takes {percent(wheels['share'])} of the speed of "
+            f"{wheels['fullest']}, up to "
+            f"{percent(wheels['peak_share'])} on the way, and {number(wheels['least_time'], 3)} s "
+            "at the least; they "
+            f"hold {number(wheels['capacity'], 3)} N m s along it, "
+            f"{number(wheels['least_capacity'], 3)} along the "
+            f"worst direction{rest}"
+        )
+    if arm is not None:
+        rates = (
+            ""
+            if arm["capacity"] is None
+            else (f"; its rate limits allow {number(arm['capacity'], 3)} N m s")
+        )
+        until = (
+            f"{number(arm['time'], 3)} s, until {arm['ended_by']}" if arm["ended_by"] else _BEYOND
+        )
+        lines.append(
+            f"arm: it can hold the angular momentum, the base's attitude kept, for {until}{rates}"
+        )
+        lines += [f"with its joints at rest the angular momentum {turning}"] if turning else []
+    if budget["drift"] is not None:
+        speed = f"{number(1e3 * budget['drift'], 3)} mm/s"
+        lines.append(
+            f"nothing takes out the linear momentum: the stack of {budget['mass']:g} kg "
+            f"drifts at {speed}"
+        )
+    for group, time in budget["used_up"].items():
+        size = budget["accepted"][group]
+        most = f"{math.degrees(size):.4g} deg" if group == "base_rotation" else f"{size:.4g} m"
+        when = (
+            f"lasts for {_BEYOND}"
+            if time is None
+            else (f"is used up {number(time)} s after the grasp")
+        )
+        lines.append(f"accepted drift of {group}, {most}: {when}")
+    return lines
+
+
+def storage_remark(budget: MomentumBudget) -> str:
+    """Says so when the wheels cannot hold what a grasp leaves; empty where they can."""
+    wheels = budget.wheels
+    if wheels is None or wheels.peak_share <= 1.0:
+        return ""
+    return (
+        f"actuation.wheels: {wheels.fullest} has to take {100.0 * wheels.peak_share:.3g} % of its "
+        f"most to hold the attitude after the grasp; {np.linalg.norm(budget.angular):.3g} N m s "
+        f"are left in the stack, along which the wheels hold {wheels.capacity:.3g}"
+    )

@@ -11,7 +11,7 @@ true payload's ``MassProperties`` before that and whenever they change.
 
 import dataclasses
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from pydrake.systems.framework import System
@@ -19,12 +19,12 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario import Block, Scenario, build_settings
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
-from ffsm_drake.systems.actuation import make_actuation
-from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK
+from ffsm_drake.systems.actuation import SECTIONS, make_actuation
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST, make_controller
+from ffsm_drake.systems.deflections import Deflections
 from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.environment import EnvironmentForce
 from ffsm_drake.systems.frame_path import FRAME_SIZE
@@ -36,6 +36,8 @@ from ffsm_drake.systems.setup import BlockSetup
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
 FRAME, NUMBER = str(FRAME_SIZE), "1"
+# Outputs of actuators that act on the plant beside the applied force.
+BESIDES = ("gyroscopic_force", "friction_force")
 HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # of the nh hidden coordinates of ``model.flexible``
 
 
@@ -81,11 +83,8 @@ BLOCKS: dict[str, Ports] = {
         inputs={"commanded_force": VELOCITY},
         optional_inputs={"state": STATE},
         outputs={"applied_force": VELOCITY},
-        # What acts on the plant beside it and is not held over a sample, and friction's work for
-        # the record.
-        optional_outputs=dict.fromkeys(
-            ("gyroscopic_force", FRICTION_FORCE, FRICTION_WORK), VELOCITY
-        ),
+        # What acts on the plant beside it and is not held over a sample.
+        optional_outputs=dict.fromkeys(BESIDES, VELOCITY),
     ),
     "forces": Ports(
         outputs={"generalized_force": VELOCITY},
@@ -98,6 +97,11 @@ BLOCKS: dict[str, Ports] = {
             "next_hidden_force": HIDDEN,
         },
     ),
+}
+# The parts of the scenario's own sections, by block and section.
+_SECTION_PARTS: dict[str, Callable[[Scenario], Part | None]] = {
+    **{f"actuation.{name}": of for name, of in SECTIONS.items()},
+    "flexible": Deflections.of,
 }
 DISTURBANCE, ENVIRONMENT = "forces.disturbance", "forces.environment"
 # What the scenario's own sections describe; an actuator that does nothing to the force is None.
@@ -139,7 +143,10 @@ def block_choices(scenario: Scenario) -> dict[str, Block]:
 
 
 def make_blocks(
-    scenario: Scenario, nominal: PlantModel, factories: Mapping[str, Factory] | None = None
+    scenario: Scenario,
+    nominal: PlantModel,
+    factories: Mapping[str, Factory] | None = None,
+    hidden: HiddenCoordinates | None = None,
 ) -> tuple[dict[str, System], dict[str, PlacedPart]]:
     """All blocks by name, checked, and the parts among what fills them. ``actuation`` is missing
     where what is commanded acts.
@@ -148,6 +155,7 @@ def make_blocks(
       scenario: what fills them.
       nominal: the plant with the nominal payload; the controller's own.
       factories: block -> factory in place of what the scenario names; "forces.<name>" for a force.
+      hidden: hidden coordinates of the true plant.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate; an unknown block or name.
@@ -168,7 +176,7 @@ def make_blocks(
         for kind in ("sensing", "forces")
     )
     blocks: dict[str, System] = {}
-    parts: dict[str, PlacedPart] = {}
+    placed: dict[str, PlacedPart] = {}
     for name in ("reference", "sensing", *stages, "controller", "actuation", *forces):
         factory, choice = given.get(name), choices.get(name, Block())
         if name == "controller":
@@ -182,6 +190,7 @@ def make_blocks(
                 scenario=scenario,
                 nominal=nominal,
                 settings=choice.settings,
+                hidden=hidden or HiddenCoordinates(),
             )
             made = call_factory(part or factory or block_factory(name, scenario), own, place=place)
             if made is None and name not in choices and name not in given:
@@ -190,9 +199,34 @@ def make_blocks(
         if name != "controller":  # which has its own
             made.set_name(own.name if own.name not in _TAKEN else name.replace(".", "_"))
             if part is not None:
-                parts[name] = place_part(part, own, made, block=name)
+                placed[name] = place_part(part, own, made, name=name, block=name)
         blocks[name] = made
-    return blocks, parts
+    shipped = {}
+    for name, part in section_parts(scenario).items():
+        block = name.partition(".")[0]
+        if block not in given:
+            setup = dataclasses.replace(own, name=name, settings={})
+            system = blocks.get(block)
+            shipped[name] = place_part(part, setup, system, name=name, block=block)
+    return blocks, shipped | placed
+
+
+def section_parts(scenario: Scenario) -> dict[str, Part]:
+    """The parts of the scenario's own sections, by block and section; none of a block that is
+    filled otherwise.
+    """
+    choices = block_choices(scenario)
+    found = {
+        name: of(scenario)
+        for name, of in _SECTION_PARTS.items()
+        if name.partition(".")[0] not in choices
+    }
+    return {name: part for name, part in found.items() if part is not None}
+
+
+def is_rehearsed(scenario: Scenario) -> bool:
+    """Whether a prediction tries the loop with the limits of the scenario's own parts too."""
+    return any(part.rehearsed for part in section_parts(scenario).values())
 
 
 def part_of(name: str, scenario: Scenario, given: Any = None) -> Part | None:

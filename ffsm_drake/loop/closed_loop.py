@@ -29,7 +29,7 @@ from pydrake.systems.primitives import (
 )
 
 from ffsm_drake.common.errors import BlockError, ScenarioError
-from ffsm_drake.loop.blocks import kind_of, make_blocks
+from ffsm_drake.loop.blocks import BESIDES, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, HiddenCoordinates
@@ -40,8 +40,7 @@ from ffsm_drake.spacecraft.nominal import (
     set_true_masses,
 )
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, hidden_of, make_plant
-from ffsm_drake.systems.actuation import HELD_OUTPUTS, STORED_MOMENTUM
-from ffsm_drake.systems.actuation.drives import FRICTION_FORCE, FRICTION_WORK, DriveSet
+from ffsm_drake.systems.actuation.drives import DriveSet
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.part import Parts
@@ -248,7 +247,7 @@ def add_closed_loop(
         configuration(plant, posture, key=name)
     for name in ("initial_velocity", "tolerance"):
         coordinates.check_names(getattr(scenario, name), key=name)
-    parts, placed = make_blocks(scenario, make_nominal_plant(scenario), blocks)
+    parts, placed = make_blocks(scenario, make_nominal_plant(scenario), blocks, hidden)
     for system in parts.values():
         builder.AddSystem(system)
     controller, reference = parts["controller"], parts["reference"]
@@ -313,10 +312,8 @@ def add_closed_loop(
         else (system, "generalized_force")
         for name, system in forces.items()
     }
-    if actuation is not None and actuation.HasOutputPort("gyroscopic_force"):
-        acting["gyroscopic"] = (actuation, "gyroscopic_force")
-    if actuation is not None and actuation.HasOutputPort(FRICTION_FORCE):
-        acting["friction"] = (actuation, FRICTION_FORCE)
+    if actuation is not None:
+        acting |= {name: (actuation, name) for name in BESIDES if actuation.HasOutputPort(name)}
     total = _sum(builder, "total_force", [applied, *acting.values()])
     acts = total[0].GetOutputPort(total[1])
     if hidden.names:
@@ -350,16 +347,13 @@ def add_closed_loop(
     }
     if on_hidden:
         now = [(system, "next_hidden_force") for system in on_hidden]
-        sources["hidden_force"] = _sum(builder, "external_hidden_force", now)
+        sources["external_hidden_force"] = _sum(builder, "external_hidden_force", now)
     if len(forces) > 1:
         sources |= {f"force_{name.partition('.')[2]}": source for name, source in recorded.items()}
     optional = (*OPTIONAL_OUTPUTS, SMALLEST)
     sources |= {name: (controller, name) for name in optional if controller.HasOutputPort(name)}
     if reference.HasOutputPort("desired_frame"):
         sources["desired_frame"] = (reference, "desired_frame")
-    if actuation is not None:
-        further = (*HELD_OUTPUTS, STORED_MOMENTUM, FRICTION_FORCE, FRICTION_WORK)
-        sources |= {name: (actuation, name) for name in further if actuation.HasOutputPort(name)}
     sources |= _sources_of_parts(builder, scenario, parts, placed, taken=sources)
     return ClosedLoop(
         parts=placed,
@@ -408,11 +402,11 @@ def _sources_of_parts(
                 raise BlockError(f"blocks.{name}: {problem}")
             if signal.of is not None:
                 continue
-            found[signal.name] = (systems[name], signal.name)
-            if kind_of(name) == "sensing":
+            found[signal.name] = (systems[part.block], signal.name)
+            if kind_of(part.block) == "sensing":
                 hold = ZeroOrderHold(scenario.sample_time, signal.size)
                 builder.AddNamedSystem(f"{signal.name}_at_samples", hold)
-                port = systems[name].GetOutputPort(signal.name)
+                port = systems[part.block].GetOutputPort(signal.name)
                 builder.Connect(port, hold.get_input_port())
                 found[signal.name] = (hold, hold.get_output_port().get_name())
     return found

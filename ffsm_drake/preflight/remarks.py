@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.control_design.momentum import momentum_budget
+from ffsm_drake.control_design.momentum import momentum_budget, storage_remark
 from ffsm_drake.runs.capture import NOTHING, target_path
 from ffsm_drake.runs.limits import (
     INSTANTS,
@@ -91,9 +91,8 @@ def plan_remarks(scenario: Scenario) -> list[str]:
         limit = model.coordinates.vector(
             scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
         )
-        if scenario.actuation.thrusters is not None or scenario.actuation.wheels is not None:
-            limited_by += " or what thrusters and wheels give"
         base = base_limits(scenario)
+        limited_by += base.named
         limit[:NUM_BASE_VELOCITIES] = np.minimum(
             limit[:NUM_BASE_VELOCITIES], np.repeat([base.torque, base.force], 3)
         )
@@ -194,21 +193,14 @@ def _positions_of(motion: PlannedMotion, times: np.ndarray) -> np.ndarray:
 
 
 def _momentum(scenario: Scenario) -> Iterator[str]:
-    """Says so when the wheels cannot hold what a grasp leaves, or an accepted drift does not last
-    for the run.
+    """Says so when what a grasp leaves cannot be stored, or an accepted drift does not last for the
+    run.
     """
     budget = momentum_budget(scenario) if scenario.undriven else None
     if budget is None:
         return
-    if budget.wheels is not None and budget.wheels.peak_share > 1.0:
-        wheels = budget.wheels
-        yield (
-            f"actuation.wheels: {wheels.fullest} has to take {100.0 * wheels.peak_share:.3g} % of "
-            "its most to hold the "
-            f"attitude after the grasp; {np.linalg.norm(budget.angular):.3g} N m s are left in "
-            "the stack, along which "
-            f"the wheels hold {wheels.capacity:.3g}"
-        )
+    if remark := storage_remark(budget):
+        yield remark
     for group, time in budget.used_up.items():
         if time is not None and time < scenario.duration:
             yield (

@@ -103,7 +103,7 @@ def make_record(
         scenario=scenario,
         outcome=log.outcome,
         dataset=make_table(log),
-        figures=log.figures,
+        parts=log.part_records,
         wall_time=log.wall_time | {"total": time.perf_counter() - start},
         software=software_versions(),
         blocks=block_sources(scenario),

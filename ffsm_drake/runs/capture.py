@@ -29,6 +29,7 @@ from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.blend import make_impulses
+from ffsm_drake.systems.part import STORED_MOMENTUM
 from ffsm_drake.systems.registry import Factory
 
 NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, before the grasp
@@ -48,7 +49,7 @@ class GraspLog:
     offset: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
     # (6) of the target from the end effector, at its origin: angular velocity, velocity
     mismatch: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    # (3) momentum of wheels in the base, world axes, N m s: no torque acts on them about their axes
+    # (3) momentum of what turns in the base, world axes, N m s: no torque acts on it about its axes
     # at the grasp
     stored: np.ndarray | None = None
 
@@ -108,7 +109,7 @@ class GraspLog:
                 }
                 for side, (momentum, spin, energy, velocity) in sides.items()
             },
-            # of the wheels, N m s
+            # of what turns in the base, N m s
             **({} if self.stored is None else {"stored_momentum": stored.tolist()}),
             "compliant": found,
             "miss": {
@@ -376,8 +377,9 @@ def seen_from(properties: MassProperties, X_QP: RigidTransform) -> MassPropertie
 
 
 def _stored(log: RunLog) -> np.ndarray | None:
-    """The momentum of wheels (3) at a log's start; None where there are none."""
-    return log.series["stored_momentum"][0] if "stored_momentum" in log.series else None
+    """The momentum (3) that parts store at a log's start; None where none does."""
+    stored = log.with_role(STORED_MOMENTUM)
+    return None if stored is None else stored[0]
 
 
 def _without_target(scenario: Scenario) -> Scenario:

@@ -2,12 +2,13 @@
 plant.
 """
 
+import dataclasses
+
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import BlockError
-from ffsm_drake.runs.actuators import add_drives, add_thrusters, add_wheels
 from ffsm_drake.runs.capture import NOTHING, GraspLog
 from ffsm_drake.runs.rollout import RunLog
 from ffsm_drake.runs.table import Table
@@ -19,10 +20,7 @@ from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.plant import find_body, find_frame
 from ffsm_drake.systems.controllers import SMALLEST
-from ffsm_drake.systems.part import PlacedPart, values_of
-
-# The attribute of a variable that names the part it belongs to.
-PART = "part"
+from ffsm_drake.systems.part import ROLES, STORED_MOMENTUM, PlacedPart, values_of, with_role
 
 
 def make_table(log: RunLog) -> Table:
@@ -167,38 +165,51 @@ def make_table(log: RunLog) -> Table:
         table = table.assign_coords({"driven": ("coordinate", coordinates.is_driven)})
     if log.frame_error is not None:
         table = _with_frame(table, log, log.frame_error)
-    if "thruster_force" in series:
-        table = add_thrusters(table, scenario, series)
-    if "wheel_momentum" in series:
-        table = add_wheels(table, scenario, series)
-    table = add_drives(table, scenario, coordinates, series)
-    if model.hidden.names:
-        table = _with_hidden(table, model, states, series.get("hidden_force"))
     if log.grasp is not None:
         table = _with_phases(table, log.grasp, log.scenario, model, states)
     for part in log.parts.values():
         table = _with_part(table, log, part)
-    return table
+    return _with_roles(table, log)
 
 
 def _with_part(table: Table, log: RunLog, part: PlacedPart) -> Table:
     """The table with the signals of a part. Raises BlockError for one that has a name taken."""
     for signal in part.signals:
+        place = f"blocks.{part.name}: signal '{signal.name}'"
         if signal.name in table:
-            place = f"blocks.{part.name}: signal '{signal.name}'"
             raise BlockError(f"{place} has the name of another variable of the record; rename it")
-        attributes = {"long_name": signal.meaning, "units": signal.unit, PART: part.title}
-        table = table.assign({signal.name: (signal.dims, values_of(signal, log), attributes)})
+        values = values_of(signal, log)
+        if values is None:
+            continue
+        attributes = {"long_name": signal.meaning, "units": signal.unit}
+        table = table.assign({signal.name: (signal.dims, values, attributes)})
         if signal.components:
             along = signal.dims[1]
             given = list(signal.components)
             if along not in table:
                 table = table.assign_coords({along: (along, given)})
             elif table[along].values.tolist() != given:
-                place = f"blocks.{part.name}: signal '{signal.name}'"
                 names = ", ".join(map(str, table[along].values.tolist()))
                 raise BlockError(f"{place} stands along '{along}', whose components are {names}")
+    for constant in part.constants:
+        attributes = {"long_name": constant.meaning, "units": constant.unit}
+        column = (constant.dimension, list(constant.values), attributes)
+        table = table.assign_coords({constant.name: column})
     return table
+
+
+def _with_roles(table: Table, log: RunLog) -> Table:
+    """The table that knows which signals of parts count in the balances of momentum and energy;
+    ``angular_momentum`` becomes that of everything.
+    """
+    roles = {role: " ".join(with_role(log.parts, role)) for role in ROLES}
+    table = dataclasses.replace(
+        table, attrs={**table.attrs, **{k: v for k, v in roles.items() if v}}
+    )
+    stored, alone = log.with_role(STORED_MOMENTUM), table["angular_momentum"]
+    if stored is None:
+        return table
+    return table.assign({"angular_momentum": alone._replace(values=alone.values + stored)})
 
 
 def _with_frame(table: Table, log: RunLog, error: np.ndarray) -> Table:
@@ -259,57 +270,6 @@ def _through_the_grasp(
         energy[i] += 0.5 * state[7:] @ of_target
         momentum[i] += shift_moment(of_target, -state[4:7])
     return np.concatenate([momentum, of_both]), np.concatenate([energy, energy_of_both])
-
-
-def _with_hidden(
-    table: Table, model: PlantModel, states: np.ndarray, force: np.ndarray | None
-) -> Table:
-    """The table with the hidden coordinates, the energy of their springs and what dampers took."""
-    plant, context, hidden = model.plant, model.context, model.hidden
-    position, velocity = np.split(hidden.hidden_part(states), 2, axis=1)
-    elastic = np.full(len(states), np.nan)
-    for i, state in enumerate(states):
-        if np.isfinite(state).all():
-            plant.SetPositionsAndVelocities(context, state)
-            elastic[i] = plant.CalcPotentialEnergy(context)
-    joints = [
-        joint
-        for joint in map(plant.get_joint, plant.GetJointIndices())
-        if joint.num_velocities() == 1
-    ]
-    damping = np.array([joint.GetDampingVector(context)[0] for joint in joints])
-    angle = states[:, [joint.position_start() for joint in joints]]
-    rate = states[:, [plant.num_positions() + joint.velocity_start() for joint in joints]]
-    # The mean square of a rate that is quadratic within a sample, from its ends and from how far it
-    # went.
-    period = float(table.attrs["sample_time"])
-    before, after = rate[:-1], rate[1:]
-    bow = 6.0 * np.diff(angle, axis=0) / period - 3.0 * (before + after)
-    square = (
-        (before**2 + before * after + after**2) / 3.0 + bow * (before + after) / 6.0 + bow**2 / 30.0
-    )
-    lost = np.concatenate([np.zeros(1), np.cumsum(period * square @ damping)])
-    along, unit = ("time", "hidden_coordinate"), "rad or m"
-    table = table.assign({
-        "hidden_position": (
-            along, position, {"long_name": "deflection, unknown to the controller", "units": unit},
-        ),
-        "hidden_velocity": (along, velocity, {"long_name": "its rate", "units": f"{unit} per s"}),
-        "elastic_energy": ("time", elastic, {"long_name": "energy of the springs", "units": "J"}),
-        "damping_loss": (
-            "time", lost, {"long_name": "energy that dampers took since the start", "units": "J"},
-        ),
-    })  # fmt: skip
-    if force is not None:
-        meaning = {
-            "long_name": "external forces on them at this instant, summed",
-            "units": "N m or N",
-        }
-        table = table.assign({"hidden_force": (along, force, meaning)})
-    return table.assign_coords({
-        "hidden_coordinate": ("hidden_coordinate", hidden.names),
-        "hidden_unit": ("hidden_coordinate", hidden.units),
-    })  # fmt: skip
 
 
 def _with_phases(

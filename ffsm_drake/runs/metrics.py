@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from ffsm_drake.runs.actuators import drive_metrics, thruster_metrics, wheel_metrics
-from ffsm_drake.runs.deflections import deflection_metrics
+from ffsm_drake.runs.table import with_role
 from ffsm_drake.runs.tracking import frame_metrics, tracked_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, position_errors
+from ffsm_drake.systems.part import INTERNAL_TORQUE
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.table import Labelled
@@ -37,10 +37,6 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
       frame: of a run with a reference for a frame's pose,
         those of ``tracking.frame_metrics``, and where the controller tracks it
         ``smallest_singular_value``, the smallest of the run.
-      thrusters, wheels, drives: of a run with them,
-        those of ``actuators.thruster_metrics``, ``wheel_metrics`` and ``drive_metrics``.
-      hidden: of a run with hidden coordinates,
-        those of ``deflections.deflection_metrics``.
     """
     tracking = tracking_metrics(
         time=dataset["time"].values,
@@ -73,10 +69,6 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
     for name, figures in (
         ("drift", drift_metrics(dataset)),
         ("frame", frame_figures(dataset)),
-        ("thrusters", thruster_metrics(dataset)),
-        ("wheels", wheel_metrics(dataset)),
-        ("drives", drive_metrics(dataset)),
-        ("hidden", deflection_metrics(dataset)),
     ):
         if figures:
             tracking[name] = figures
@@ -231,8 +223,8 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
         return values
 
     held, held_torque = (of_base("applied_force", part)[:-1] for part in ("position", "rotation"))
-    if "wheel_reaction" in dataset:  # which is not external
-        held_torque = held_torque - dataset["wheel_reaction"].values[:-1]
+    for name in with_role(dataset, INTERNAL_TORQUE):  # which is not external
+        held_torque = held_torque - dataset[name].values[:-1]
     smooth, smooth_torque = (
         of_base("disturbance_force", part) for part in ("position", "rotation")
     )

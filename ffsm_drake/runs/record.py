@@ -18,7 +18,7 @@ from ffsm_drake.common.files import check_regular, published
 from ffsm_drake.runs.metrics import compute_metrics
 from ffsm_drake.runs.table import Table
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario, scenario_from_dict
-from ffsm_drake.systems.part import Figure, nested
+from ffsm_drake.systems.part import Figure, PartRecord, nested
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 DATASET_FILE = "record.nc"
 METRICS_FILE = "metrics.json"
 REPORT_FILE = "report.html"
-FORMAT = 3
+FORMAT = 4
 # of record.nc, in the files that go with it; in reports an attribute of their head
 IDENTIFIER = "record_sha256"
 _HEAD = 100_000  # bytes of a report within which that is
@@ -125,10 +125,15 @@ class RunRecord:
     blocks: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
     # of a run with a capture; ``GraspLog.ledger``, ``momentum_budget``
     grasp: dict[str, Any] | None = None
-    figures: tuple[Figure, ...] = ()  # of its parts
+    parts: tuple[PartRecord, ...] = ()
     # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and
     # reports carry
     identifier: str = dataclasses.field(default="", init=False)
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """What the metrics of its parts came to."""
+        return tuple(figure for part in self.parts for figure in part.figures)
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
@@ -182,8 +187,8 @@ class RunRecord:
         }
         if self.grasp is not None:
             manifest["grasp"] = self.grasp
-        if self.figures:
-            manifest["figures"] = [dataclasses.asdict(figure) for figure in self.figures]
+        if self.parts:
+            manifest["parts"] = [dataclasses.asdict(part) for part in self.parts]
         with published(directory, outdated=OUTPUTS) as folder:
             try:
                 self.dataset.to_netcdf(
@@ -234,7 +239,7 @@ class RunRecord:
                 str(name): {str(key): str(text) for key, text in dict(source).items()}
                 for name, source in dict(manifest["blocks"]).items()
             }
-            figures = tuple(Figure(**figure) for figure in manifest.get("figures", ()))
+            parts = tuple(map(PartRecord.from_dict, manifest.get("parts", ())))
             grasp = manifest.get("grasp")
             if not isinstance(grasp, dict | None):
                 raise TypeError("grasp must be an object")
@@ -285,7 +290,7 @@ class RunRecord:
             software=software,
             blocks=blocks,
             grasp=grasp,
-            figures=figures,
+            parts=parts,
         )
         object.__setattr__(record, "identifier", digest)
         return record

@@ -5,6 +5,7 @@ run.
 import contextlib
 import dataclasses
 import functools
+import itertools
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -35,11 +36,19 @@ from ffsm_drake.runs.record import Outcome
 from ffsm_drake.runs.tracking import Tracked, frame_error, frame_rows, tracked
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates, position_errors
-from ffsm_drake.spacecraft.nominal import make_flexible_plant
+from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
-from ffsm_drake.systems.actuation import HELD_OUTPUTS
 from ffsm_drake.systems.controllers import SMALLEST
-from ffsm_drake.systems.part import Figure, Parts, figures_of, signals_of
+from ffsm_drake.systems.part import (
+    Figure,
+    PartRecord,
+    Parts,
+    figures_of,
+    recorded,
+    signals_of,
+    values_of,
+    with_role,
+)
 from ffsm_drake.systems.registry import Factory, is_shipped
 
 if TYPE_CHECKING:
@@ -53,7 +62,6 @@ _HELD = (
     "applied_force",
     "sliding_variable",
     SMALLEST,
-    *HELD_OUTPUTS,
 )
 # Besides the payload's true mass properties, what can change without a new build.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
@@ -82,15 +90,44 @@ class RunLog:
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A signal at the samples (n, its width), or (n) where it is a single number."""
-        if name not in self.series:
+        values = self.series.get(name)
+        signal = next((each for each in signals_of(self.parts) if each.name == name), None)
+        if signal is not None and signal.of is not None:
+            values = values_of(signal, self)
+        if values is None:
             raise KeyError(f"no signal '{name}'; there are: {', '.join(self.series)}")
-        values = self.series[name]
-        return values[:, 0] if values.shape[1] == 1 else values
+        alone = values.ndim == 2 and values.shape[1] == 1
+        return values[:, 0] if alone and not (signal and signal.components) else values
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.series
 
     @functools.cached_property
+    def model(self) -> PlantModel:
+        """The true plant, with hidden coordinates."""
+        return make_flexible_plant(self.scenario)
+
+    @functools.cached_property
+    def part_figures(self) -> dict[str, list[Figure]]:
+        """What the metrics of the parts came to, by part. Raises BlockError where one fails."""
+        return {name: list(figures_of(part, self)) for name, part in self.parts.items()}
+
+    @property
     def figures(self) -> tuple[Figure, ...]:
-        """What the metrics of the parts came to. Raises BlockError where one fails."""
-        return tuple(figure for part in self.parts.values() for figure in figures_of(part, self))
+        """All of them."""
+        return tuple(itertools.chain(*self.part_figures.values()))
+
+    @property
+    def part_records(self) -> tuple[PartRecord, ...]:
+        """What a record keeps of the parts."""
+        return tuple(
+            recorded(self.parts[name], figures) for name, figures in self.part_figures.items()
+        )
+
+    def with_role(self, role: str) -> np.ndarray | None:
+        """The sum of the signals with a role (n, 3); None where there are none."""
+        names = with_role(self.parts, role)
+        return sum(self[name] for name in names) if names else None  # type: ignore[return-value]
 
     @property
     def generalized_force(self) -> np.ndarray:
@@ -115,10 +152,7 @@ class RunLog:
         desired = self.series.get("desired_frame")
         if desired is None and not self.tracks_frame:
             return None
-        model, num_positions = (
-            make_flexible_plant(self.scenario),
-            len(self.coordinates.position_names),
-        )
+        model, num_positions = self.model, len(self.coordinates.position_names)
         q = self.hidden.whole(self.series["state"], self.series.get("hidden_state"))[
             :, : model.plant.num_positions()
         ]

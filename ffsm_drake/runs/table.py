@@ -79,6 +79,11 @@ class Table:
         return xr.Dataset(self.variables, coords=self.coords, attrs=self.attrs)
 
 
+def with_role(dataset: "Labelled", role: str) -> list[str]:
+    """The variables that have a role in the balances of momentum and energy (``part.ROLES``)."""
+    return [name for name in str(dataset.attrs.get(role, "")).split() if name in dataset]
+
+
 def _columns(given: Mapping[str, Given]) -> dict[str, Column]:
     return {name: _column(*column) for name, column in given.items()}
 

@@ -1,4 +1,3 @@
-# ruff: noqa: RUF001, RUF002 (the texts use mathematical signs)
 """Numbers and tables as plain text, and the tables' figures as plain data."""
 
 import dataclasses
@@ -8,44 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ffsm_drake.common.numbers import NONE, number, percent
+from ffsm_drake.control_design.momentum import momentum_lines
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.show.style import label_of
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+from ffsm_drake.systems.part import Figure
 
 if TYPE_CHECKING:  # slow to import
     from ffsm_drake.control_design.gains import Design, DesignPoint
     from ffsm_drake.control_design.planning import PlannedMotionReport
     from ffsm_drake.control_design.stability.boundaries import Boundaries
     from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
-
-NONE = "–"
-_MOMENTA = {"base_rotation": "angular", "base_position": "linear"}
-_BEYOND = "longer than was looked at"
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """Such as 12.35 or 1.235×10⁻⁶; a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return NONE
-    if value == 0.0:
-        return "0"
-    mantissa, power = f"{value:.{digits - 1}e}".split("e")
-    if 1e-3 <= abs(value) < 1e5:
-        return f"{value:.{max(digits - 1 - int(power), 0)}f}"
-    return f"{mantissa}{power_of_ten(int(power))}"
-
-
-def power_of_ten(exponent: int) -> str:
-    """Such as ×10⁻⁴."""
-    return f"×10{str(exponent).translate(_SUPERSCRIPTS)}"
-
-
-def percent(share: float) -> str:
-    """Such as 97.5 %; a dash where there is none."""
-    return f"{100.0 * share:.1f} %" if math.isfinite(share) else NONE
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
@@ -93,10 +68,10 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
         ]
         cells = [NONE if math.isnan(x) else f"{x:.3g}" for x in figures]
         rows.append([record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *cells])
-    taken = [record.metrics.get("thrusters", {}).get("propellant") for record in records]
-    if any(each is not None for each in taken):
-        cells = [NONE if each is None else f"{1e3 * each:.4g}" for each in taken]
-        for row, cell in zip(rows, ("propellant", "g", *cells), strict=True):
+    for first in ranked_figures(records):
+        sizes = [size_of(record, first) for record in records]
+        cells = [NONE if math.isnan(size) else f"{size:.4g}" for size in sizes]
+        for row, cell in zip(rows, (first.label.lower(), first.shown_unit, *cells), strict=True):
             row.append(cell)
     if distances is not None:
         for row, cell in zip(
@@ -124,12 +99,29 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
             for line in (
                 *frame_lines(record),
                 *drift_lines(record),
-                *actuator_lines(record.metrics),
-                *deflection_lines(record),
-                *part_lines(record),
+                *(part.sentence for part in record.parts if part.sentence),
             )
         ]
     return "\n".join(lines)
+
+
+def ranked_figures(records: Sequence[RunRecord]) -> list[Figure]:
+    """The figures of parts by which runs are compared; of the first run that has each."""
+    found = {
+        (figure.part, figure.key): figure
+        for record in reversed(records)
+        for figure in record.figures
+        if figure.ranked
+    }
+    return list(found.values())
+
+
+def size_of(record: RunRecord, figure: Figure) -> float:
+    """A figure of another run in this one, in the unit that it is shown in; NaN where there is
+    none.
+    """
+    same = (each for each in record.figures if (each.part, each.key) == (figure.part, figure.key))
+    return next((each.size for each in same), math.nan)
 
 
 def frame_lines(record: RunRecord) -> list[str]:
@@ -205,146 +197,6 @@ def grasp_line(grasp: Mapping[str, Any]) -> str:
         f"{1e3 * miss['angle']:.2g} mrad, met at {1e3 * miss['velocity']:.2g} mm/s and "
         f"{1e3 * miss['angular_velocity']:.2g} mrad/s{gripper}"
     )
-
-
-def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
-    """Where the momentum can go after a grasp (``MomentumBudget`` as plain data), a line each; none
-    without.
-    """
-    if budget is None:
-        return []
-    linear, angular = (number(math.hypot(*budget[key])) for key in ("linear", "angular"))
-    lines = [
-        f"after the grasp as planned: {linear} N s, and {angular} N m s about the centre of mass"
-    ]
-    wheels, arm, turning = budget["wheels"], budget["arm"], ""
-    if budget["rate"] is not None:
-        turning = f"turns the stack at {number(180.0 / math.pi * budget['rate'], 3)} deg/s"
-    for group, what in (("base_rotation", "torque"), ("base_position", "force")):
-        if group in budget["least_time"] and (wheels is None or group == "base_position"):
-            least = budget["least_time"][group]
-            within = f" in {number(least, 3)} s at the least" if least > 0.0 else ""
-            lines.append(f"{what} on the base takes out the {_MOMENTA[group]} momentum{within}")
-    if wheels is not None:
-        rest = f"; what they do not hold {turning}" if turning else ""
-        lines.append(
-            f"wheels: the angular momentum takes {percent(wheels['share'])} of the speed of "
-            f"{wheels['fullest']}, up to "
-            f"{percent(wheels['peak_share'])} on the way, and {number(wheels['least_time'], 3)} s "
-            "at the least; they "
-            f"hold {number(wheels['capacity'], 3)} N m s along it, "
-            f"{number(wheels['least_capacity'], 3)} along the "
-            f"worst direction{rest}"
-        )
-    if arm is not None:
-        rates = (
-            ""
-            if arm["capacity"] is None
-            else (f"; its rate limits allow {number(arm['capacity'], 3)} N m s")
-        )
-        until = (
-            f"{number(arm['time'], 3)} s, until {arm['ended_by']}" if arm["ended_by"] else _BEYOND
-        )
-        lines.append(
-            f"arm: it can hold the angular momentum, the base's attitude kept, for {until}{rates}"
-        )
-        lines += [f"with its joints at rest the angular momentum {turning}"] if turning else []
-    if budget["drift"] is not None:
-        speed = f"{number(1e3 * budget['drift'], 3)} mm/s"
-        lines.append(
-            f"nothing takes out the linear momentum: the stack of {budget['mass']:g} kg "
-            f"drifts at {speed}"
-        )
-    for group, time in budget["used_up"].items():
-        size = budget["accepted"][group]
-        most = f"{math.degrees(size):.4g} deg" if group == "base_rotation" else f"{size:.4g} m"
-        when = (
-            f"lasts for {_BEYOND}"
-            if time is None
-            else (f"is used up {number(time)} s after the grasp")
-        )
-        lines.append(f"accepted drift of {group}, {most}: {when}")
-    return lines
-
-
-def actuator_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """What a run took out of thrusters, wheels and drives, a line each; nothing for one without."""
-    lines = []
-    if figures := metrics.get("thrusters"):
-        propellant = (
-            f"{1e3 * figures['propellant']:.3g} g of propellant (the commanded force alone: at "
-            "least "
-            f"{1e3 * figures['propellant_of_force']:.3g} g), "
-            if "propellant" in figures
-            else ""
-        )
-        shortest = figures["shortest_pulse"]
-        lines.append(
-            f"thrusters: {propellant}impulse {sum(figures['impulse'].values()):.4g} N s in "
-            f"{sum(figures['pulses'].values())} pulses"
-            + ("" if shortest is None else f", the shortest {1e3 * shortest:.3g} ms")
-            + f"; not all of the wanted wrench in {percent(figures['saturated'])} of the samples"
-        )
-    if figures := metrics.get("wheels"):
-        lines.append(
-            f"wheels: up to {percent(figures['speed_used'])} of the speed and "
-            f"{percent(figures['torque_used'])} of the "
-            f"torque of a wheel, a motor at its limit in {percent(figures['torque_limited'])} of "
-            "the samples; unloaded "
-            f"in {percent(figures['unloading'])}"
-        )
-    if figures := metrics.get("drives"):
-        parts = [
-            f"up to {percent(max(figures[key].values()))} of the {what} of a joint"
-            for key, what in (("force_used", "force limit"), ("rate_used", "rate limit"))
-            if figures.get(key)
-        ]
-        if "rate_limited" in figures:
-            parts.append(f"cut by the rate in {percent(figures['rate_limited'])} of the samples")
-        if "friction_loss" in figures:
-            parts.append(
-                f"friction of up to {max(figures['peak_friction'].values()):.3g} in a joint, "
-                "which took out "
-                f"{sum(figures['friction_loss'].values()):.3g} J"
-            )
-        if parts:
-            lines.append(f"drives: {', '.join(parts)}")
-    return lines
-
-
-def part_lines(record: RunRecord) -> list[str]:
-    """The figures of the parts, a line for each part."""
-    by_part: dict[str, list[str]] = {}
-    for figure in record.figures:
-        unit = "" if figure.unit == "1" else f" {figure.unit}"
-        text = f"{figure.label[:1].lower()}{figure.label[1:]} {number(figure.value)}{unit}"
-        by_part.setdefault(figure.part, []).append(text)
-    return [f"{part}: {', '.join(texts)}" for part, texts in by_part.items()]
-
-
-def deflection_lines(record: RunRecord) -> list[str]:
-    """How far the hidden coordinates of a run moved, and what is left of it, in a line; nothing for
-    one without.
-    """
-    figures = record.metrics.get("hidden")
-    if not figures:
-        return []
-    hidden = record.dataset["hidden_coordinate"]
-    units = dict(
-        zip(hidden.values.astype(str), hidden["hidden_unit"].values.astype(str), strict=True)
-    )
-
-    def listed(values: Mapping[str, float]) -> str:
-        return ", ".join(f"{name} {value:.3g} {units[name]}" for name, value in values.items())
-
-    line = f"hidden coordinates: deflected by at most {listed(figures['peak'])}"
-    if figures["residual_since"] is not None:
-        amplitude, rms = listed(figures["residual_amplitude"]), listed(figures["residual_rms"])
-        line += (
-            f"; after the motion, from t = {figures['residual_since']:g} s, amplitude "
-            f"{amplitude}, rms {rms}"
-        )
-    return [line]
 
 
 def results_data(

@@ -8,7 +8,7 @@ from pydrake.multibody.tree import RotationalInertia, SpatialInertia, UnitInerti
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import ModelError, ScenarioError
-from ffsm_drake.scenario import Drives, MassProperties, Wheels, inertia_matrix
+from ffsm_drake.scenario import Drives, MassProperties, Scenario, Wheels, inertia_matrix
 from ffsm_drake.spacecraft.plant import (
     DRAKE_ERRORS,
     base_body,
@@ -138,3 +138,21 @@ def set_payload(
             "give every link of the URDF and the payload a mass and inertia of the same kind of "
             "size, or fix the joint"
         )
+
+
+def set_masses(
+    plant: MultibodyPlant,
+    context: Context,
+    scenario: Scenario,
+    payload: MassProperties,
+    *,
+    nominal: bool = False,
+) -> None:
+    """Give a plant the payload, and what a scenario's actuators have of mass, in a new context.
+
+    Errors as for the functions that it calls.
+    """
+    # first: a rotor may be all that a joint moves
+    set_drives(plant, context, scenario.drives, nominal=nominal)
+    set_payload(plant, context, body=scenario.payload.body, properties=payload)
+    set_wheels(plant, context, scenario.wheels)

@@ -19,7 +19,7 @@ from ffsm_drake.spacecraft.flexible import (
     set_flexible,
     take_masses,
 )
-from ffsm_drake.spacecraft.mass_properties import set_drives, set_payload, set_wheels
+from ffsm_drake.spacecraft.mass_properties import set_masses, set_payload
 from ffsm_drake.spacecraft.plant import coordinates_of, find_frame, hidden_of, make_plant
 
 
@@ -172,7 +172,7 @@ def make_nominal_plant(scenario: Scenario) -> PlantModel:
     """
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
-    _set_masses(plant, context, scenario, scenario.payload.nominal, nominal=True)
+    set_masses(plant, context, scenario, scenario.payload.nominal, nominal=True)
     return PlantModel(
         plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven)
     )
@@ -182,7 +182,7 @@ def make_true_plant(scenario: Scenario) -> PlantModel:
     """The plant with the true payload (``payload.truth``), what is flexible in it locked."""
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
-    _set_masses(plant, context, scenario, scenario.payload.truth)
+    set_masses(plant, context, scenario, scenario.payload.truth)
     return PlantModel(
         plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven)
     )
@@ -206,10 +206,10 @@ def make_flexible_plant(scenario: Scenario) -> PlantModel:
 
 
 def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario) -> None:
-    """Give a plant with hidden coordinates its true payload, wheels, drives and springs, in a new
+    """Give a plant with hidden coordinates its true masses and springs, in a new
     context.
     """
-    _set_masses(plant, context, scenario, scenario.payload.truth)
+    set_masses(plant, context, scenario, scenario.payload.truth)
     set_flexible(plant, context, scenario.model)
 
 
@@ -219,17 +219,3 @@ def change_payload(
     """Give a plant that has its masses another true payload, in one context."""
     set_payload(plant, context, body=scenario.payload.body, properties=properties)
     take_masses(plant, context, scenario.model, body=scenario.payload.body)
-
-
-def _set_masses(
-    plant: MultibodyPlant,
-    context: Context,
-    scenario: Scenario,
-    payload: MassProperties,
-    *,
-    nominal: bool = False,
-) -> None:
-    # first: a rotor may be all that a joint moves
-    set_drives(plant, context, scenario.drives, nominal=nominal)
-    set_payload(plant, context, body=scenario.payload.body, properties=payload)
-    set_wheels(plant, context, scenario.wheels)

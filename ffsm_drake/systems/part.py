@@ -16,19 +16,49 @@ import numpy as np
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
+from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.setup import BlockSetup
+
+# What a signal is to the balances of momentum: momentum that the part holds beside the bodies', in
+# the world (3), N m s; the torque that it gives the base from within, part of ``applied_force``. To
+# that of energy: the work of forces that act beside ``applied_force``, since the start, summed over
+# the components, J; energy that it holds, or has taken out since the start, J.
+STORED_MOMENTUM, INTERNAL_TORQUE = "stored_momentum", "internal_torque"
+INTERNAL_WORK, STORED_ENERGY = "internal_work", "stored_energy"
+ROLES = (STORED_MOMENTUM, INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERGY)
+# How a signal is drawn: as a curve; in steps, from one sample to the next; as a row for each
+# component with a box wherever it is on, from the shares of the samples for which it is.
+CURVE, STEPS, TIMELINE = "linear", "hv", "timeline"
 
 
 class View(Protocol):
     """A run, as the figures of a part see it."""
 
     @property
-    def scenario(self) -> Scenario: ...
+    def scenario(self) -> Scenario:
+        """What was run."""
 
     @property
     def time(self) -> np.ndarray:
-        """Control samples (n,), s."""
+        """Control samples (n), s."""
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Names of the generalized velocities."""
+
+    @property
+    def hidden(self) -> HiddenCoordinates:
+        """Those that no controller knows of."""
+
+    @property
+    def model(self) -> PlantModel:
+        """The true plant, with hidden coordinates."""
+
+    def __contains__(self, name: str) -> bool:
+        """Whether there is a signal of that name."""
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A signal at the control samples: (n, its components), or (n) of one without components.
@@ -48,8 +78,14 @@ class Signal:
     # the dimension of the record along which the components stand; "": one of its own
     dimension: str = ""
     held: bool = True  # constant from each control sample to the next
-    # computed from the run in place of a port: (n, components) or (n)
-    of: Callable[[View], np.ndarray] | None = None
+    # computed from the run in place of a port: (n, components) or (n); None: this run has none
+    of: Callable[[View], np.ndarray | None] | None = None
+    role: str = ""  # one of ROLES, or none
+    # heading of its panels in the report; None: the part's title and its name, "": no panels
+    heading: str | None = None
+    chart: str = CURVE  # or STEPS, TIMELINE
+    panels: Mapping[str, str] | None = None  # component -> unit of those with one; None: all
+    panel: str = ""  # title of the panel of a timeline, or of a signal without components
 
     @property
     def size(self) -> int:
@@ -64,40 +100,129 @@ class Signal:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Metric:
-    """A figure of merit: an entry of ``metrics.json``, a row of tables, a column of campaigns."""
+class Constant:
+    """Numbers, or words, along a dimension of the part's signals: a coordinate of the record."""
 
-    key: str  # dotted: where it stands in ``metrics.json``
+    name: str
     unit: str
-    label: str
-    of: Callable[[View], float]
-
-    @property
-    def column(self) -> str:
-        """As ``Figure.column``."""
-        return self.key.replace(".", "_")
+    meaning: str
+    dimension: str
+    values: Sequence[float] | Sequence[str]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Figure:
-    """What a metric came to in a run."""
+class _Named:
+    """What a metric and its figure share."""
 
-    part: str  # the block that the part fills
+    # dotted: where it stands in ``metrics.json``, values by name beside those of another metric of
+    # the same key; "": not there
     key: str
     unit: str
-    label: str
-    value: float | None  # None: not a finite number
+    label: str  # of its row in tables, or of the rows of its values by name; "": no row
+    column: str | None = None  # of campaigns; None: by its key, "": no column
+    # of that column in the campaign's page; None: by label and unit, "": not shown
+    heading: str | None = None
+    # In what unit it is shown, such as g of kg with the factor 1000; "%" of a share.
+    shown: str = ""
+    factor: float = 1.0
+    ranked: bool = False  # less is better: runs are compared by it
 
     @property
-    def column(self) -> str:
-        """Its name in a campaign."""
-        return self.key.replace(".", "_")
+    def column_name(self) -> str:
+        """Its name in a campaign; "" where it has no column."""
+        return self.key.replace(".", "_") if self.column is None else self.column
+
+    @property
+    def column_heading(self) -> str:
+        """Of that column."""
+        unit = "" if self.unit == "1" else f" [{self.unit}]"
+        return f"{self.label.lower()}{unit}" if self.heading is None else self.heading
+
+    @property
+    def shown_unit(self) -> str:
+        """Beside its value in tables; "" of a share."""
+        unit = self.shown or self.unit
+        return "" if unit in ("1", "%") else unit
+
+
+Values = float | int | None | Mapping[str, float | int | None]  # None: not a finite number
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Metric(_Named):
+    """A figure of merit: an entry of ``metrics.json``, a row of tables, a column of campaigns.
+
+    It gives a number, or numbers by name, which have no column.
+    """
+
+    of: Callable[[View], Any]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Figure(_Named):
+    """What a metric came to in a run."""
+
+    part: str  # the title of the part
+    value: Values
+
+    def text(self, name: str = "", *, digits: int = 4) -> str:
+        """The value, or that of a name, as it is shown, without its unit."""
+        value = self.value.get(name) if isinstance(self.value, Mapping) else self.value
+        if self.shown == "%":
+            return percent(value)
+        if isinstance(value, int):
+            return str(value)
+        return number(None if value is None else self.factor * value, digits)
+
+    @property
+    def size(self) -> float:
+        """The value in the unit that it is shown in; NaN where it is no finite number."""
+        known = isinstance(self.value, (int, float))
+        return self.factor * float(self.value) if known else math.nan  # type: ignore[arg-type]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """How the report draws a variable of the record."""
+
+    signal: str
+    heading: str
+    chart: str
+    title: str  # of the panel of a timeline
+    panels: Mapping[str, str]  # component -> unit; of a variable without components its title
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PartRecord:
+    """What a record keeps of a part beside its variables, so that it is shown without it."""
+
+    title: str
+    section: str  # of the report
+    about: str  # that section's text; "": the sentences of its parts
+    sentence: str
+    table: tuple[tuple[str | float, ...], ...]
+    figures: tuple[Figure, ...]
+    drawings: tuple[Drawing, ...]
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "PartRecord":
+        """From ``dataclasses.asdict``, through JSON. Raises TypeError for what is none."""
+        made = {
+            "table": tuple(map(tuple, data["table"])),
+            "figures": tuple(Figure(**each) for each in data["figures"]),
+            "drawings": tuple(Drawing(**each) for each in data["drawings"]),
+        }
+        return cls(**{**data, **made})
 
 
 class Part:
     """What fills a block; derive a frozen, keyword-only dataclass from it."""
 
     title: ClassVar[str] = ""  # heading of its rows and panels; "": the class's name
+    section: ClassVar[str] = "Parts"  # of the report, where its panels stand
+    about: ClassVar[str] = "Signals of the user-supplied parts."  # "": what ``sentence`` says
+    # Of the scenario's own actuators: a campaign's prediction tries the loop with its limits too.
+    rehearsed: ClassVar[bool] = False
 
     def check(self, key: str, scenario: Scenario) -> Iterator[tuple[str, str]]:
         """What is wrong with the settings that no single one can say: key and problem."""
@@ -115,8 +240,22 @@ class Part:
         """What it gives besides the block's own ports."""
         return ()
 
+    def constants(self, setup: BlockSetup) -> Sequence[Constant]:
+        """What belongs to the components of its signals."""
+        return ()
+
     def metrics(self) -> Sequence[Metric]:
         """Figures of merit."""
+        return ()
+
+    def sentence(self, figures: Sequence[Figure]) -> str | None:
+        """What stands below the table of a run; "": nothing, None: the figures that have a row, one
+        by one.
+        """
+        return None
+
+    def table(self, figures: Sequence[Figure]) -> Sequence[Sequence[str | float]]:
+        """Headings and rows of a table in the report, such as of each of its units."""
         return ()
 
     def linear(self) -> "Part":
@@ -128,9 +267,11 @@ class Part:
 class PlacedPart:
     """A part in its block."""
 
-    name: str  # of the block
+    name: str  # of the part: that of its block, or of the section of a scenario
+    block: str  # whose ports its signals are
     part: Part
     signals: tuple[Signal, ...]
+    constants: tuple[Constant, ...] = ()
 
     @property
     def title(self) -> str:
@@ -138,21 +279,32 @@ class PlacedPart:
         return self.part.title or type(self.part).__name__
 
 
-Parts = Mapping[str, PlacedPart]  # by block
+Parts = Mapping[str, PlacedPart]  # by name
 
 
-def place_part(part: Part, setup: BlockSetup, system: System, *, block: str) -> PlacedPart:
-    """A part with its signals, checked against the system that it built. Raises BlockError."""
-    place = f"blocks.{block} '{type(part).__name__}'"
+def place_part(
+    part: Part, setup: BlockSetup, system: System | None, *, name: str, block: str
+) -> PlacedPart:
+    """A part with its signals, checked against the system that fills its block. Raises
+    BlockError.
+    """
+    place = f"blocks.{name} '{type(part).__name__}'"
     signals = tuple(part.signals(setup))
     if block.startswith("sensing"):  # recorded as the controller reads it, at its samples
         signals = tuple(dataclasses.replace(signal, held=True) for signal in signals)
     for signal in signals:
         if not signal.name.isidentifier():
             raise BlockError(f"{place}: a signal's name must be an identifier, not {signal.name!r}")
+        if signal.role not in ("", *ROLES) or signal.chart not in (CURVE, STEPS, TIMELINE):
+            raise BlockError(
+                f"{place}: signal '{signal.name}': role must be one of {', '.join(ROLES)}, and "
+                f"chart one of {', '.join((CURVE, STEPS, TIMELINE))}"
+            )
+        if signal.role in (STORED_MOMENTUM, INTERNAL_TORQUE) and signal.size != 3:
+            raise BlockError(f"{place}: signal '{signal.name}' must have 3 components for its role")
         if signal.of is not None:
             continue
-        if not system.HasOutputPort(signal.name):
+        if system is None or not system.HasOutputPort(signal.name):
             raise BlockError(f"{place}: signal '{signal.name}' needs an output port of that name")
         size = system.GetOutputPort(signal.name).size()
         if size != signal.size:
@@ -160,7 +312,8 @@ def place_part(part: Part, setup: BlockSetup, system: System, *, block: str) -> 
                 f"{place}: output port '{signal.name}' must have size {signal.size}, as its signal "
                 f"has components, not {size}"
             )
-    return PlacedPart(name=block, part=part, signals=signals)
+    constants = tuple(part.constants(setup))
+    return PlacedPart(name=name, block=block, part=part, signals=signals, constants=constants)
 
 
 def figures_of(placed: PlacedPart, view: View) -> Iterator[Figure]:
@@ -169,22 +322,30 @@ def figures_of(placed: PlacedPart, view: View) -> Iterator[Figure]:
     Raises BlockError: a metric fails, or gives no number.
     """
     for metric in placed.part.metrics():
+        place = f"blocks.{placed.name} '{type(placed.part).__name__}': metric '{metric.key}'"
         try:
-            value = float(metric.of(view))
+            value = _plain(metric.of(view))
         except FfsmError:
             raise
         except Exception as error:  # a user's function may raise anything
             raise BlockError(
-                f"blocks.{placed.name} '{type(placed.part).__name__}': metric '{metric.key}' "
-                f"failed: {type(error).__name__}: {one_line(error)}"
+                f"{place} failed: {type(error).__name__}: {one_line(error)}"
             ) from error
-        yield Figure(
-            part=placed.title,
-            key=metric.key,
-            unit=metric.unit,
-            label=metric.label,
-            value=value if math.isfinite(value) else None,
-        )
+        if isinstance(value, Mapping) and metric.column_name:
+            raise BlockError(f'{place} gives values by name, which no column holds: say column=""')
+        shared = {each.name: getattr(metric, each.name) for each in dataclasses.fields(_Named)}
+        yield Figure(**shared, part=placed.title, value=value)
+
+
+def _plain(value: Any) -> Values:
+    """A number, or numbers by name, as JSON holds them. Raises TypeError or ValueError."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(each) for name, each in value.items()}  # type: ignore[misc]
+    if value is None:
+        return None
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    return float(value) if math.isfinite(float(value)) else None
 
 
 def nested(figures: Sequence[Figure]) -> dict[str, Any]:
@@ -195,17 +356,100 @@ def nested(figures: Sequence[Figure]) -> dict[str, Any]:
         place = found
         for parent in parents:
             place = place.setdefault(parent, {})
-        place[last] = math.nan if figure.value is None else figure.value
+        value, before = figure.value, place.get(last)
+        if isinstance(value, Mapping):
+            value = value if any(each is not None for each in value.values()) else None
+            if isinstance(before, Mapping):
+                value = {**before, **(value or {})}
+        if last:
+            place[last] = value
     return found
 
 
-def values_of(signal: Signal, view: View) -> np.ndarray:
-    """A signal over a run, as its variable holds it."""
-    values = view[signal.name] if signal.of is None else np.asarray(signal.of(view), dtype=float)
-    return values.reshape(len(view.time), *(() if not signal.components else (signal.size,)))
+def values_of(signal: Signal, view: View) -> np.ndarray | None:
+    """A signal over a run, as its variable holds it; None where the run has none."""
+    values = view[signal.name] if signal.of is None else signal.of(view)
+    if values is None:
+        return None
+    return np.asarray(values, dtype=float).reshape(
+        len(view.time), *(() if not signal.components else (signal.size,))
+    )
+
+
+def recorded(placed: PlacedPart, figures: Sequence[Figure]) -> PartRecord:
+    """What the record of a run keeps of a part, with its figures."""
+    part, sentence = placed.part, placed.part.sentence(figures)
+    return PartRecord(
+        title=placed.title,
+        section=part.section,
+        about=part.about,
+        sentence=_listed(placed.title, figures) if sentence is None else sentence,
+        table=tuple(map(tuple, part.table(figures))),
+        figures=tuple(figures),
+        drawings=tuple(
+            _drawing(signal, placed.title) for signal in placed.signals if signal.heading != ""
+        ),
+    )
+
+
+def by_key(figures: Sequence[Figure]) -> dict[str, Any]:
+    """The values of figures by key, or by column without one; NaN for what is no finite number."""
+
+    def known(value: Values) -> Any:
+        if isinstance(value, Mapping):
+            return {name: known(each) for name, each in value.items()}
+        return math.nan if value is None else value
+
+    return {figure.key or figure.column_name: known(figure.value) for figure in figures}
+
+
+def _listed(title: str, figures: Sequence[Figure]) -> str:
+    """The figures that have a row, in one line."""
+    texts = []
+    for figure in figures:
+        name = f"{figure.label[:1].lower()}{figure.label[1:]}"
+        values = figure.value if isinstance(figure.value, Mapping) else {"": None}
+        for each in values if figure.label else ():
+            text = f"{figure.text(each)} {figure.shown_unit}".rstrip()
+            texts.append(" ".join(filter(None, (name, each, text))))
+    return f"{title}: {', '.join(texts)}" if texts else ""
+
+
+def _drawing(signal: Signal, title: str) -> Drawing:
+    """How the report draws a signal of the part of that title."""
+    panels = signal.panels
+    if panels is None:
+        titles = signal.components or (signal.panel or signal.name,)
+        panels = dict.fromkeys(titles, "" if signal.unit == "1" else signal.unit)
+    heading = signal.heading
+    if heading is None:
+        heading = f"{title}: {signal.name.replace('_', ' ')}"
+    return Drawing(
+        signal=signal.name,
+        heading=heading,
+        chart=signal.chart,
+        title=signal.panel or heading,
+        panels=dict(panels),
+    )
+
+
+def with_role(parts: Parts, role: str) -> list[str]:
+    """Names of the signals that have a role."""
+    return [signal.name for signal in signals_of(parts) if signal.role == role]
 
 
 def signals_of(parts: Parts) -> Iterator[Signal]:
     """Those of all parts."""
     for placed in parts.values():
         yield from placed.signals
+
+
+def pulses_of(opened: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """The pulses of a valve that is open for a share (n) of each sample, from the sample's start
+    on.
+
+    Returns: the samples in which they start, and their lengths, s.
+    """
+    goes_on = np.r_[False, opened[:-1] == 1.0]  # open up to the sample's start
+    starts = np.flatnonzero((opened > 0.0) & ~goes_on)
+    return starts, np.add.reduceat(opened, starts) * period if starts.size else np.zeros(0)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 
 
@@ -32,6 +32,8 @@ class BlockSetup:
     scenario: Scenario
     nominal: PlantModel  # the plant with the nominal payload
     settings: Mapping[str, Any]  # as the scenario gives them to this block
+    # of the world around it, which no controller knows
+    hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "settings", _Settings(self.settings))

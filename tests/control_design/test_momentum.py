@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import RunRecord, ScenarioError, load_scenario, simulate
 from ffsm_drake.control_design import momentum
-from ffsm_drake.control_design.momentum import MomentumBudget, momentum_budget
+from ffsm_drake.control_design.momentum import MomentumBudget, momentum_budget, momentum_lines
 from ffsm_drake.preflight.remarks import plan_remarks
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.show.tables import momentum_lines, results_table
+from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant

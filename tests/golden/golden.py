@@ -24,9 +24,8 @@ from ffsm_drake.campaign.store import result_columns
 from ffsm_drake.cli import main as ffsm
 from ffsm_drake.scenario import scenario_to_dict, shipped_scenarios
 from ffsm_drake.show.panels import Thinning
-from ffsm_drake.show.report.actuator_panels import actuator_views
 from ffsm_drake.show.report.comparison import table
-from ffsm_drake.show.report.deflection_panels import deflection_views
+from ffsm_drake.show.report.part_panels import part_sections, part_views
 from ffsm_drake.show.report.results import results_of
 from ffsm_drake.show.report.time_panels import run_views
 from ffsm_drake.systems.registry import SHIPPED
@@ -92,8 +91,10 @@ def report_outline(record: RunRecord) -> dict[str, Any]:
     shown, thin = results_of([record]), Thinning(1000)
     sections = {
         **run_views(shown, thin),
-        "actuators": actuator_views(shown, thin),
-        "hidden": deflection_views(shown, thin),
+        **{
+            title.lower().partition(" ")[0]: part_views(shown, thin, title)
+            for title in part_sections(shown)
+        },
     }
     panels = [
         f"{section} / {view.label} / {panel.title} [{panel.figure.layout.yaxis.title.text}]: "

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import RunRecord, load_scenario, override_scenario, simulate
 from ffsm_drake.analysis import analyze
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.numbers import number
 from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.capture import NOTHING, CaptureRollout, coast, make_rollout, seen_from
 from ffsm_drake.runs.dataset import make_table
@@ -20,7 +21,6 @@ from ffsm_drake.runs.metrics import momentum_residual, phases_of
 from ffsm_drake.scenario import MassProperties, from_grasp
 from ffsm_drake.show.report.grasp import grasp_of
 from ffsm_drake.show.report.results import results_of
-from ffsm_drake.show.tables import number
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant

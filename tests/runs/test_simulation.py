@@ -212,7 +212,7 @@ def test_the_netcdf_file_is_plain_enough_for_matlab(run, tmp_path):
         ),
         (
             lambda d: (d / "manifest.json").write_text('{"format": 99}'),
-            "format 99 is not the supported 3",
+            "format 99 is not the supported 4",
         ),
     ],
 )

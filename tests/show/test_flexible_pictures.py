@@ -7,6 +7,7 @@ import pytest
 from pydrake.math import RotationMatrix
 
 from ffsm_drake import simulate
+from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.show.block_diagram import closed_loop_dot
 from ffsm_drake.show.meshcat import LiveReplay, recording_html, start_meshcat
 from ffsm_drake.show.meshcat.deflections import Deflections
@@ -14,9 +15,9 @@ from ffsm_drake.show.meshcat.interactive import watch
 from ffsm_drake.show.meshcat.replay_view import ReplayView
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import table
-from ffsm_drake.show.report.deflection_panels import deflection_views
+from ffsm_drake.show.report.part_panels import part_sections, part_views
 from ffsm_drake.show.report.results import results_of
-from ffsm_drake.show.tables import NONE, number, results_table
+from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.spacecraft.plant import hidden_of
 
@@ -167,7 +168,7 @@ def test_report_and_table_tell_what_is_left(record, run):
         for key in ("peak", "residual_amplitude", "residual_rms")
     ]
     assert {row.cells[1].text for row in rows} == {NONE}
-    views = deflection_views(results, Thinning(1000))
+    views = part_views(results, Thinning(1000), "Hidden coordinates")
     assert [view.label for view in views] == ["Deflection", "Rate", "Energy"]
     assert {panel.title for panel in views[0].panels} == {
         "port",
@@ -177,4 +178,4 @@ def test_report_and_table_tell_what_is_left(record, run):
     }
     (curve,) = next(panel for panel in views[0].panels if panel.title == "fuel").figure.data
     assert max(map(abs, curve.y)) == pytest.approx(figures["peak"]["fuel"])
-    assert deflection_views(results[1:], Thinning(1000)) == []
+    assert part_sections(results[1:]) == {}

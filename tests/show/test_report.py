@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
+from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.record import Outcome
 from ffsm_drake.scenario import scenario_from_dict, scenario_from_yaml, scenario_to_dict
 from ffsm_drake.show.curves import thinned
@@ -25,7 +26,6 @@ from ffsm_drake.show.report import write_report
 from ffsm_drake.show.report.page import render_report
 from ffsm_drake.show.report.results import ranking, results_of
 from ffsm_drake.show.style import label_of, labels_of, styles_of
-from ffsm_drake.show.tables import number
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 HOSTILE = (

@@ -25,7 +25,15 @@ from ffsm_drake import (
     stability,
 )
 from ffsm_drake.cli import main
+from ffsm_drake.common.numbers import NONE
+from ffsm_drake.runs.metrics import momentum_residual
+from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report import write_report
+from ffsm_drake.show.report.comparison import rankings, table
+from ffsm_drake.show.report.part_panels import part_views
+from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.tables import results_table
+from ffsm_drake.systems.part import Constant, by_key
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BLOCK = 'blocks.actuation={system: "own_actuator:Magnetorquers", settings: {largest_dipole: 80}}'
@@ -166,8 +174,8 @@ def signal(name, **rest):
     return Signal(name=name, unit="1", meaning="of a test", **rest)
 
 
-def metric(of):
-    return Metric(key="test.figure", unit="1", label="A figure", of=of)
+def metric(of, key="test.figure", **rest):
+    return Metric(**{"key": key, "unit": "1", "label": "A figure", "of": of} | rest)
 
 
 @pytest.mark.parametrize(
@@ -184,6 +192,13 @@ def metric(of):
         (Faulty(figures=(metric(lambda run: 1 / 0),)), "metric 'test.figure' failed: ZeroDiv"),
         (Faulty(figures=(metric(lambda run: run["nothing"]),)), "no signal 'nothing'; there are:"),
         (Faulty(figures=(metric(lambda run: "much"),)), "metric 'test.figure' failed: ValueError"),
+        (Faulty(figures=(metric(lambda run: {"a": 1.0}),)), "by name, which no column holds: say"),
+        (Faulty(said=(signal("here", role="any"),), ports=(("here", 1),)), "role must be one of"),
+        (Faulty(said=(signal("here", chart="pie"),), ports=(("here", 1),)), "chart one of linear"),
+        (
+            Faulty(said=(signal("here", role="stored_momentum"),), ports=(("here", 1),)),
+            "signal 'here' must have 3 components for its role",
+        ),
         (Faulty(amount=-1.0), "must be > 0 kg, not -1"),
     ],
 )
@@ -287,3 +302,106 @@ def test_forces_and_sensors_are_parts_too():
     )
     assert data["seen"].values == pytest.approx(data["measured_position"].values[:, 0], abs=1e-15)
     assert [figure.part for figure in record.figures] == ["Drag"]
+
+
+class Telling(Faulty):
+    """A part that uses all that a part can say of itself."""
+
+    title = "Heaters"
+    section = "Heat"
+    about = ""
+
+    def signals(self, setup):
+        of_each = {"components": ("left", "right"), "dimension": "heater"}
+        return (
+            signal("on", heading="Switched on", chart="timeline", panel="Heaters", **of_each),
+            signal("turning", components=("x", "y", "z"), role="stored_momentum", heading=""),
+            signal("twist", components=("x", "y", "z"), role="internal_torque", heading=""),
+            signal("none", of=lambda run: None),
+        )
+
+    def constants(self, setup):
+        values = (10.0, 20.0)
+        return [
+            Constant(name="power", unit="W", meaning="of each", dimension="heater", values=values)
+        ]
+
+    def metrics(self):
+        return (
+            metric(lambda run: {"left": 1.0, "right": float("inf")}, "heaters.heat", column=""),
+            metric(
+                lambda run: 0.25,
+                "heaters.energy",
+                unit="kJ",
+                shown="J",
+                factor=1e3,
+                ranked=True,
+                label="Energy",
+            ),
+            metric(lambda run: 0.5, "heaters.used", shown="%", heading="share of time"),
+            metric(lambda run: 3, "", column="switched", label="Switchings"),
+        )
+
+    def table(self, figures):
+        return [("heater", "heat [J]"), *by_key(figures)["heaters.heat"].items()]
+
+
+def test_all_that_a_part_can_say_of_itself(tmp_path):
+    part = Telling(ports=(("on", 2), ("turning", 3), ("twist", 3)))
+    scenario = load_scenario(*SCENARIO)
+    record = simulate(scenario, blocks={"actuation": part}, check_stability=False)
+    without = simulate(scenario, check_stability=False)
+    data = record.dataset
+    assert data["on"].dims == ("time", "heater")
+    assert data["power"].sel(heater="right") == 20.0
+    assert "none" not in data
+    # what a part stores counts, and the torque that it gives from within is none from outside
+    stored = data["angular_momentum"].values - without.dataset["angular_momentum"].values
+    assert stored == pytest.approx(np.ones_like(stored), abs=1e-9)
+    missed = momentum_residual(data)["angular"]
+    expected = data["time"].values[:, None] * np.ones(3)
+    assert missed == pytest.approx(expected, abs=1e-6)
+    assert record.metrics["heaters"] == {"heat": {"left": 1.0, "right": None}, "energy": 0.25} | {
+        "used": 0.5
+    }
+    assert [figure.column_name for figure in record.figures] == [
+        "",
+        "heaters_energy",
+        "heaters_used",
+        "switched",
+    ]
+    assert [figure.column_heading for figure in record.figures[1:]] == [
+        "energy [kJ]",
+        "share of time",
+        "switchings",
+    ]
+    loaded = RunRecord.load(record.save(tmp_path / "run"))
+    assert loaded.figures == record.figures
+    assert loaded.parts[0].drawings == record.parts[0].drawings
+    shown = results_table([loaded])
+    assert shown.splitlines()[0].endswith("energy")
+    listed = f"a figure left 1.000, a figure right {NONE}, energy 250.0 J, a figure 50.0 %"
+    assert f"Heaters: {listed}, switchings 3" in shown
+    results = results_of([loaded, without])
+    rows = [
+        (row.head, row.label, *(cell.text for cell in row.cells), row.unit)
+        for row in table(results)
+    ]
+    at = rows.index(("A figure", "left", "1.000", NONE, ""))
+    assert rows[at : at + 5] == [
+        ("A figure", "left", "1.000", NONE, ""),
+        ("", "right", NONE, NONE, ""),
+        ("Heaters", "Energy", "250.0", NONE, "J"),
+        ("", "A figure", "50.0 %", NONE, ""),
+        ("", "Switchings", "3", NONE, ""),
+    ]
+    assert rankings(results)[-1]["title"] == "By energy (J)"
+    (view,) = part_views(results, Thinning(100), "Heat")
+    assert view.label == "Switched on"
+    assert [trace.name for trace in view.panels[0].figure.data] == [
+        "TDC, run 1, left",
+        "TDC, run 1, right",
+    ]
+    page = write_report([loaded], tmp_path / "report.html").read_text()
+    for text in (">Heat<", "By heater", '<td class="text">left</td><td>1.000</td>'):
+        assert text in page

@@ -12,15 +12,15 @@ from scipy.optimize import linprog
 from scipy.signal import lsim
 
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, make_closed_loop
-from ffsm_drake.runs.actuators import STANDARD_GRAVITY, pulses_of
+from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Thrusters, thruster_layouts, thrusters_of
 from ffsm_drake.show.panels import Thinning
-from ffsm_drake.show.report.actuator_panels import actuator_views
 from ffsm_drake.show.report.comparison import rankings, table
 from ffsm_drake.show.report.page import render_report
+from ffsm_drake.show.report.part_panels import part_views
 from ffsm_drake.show.report.results import results_of
-from ffsm_drake.show.tables import NONE, number, results_table
+from ffsm_drake.show.tables import results_table
 from ffsm_drake.systems.actuation.allocation import Allocation, lost_direction
 from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.actuation.modulation import (
@@ -29,6 +29,8 @@ from ffsm_drake.systems.actuation.modulation import (
     pulse_widths,
     whole_frames,
 )
+from ffsm_drake.systems.actuation.thrusters import STANDARD_GRAVITY
+from ffsm_drake.systems.part import pulses_of
 
 LAYOUTS = tuple(thruster_layouts())
 SHORT = (*flight_settings.FLIGHT, *flight_settings.NO_NOISE, "duration=2")
@@ -256,7 +258,7 @@ def test_the_report_draws_every_pulse(run, monkeypatch):
     for section in ("analyze", "stability"):  # which cost most of a report
         monkeypatch.setattr(f"ffsm_drake.show.report.page.{section}", left_out)
     record = run(*SHORT, "actuation.thrusters.layout=12x5N")
-    (view,) = actuator_views(results_of([record]), Thinning(1000))
+    (view,) = part_views(results_of([record]), Thinning(1000), "Actuators")
     (panel,) = view.panels
     figures, drawn = record.metrics["thrusters"], {}
     for trace in panel.figure.data:

@@ -12,12 +12,12 @@ from pydrake.multibody.tree import RevoluteJoint, SpatialInertia, UnitInertia
 from pydrake.systems.analysis import Simulator
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop
+from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Wheels
 from ffsm_drake.scenario.schema import Wheel
-from ffsm_drake.show.report.actuator_panels import actuator_tables
+from ffsm_drake.show.report.part_panels import part_tables
 from ffsm_drake.show.report.results import results_of
-from ffsm_drake.show.tables import number
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import models_dir
 from ffsm_drake.systems.actuation.wheels import WheelSet
@@ -153,12 +153,11 @@ def test_torque_on_the_base_is_what_the_wheels_take(turning):
     assert figures["speed_used"] == pytest.approx(np.abs(data["wheel_speed"].values).max() / 628.0)
     assert figures["torque_used"] == pytest.approx(max(figures["peak_torque"].values()) / 10.0)
     assert figures["unloading"] == 0.0
-    (table,) = actuator_tables(results_of([turning]))
+    (found,) = part_tables(results_of([turning]), "Actuators")
+    ((head, rows),) = found["tables"]  # no thrusters
     speed = np.abs(data["wheel_speed"].values).max(axis=0)
-    assert [row[2:4] for row in table["wheels"]] == [
-        [number(each), number(628.0)] for each in speed
-    ]
-    assert table["thrusters"] == []
+    assert head[0] == found["by"] == "wheel"
+    assert [row[2:4] for row in rows] == [[number(each), number(628.0)] for each in speed]
 
 
 def test_momentum_of_the_stack_follows_what_fires(run):

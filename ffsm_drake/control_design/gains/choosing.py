@@ -45,7 +45,7 @@ from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.scenario import Estimator, Scenario
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 
-# Noises under which a design must get by with its thrusters and wheels.
+# Noises under which a design must get by with its base actuators.
 _SEEDS = 2
 # Of log(rms error): less is no reason to change gains.
 _NEGLIGIBLE = 0.005

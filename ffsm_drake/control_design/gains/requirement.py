@@ -18,7 +18,7 @@ class DesignPoint:
     prediction: Prediction
     radius_by_mass: Mapping[float, float]  # true payload mass in kg -> spectral radius
     is_by_axis: bool = True  # whether its loop is made of axes (``adaptation.axis_law``)
-    rehearsal: Rehearsal | None = None  # with thrusters or wheels, where all else is kept to
+    rehearsal: Rehearsal | None = None  # with limited base actuators, where all else is kept to
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,7 @@ import yaml
 from ffsm_drake.campaign.evaluate import (
     OUTCOMES,
     frame_parts,
-    has_actuators,
-    hidden_units,
+    parts_of_campaign,
     undriven_of,
 )
 from ffsm_drake.campaign.statistics import (
@@ -28,10 +27,11 @@ from ffsm_drake.campaign.statistics import (
 from ffsm_drake.campaign.store import Store
 from ffsm_drake.common.errors import CampaignError, RecordError, one_line
 from ffsm_drake.common.files import write_text
+from ffsm_drake.common.numbers import NONE, number, percent
 from ffsm_drake.show.campaign.charts import GRID_METRICS, chart_views, limits_of
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.style import label_of
-from ffsm_drake.show.tables import NONE, aligned, number, percent
+from ffsm_drake.show.tables import aligned
 
 _METRICS = {
     "itae": "ITAE",
@@ -45,26 +45,6 @@ _OF_CAPTURE = {
     "peak_effort_joints": "peak joint torque [N m]",
     "grasp_impulse": "impulse of the grasp [N s]",
     "grasp_angular_impulse": "angular [N m s]",
-}
-_OF_THRUSTERS = {
-    "propellant": "propellant [kg]",
-    "thruster_pulses": "pulses",
-    "thrusters_saturated": "thrusters saturated [share]",
-}
-_OF_WHEELS = {
-    "wheel_speed_used": "wheel's speed [of its limit]",
-    "wheels_torque_limited": "torque at the limit [share]",
-    "wheels_unloading": "unloading [share]",
-}
-_OF_HIDDEN = {
-    "rad": {
-        "peak_deflection_angle": "peak deflection [rad]",
-        "residual_angle": "residual amplitude [rad]",
-    },
-    "m": {
-        "peak_deflection_distance": "peak deflection [m]",
-        "residual_distance": "residual amplitude [m]",
-    },
 }
 _OF_FRAME = {
     "rotation": {"final_frame_rotation": "frame's final attitude error [rad]"},
@@ -146,9 +126,9 @@ def _page(store: Store, findings: Findings) -> str:
     tables = [_METRICS]
     if spec.base["capture"] is not None:
         tables.append(_OF_CAPTURE)
-    kinds = {"thrusters": _OF_THRUSTERS, "wheels": _OF_WHEELS}
-    tables += [columns for kind, columns in kinds.items() if has_actuators(spec, kind)]
-    tables += [_OF_HIDDEN[unit] for unit in hidden_units(spec)]
+    for part in parts_of_campaign(spec):
+        shown = {each.column_name: each.column_heading for each in part.metrics()}
+        tables.append({name: heading for name, heading in shown.items() if name and heading})
     tables += [_OF_FRAME[part] for part in frame_parts(spec)]
     tables += [_OF_DRIFT[group] for group in undriven_of(spec)]
     views = chart_views(findings)
@@ -177,7 +157,7 @@ def _page(store: Store, findings: Findings) -> str:
                     for name, runs in table.runs.items()
                 ],
             )
-            for metrics in tables
+            for metrics in filter(None, tables)
         ],
         "outcomes": [kind.replace("_", " ") for kind in OUTCOMES],
         "limits": [

@@ -9,7 +9,6 @@ from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import own_thrusters
 from ffsm_drake.show.meshcat.actuators import Plumes
 from ffsm_drake.show.meshcat.arrows import ForceArrows
 from ffsm_drake.show.meshcat.deflections import Deflections
@@ -76,13 +75,9 @@ class ReplayView:
         if forces:
             inspector = self.spacecraft.scene_graph.model_inspector()
             self.arrows = ForceArrows(meshcat, dataset, self.spacecraft.plant, inspector)
-        self.plumes: Plumes | None = None
-        thrusters = own_thrusters(record.scenario)
-        if thrusters and "thruster_open" in dataset:
-            opened, spacecraft = dataset["thruster_open"].values, self.spacecraft
-            self.plumes = Plumes(
-                meshcat, spacecraft.base_path, thrusters, opened, longest=spacecraft.longest
-            )
+        self.plumes = Plumes.of(
+            meshcat, self.spacecraft.base_path, record, longest=self.spacecraft.longest
+        )
         self._per_picture = max(1, round(speed / frames_per_second / record.scenario.sample_time))
         self.show(0.0)
 

@@ -26,8 +26,8 @@ from pydrake.multibody.tree import BodyIndex, Frame
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.scenario import Scenario, own_thrusters
-from ffsm_drake.show.meshcat.actuators import draw_thrusters, draw_wheels
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.show.meshcat.actuators import draw_actuators
 from ffsm_drake.spacecraft.panel_drawing import box_around, box_corners
 from ffsm_drake.spacecraft.plant import (
     add_combined_plant,
@@ -207,7 +207,7 @@ def _outline(
 
 
 class SpacecraftView:
-    """The spacecraft with its thrusters and wheels in Meshcat, in any configuration, without a
+    """The spacecraft with its actuators in Meshcat, in any configuration, without a
     simulation.
     """
 
@@ -240,9 +240,7 @@ class SpacecraftView:
         )
         _, half_width = base_bounding_box(self.plant, self.scene_graph.model_inspector())
         self.longest = 2.0 * float(half_width.max())  # edge of the base, m
-        draw_thrusters(meshcat, self.base_path, own_thrusters(scenario), longest=self.longest)
-        if scenario.wheels is not None:
-            draw_wheels(meshcat, self.base_path, scenario.wheels, longest=self.longest)
+        draw_actuators(meshcat, self.base_path, scenario, longest=self.longest)
 
     def show(
         self, q: np.ndarray, *, deflection: np.ndarray | None = None, time: float = 0.0

@@ -2,20 +2,22 @@
 """The result table and the rankings of one run or several."""
 
 import dataclasses
+import functools
 import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.common.numbers import NONE, number, percent
 from ffsm_drake.preflight.remarks import plan_remarks
-from ffsm_drake.runs.deflections import deflection_metrics
 from ffsm_drake.runs.limits import run_clearance, run_remarks, saturation
 from ffsm_drake.runs.metrics import drift_metrics, frame_figures
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.report.results import Result, actuators_act, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
-from ffsm_drake.show.tables import number, percent
+from ffsm_drake.show.tables import ranked_figures, size_of
+from ffsm_drake.systems.part import Figure
 
 _MAGNITUDES = {
     "peak_error": "Peak error",
@@ -91,8 +93,6 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
         )
     rows += _of_frame(results)
     rows += _of_drift(results)
-    rows += _of_actuators(results)
-    rows += _hidden_rows(results)
     rows += _part_rows(results)
     simulated = [Cell(f"{result.record.outcome.time:g}") for result in results]
     rows.append(Row("Simulated time", simulated, unit="s", head="Computation"))
@@ -153,48 +153,6 @@ def _by_moment(
     return rows
 
 
-def _of_actuators(results: Sequence[Result]) -> list[Row]:
-    """What the runs took out of thrusters and wheels; nothing where there are none."""
-    rows = []
-    if any(result.thrusters for result in results):
-        figures = [result.thrusters for result in results]
-        least = [Cell(number(1e3 * each.get("propellant_of_force", math.nan))) for each in figures]
-        impulse, pulses = (
-            [sum(each.get(key, {}).values()) for each in figures] for key in ("impulse", "pulses")
-        )
-        rows += [
-            Row("Propellant", _compared(results, propellant, digits=4), unit="g", head="Thrusters"),
-            Row("At least, for the commanded force", least, unit="g"),
-            Row("Impulse", [Cell(number(each)) for each in impulse], unit="N s"),
-            Row("Pulses", [Cell(str(each)) for each in pulses]),
-            Row(
-                "Samples with less than was wanted", [_share(each, "saturated") for each in figures]
-            ),
-        ]
-    if any(result.wheels for result in results):
-        keys = {
-            "Speed, of a wheel's limit": "speed_used",
-            "Torque, of a motor's limit": "torque_used",
-            "Samples with a motor at its limit": "torque_limited",
-            "Samples in which they are unloaded": "unloading",
-        }
-        made = [
-            Row(label, [_share(result.wheels, key) for result in results])
-            for label, key in keys.items()
-        ]
-        rows += [dataclasses.replace(made[0], head="Wheels"), *made[1:]]
-    return rows
-
-
-def propellant(result: Result) -> float:
-    """What a run took of it, g; NaN where that is not known."""
-    return 1e3 * float(result.thrusters.get("propellant", math.nan))
-
-
-def _share(figures: Mapping[str, Any], key: str) -> Cell:
-    return Cell(percent(figures.get(key, math.nan)))
-
-
 def _magnitude(result: Result, group: str, unit: str, field: str) -> float:
     found = [
         getattr(part, field)
@@ -204,48 +162,39 @@ def _magnitude(result: Result, group: str, unit: str, field: str) -> float:
     return float(found[0]) if found else math.nan
 
 
-def _hidden_rows(results: Sequence[Result]) -> list[Row]:
-    """How far each hidden coordinate of any run is deflected, and what is left of it after the
-    motion.
-    """
-    units: dict[str, str] = {}
-    for data in (result.record.dataset for result in results):
-        if "hidden_unit" in data.coords:
-            units |= dict(
-                zip(
-                    *(data[f"hidden_{key}"].values.astype(str) for key in ("coordinate", "unit")),
-                    strict=True,
-                )
-            )
-    found = [deflection_metrics(result.record.dataset) for result in results]
-    rows = []
-    for key, head in (
-        ("peak", "Largest deflection of hidden coordinates"),
-        ("residual_amplitude", "Their amplitude after the motion"),
-        ("residual_rms", "Their rms after the motion"),
-    ):
-        for k, (name, unit) in enumerate(units.items()):
-            cells = [Cell(number((figures.get(key) or {}).get(name))) for figures in found]
-            rows.append(Row(name.replace("_", " "), cells, unit=unit, head="" if k else head))
-    return rows
-
-
 def _part_rows(results: Sequence[Result]) -> list[Row]:
-    """The figures of the parts of any run, under the name of the part."""
-    known = {
-        (figure.part, figure.key): figure for result in results for figure in result.record.figures
-    }
-    rows, part = [], ""
-    for (title, key), figure in known.items():
-        values = [
-            next((each.value for each in result.record.figures if each.key == key), None)
-            for result in results
-        ]
-        unit = "" if figure.unit == "1" else figure.unit
-        cells = [Cell(number(value)) for value in values]
-        rows.append(Row(figure.label, cells, unit=unit, head="" if title == part else title))
-        part = title
+    """The figures of the parts of any run: under the name of the part, those by name under their
+    own.
+    """
+    found = [
+        {(each.part, each.key, each.label, each.unit): each for each in result.record.figures}
+        for result in results
+    ]
+    rows, above = [], ""
+    for place in dict.fromkeys(place for figures in found for place in figures if place[2]):
+        of_runs = [figures.get(place) for figures in found]
+        figure = next(each for each in of_runs if each is not None)
+        names = dict.fromkeys(
+            name
+            for each in of_runs
+            if each is not None and isinstance(each.value, Mapping)
+            for name in each.value
+        )
+        head = figure.label if names else figure.part
+        for name in names or ("",):
+            cells = [Cell(NONE if each is None else each.text(name)) for each in of_runs]
+            if figure.ranked:
+                cells = _compared(results, functools.partial(size_in, figure), digits=4)
+            label = name.replace("_", " ") or figure.label
+            shown = "" if head == above else head
+            rows.append(Row(label, cells, unit=figure.shown_unit, head=shown))
+            above = head
     return rows
+
+
+def size_in(figure: Figure, result: Result) -> float:
+    """A figure of any run in another; as ``size_of``."""
+    return size_of(result.record, figure)
 
 
 def _compared(
@@ -325,8 +274,10 @@ def rankings(results: Sequence[Result]) -> list[dict[str, Any]]:
         ("By accuracy (ITAE)", operator.attrgetter("itae"), 4),
         ("By effort (ISV)", operator.attrgetter("isv"), 5),
     ]
-    if any(math.isfinite(propellant(result)) for result in results):
-        figures.append(("By propellant (g)", propellant, 4))
+    for first in ranked_figures([result.record for result in results]):
+        size = functools.partial(size_in, first)
+        if any(math.isfinite(size(result)) for result in results):
+            figures.append((f"By {first.label.lower()} ({first.shown_unit})", size, 4))
     for title, figure, digits in figures:
         ranked = ranking(results, figure)
         entries = []

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.common.numbers import number
+from ffsm_drake.control_design.momentum import momentum_lines
 from ffsm_drake.show.report.results import Result
-from ffsm_drake.show.tables import grasp_line, momentum_lines, number
+from ffsm_drake.show.tables import grasp_line
 
 _LEDGER = (
     ("linear_momentum", "Linear momentum", "N s"),

@@ -11,21 +11,20 @@ from typing import Any, TypeVar
 from ffsm_drake.analysis import Finding, analyze
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import write_text
+from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.control_design.stability import Margins, stability
 from ffsm_drake.runs.record import IDENTIFIER, RunRecord
 from ffsm_drake.scenario import controller_key
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.panels import Thinning
-from ffsm_drake.show.report.actuator_panels import actuator_tables, actuator_text, actuator_views
 from ffsm_drake.show.report.comparison import rankings, table, table_notes
-from ffsm_drake.show.report.deflection_panels import deflection_views
 from ffsm_drake.show.report.grasp import grasp_of
-from ffsm_drake.show.report.part_panels import part_views
+from ffsm_drake.show.report.part_panels import part_sections, part_tables, part_text, part_views
 from ffsm_drake.show.report.provenance import provenance, software
 from ffsm_drake.show.report.results import SETTLED_OVER, Result, results_of
 from ffsm_drake.show.report.stability_panels import stability_views
 from ffsm_drake.show.report.time_panels import points_per_curve, run_views
-from ffsm_drake.show.tables import NONE, margins_data, number
+from ffsm_drake.show.tables import margins_data
 
 _STATUS_TONES = {"settled": "good", "unsettled": "warn", "interrupted": "warn", "diverged": "bad"}
 _STATUS_WORDS = {
@@ -122,12 +121,11 @@ def render_report(
     thin = Thinning(points_per_curve(results))
     margins = [_attempt(functools.partial(stability, result.record.scenario)) for result in results]
     views = run_views(results, thin)
-    if actuators := actuator_views(results, thin):
-        views["actuators"] = actuators
-    if deflections := deflection_views(results, thin):
-        views["hidden"] = deflections
-    if parts := part_views(results, thin):
-        views["parts"] = parts
+    of_parts = {
+        title.lower().replace(" ", "_"): (title, part.about)
+        for title, part in part_sections(results).items()
+    }
+    views |= {key: part_views(results, thin, title) for key, (title, _) in of_parts.items()}
     views |= {"stability": stability_views(results, [margin for margin, _ in margins], thin)}
     descriptions = list(dict.fromkeys(record.scenario.description for record in records))
     description = descriptions[0] or "Run report"
@@ -138,16 +136,8 @@ def render_report(
     }
     settled = " and ".join(dict.fromkeys(within.values()))
     sections = dict(_SECTIONS)
-    if actuators:
-        sections["actuators"] = ("Actuators", actuator_text(results), "")
-    if deflections:
-        sections["hidden"] = (
-            "Hidden coordinates",
-            "What moves in the true spacecraft that the controller takes for rigid.",
-            "",
-        )
-    if parts:
-        sections["parts"] = ("Parts", "Signals of the user-supplied parts.", "")
+    for key, (heading, about) in of_parts.items():
+        sections[key] = (heading, part_text(results, heading, about), "")
     content: Json = {
         "title": title or description,
         "kicker": "; ".join(descriptions)
@@ -172,7 +162,9 @@ def render_report(
             for key, (heading, text, nothing) in sections.items()
         ],
         "views": views,
-        "actuators": actuator_tables(results) if actuators else [],
+        "part_tables": {
+            key: part_tables(results, heading) for key, (heading, _) in of_parts.items()
+        },
         "grasps": [grasp for result in results if (grasp := grasp_of(result)) is not None],
         "thinning": _thinning(thin),
         "findings": [_findings(result) for result in results],

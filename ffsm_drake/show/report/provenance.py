@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 
+from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import (
     flatten,
@@ -19,7 +20,6 @@ from ffsm_drake.scenario import (
     shipped_scenarios,
 )
 from ffsm_drake.show.report.results import Result
-from ffsm_drake.show.tables import number
 
 _MOST_OVERRIDES = 8  # in a command that is still read
 

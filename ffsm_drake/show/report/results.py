@@ -2,17 +2,16 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Callable, Sequence
+from typing import Literal
 
 import numpy as np
 
-from ffsm_drake.runs.actuators import thruster_metrics, wheel_metrics
+from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.metrics import isv, itae
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.style import Style, labels_of, styles_of
-from ffsm_drake.show.tables import number
 
 Status = Literal["settled", "unsettled", "interrupted", "diverged"]
 
@@ -49,8 +48,6 @@ class Result:
     itae: float
     isv: float
     magnitudes: tuple[Magnitude, ...]
-    thrusters: Mapping[str, Any]  # of ``runs.actuators``; empty where there are none
-    wheels: Mapping[str, Any]
 
     @property
     def comparable(self) -> bool:
@@ -107,7 +104,6 @@ def _result(record: RunRecord, label: str, style: Style) -> Result:
         )
     cost = math.nan if effort is None else isv(effort[:-1], period)
     magnitudes = tuple(_magnitudes(record, error, effort))
-    sampled = record.dataset.sizes.get("time", 0) > 0
     return Result(
         record=record,
         label=label,
@@ -117,8 +113,6 @@ def _result(record: RunRecord, label: str, style: Style) -> Result:
         itae=accuracy,
         isv=cost,
         magnitudes=magnitudes,
-        thrusters=thruster_metrics(record.dataset) if sampled else {},
-        wheels=wheel_metrics(record.dataset) if sampled else {},
     )
 
 

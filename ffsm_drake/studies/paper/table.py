@@ -7,7 +7,7 @@ import statistics
 from itertools import product
 
 from ffsm_drake.common.files import csv_text
-from ffsm_drake.show.tables import power_of_ten
+from ffsm_drake.common.numbers import power_of_ten
 from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, SETTINGS, Results, Run
 from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, scientific, span, times

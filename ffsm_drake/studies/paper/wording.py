@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import TypeVar
 
-from ffsm_drake.show.tables import number, power_of_ten
+from ffsm_drake.common.numbers import number, power_of_ten
 from ffsm_drake.studies.paper.runs import Run
 
 T = TypeVar("T")

@@ -3,6 +3,7 @@ wheels, thrusters.
 """
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -22,26 +23,21 @@ from ffsm_drake.systems.actuation.drives import (
     FRICTION_FORCE,
     FRICTION_WORK,
     DriveSet,
+    JointDrives,
     JointFriction,
     RateLimit,
 )
-from ffsm_drake.systems.actuation.thrusters import ThrusterSet
-from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
+from ffsm_drake.systems.actuation.thrusters import FiredThrusters, ThrusterSet
+from ffsm_drake.systems.actuation.wheels import Gyroscopic, ReactionWheels, WheelSet
+from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.sensing import Quantizer
 
-# Outputs of actuators with thrusters and wheels beside the applied force, see BaseActuators; held
-# over a sample.
-HELD_OUTPUTS = (
-    "thruster_force",
-    "thruster_open",
-    "thruster_given",
-    "wheel_momentum",
-    "wheel_torque",
-    "wheel_unloads",
-    "wheel_reaction",
-)
-# With wheels: their momentum in world axes, N m s.
-STORED_MOMENTUM = "stored_momentum"
+# What the sections of ``actuation`` bring to records and pages.
+SECTIONS: dict[str, Callable[[schema.Scenario], Part | None]] = {
+    "thrusters": FiredThrusters.of,
+    "wheels": ReactionWheels.of,
+    "drives": JointDrives.of,
+}
 
 
 class Actuators(Diagram):
@@ -70,8 +66,8 @@ def make_actuation(
     """A diagram from ``commanded_force`` to ``applied_force``, both (nv): N m and N; None where
     they are the same.
 
-    With thrusters, wheels or drives it has the input ``state`` and those of HELD_OUTPUTS that there
-    are; with wheels ``gyroscopic_force`` (nv), which acts on the plant too, and
+    With thrusters, wheels or drives it has the input ``state`` and outputs for the signals of their
+    parts; with wheels ``gyroscopic_force`` (nv), which acts on the plant too, and
     ``stored_momentum``; with friction of the drives ``friction_force`` (nv), which acts on the
     plant too, and ``friction_work`` (nv).
 
@@ -176,16 +172,18 @@ def _add_base_actuators(
     parts = builder.AddNamedSystem("sample", Demultiplexer(list(base.sizes.values())))
     builder.Connect(base.GetOutputPort("sample"), parts.get_input_port())
     outputs = {name: parts.get_output_port(index) for index, name in enumerate(base.sizes)}
-    for name in HELD_OUTPUTS:
-        if name in outputs:
-            builder.ExportOutput(outputs[name], name)
+    for name, port in outputs.items():
+        if name not in ("applied_force", "memory"):
+            builder.ExportOutput(port, name)
     needs_state.append(base.GetInputPort("state"))
     if wheels is not None:
         diagram.wheels = wheels
         stored = builder.AddNamedSystem("gyroscopic", Gyroscopic(coordinates))
         needs_state.append(stored.GetInputPort("state"))
         builder.Connect(outputs["wheel_reaction"], stored.GetInputPort("reaction"))
-        builder.Connect(stored.GetOutputPort(STORED_MOMENTUM), base.GetInputPort("stored_momentum"))
-        for name in ("gyroscopic_force", STORED_MOMENTUM):
+        builder.Connect(
+            stored.GetOutputPort("stored_momentum"), base.GetInputPort("stored_momentum")
+        )
+        for name in ("gyroscopic_force", "stored_momentum"):
             builder.ExportOutput(stored.GetOutputPort(name), name)
     return base.GetInputPort("commanded_force"), outputs["applied_force"]

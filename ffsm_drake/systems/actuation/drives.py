@@ -11,6 +11,11 @@ with Coulomb friction F_c, static friction F_s, Stribeck rate v_s, smoothing rat
 friction b. A joint that it holds against a force F < F_c creeps at v_0 artanh(F / F_c).
 """
 
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
 import numpy as np
 from pydrake.symbolic import Expression, MakeVectorVariable, exp, tanh
 from pydrake.systems.framework import (
@@ -25,8 +30,20 @@ from pydrake.systems.primitives import Demultiplexer, SymbolicVectorSystem
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.scenario import Drives, PerCoordinate
+from ffsm_drake.common.numbers import percent
+from ffsm_drake.scenario import Drives, PerCoordinate, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.systems.part import (
+    INTERNAL_WORK,
+    Constant,
+    Figure,
+    Metric,
+    Part,
+    Signal,
+    View,
+    by_key,
+)
+from ffsm_drake.systems.setup import BlockSetup
 
 _KEY = "actuation.drives"
 # the system whose state is friction's work, from which nothing feeds back
@@ -210,3 +227,169 @@ class JointFriction(Diagram):
             else -dry * tanh(rate * (1.0 / drives.smoothing_rate[i]))
         )
         return force if drives.viscous[i] == 0.0 else force - drives.viscous[i] * rate
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class JointDrives(Part):
+    """What the drives of a scenario's own actuators bring to its records and pages."""
+
+    title = "Drives"
+    section = "Actuators"
+    about = ""
+    settings: Drives
+    limit: PerCoordinate | None
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "JointDrives | None":
+        """Those of a scenario."""
+        settings = scenario.drives
+        return None if settings is None else cls(settings=settings, limit=scenario.actuation.limit)
+
+    def signals(self, setup: BlockSetup) -> Sequence[Signal]:
+        """Friction and its work, and how much of their rates joints use."""
+        coordinates, drives = setup.coordinates, self._drives(setup.coordinates)
+        by_coordinate = functools.partial(
+            Signal, components=coordinates.names, dimension="coordinate", held=False
+        )
+        units = dict(zip(coordinates.names, coordinates.units, strict=True))
+        rubs = (drives.static > 0.0) | (drives.viscous > 0.0)
+        rubbing, limited = (
+            [name for name, member in zip(drives.names, members, strict=True) if member]
+            for members in (rubs, np.isfinite(drives.rate_limit))
+        )
+        friction = (
+            by_coordinate(
+                name=FRICTION_FORCE,
+                unit="N m or N",
+                meaning="friction in the drives at this instant",
+                heading="Drives: friction",
+                panels={name: {"rad": "N m", "m": "N"}[units[name]] for name in rubbing},
+            ),
+            by_coordinate(
+                name=FRICTION_WORK,
+                unit="J",
+                meaning="work of friction in the drives since the start",
+                heading="",
+                role=INTERNAL_WORK,
+            ),
+        )
+        rate = by_coordinate(
+            name="rate_share",
+            unit="1",
+            meaning="rate as a share of the drive's limit",
+            heading="Drives: share of the rate limit",
+            panels=dict.fromkeys(limited, ""),
+            of=lambda run: np.abs(_velocity(run)) / _with_base(drives.rate_limit, np.inf),
+        )
+        return (*(friction if drives.has_friction else ()), *([rate] if limited else ()))
+
+    def constants(self, setup: BlockSetup) -> Sequence[Constant]:
+        """Their limits; infinite, and the knee 0, where there are none."""
+        drives = self._drives(setup.coordinates)
+        return [
+            Constant(
+                name=f"drive_{name}",
+                unit=unit,
+                meaning=meaning,
+                dimension="coordinate",
+                values=_with_base(values, base).tolist(),
+            )
+            for name, unit, meaning, values, base in (
+                ("force_limit", "N m or N", "of the drive", drives.force_limit, np.inf),
+                ("rate_limit", "rad/s or m/s", "of the drive", drives.rate_limit, np.inf),
+                ("knee", "1", "share of that where its force begins to fall", drives.knee, 0.0),
+            )
+        ]
+
+    def metrics(self) -> Sequence[Metric]:
+        """By joint, the first two for joints with such a limit, and what friction took out; the
+        share of the samples in which the rate cut the force of any joint.
+        """
+
+        def by_joint(key: str, unit: str, of: Callable[[View], Mapping[str, float]]) -> Metric:
+            return Metric(key=f"drives.{key}", unit=unit, label="", column="", of=of)
+
+        def used(signal: Callable[[View], np.ndarray], limit: str) -> Callable[[View], Any]:
+            def shares(run: View) -> dict[str, float]:
+                drives = self._drives(run.coordinates)
+                most = getattr(drives, limit)
+                largest = np.abs(_of_joints(signal(run))).max(axis=0)
+                return {
+                    name: share
+                    for name, share, one in zip(
+                        drives.names, (largest / most).tolist(), most, strict=True
+                    )
+                    if np.isfinite(one)
+                }
+
+            return shares
+
+        friction = (
+            by_joint("peak_friction", "N m or N", self._peak_friction),
+            by_joint("friction_loss", "J", self._friction_loss),
+        )
+        limited = Metric(
+            key="drives.rate_limited", unit="1", label="", column="", of=self._rate_limited
+        )
+        has_friction = any(
+            value
+            for name in ("coulomb_friction", "viscous_friction", "static_friction")
+            for value in (getattr(self.settings, name) or {}).values()
+        )
+        return (
+            by_joint("force_used", "1", used(lambda run: run["applied_force"], "force_limit")),
+            by_joint("rate_used", "1", used(_velocity, "rate_limit")),
+            *([limited] if self.settings.rate_limit else ()),
+            *(friction if has_friction else ()),
+        )
+
+    def sentence(self, figures: Sequence[Figure]) -> str:
+        """How much of the drives was used, and what friction took."""
+        found = by_key(figures)
+        parts = [
+            f"up to {percent(max(used.values()))} of the {what} of a joint"
+            for key, what in (("force_used", "force limit"), ("rate_used", "rate limit"))
+            if (used := found[f"drives.{key}"])
+        ]
+        if "drives.rate_limited" in found:
+            parts.append(
+                f"cut by the rate in {percent(found['drives.rate_limited'])} of the samples"
+            )
+        if "drives.friction_loss" in found:
+            parts.append(
+                f"friction of up to {max(found['drives.peak_friction'].values()):.3g} in a "
+                f"joint, which took out {sum(found['drives.friction_loss'].values()):.3g} J"
+            )
+        return f"drives: {', '.join(parts)}" if parts else ""
+
+    def _drives(self, coordinates: Coordinates) -> DriveSet:
+        return DriveSet(self.settings, self.limit, coordinates)
+
+    def _rate_limited(self, run: View) -> float:
+        drives = self._drives(run.coordinates)
+        rate, force = _of_joints(_velocity(run)), _of_joints(run["generalized_force"])
+        most = drives.available(rate)
+        cut = (np.abs(force) > most) & (most < drives.force_limit) & (force * rate > 0.0)
+        return float(cut.any(axis=1).mean())
+
+    def _peak_friction(self, run: View) -> dict[str, float]:
+        peak = np.abs(_of_joints(run[FRICTION_FORCE])).max(axis=0)
+        return dict(zip(run.coordinates.joints, peak.tolist(), strict=True))
+
+    def _friction_loss(self, run: View) -> dict[str, float]:
+        work = _of_joints(run[FRICTION_WORK])
+        return dict(zip(run.coordinates.joints, (work[0] - work[-1]).tolist(), strict=True))
+
+
+def _velocity(run: View) -> np.ndarray:
+    """All coordinates' (n, nv)."""
+    return run["state"][:, len(run.coordinates.position_names) :]
+
+
+def _of_joints(values: np.ndarray) -> np.ndarray:
+    return values[..., NUM_BASE_VELOCITIES:]
+
+
+def _with_base(values: np.ndarray, base: float) -> np.ndarray:
+    """Values of joints, with one for all coordinates of the base before them."""
+    return np.concatenate([np.full(NUM_BASE_VELOCITIES, base), values])

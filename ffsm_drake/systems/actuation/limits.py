@@ -29,12 +29,14 @@ class BaseLimits:
     most_torque: float  # in the best
     force: float
     most_force: float
+    named: str  # what gives it beside actuation.limit, in words
 
 
 def base_limits(scenario: Scenario) -> BaseLimits:
     """What thrusters and wheels of a scenario give; ScenarioError as for ``make_actuation``."""
     settings, period = scenario.actuation, scenario.sample_time
     torque = force = np.full(len(_DIRECTIONS), np.inf)
+    is_limited = settings.thrusters is not None or settings.wheels is not None
     if scenario.blocks.actuation is None:
         if settings.thrusters is not None:
             thrusters, none = ThrusterSet(settings.thrusters, sample_time=period), np.zeros(3)
@@ -50,6 +52,7 @@ def base_limits(scenario: Scenario) -> BaseLimits:
         most_torque=float(torque.max()),
         force=float(force.min()),
         most_force=float(force.max()),
+        named=" or what thrusters and wheels give" if is_limited else "",
     )
 
 

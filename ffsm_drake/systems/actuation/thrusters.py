@@ -1,12 +1,16 @@
 """Thrusters: from the base's wanted wrench to the one that on/off thrusters fire."""
 
 import dataclasses
+import functools
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.scenario import Thrusters, thrusters_of
+from ffsm_drake.common.numbers import percent
+from ffsm_drake.scenario import Scenario, Thruster, Thrusters, own_thrusters, thrusters_of
 from ffsm_drake.systems.actuation.allocation import Allocation
 from ffsm_drake.systems.actuation.modulation import (
     SchmittTrigger,
@@ -14,8 +18,22 @@ from ffsm_drake.systems.actuation.modulation import (
     pulse_widths,
     whole_frames,
 )
+from ffsm_drake.systems.part import (
+    TIMELINE,
+    Constant,
+    Figure,
+    Metric,
+    Part,
+    Signal,
+    View,
+    by_key,
+    pulses_of,
+)
+from ffsm_drake.systems.setup import BlockSetup
 
 _KEY = "actuation.thrusters"
+STANDARD_GRAVITY = 9.80665  # m/s^2; defines the specific impulse
+_WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 
 
 class Firing(NamedTuple):
@@ -160,3 +178,202 @@ class ThrusterSet:
         return Firing(
             self.wrenches.dot(force), force, opened / self.sample_time, memory.given
         ), after
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FiredThrusters(Part):
+    """What the thrusters of a scenario's own actuators bring to its records and pages."""
+
+    title = "Thrusters"
+    section = "Actuators"
+    about = ""
+    rehearsed = True
+    units: Mapping[str, Thruster]
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "FiredThrusters | None":
+        """Those of a scenario."""
+        return cls(units=units) if (units := own_thrusters(scenario)) else None
+
+    def signals(self, setup: BlockSetup) -> Sequence[Signal]:
+        """Forces, open valves, and what of the wanted wrench they could give."""
+        of_each = functools.partial(Signal, components=tuple(self.units), dimension="thruster")
+        return (
+            of_each(
+                name="thruster_force",
+                unit="N",
+                meaning="mean force of each thruster from this sample to the next",
+                heading="",
+            ),
+            of_each(
+                name="thruster_open",
+                unit="1",
+                meaning="share of the sample for which each thruster is open",
+                heading="Firings",
+                panel="Open valves",
+                chart=TIMELINE,
+            ),
+            Signal(
+                name="thruster_given",
+                unit="1",
+                meaning="part of the wanted wrench that the last allocation to thrusters could "
+                "give",
+                heading="",
+            ),
+        )
+
+    def constants(self, setup: BlockSetup) -> Sequence[Constant]:
+        """Their specific impulses."""
+        impulses = [unit.specific_impulse for unit in self.units.values()]
+        return [
+            Constant(
+                name="specific_impulse",
+                unit="s",
+                meaning="specific impulse",
+                dimension="thruster",
+                values=impulses,
+            )
+        ]
+
+    def metrics(self) -> Sequence[Metric]:
+        """Propellant; impulse, pulses and open time by thruster and of all; what was not given.
+
+        ``propellant_of_force`` is what the commanded base force alone would take of thrusters that
+        push exactly its way, the integral of its size over the largest specific impulse: no layout
+        takes less for it.
+        """
+
+        def by_name(key: str, unit: str, of: Callable[[View], list[float]]) -> Metric:
+            return Metric(
+                key=f"thrusters.{key}",
+                unit=unit,
+                label="",
+                column="",
+                of=lambda run: dict(zip(self.units, of(run), strict=True)),
+            )
+
+        return (
+            Metric(
+                key="thrusters.propellant",
+                unit="kg",
+                label="Propellant",
+                column="propellant",
+                heading="propellant [kg]",
+                shown="g",
+                factor=1e3,
+                ranked=True,
+                of=lambda run: (self._impulse(run) / self._exhaust).sum(),
+            ),
+            Metric(
+                key="thrusters.propellant_of_force",
+                unit="kg",
+                label="At least, for the commanded force",
+                column="",
+                shown="g",
+                factor=1e3,
+                of=self._least_propellant,
+            ),
+            by_name("impulse", "N s", lambda run: self._impulse(run).tolist()),
+            Metric(
+                key="",
+                unit="N s",
+                label="Impulse",
+                column="thruster_impulse",
+                heading="",
+                of=lambda run: self._impulse(run).sum(),
+            ),
+            by_name("pulses", "1", lambda run: [each.size for each in _pulses(run)]),
+            Metric(
+                key="",
+                unit="1",
+                label="Pulses",
+                column="thruster_pulses",
+                heading="pulses",
+                of=lambda run: sum(each.size for each in _pulses(run)),
+            ),
+            by_name("on_time", "s", lambda run: (_opened(run).sum(axis=0) * _period(run)).tolist()),
+            Metric(
+                key="thrusters.shortest_pulse",
+                unit="s",
+                label="",
+                column="",
+                of=_shortest,
+            ),
+            Metric(
+                key="thrusters.saturated",
+                unit="1",
+                label="Samples with less than was wanted",
+                heading="thrusters saturated [share]",
+                shown="%",
+                of=lambda run: (
+                    (run["thruster_given"][:-1] < _WHOLE).mean() if len(run.time) > 1 else 0.0
+                ),
+            ),
+        )
+
+    def sentence(self, figures: Sequence[Figure]) -> str:
+        """What they took and gave."""
+        found = by_key(figures)
+        propellant, least, shortest = (
+            1e3 * found[f"thrusters.{name}"]
+            for name in ("propellant", "propellant_of_force", "shortest_pulse")
+        )
+        return (
+            f"thrusters: {propellant:.3g} g of propellant (the commanded force alone: at least "
+            f"{least:.3g} g), impulse {found['thruster_impulse']:.4g} N s in "
+            f"{found['thruster_pulses']} pulses"
+            + ("" if math.isnan(shortest) else f", the shortest {shortest:.3g} ms")
+            + f"; not all of the wanted wrench in {percent(found['thrusters.saturated'])} of the "
+            "samples"
+        )
+
+    def table(self, figures: Sequence[Figure]) -> Sequence[Sequence[str | float]]:
+        """What each thruster did."""
+        found = by_key(figures)
+        impulse, pulses, opened = (
+            found[f"thrusters.{name}"] for name in ("impulse", "pulses", "on_time")
+        )
+        return [
+            ("thruster", "impulse [N s]", "pulses", "open [s]"),
+            *((name, impulse[name], pulses[name], opened[name]) for name in self.units),
+        ]
+
+    @property
+    def _exhaust(self) -> np.ndarray:
+        """Of each, m/s."""
+        return STANDARD_GRAVITY * np.array([unit.specific_impulse for unit in self.units.values()])
+
+    def _impulse(self, run: View) -> np.ndarray:
+        """Of each, N s."""
+        impulse: np.ndarray = run["thruster_force"][:-1].sum(axis=0) * _period(run)
+        return impulse
+
+    def _least_propellant(self, run: View) -> float:
+        members = [group == "base_position" for group in run.coordinates.group_of]
+        force = run["generalized_force"][:-1, members]
+        wanted = float(np.linalg.norm(force, axis=1).sum() * _period(run))
+        return wanted / float(self._exhaust.max())
+
+
+def _period(run: View) -> float:
+    return run.scenario.sample_time
+
+
+def _opened(run: View) -> np.ndarray:
+    return run["thruster_open"][:-1]
+
+
+def _pulses(run: View) -> list[np.ndarray]:
+    """Lengths of the pulses of each thruster, s."""
+    return [pulses_of(column, _period(run))[1] for column in _opened(run).T]
+
+
+def _shortest(run: View) -> float | None:
+    """Of all pulses that end within the run, s: that of a valve which is open at the end is cut off
+    there.
+    """
+    ended = [
+        each[: each.size - int(column[-1:].sum() == 1.0)]
+        for each, column in zip(_pulses(run), _opened(run).T, strict=True)
+    ]
+    return min((float(each.min()) for each in ended if each.size), default=None)

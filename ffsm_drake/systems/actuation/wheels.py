@@ -8,6 +8,8 @@ a).
 """
 
 import dataclasses
+import functools
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.symbolic import MakeVectorVariable
@@ -15,8 +17,23 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import Demultiplexer, MatrixGain, Multiplexer, SymbolicVectorSystem
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.scenario import Wheels
+from ffsm_drake.common.numbers import percent
+from ffsm_drake.common.so3 import in_body_axes
+from ffsm_drake.scenario import Scenario, Wheels
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
+from ffsm_drake.systems.part import (
+    INTERNAL_TORQUE,
+    STEPS,
+    STORED_MOMENTUM,
+    Constant,
+    Figure,
+    Metric,
+    Part,
+    Signal,
+    View,
+    by_key,
+)
+from ffsm_drake.systems.setup import BlockSetup
 
 _FADES_BELOW = 0.1  # rad/s; Coulomb friction, which jumps at rest otherwise
 _LEAST = 1e-12
@@ -213,3 +230,189 @@ class Gyroscopic(Diagram):
     def set_momentum(self, context: Context, momentum: np.ndarray) -> None:
         """Set p (3), N m s."""
         self.GetMutableSubsystemContext(self._momentum, context).SetContinuousState(momentum)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReactionWheels(Part):
+    """What the wheels of a scenario's own actuators bring to its records and pages."""
+
+    title = "Wheels"
+    section = "Actuators"
+    about = ""
+    rehearsed = True
+    settings: Wheels
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "ReactionWheels | None":
+        """Those of a scenario."""
+        return None if scenario.wheels is None else cls(settings=scenario.wheels)
+
+    def signals(self, setup: BlockSetup) -> Sequence[Signal]:
+        """Their momentum, torque and speed, and what of them acts on the base."""
+        of_each = functools.partial(
+            Signal, components=tuple(self.settings.units), dimension="wheel"
+        )
+        in_world = functools.partial(
+            Signal, components=("x", "y", "z"), dimension="axis", heading=""
+        )
+        return (
+            of_each(
+                name="wheel_momentum",
+                unit="N m s",
+                meaning="momentum of each wheel about its axis",
+                heading="Wheels: momentum",
+            ),
+            of_each(
+                name="wheel_torque",
+                unit="N m",
+                meaning="torque of each wheel's motor from this sample to the next",
+                heading="Wheels: torque of the motors",
+                chart=STEPS,
+            ),
+            in_world(
+                name="wheel_reaction",
+                unit="N m",
+                meaning="torque of the wheels on the base, part of applied_force, held likewise",
+                role=INTERNAL_TORQUE,
+            ),
+            in_world(
+                name="stored_momentum",
+                unit="N m s",
+                meaning="momentum of the wheels in the world frame, part of angular_momentum",
+                held=False,
+                role=STORED_MOMENTUM,
+            ),
+            Signal(
+                name="wheel_unloads",
+                unit="1",
+                meaning="1 while thrusters unload the wheels",
+                heading="",
+            ),
+            of_each(
+                name="wheel_speed",
+                unit="rad/s",
+                meaning="speed of each wheel in the base",
+                heading="",
+                of=self._speed,
+            ),
+        )
+
+    def constants(self, setup: BlockSetup) -> Sequence[Constant]:
+        """Their limits."""
+        return [
+            Constant(
+                name=name,
+                unit=unit,
+                meaning=meaning,
+                dimension="wheel",
+                values=self._of_each(name).tolist(),
+            )
+            for name, unit, meaning in (
+                ("torque_limit", "N m", "of its motor, either way"),
+                ("speed_limit", "rad/s", "in the base, either way"),
+            )
+        ]
+
+    def metrics(self) -> Sequence[Metric]:
+        """Peaks by wheel; shares of limits; shares of the samples."""
+
+        def peak(key: str, signal: str, unit: str) -> Metric:
+            return Metric(
+                key=f"wheels.{key}",
+                unit=unit,
+                label="",
+                column="",
+                of=lambda run: dict(
+                    zip(self.settings.units, np.abs(run[signal]).max(axis=0).tolist(), strict=True)
+                ),
+            )
+
+        share = functools.partial(Metric, unit="1", shown="%")
+        return (
+            peak("peak_momentum", "wheel_momentum", "N m s"),
+            peak("peak_speed", "wheel_speed", "rad/s"),
+            peak("peak_torque", "wheel_torque", "N m"),
+            share(
+                key="wheels.speed_used",
+                label="Speed, of a wheel's limit",
+                column="wheel_speed_used",
+                heading="wheel's speed [of its limit]",
+                of=lambda run: (np.abs(run["wheel_speed"]) / self._of_each("speed_limit")).max(),
+            ),
+            share(
+                key="wheels.torque_used",
+                label="Torque, of a motor's limit",
+                column="wheel_torque_used",
+                heading="",
+                of=lambda run: self._torque_used(run).max(),
+            ),
+            share(
+                key="wheels.torque_limited",
+                label="Samples with a motor at its limit",
+                heading="torque at the limit [share]",
+                of=lambda run: (self._torque_used(run) > 1.0 - 1e-9).any(axis=1).mean(),
+            ),
+            share(
+                key="wheels.unloading",
+                label="Samples in which they are unloaded",
+                heading="unloading [share]",
+                of=lambda run: run["wheel_unloads"].mean(),
+            ),
+        )
+
+    def sentence(self, figures: Sequence[Figure]) -> str:
+        """How much of the wheels was used."""
+        found = by_key(figures)
+        speed, torque, limited, unloading = (
+            percent(found[f"wheels.{name}"])
+            for name in ("speed_used", "torque_used", "torque_limited", "unloading")
+        )
+        return (
+            f"wheels: up to {speed} of the speed and {torque} of the torque of a wheel, a motor at "
+            f"its limit in {limited} of the samples; unloaded in {unloading}"
+        )
+
+    def table(self, figures: Sequence[Figure]) -> Sequence[Sequence[str | float]]:
+        """What each wheel did, beside its limits."""
+        found = by_key(figures)
+        momentum, speed, torque = (
+            found[f"wheels.peak_{name}"] for name in ("momentum", "speed", "torque")
+        )
+        headings = (
+            "wheel",
+            "peak momentum [N m s]",
+            "peak speed [rad/s]",
+            "limit",
+            "peak torque [N m]",
+            "limit",
+        )
+        return [
+            headings,
+            *(
+                (
+                    name,
+                    momentum[name],
+                    speed[name],
+                    unit.speed_limit,
+                    torque[name],
+                    unit.torque_limit,
+                )
+                for name, unit in self.settings.units.items()
+            ),
+        ]
+
+    def _of_each(self, name: str) -> np.ndarray:
+        return np.array([getattr(unit, name) for unit in self.settings.units.values()], dtype=float)
+
+    def _torque_used(self, run: View) -> np.ndarray:
+        used: np.ndarray = np.abs(run["wheel_torque"]) / self._of_each("torque_limit")
+        return used
+
+    def _speed(self, run: View) -> np.ndarray:
+        """Speeds (n, wheels) in the base, rad/s."""
+        state, first = run["state"], len(run.coordinates.position_names)
+        w_WB = in_body_axes(state[:, :4], state[:, first : first + 3])
+        axes = self._of_each("axis")
+        axes /= np.linalg.norm(axes, axis=1)[:, None]
+        speed: np.ndarray = run["wheel_momentum"] / self._of_each("inertia") - w_WB @ axes.T
+        return speed

@@ -1,0 +1,29 @@
+# ruff: noqa: RUF001, RUF002 (the texts use mathematical signs)
+"""Numbers as text."""
+
+import math
+
+NONE = "–"
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Such as 12.35 or 1.235×10⁻⁶; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return NONE
+    if value == 0.0:
+        return "0"
+    mantissa, power = f"{value:.{digits - 1}e}".split("e")
+    if 1e-3 <= abs(value) < 1e5:
+        return f"{value:.{max(digits - 1 - int(power), 0)}f}"
+    return f"{mantissa}{power_of_ten(int(power))}"
+
+
+def power_of_ten(exponent: int) -> str:
+    """Such as ×10⁻⁴."""
+    return f"×10{str(exponent).translate(_SUPERSCRIPTS)}"
+
+
+def percent(share: float | None) -> str:
+    """Such as 97.5 %; a dash where there is none."""
+    return f"{100.0 * share:.1f} %" if share is not None and math.isfinite(share) else NONE

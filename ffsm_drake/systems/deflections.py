@@ -1,0 +1,274 @@
+"""What the hidden coordinates of the true spacecraft (``model.flexible``) bring to records and
+pages: how far they move, the energy of their springs, and what is left of it once the planned
+motion is over.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.part import (
+    STORED_ENERGY,
+    Constant,
+    Figure,
+    Metric,
+    Part,
+    Signal,
+    View,
+    by_key,
+)
+from ffsm_drake.systems.setup import BlockSetup
+
+_AT_REST = 1e-9  # rad/s or m/s; below any planned motion
+# By the unit of the coordinates: what their columns in campaigns are called.
+_COLUMNS = {"rad": "angle", "m": "distance"}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Deflections(Part):
+    """Hidden coordinates, of parts of some kinds (``scenario.FLEXIBLE_KINDS``)."""
+
+    title = "Hidden coordinates"
+    section = "Hidden coordinates"
+    about = "What moves in the true spacecraft that the controller takes for rigid."
+    kinds: tuple[str, ...]
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "Deflections | None":
+        """Those of a scenario."""
+        kinds = tuple(part.kind for part in scenario.model.flexible.values())
+        return cls(kinds=kinds) if kinds else None
+
+    def signals(self, setup: BlockSetup) -> Sequence[Signal]:
+        """Positions, rates, forces; the energy of springs, and what dampers took."""
+        hidden = setup.hidden
+        along = functools.partial(Signal, components=hidden.names, dimension="hidden_coordinate")
+        units = dict(zip(hidden.names, hidden.units, strict=True))
+        return (
+            along(
+                name="hidden_position",
+                unit="rad or m",
+                meaning="deflection, unknown to the controller",
+                heading="Deflection",
+                panels=units,
+                of=_position,
+            ),
+            along(
+                name="hidden_velocity",
+                unit="rad or m per s",
+                meaning="its rate",
+                heading="Rate",
+                panels={name: f"{unit}/s" for name, unit in units.items()},
+                of=lambda run: np.split(run["hidden_state"], 2, axis=1)[1],
+            ),
+            Signal(
+                name="elastic_energy",
+                unit="J",
+                meaning="energy of the springs",
+                heading="Energy",
+                panel="Energy of the springs",
+                role=STORED_ENERGY,
+                of=_elastic_energy,
+            ),
+            Signal(
+                name="damping_loss",
+                unit="J",
+                meaning="energy that dampers took since the start",
+                heading="",
+                role=STORED_ENERGY,
+                of=_damping_loss,
+            ),
+            along(
+                name="hidden_force",
+                unit="N m or N",
+                meaning="external forces on them at this instant, summed",
+                heading="",
+                of=_force,
+            ),
+        )
+
+    def constants(self, setup: BlockSetup) -> Sequence[Constant]:
+        """Their units."""
+        return [
+            Constant(
+                name="hidden_unit",
+                unit="",
+                meaning="unit of the deflection",
+                dimension="hidden_coordinate",
+                values=setup.hidden.units,
+            )
+        ]
+
+    def metrics(self) -> Sequence[Metric]:
+        """The largest deflection by coordinate; from when the reference comes to rest, where it
+        does before the run's last sample, amplitude and rms; of all with a unit, the largest.
+        """
+        units = tuple(
+            dict.fromkeys("m" if kind in ("mass", "beam") else "rad" for kind in self.kinds)
+        )
+        by_name = (
+            ("peak", "Largest deflection of hidden coordinates", peak, _position),
+            ("residual_amplitude", "Their amplitude after the motion", amplitude, residual),
+            ("residual_rms", "Their rms after the motion", rms, residual),
+        )
+        return (
+            *(
+                Metric(
+                    key=f"hidden.{key}",
+                    unit=unit,
+                    label=label,
+                    column="",
+                    of=functools.partial(_by_name, of, when, unit),
+                )
+                for key, label, of, when in by_name
+                for unit in units
+            ),
+            Metric(key="hidden.residual_since", unit="s", label="", column="", of=_since),
+            *(
+                Metric(
+                    key="",
+                    unit=unit,
+                    label="",
+                    column=f"{column}_{_COLUMNS[unit]}",
+                    heading=f"{heading} [{unit}]",
+                    of=functools.partial(_largest, of, when, unit),
+                )
+                for unit in units
+                for column, heading, of, when in (
+                    ("peak_deflection", "peak deflection", peak, _position),
+                    ("residual", "residual amplitude", amplitude, residual),
+                )
+            ),
+        )
+
+    def sentence(self, figures: Sequence[Figure]) -> str:
+        """How far they moved, and what is left of it."""
+
+        def listed(key: str) -> str:
+            return ", ".join(
+                f"{name} {value:.3g} {figure.unit}"
+                for figure in figures
+                if figure.key == f"hidden.{key}"
+                for name, value in by_key([figure])[figure.key].items()
+            )
+
+        line = f"hidden coordinates: deflected by at most {listed('peak')}"
+        since = by_key(figures)["hidden.residual_since"]
+        if not math.isnan(since):
+            line += (
+                f"; after the motion, from t = {since:g} s, amplitude "
+                f"{listed('residual_amplitude')}, rms {listed('residual_rms')}"
+            )
+        return line
+
+
+def first_at_rest(velocity: np.ndarray) -> int:
+    """The sample from which a reference's velocity (n, nv) stays zero; n where it does not."""
+    moving = np.flatnonzero((np.abs(velocity) > _AT_REST).any(axis=1))
+    return int(moving[-1]) + 1 if moving.size else 0
+
+
+def peak(deflection: np.ndarray) -> np.ndarray:
+    """The largest of each (n, nh)."""
+    largest: np.ndarray = np.abs(deflection).max(axis=0)
+    return largest
+
+
+def amplitude(deflection: np.ndarray) -> np.ndarray:
+    """Half the distance from the least to the largest of each (n, nh)."""
+    return np.ptp(deflection, axis=0) / 2.0
+
+
+def rms(deflection: np.ndarray) -> np.ndarray:
+    """Root of the mean square about the mean of each (n, nh)."""
+    return deflection.std(axis=0)
+
+
+def residual(run: View) -> np.ndarray | None:
+    """The deflections (m, nh) from when the reference comes to rest; None where it does not before
+    the last sample.
+    """
+    first = _first(run)
+    return _position(run)[first:] if first < len(run.time) - 1 else None
+
+
+def _first(run: View) -> int:
+    return first_at_rest(run["desired_state"][:, len(run.coordinates.position_names) :])
+
+
+def _since(run: View) -> float | None:
+    first = _first(run)
+    return float(run.time[first]) if first < len(run.time) - 1 else None
+
+
+def _position(run: View) -> np.ndarray:
+    return np.split(run["hidden_state"], 2, axis=1)[0]
+
+
+def _force(run: View) -> np.ndarray | None:
+    """N m or N (n, nh); None where no force acts on them."""
+    if "external_hidden_force" not in run:
+        return None
+    return run["external_hidden_force"]
+
+
+def _by_name(
+    of: Callable[[np.ndarray], np.ndarray],
+    when: Callable[[View], np.ndarray | None],
+    unit: str,
+    run: View,
+) -> dict[str, float | None]:
+    """A figure of the coordinates with a unit."""
+    deflection, hidden = when(run), run.hidden
+    values = [None] * len(hidden.names) if deflection is None else of(deflection).tolist()
+    named = zip(hidden.names, hidden.units, values, strict=True)
+    return {name: value for name, other, value in named if other == unit}
+
+
+def _largest(
+    of: Callable[[np.ndarray], np.ndarray],
+    when: Callable[[View], np.ndarray | None],
+    unit: str,
+    run: View,
+) -> float | None:
+    values = [value for value in _by_name(of, when, unit, run).values() if value is not None]
+    return float(np.max(values)) if values else None
+
+
+def _elastic_energy(run: View) -> np.ndarray:
+    """J (n)."""
+    model = run.model
+    states = run.hidden.whole(run["state"], run["hidden_state"])
+    elastic = np.full(len(states), np.nan)
+    for i, state in enumerate(states):
+        if np.isfinite(state).all():  # not of a diverged run's last; Drake ends the process on it
+            model.plant.SetPositionsAndVelocities(model.context, state)
+            elastic[i] = model.plant.CalcPotentialEnergy(model.context)
+    return elastic
+
+
+def _damping_loss(run: View) -> np.ndarray:
+    """J (n); the mean square of a rate that is quadratic within a sample follows from its ends and
+    from how far it went.
+    """
+    plant, context = run.model.plant, run.model.context
+    states = run.hidden.whole(run["state"], run["hidden_state"])
+    joints = [
+        joint
+        for joint in map(plant.get_joint, plant.GetJointIndices())
+        if joint.num_velocities() == 1
+    ]
+    damping = np.array([joint.GetDampingVector(context)[0] for joint in joints])
+    angle = states[:, [joint.position_start() for joint in joints]]
+    rate = states[:, [plant.num_positions() + joint.velocity_start() for joint in joints]]
+    period = run.scenario.sample_time
+    before, after = rate[:-1], rate[1:]
+    bow = 6.0 * np.diff(angle, axis=0) / period - 3.0 * (before + after)
+    square = (
+        (before**2 + before * after + after**2) / 3.0 + bow * (before + after) / 6.0 + bow**2 / 30.0
+    )
+    return np.concatenate([np.zeros(1), np.cumsum(period * square @ damping)])
