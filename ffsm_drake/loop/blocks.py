@@ -11,7 +11,7 @@ true payload's ``MassProperties`` before that and whenever they change.
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from typing import Any
 
 from pydrake.systems.framework import System
@@ -202,24 +202,21 @@ def make_blocks(
                 placed[name] = place_part(part, own, made, name=name, block=name)
         blocks[name] = made
     shipped = {}
-    for name, part in section_parts(scenario).items():
-        block = name.partition(".")[0]
-        if block not in given:
-            setup = dataclasses.replace(own, name=name, settings={})
-            system = blocks.get(block)
-            shipped[name] = place_part(part, setup, system, name=name, block=block)
+    for name, part in section_parts(scenario, given).items():
+        block, setup = kind_of(name), dataclasses.replace(own, name=name, settings={})
+        shipped[name] = place_part(part, setup, blocks.get(block), name=name, block=block)
     return blocks, shipped | placed
 
 
-def section_parts(scenario: Scenario) -> dict[str, Part]:
+def section_parts(scenario: Scenario, given: Container[str] = ()) -> dict[str, Part]:
     """The parts of the scenario's own sections, by block and section; none of a block that is
-    filled otherwise.
+    filled otherwise, as those ``given`` are.
     """
     choices = block_choices(scenario)
     found = {
         name: of(scenario)
         for name, of in _SECTION_PARTS.items()
-        if name.partition(".")[0] not in choices
+        if kind_of(name) not in choices and kind_of(name) not in given
     }
     return {name: part for name, part in found.items() if part is not None}
 

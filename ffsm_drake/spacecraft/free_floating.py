@@ -202,8 +202,8 @@ def free_floating(
 
     Args:
       model: the plant with its payload.
-      driven: names of coordinates or groups; ("base_rotation", "joints") where wheels hold the
-        base's attitude.
+      driven: names of coordinates or groups; ("base_rotation", "joints") where something holds the
+        base's attitude and nothing its place.
 
     Raises:
       ScenarioError: a name is unknown.

@@ -454,7 +454,7 @@ TABLE = [
     manifest(
         "other-format",
         lambda data: data.update(format=9),
-        "format 9 is not the supported 3",
+        "format 9 is not the supported 4",
     ),
     manifest(
         "manifest-without-scenario",
