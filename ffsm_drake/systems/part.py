@@ -258,6 +258,12 @@ class Part:
         """Headings and rows of a table in the report, such as of each of its units."""
         return ()
 
+    def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray] | None:
+        """Of an actuator of the base: the largest ``torque`` (N m) and ``force`` (N) along each of
+        the directions (n, 3; base's axes), those that it gives; None of others.
+        """
+        return None
+
     def linear(self) -> "Part":
         """What the linearisation wires in its place: without limits, which have no derivative."""
         return self

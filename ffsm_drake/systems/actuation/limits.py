@@ -1,4 +1,4 @@
-"""The largest forces: of limits, URDFs, thrusters and wheels."""
+"""The largest forces: of limits, URDFs and the base's actuators."""
 
 import dataclasses
 import itertools
@@ -9,8 +9,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.joint_limits import joint_limits
 from ffsm_drake.spacecraft.plant import coordinates_of
-from ffsm_drake.systems.actuation.thrusters import ThrusterSet
-from ffsm_drake.systems.actuation.wheels import WheelSet
+from ffsm_drake.systems.actuation import SECTIONS
 
 # Axes, edges and corners of a cube.
 _DIRECTIONS = np.array(
@@ -33,34 +32,29 @@ class BaseLimits:
 
 
 def base_limits(scenario: Scenario) -> BaseLimits:
-    """What thrusters and wheels of a scenario give; ScenarioError as for ``make_actuation``."""
-    settings, period = scenario.actuation, scenario.sample_time
+    """What the actuators of a scenario give; ScenarioError as for ``make_actuation``."""
     torque = force = np.full(len(_DIRECTIONS), np.inf)
-    is_limited = settings.thrusters is not None or settings.wheels is not None
-    if scenario.blocks.actuation is None:
-        if settings.thrusters is not None:
-            thrusters, none = ThrusterSet(settings.thrusters, sample_time=period), np.zeros(3)
-            torque, force = (
-                np.array([thrusters.most(np.concatenate(parts(each))) for each in _DIRECTIONS])
-                for parts in (lambda each: (each, none), lambda each: (none, each))
-            )
-        if settings.wheels is not None:
-            wheels = WheelSet(settings.wheels, sample_time=period, alone=settings.thrusters is None)
-            torque = np.array([wheels.most(each) for each in _DIRECTIONS])
+    names = []
+    for of in SECTIONS.values() if scenario.blocks.actuation is None else ():
+        part = of(scenario)
+        most = None if part is None else part.most(scenario, _DIRECTIONS)
+        if part is not None and most is not None:  # torque of what comes last is what counts
+            torque, force = most.get("torque", torque), most.get("force", force)
+            names.append(part.title.lower())
     return BaseLimits(
         torque=float(torque.min()),
         most_torque=float(torque.max()),
         force=float(force.min()),
         most_force=float(force.max()),
-        named=" or what thrusters and wheels give" if is_limited else "",
+        named=f" or what {' and '.join(names)} give" if names else "",
     )
 
 
 def force_limits(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
     """The largest force of each coordinate (nv), N m or N, infinite where there is none.
 
-    That of ``actuation.limit``, the URDFs' efforts, and what thrusters and wheels give in any
-    direction.
+    That of ``actuation.limit``, the URDFs' efforts, and what the base's actuators give in
+    any direction.
 
     Raises ScenarioError, ModelError: the limit names an unknown coordinate, or a URDF cannot be
     read.

@@ -188,12 +188,14 @@ class FiredThrusters(Part):
     section = "Actuators"
     about = ""
     rehearsed = True
+    settings: Thrusters
     units: Mapping[str, Thruster]
 
     @classmethod
     def of(cls, scenario: Scenario) -> "FiredThrusters | None":
         """Those of a scenario."""
-        return cls(units=units) if (units := own_thrusters(scenario)) else None
+        settings, units = scenario.actuation.thrusters, own_thrusters(scenario)
+        return cls(settings=settings, units=units) if settings is not None and units else None
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Forces, open valves, and what of the wanted wrench they could give."""
@@ -310,6 +312,15 @@ class FiredThrusters(Part):
                 ),
             ),
         )
+
+    def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray]:
+        """Torque and force."""
+        thrusters = ThrusterSet(self.settings, sample_time=scenario.sample_time)
+        none = np.zeros_like(directions)
+        return {
+            kind: np.array([thrusters.most(each) for each in np.hstack(parts)])
+            for kind, parts in (("torque", (directions, none)), ("force", (none, directions)))
+        }
 
     def sentence(self, figures: Sequence[Figure]) -> str:
         """What they took and gave."""

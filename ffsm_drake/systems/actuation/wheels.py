@@ -9,7 +9,7 @@ a).
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.symbolic import MakeVectorVariable
@@ -359,6 +359,12 @@ class ReactionWheels(Part):
                 of=lambda run: run["wheel_unloads"].mean(),
             ),
         )
+
+    def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray]:
+        """Torque."""
+        alone = scenario.actuation.thrusters is None
+        wheels = WheelSet(self.settings, sample_time=scenario.sample_time, alone=alone)
+        return {"torque": np.array([wheels.most(each) for each in directions])}
 
     def sentence(self, figures: Sequence[Figure]) -> str:
         """How much of the wheels was used."""
