@@ -100,7 +100,7 @@ class RunLog:
         return values[:, 0] if alone and not (signal and signal.components) else values
 
     def __contains__(self, name: str) -> bool:
-        return name in self.series
+        return name in self.series or any(each.name == name for each in signals_of(self.parts))
 
     @functools.cached_property
     def model(self) -> PlantModel:

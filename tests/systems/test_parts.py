@@ -308,7 +308,7 @@ class Telling(Faulty):
     """A part that uses all that a part can say of itself."""
 
     title = "Heaters"
-    section = "Heat"
+    section = "Motion & heat"
     about = ""
 
     def signals(self, setup):
@@ -396,12 +396,17 @@ def test_all_that_a_part_can_say_of_itself(tmp_path):
         ("", "Switchings", "3", NONE, ""),
     ]
     assert rankings(results)[-1]["title"] == "By energy (J)"
-    (view,) = part_views(results, Thinning(100), "Heat")
+    (view,) = part_views(results, Thinning(100), "Motion & heat")
     assert view.label == "Switched on"
     assert [trace.name for trace in view.panels[0].figure.data] == [
         "TDC, run 1, left",
         "TDC, run 1, right",
     ]
     page = write_report([loaded], tmp_path / "report.html").read_text()
-    for text in (">Heat<", "By heater", '<td class="text">left</td><td>1.000</td>'):
+    for text in (
+        ">Motion &amp; heat<",
+        "By heater",
+        "Base attitude",
+        '<td class="text">left</td><td>1.000</td>',
+    ):
         assert text in page

@@ -4,6 +4,7 @@ them as one file.
 
 import functools
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -122,7 +123,7 @@ def render_report(
     margins = [_attempt(functools.partial(stability, result.record.scenario)) for result in results]
     views = run_views(results, thin)
     of_parts = {
-        title.lower().replace(" ", "_"): (title, part.about)
+        f"part_{re.sub(r'[^a-z0-9]+', '_', title.lower())}": (title, part.about)
         for title, part in part_sections(results).items()
     }
     views |= {key: part_views(results, thin, title) for key, (title, _) in of_parts.items()}
