@@ -184,7 +184,7 @@ def _distances(records: Sequence["RunRecord"]) -> list[float]:
 
 
 def _stem_of(scenario: "Scenario") -> str:
-    """A folder name for a run; it ends in the controller's name unless that is the scenario's own."""
+    """Folder name of a run; it ends in the controller's name unless that is the scenario's own."""
     from ffsm_drake.scenario import controller_key, load_scenario
 
     own = load_scenario(click.get_current_context().params["scenario"]).controller
@@ -270,7 +270,7 @@ def _finish(
         with suppress(ModelError):  # already among the remarks
             for closest in run_clearance(record):
                 click.echo(
-                    f"{record.scenario.controller}: nearest to each other: {closest}", err=True
+                    f"{record.scenario.controller}: closest approach: {closest}", err=True
                 )
     if not as_json:
         placed = _places(records)

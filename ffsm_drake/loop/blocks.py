@@ -1,4 +1,4 @@
-"""The blocks of the closed loop: which there are, their ports, and what fills them.
+"""The blocks of the closed loop, their ports, and the systems that fill them.
 
 A block is a named place in the diagram. The scenario's own section fills it (``sensing``,
 ``actuation``, ...), unless ``blocks`` in the scenario, or a factory given in Python, puts another
@@ -47,14 +47,13 @@ class Ports:
     outputs: Mapping[str, str]
     optional_inputs: Mapping[str, str] = dataclasses.field(default_factory=dict)
     optional_outputs: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    held: bool = False  # no output may follow an input at once
+    held: bool = False  # no output may depend directly on an input
 
 
 BLOCKS: dict[str, Ports] = {
     "reference": Ports(
         outputs={"desired_state": STATE, "desired_acceleration": VELOCITY},
-        # Of the frame F that the motion prescribes: [quaternion of R_WF; p_WF; w_WF; v_WF;
-        # alpha_WF; a_WF].
+        # Motion of the prescribed frame F: [quaternion of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF].
         optional_outputs={"desired_frame": FRAME},
     ),
     "sensing": Ports(
@@ -62,8 +61,8 @@ BLOCKS: dict[str, Ports] = {
         inputs={"state": STATE},
         optional_inputs={"true_state": STATE},
         outputs={"estimated_state": STATE},
-        # 1: this control sample brings a new measurement, 0: an earlier one is repeated. Without it
-        # all are new.
+        # 1: this control sample has a new measurement, 0: it repeats an earlier one. Without
+        # this port all are new.
         optional_outputs={"measurement_is_new": STATE},
     ),
     "controller": Ports(
@@ -81,8 +80,7 @@ BLOCKS: dict[str, Ports] = {
         inputs={"commanded_force": VELOCITY},
         optional_inputs={"state": STATE},
         outputs={"applied_force": VELOCITY},
-        # What acts on the plant beside it and is not held over a sample, and friction's work for
-        # the record.
+        # Forces on the plant that are not held over a sample, and friction's work for the record.
         optional_outputs=dict.fromkeys(
             ("gyroscopic_force", FRICTION_FORCE, FRICTION_WORK), VELOCITY
         ),
@@ -90,8 +88,8 @@ BLOCKS: dict[str, Ports] = {
     "forces": Ports(
         outputs={"generalized_force": VELOCITY},
         optional_inputs={"state": STATE, "hidden_state": HIDDEN_STATE},
-        # The force at a control sample, for the record, which would read the one before its update.
-        # What acts on hidden coordinates comes with the force at a control sample.
+        # The force after the update of a control sample: the record would see the one before it.
+        # The force on hidden coordinates, after the update of a control sample.
         optional_outputs={
             "next_generalized_force": VELOCITY,
             "hidden_force": HIDDEN,
@@ -100,7 +98,7 @@ BLOCKS: dict[str, Ports] = {
     ),
 }
 DISTURBANCE, ENVIRONMENT = "forces.disturbance", "forces.environment"
-# What the scenario's own sections describe; an actuator that does nothing to the force is None.
+# Factories for the scenario's own sections; None for an ideal actuator.
 _SECTIONS: dict[str, Factory] = {
     "reference": lambda setup: make_reference(setup.scenario, setup.coordinates),
     "sensing": lambda setup: make_sensing(
@@ -141,13 +139,12 @@ def block_choices(scenario: Scenario) -> dict[str, Block]:
 def make_blocks(
     scenario: Scenario, nominal: PlantModel, factories: Mapping[str, Factory] | None = None
 ) -> tuple[dict[str, System], dict[str, PlacedPart]]:
-    """All blocks by name, checked, and the parts among what fills them. ``actuation`` is missing
-    where what is commanded acts.
+    """All blocks by name, checked, and the parts that fill blocks; no ``actuation`` if it is ideal.
 
     Args:
-      scenario: what fills them.
+      scenario: names the systems that fill the blocks.
       nominal: the plant with the nominal payload; the controller's own.
-      factories: block -> factory in place of what the scenario names; "forces.<name>" for a force.
+      factories: block -> factory that replaces the scenario's choice; "forces.<name>" for a force.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate; an unknown block or name.
@@ -160,7 +157,7 @@ def make_blocks(
         if not several and (name not in valid or name in _SEVERAL):
             raise ScenarioError(
                 f"blocks.{name}",
-                f"is no block; choose {', '.join(valid)}{did_you_mean(name, valid)}",
+                f"is not a block; choose {', '.join(valid)}{did_you_mean(name, valid)}",
             )
     everything = (*_own_forces(scenario), *choices, *given)
     stages, forces = (
@@ -196,16 +193,16 @@ def make_blocks(
 
 
 def part_of(name: str, scenario: Scenario, given: Any = None) -> Part | None:
-    """The part that fills a block, with its settings; None where something else fills it.
+    """The part that fills a block, with its settings; None if it is filled by something else.
 
     Args:
-      name: of the block.
-      scenario: what fills it.
-      given: a factory, or a part, in place of what the scenario names.
+      name: block name.
+      scenario: names the part.
+      given: a factory or part that replaces the scenario's choice.
 
     Raises:
-      ScenarioError: a setting is unknown, or cannot have its value.
-      BlockError: what fills the block cannot be loaded.
+      ScenarioError: a setting is unknown, or its value is not allowed.
+      BlockError: the block's system cannot be loaded.
     """
     choice, key = block_choices(scenario).get(name), f"blocks.{name}.settings"
     if given is None and choice is not None:
@@ -231,8 +228,7 @@ def parts_of(scenario: Scenario, given: Mapping[str, Any] | None = None) -> dict
 
 
 def _check_initialized(system: System, *, place: str) -> None:
-    """Raise BlockError for a system whose __init__ did not call Drake's, if building it did not
-    raise already.
+    """Raise BlockError for a system whose __init__ did not call Drake's.
     """
     try:
         system.get_name()
@@ -247,8 +243,7 @@ def _own_forces(scenario: Scenario) -> tuple[str, ...]:
 
 
 def block_factory(name: str, scenario: Scenario) -> Factory:
-    """What builds a block that is not the controller: what ``blocks`` names, else the scenario's
-    section of that name.
+    """Factory of a block except the controller: from ``blocks``, else the scenario's section.
 
     Raises ScenarioError and BlockError as ``make_blocks`` does.
     """
@@ -261,8 +256,7 @@ def block_factory(name: str, scenario: Scenario) -> Factory:
 
 
 def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
-    """Where each block comes from: block -> ``system``; of user-supplied ones and a plan, ``file``
-    and ``sha256``.
+    """Origin of each block: block -> ``system``; with ``file`` and ``sha256`` if it comes from one.
     """
     names = {name: f"scenario: {name}" for name in ("reference", "sensing", "actuation")}
     names |= {"controller": scenario.controller}
@@ -289,9 +283,9 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
     """Raise BlockError unless a system has a block's ports, with the right sizes.
 
     Args:
-      system: what fills the block.
+      system: the system that fills the block.
       block: a key of BLOCKS.
-      coordinates: of the spacecraft; they give the sizes.
+      coordinates: the spacecraft's, which determine the sizes.
       place: names the block in the error.
     """
     ports = BLOCKS[block]
@@ -335,7 +329,6 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
                 and system.HasDirectFeedthrough(int(found[name].get_index()))
             ):
                 raise BlockError(
-                    f"{place}: output port '{name}' must not follow an input at once; declare it "
-                    "with "
-                    "DeclareStateOutputPort, or with prerequisites {self.all_state_ticket()}"
+                    f"{place}: output port '{name}' must not depend directly on an input; declare "
+                    "it with DeclareStateOutputPort, or with prerequisites {self.all_state_ticket()}"
                 )
