@@ -269,9 +269,7 @@ def _finish(
             click.echo(f"warning: {record.scenario.controller}: {remark}", err=True)
         with suppress(ModelError):  # already among the remarks
             for closest in run_clearance(record):
-                click.echo(
-                    f"{record.scenario.controller}: closest approach: {closest}", err=True
-                )
+                click.echo(f"{record.scenario.controller}: closest approach: {closest}", err=True)
     if not as_json:
         placed = _places(records)
         shown = None if distances is None else [distances[k] for k in placed]

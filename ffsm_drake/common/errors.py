@@ -12,8 +12,7 @@ _MAX_LENGTH = 1500  # characters of an error text
 
 
 class FfsmError(Exception):
-    """Base of every error caused by bad input; its text is one line, shortened if long.
-    """
+    """Base of every error caused by bad input; its text is one line, shortened if long."""
 
     def __init__(self, text: str) -> None:
         line = " ".join(text.splitlines())

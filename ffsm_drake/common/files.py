@@ -65,8 +65,7 @@ def published(directory: Path, *, outdated: Iterable[str] = ()) -> Iterator[Path
 
 
 def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:
-    """Move a subfolder's files up into ``directory``; the files they replace and ``outdated`` go.
-    """
+    """Move a subfolder's files up into ``directory``; the files they replace and ``outdated`` go."""
     names = [path.name for path in new.iterdir()]
     for name in names:
         if (directory / name).is_dir():
@@ -92,8 +91,7 @@ def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:
 
 @contextmanager
 def same_folder() -> Iterator[None]:
-    """Return to the current folder after the block: a user-supplied controller may change it.
-    """
+    """Return to the current folder after the block: a user-supplied controller may change it."""
     try:
         before = os.open(".", os.O_RDONLY)
     except OSError:  # deleted or unreadable
@@ -123,8 +121,7 @@ def check_regular(path: Path, *, limit: int) -> None:
 
 
 def check_writable(directory: Path) -> None:
-    """Raise RecordError unless a folder, existing or not, could be written to; creates nothing.
-    """
+    """Raise RecordError unless a folder, existing or not, could be written to; creates nothing."""
     place = directory.absolute()
     try:
         while not _exists(place):
@@ -160,8 +157,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows of equal columns as CSV; numbers with eight digits, empty if not finite.
-    """
+    """Rows of equal columns as CSV; numbers with eight digits, empty if not finite."""
 
     def cell(value: Any) -> Any:
         return (

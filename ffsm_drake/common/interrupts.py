@@ -40,8 +40,7 @@ class Interrupts:
 
 
 def handle_signals() -> None:
-    """End this process on Ctrl-C and SIGTERM as described above; ignored signals stay ignored.
-    """
+    """End this process on Ctrl-C and SIGTERM as described above; ignored signals stay ignored."""
     interrupts = Interrupts()
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:

@@ -71,8 +71,7 @@ class Workers:
 
 @contextlib.contextmanager
 def local_workers(count: int) -> Iterator[Workers]:
-    """Spawned processes on this machine, one library thread each; they end with this process.
-    """
+    """Spawned processes on this machine, one library thread each; they end with this process."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)  # inherited by the workers, read when NumPy loads
     try:
@@ -129,8 +128,7 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
 
 
 def _check_address(address: str) -> None:
-    """Raise WorkersError for an impossible address, which Dask would try until it times out.
-    """
+    """Raise WorkersError for an impossible address, which Dask would try until it times out."""
     form = r"(?:(?:tcp|tls|wss?)://)?(\[[0-9a-fA-F:.]+(?:%\w+)?\]|[\w.-]+):(\d{1,5})"
     found = re.fullmatch(form, address, re.ASCII)
     if found is None or not 0 < int(found[2]) < 2**16:

@@ -228,8 +228,7 @@ def parts_of(scenario: Scenario, given: Mapping[str, Any] | None = None) -> dict
 
 
 def _check_initialized(system: System, *, place: str) -> None:
-    """Raise BlockError for a system whose __init__ did not call Drake's.
-    """
+    """Raise BlockError for a system whose __init__ did not call Drake's."""
     try:
         system.get_name()
     except TypeError:
@@ -256,8 +255,7 @@ def block_factory(name: str, scenario: Scenario) -> Factory:
 
 
 def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
-    """Origin of each block: block -> ``system``; with ``file`` and ``sha256`` if it comes from one.
-    """
+    """Origin of each block: block -> ``system``; with ``file`` and ``sha256`` if it comes from one."""
     names = {name: f"scenario: {name}" for name in ("reference", "sensing", "actuation")}
     names |= {"controller": scenario.controller}
     names |= {name: f"scenario: {name.partition('.')[2]}" for name in _own_forces(scenario)}
@@ -330,5 +328,5 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
             ):
                 raise BlockError(
                     f"{place}: output port '{name}' must not depend directly on an input; declare "
-                    "it with DeclareStateOutputPort, or with prerequisites {self.all_state_ticket()}"
+                    "it with DeclareStateOutputPort, or prerequisites {self.all_state_ticket()}"
                 )

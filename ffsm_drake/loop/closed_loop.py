@@ -82,13 +82,11 @@ class ClosedLoop:
 
     @property
     def tracks_frame(self) -> bool:
-        """True if the controller tracks a frame's pose, and coordinates only in its null space.
-        """
+        """True if the controller tracks a frame's pose, and coordinates only in its null space."""
         return bool(self.blocks["controller"].HasInputPort("desired_frame"))
 
     def output_port(self, signal: str) -> OutputPort:
-        """The port of a signal (see SIGNALS); ``disturbance_force`` is the sum of external forces.
-        """
+        """The port of a signal (see SIGNALS); ``disturbance_force`` is the sum of external forces."""
         system, name = self.sources[signal]
         return system.GetOutputPort(name)
 
@@ -126,8 +124,7 @@ class ClosedLoop:
         )
 
     def _check_friction(self, context: Context) -> None:
-        """Raise ScenarioError if a fixed step does not resolve the friction of a joint near rest.
-        """
+        """Raise ScenarioError if a fixed step does not resolve the friction of a joint near rest."""
         scenario, config = self.scenario, self.scenario.simulator_config
         if (
             scenario.drives is None
@@ -169,8 +166,7 @@ class ClosedLoop:
                 block.set_payload(block.GetMyMutableContextFromRoot(root_context), properties)
 
     def set_state(self, root_context: Context, state: np.ndarray) -> None:
-        """Set the plant to a known state [q; v], and reset the blocks, without history, to it.
-        """
+        """Set the plant to a known state [q; v], and reset the blocks, without history, to it."""
         self.set_whole_state(root_context, self.hidden.whole(state))
 
     def set_whole_state(self, root_context: Context, state: np.ndarray) -> None:
