@@ -61,7 +61,7 @@ SERIES = {
 
 
 class Evidence:
-    """The finite part of a record, quantities shared by several findings, and the series they add."""
+    """The finite part of a record, quantities shared by findings, and the series they add."""
 
     def __init__(self, record: RunRecord) -> None:
         self.record = record
@@ -92,7 +92,7 @@ class Evidence:
 
     @functools.cached_property
     def constants(self) -> Mapping[str, Any]:
-        """The controller's declared gains, (nv) or numbers; empty if none, or if it does not load."""
+        """The controller's declared gains, (nv) or numbers; empty if it does not load."""
         try:
             return gain_vectors(self.scenario, self.coordinates)
         except FfsmError:

@@ -70,7 +70,7 @@ def ultimate_bound(
 
 
 def findings(run: Evidence) -> list[Finding]:
-    """Findings of Section 3.2, for a run with s, K_s, G and a law with the constants of (9), (10)."""
+    """Findings of Section 3.2, for a run with s, K_s, G and a law with constants of (9), (10)."""
     keys = ("lyapunov_derivative", "ultimate_bound", "lemma_1_premise", "lemma_1_conclusion")
     recorded, constants = (
         {"sliding_variable", "reaching_gain", "switching_gain"},
@@ -147,11 +147,11 @@ def _derivative(run: Evidence, bound: float) -> Finding:
         run.constants[name] for name in ("alpha", "beta", "phi", "epsilon")
     )
     v = lyapunov(s=s, k_s=k_s, g=g, alpha=alpha, phi=phi, bound=bound, period=run.period)
-    beyond = outside(s, k_s, beta=beta, epsilon=float(epsilon))
+    exceeding = outside(s, k_s, beta=beta, epsilon=float(epsilon))
     parts = {"s": v.rate_of_s, "K_s": v.rate_of_k_s, "G": v.rate_of_g}
-    run.add(lyapunov=v.value, lyapunov_rate=v.rate, outside=beyond.sum(axis=1))
+    run.add(lyapunov=v.value, lyapunov_rate=v.rate, outside=exceeding.sum(axis=1))
     run.add(**{f"lyapunov_rate_of_{name.lower()}": part for name, part in parts.items()})
-    rising, left, wholly = v.rate > 0.0, beyond[:-1].any(axis=1), beyond[:-1].all(axis=1)
+    rising, left, wholly = v.rate > 0.0, exceeding[:-1].any(axis=1), exceeding[:-1].all(axis=1)
     # The largest term of (13) while V rises.
     driver = max(parts, key=lambda name: parts[name][rising].sum()) if rising.any() else "none"
     numbers: Numbers = {

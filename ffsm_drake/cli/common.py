@@ -235,7 +235,7 @@ class FiniteFloat(click.FloatRange):
 
 
 class RunProgress:
-    """Progress of one run: an updated line on a terminal, else a line every five simulated seconds."""
+    """Progress of one run: an updated line on a terminal, else one every five simulated s."""
 
     def __init__(self, name: str) -> None:
         self._name = name

@@ -65,7 +65,7 @@ def published(directory: Path, *, outdated: Iterable[str] = ()) -> Iterator[Path
 
 
 def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:
-    """Move a subfolder's files up into ``directory``; the files they replace and ``outdated`` go."""
+    """Move a subfolder's files up into ``directory``; replaced and ``outdated`` files go."""
     names = [path.name for path in new.iterdir()]
     for name in names:
         if (directory / name).is_dir():

@@ -81,7 +81,7 @@ def rotation_error_rate(
 
 
 def quaternion_rate(quaternion: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """Rate (4, ...) of a quaternion of R_WB (4, ...; w, x, y, z) turning at w_WB_W (3, ...), rad/s."""
+    """Rate (4, ...) of a quaternion (4, ...; w, x, y, z) of R_WB, for w_WB_W (3, ...), rad/s."""
     (w, x, y, z), (a, b, c) = quaternion, 0.5 * omega
     return np.array(
         [

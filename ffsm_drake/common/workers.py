@@ -207,7 +207,7 @@ def run_tasks(
     arguments: Callable[[Task], tuple[Any, ...]],
     workers: Workers,
     stop: Stop,
-    worn: Callable[[Result], bool] = lambda result: False,
+    should_renew: Callable[[Result], bool] = lambda result: False,
 ) -> Generator[tuple[Task, Result | WorkerLost], None, None]:
     """Run ``function(*arguments(task))`` for every task; yield (task, result) as they come, in any
     order.
@@ -217,13 +217,13 @@ def run_tasks(
 
     Args:
       function: importable by its name in the workers; only its FfsmErrors are passed on unchanged.
-      worn: predicate on a result: True if its process should be replaced.
+      should_renew: predicate on a result: True if its process should be replaced.
 
     Raises:
       FfsmError: what ``function`` raised.
       WorkersError: the workers do not work: every task is lost, or a task cannot be given to them.
     """
-    yield from _Runner(function, iter(tasks), arguments, workers, stop, worn).run()
+    yield from _Runner(function, iter(tasks), arguments, workers, stop, should_renew).run()
 
 
 def map_tasks(
@@ -283,7 +283,7 @@ class _Runner(Generic[Task, Result]):
     arguments: Callable[[Task], tuple[Any, ...]]
     workers: Workers
     stop: Stop
-    worn: Callable[[Result], bool]
+    should_renew: Callable[[Result], bool]
     flying: dict[Future[Result], _Flight[Task]] = dataclasses.field(default_factory=dict)
     # with their strikes
     suspects: deque[tuple[Task, int]] = dataclasses.field(default_factory=deque)
@@ -344,7 +344,7 @@ class _Runner(Generic[Task, Result]):
         ):
             # The pool is broken: its other futures end now too.
             done, _ = wait(self.flying)
-        broken, worn = False, False
+        broken, should_renew = False, False
         for future in done:
             flight = self.flying.pop(future)
             if future.cancelled():
@@ -355,7 +355,9 @@ class _Runner(Generic[Task, Result]):
             if error is None:
                 result = future.result()
                 self.succeeded = True
-                worn = worn or (flight.executor is self.executor and self.worn(result))
+                should_renew = should_renew or (
+                    flight.executor is self.executor and self.should_renew(result)
+                )
                 yield flight.task, result
             elif isinstance(error, BrokenExecutor):
                 broken = True
@@ -373,7 +375,7 @@ class _Runner(Generic[Task, Result]):
                 raise WorkersError(
                     f"a worker cannot work: {type(error).__name__}: {one_line(error)}"
                 ) from error
-        if broken or (worn and self.workers.renewable):
+        if broken or (should_renew and self.workers.renewable):
             self._renew()
 
     def _give_up(self, task: Task) -> tuple[Task, WorkerLost]:

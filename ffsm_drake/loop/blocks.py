@@ -255,7 +255,7 @@ def block_factory(name: str, scenario: Scenario) -> Factory:
 
 
 def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
-    """Origin of each block: block -> ``system``; with ``file`` and ``sha256`` if it comes from one."""
+    """Origin of each block: ``system``, with ``file`` and ``sha256`` if it comes from a file."""
     names = {name: f"scenario: {name}" for name in ("reference", "sensing", "actuation")}
     names |= {"controller": scenario.controller}
     names |= {name: f"scenario: {name.partition('.')[2]}" for name in _own_forces(scenario)}

@@ -86,7 +86,7 @@ class ClosedLoop:
         return bool(self.blocks["controller"].HasInputPort("desired_frame"))
 
     def output_port(self, signal: str) -> OutputPort:
-        """The port of a signal (see SIGNALS); ``disturbance_force`` is the sum of external forces."""
+        """The port of a signal of SIGNALS; ``disturbance_force`` sums the external forces."""
         system, name = self.sources[signal]
         return system.GetOutputPort(name)
 
@@ -124,7 +124,7 @@ class ClosedLoop:
         )
 
     def _check_friction(self, context: Context) -> None:
-        """Raise ScenarioError if a fixed step does not resolve the friction of a joint near rest."""
+        """Raise ScenarioError if a fixed step does not resolve a joint's friction near rest."""
         scenario, config = self.scenario, self.scenario.simulator_config
         if (
             scenario.drives is None

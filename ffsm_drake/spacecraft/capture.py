@@ -185,7 +185,7 @@ def contact_at(
 
 
 def _shift_twist(offset: np.ndarray) -> np.ndarray:
-    """Matrix (6, 6) from [w; v] at a point of a body to [w; v] at a point ``offset`` (3, m) away."""
+    """Matrix (6, 6) from a body's [w; v] at one point to that at ``offset`` (3, m) from it."""
     x, y, z = offset
     matrix = np.eye(6)
     matrix[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]

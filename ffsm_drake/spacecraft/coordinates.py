@@ -112,7 +112,7 @@ class Coordinates:
         return self.vector(values, key=key, default=default)[NUM_BASE_VELOCITIES:]
 
     def indices(self, names: Iterable[str], *, key: str) -> np.ndarray:
-        """Indices in v, ascending, of groups and coordinates. Raises ScenarioError for other names."""
+        """Indices in v, ascending, of groups and coordinates. Raises ScenarioError for others."""
         wanted = dict.fromkeys(names)
         self.check_names(wanted, key=key)
         both = zip(self.names, self.group_of, strict=True)
@@ -155,7 +155,7 @@ class HiddenCoordinates:
     hidden: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
 
     def whole(self, state: np.ndarray, hidden_state: np.ndarray | None = None) -> np.ndarray:
-        """The plant's [q; v] from known and hidden states (..., their sizes); hidden default: zero."""
+        """The plant's [q; v] from known and hidden states (..., sizes); hidden default: zero."""
         if not self.names:
             return state
         result = np.zeros((*state.shape[:-1], self.known_state.size + self.hidden_state.size))

@@ -162,7 +162,7 @@ class FreeFloating:
         return result
 
     def reaction_null_space(self, held: Sequence[str] = ("base_rotation",)) -> np.ndarray:
-        """Projector N (..., na, na): at zero momentum v_a = N z leaves the held coordinates at rest.
+        """Projector N (..., na, na): at zero momentum v_a = N z keeps the held coordinates at rest.
 
         N is symmetric, and N z is the nearest such velocity to z; N = 0 if there is none. Its rank
         is na less the number of independent rows of ``following`` that are held.
@@ -224,9 +224,7 @@ class ReducedModel(PlantModel):
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """H* and ones (..., nv, nv) in configurations q (..., nq)."""
-        whole = super().calc_mass_matrix(
-            q
-        )  # if there are several, each is reduced already
+        whole = super().calc_mass_matrix(q)  # if there are several, each is reduced already
         return whole if q.ndim > 1 else self._reduced(whole)
 
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:

@@ -16,9 +16,7 @@ from ffsm_drake.spacecraft.plant import (
     hidden_of,
 )
 
-_SINGULAR = (
-    1e-12  # ratio of the mass matrix's eigenvalues: above rounding, below any spacecraft's
-)
+_SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues: above rounding, below any spacecraft's
 
 
 def spatial_inertia(properties: MassProperties) -> SpatialInertia:

@@ -53,7 +53,7 @@ class PlantModel:
         return apparent_mass_matrix(mass_matrix, self.hidden.known, self.hidden.hidden)
 
     def hidden_modes(self, q: np.ndarray) -> list[HiddenMode]:
-        """Modes of vibration at rest in configuration q (nq), slowest first; () if nothing is hidden."""
+        """Modes of vibration at rest in configuration q (nq), slowest first."""
         if not self.hidden.names:
             return []
         self._set_positions(self.hidden.whole_positions(q))

@@ -13,9 +13,7 @@ from ffsm_drake.spacecraft.flexible import labels_of
 
 # Distance by which a shape may reach beyond its panel, as fractions of width and length.
 _ASIDE, _INWARDS, _OUTWARDS, _ABOVE = 0.25, 0.05, 0.25, 0.1
-_LEAST = (
-    0.5  # fraction of width and length that the shapes cover; below it they are fittings
-)
+_LEAST = 0.5  # fraction of width and length that the shapes cover; below it they are fittings
 _MOST_PLATES = 1.5  # longest shape, in plates; a longer one cannot bend
 
 
@@ -66,7 +64,7 @@ def _drawn_of(
 
 
 def box_around(inspector: SceneGraphInspector, geometry: GeometryId) -> Obb | None:
-    """The box around a geometry, in its frame; None if unbounded, or COLLADA (for browsers only)."""
+    """The box around a geometry, in its frame; None if it is unbounded or COLLADA."""
     try:
         return inspector.GetObbInGeometryFrame(geometry)
     except RuntimeError:

@@ -129,7 +129,7 @@ def test_a_controller_killed_by_a_signal_is_a_row(tmp_path):
         }
         assert store.num_results() == 6
         assert (
-            "the worker process died each time it ran this"
+            "the worker process died at every attempt"
             in store.result(1, "killed:Faults")["message"]
         )
     assert counts == {"tdc": ["settled"], "killed:Kills": ["error"], "killed:Faults": ["error"]}

@@ -1131,7 +1131,7 @@ def test_plot_passes_over_what_is_no_run(tmp_path, good_run, monkeypatch):
     # draws nothing
     result = CliRunner().invoke(main, ["plot", *names, "--out", str(tmp_path / "report.html")])
     assert result.stderr.splitlines()[:2] == [
-        f"{names[k]}: is not the folder of a run; left out" for k in (0, 2)
+        f"{names[k]}: is not the folder of a run; skipped" for k in (0, 2)
     ]
     assert f"{names[0]}: cannot be written" in result.stderr.splitlines()[2]
     monkeypatch.setattr(

@@ -336,11 +336,11 @@ def test_a_step_that_does_not_resolve_friction_is_refused_before_the_run(two_bod
         ),
         (
             "rotor_inertia: {elbow: 1}",
-            "actuation.drives.rotor_inertia.elbow: is no joint; valid here: all, joints, joint",
+            "actuation.drives.rotor_inertia.elbow: is not a joint; valid here: all, joints, joint",
         ),
         (
             "gear_ratio: {base_rotation: 2}",
-            "actuation.drives.gear_ratio.base_rotation: is no joint; valid here: all, j",
+            "actuation.drives.gear_ratio.base_rotation: is not a joint; valid here: all, j",
         ),
         ("knee: 1", "actuation.drives.knee.all: must be from 0 to below 1, not 1"),
         (

@@ -1,4 +1,4 @@
-"""Thrusters and wheels on the base, and the plumes of what fires."""
+"""Thrusters and wheels on the base, and the plumes of firing thrusters."""
 
 from collections.abc import Mapping
 
@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from ffsm_drake.scenario import Thruster, Wheels
 
-# Lengths as shares of the base's longest edge.
+# Lengths as fractions of the base's longest edge.
 _NOZZLE, _PLUME, _WHEEL = 0.05, 0.35, 0.06
 _NOZZLE_COLOR, _PLUME_COLOR = Rgba(0.55, 0.57, 0.62, 1.0), Rgba(1.0, 0.93, 0.65, 0.65)
 _WHEEL_COLOR = Rgba(0.55, 0.95, 0.75, 0.55)
@@ -17,8 +17,7 @@ _WHEEL_COLOR = Rgba(0.55, 0.95, 0.75, 0.55)
 def draw_thrusters(
     meshcat: Meshcat, base: str, thrusters: Mapping[str, Thruster], *, longest: float
 ) -> None:
-    """Add nozzles where thrusters are, their mouths along the plumes, of lengths as the cube root
-    of the force.
+    """Add nozzles at the thrusters, opening along the plumes, with lengths as cube roots of forces.
 
     Args:
       base: path of the base in Meshcat's tree.
@@ -37,9 +36,7 @@ def draw_thrusters(
 
 
 def draw_wheels(meshcat: Meshcat, base: str, wheels: Wheels, *, longest: float) -> None:
-    """Add a disc for each wheel on its axis, seen through the base. Arguments as for
-    ``draw_thrusters``.
-    """
+    """Add a disc per wheel, visible through the base. Arguments as for ``draw_thrusters``."""
     for name, unit in wheels.units.items():
         path, axis = f"{base}/wheels/{name}", np.array(unit.axis, dtype=float)
         center = 2.0 * _WHEEL * longest * axis / np.linalg.norm(axis)
@@ -50,7 +47,7 @@ def draw_wheels(meshcat: Meshcat, base: str, wheels: Wheels, *, longest: float) 
 
 
 class Plumes:
-    """A plume at each nozzle, seen in the pictures in whose time its thruster is open."""
+    """A plume at each nozzle, visible in frames during which its thruster is open."""
 
     def __init__(
         self,
@@ -61,12 +58,14 @@ class Plumes:
         *,
         longest: float,
     ) -> None:
-        """Args as for ``draw_thrusters``, and the share of each sample for which each is open
+        """Add the plumes, hidden.
+
+        Arguments as for ``draw_thrusters``, and each thruster's open fraction of each sample
         (samples, thrusters).
         """
         self._meshcat, self._open = meshcat, opened > 0.0
         self._paths = [f"{base}/plumes/{name}" for name in thrusters]
-        # What was shown last, apart in a recording, which has its own beginning.
+        # The plumes shown last; kept apart for a recording, which starts afresh.
         self._last: dict[bool, np.ndarray] = {}
         length = _PLUME * longest
         for path, unit in zip(self._paths, thrusters.values(), strict=True):
@@ -76,9 +75,7 @@ class Plumes:
             )
 
     def show(self, first: int, count: int, *, time_in_recording: float | None = None) -> None:
-        """Show those that are open in any of ``count`` samples from ``first`` on; only what changes
-        is told.
-        """
+        """Show the plumes open in any of ``count`` samples from ``first`` on; send only changes."""
         now = np.atleast_1d(self._open[first : first + count].any(axis=0))
         last = self._last.get(time_in_recording is not None, ~now)
         for i in np.flatnonzero(now != last):

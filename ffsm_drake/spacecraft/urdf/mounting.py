@@ -1,4 +1,4 @@
-"""Mounting an arm without a base on a bus: a box of uniform density, with the arm on its +z face."""
+"""Mounting an arm on a bus: a box of uniform density, with the arm on its +z face."""
 
 import dataclasses
 import math

@@ -219,7 +219,7 @@ class _Tree:
             )
 
     def tips(self, chosen: str | None) -> list[Tip]:
-        """The chosen tip (default: the longest chain's), then those of other chains, longest first."""
+        """The chosen tip (default: the longest chain's), then the others, longest chain first."""
         ends = sorted(self._ends(), key=lambda tip: (-len(tip.joints), -tip.reach))
         if chosen is None:
             return ends
