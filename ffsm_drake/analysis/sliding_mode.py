@@ -55,7 +55,7 @@ def findings(run: Evidence) -> list[Finding]:
     if run.scenario.controller not in PAPER_LAWS:
         reason = (
             "(7) follows from the injected dynamics of the paper's laws, and "
-            f"{run.scenario.controller} is none of them"
+            f"{run.scenario.controller} is not one"
         )
         return [*not_applicable(reason, "reaching_law", "direct_bound"), *_switching_gain(run)]
     remainder = reaching_law_remainder(

@@ -129,7 +129,7 @@ def test_a_controller_killed_by_a_signal_is_a_row(tmp_path):
         }
         assert store.num_results() == 6
         assert (
-            "the worker process died at every attempt"
+            "the worker process died each time it ran this"
             in store.result(1, "killed:Faults")["message"]
         )
     assert counts == {"tdc": ["settled"], "killed:Kills": ["error"], "killed:Faults": ["error"]}
@@ -269,7 +269,8 @@ def test_databases_that_cannot_be_used(spec, database, tmp_path):
     one_line_error(invoke("report", database, "--out", tmp_path / "file"), "cannot be written")
     one_line_error(invoke("rerun", database, "--case", "16"), "has no case 16; there are 0 to 15")
     one_line_error(
-        invoke("rerun", database, "--case", "1", "--controller", "aismc"), "'aismc' is not in it"
+        invoke("rerun", database, "--case", "1", "--controller", "aismc"),
+        "'aismc' is not in this campaign",
     )
     one_line_error(
         invoke("run", spec, "--workers", "1", "--scheduler", "tcp://127.0.0.1:1"),
