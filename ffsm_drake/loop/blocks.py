@@ -129,7 +129,7 @@ def stage_name(name: str) -> str:
 
 
 def block_choices(scenario: Scenario) -> dict[str, Block]:
-    """The blocks that the scenario fills with something else than its own section, by name."""
+    """The blocks that ``blocks`` in the scenario fills in place of their own section, by name."""
     named = {name: getattr(scenario.blocks, name) for name in ("reference", "actuation")}
     named |= {stage_name(name): block for name, block in scenario.blocks.sensing.items()}
     named |= {f"forces.{name}": block for name, block in scenario.blocks.forces.items()}
@@ -184,7 +184,7 @@ def make_blocks(
             if made is None and name not in choices and name not in given:
                 continue  # an ideal actuator
         check_ports(made, kind_of(name), nominal.coordinates, place=place)
-        if name != "controller":  # which has its own
+        if name != "controller":  # it has its own plant
             made.set_name(own.name if own.name not in _TAKEN else name.replace(".", "_"))
             if part is not None:
                 parts[name] = place_part(part, own, made, block=name)

@@ -257,7 +257,7 @@ def add_closed_loop(
             builder.Connect(state, stage.GetInputPort("true_state"))
         measured = stage.GetOutputPort("estimated_state")
     sensing = stages[-1]
-    # What the controller read at its last sample, for the record.
+    # The measurement of the controller's last sample, for the record.
     measurement = ZeroOrderHold(scenario.sample_time, 2 * len(coordinates.names) + 1)
     builder.AddNamedSystem("measurement", measurement)
     builder.Connect(measured, measurement.get_input_port())

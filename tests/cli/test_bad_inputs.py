@@ -297,8 +297,8 @@ TABLE = [
     *(
         visual(f"no-mesh-{kind}", f'<mesh filename="m.{kind}"/>', said, **{f"m.{kind}": "hello"})
         for kinds, words in (
-            ("obj gltf dae", "m.{}: is no"),
-            ("stl glb txt", "is of a kind that is not drawn; convert it to .obj"),
+            ("obj gltf dae", "m.{}: cannot be drawn"),
+            ("stl glb txt", "this format cannot be drawn; convert it to .obj"),
         )
         for kind in kinds.split()
         for said in (words.format(kind),)

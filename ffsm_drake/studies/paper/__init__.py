@@ -47,7 +47,7 @@ def reproduce(
     if workers < 1:
         raise FfsmError(f"workers: must be at least 1, not {workers}")
     directory = Path(directory)
-    # Drawing and templates are slow to import, and whoever only asks for PARTS needs neither.
+    # Drawing and templates are slow to import, and PARTS needs neither.
     from ffsm_drake.studies.paper import claims, figures, page, runs, table
 
     if what in ("table2", "all"):

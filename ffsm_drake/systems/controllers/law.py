@@ -65,8 +65,8 @@ class Gain(Setting):
     # by coordinate or group, or one number for all; None: no bound
     default: float | PerCoordinate | None
     scalar: bool  # one number for all coordinates
-    bound: bool  # an upper bound, which null takes away
-    feedback: bool  # acts on the error; otherwise on how the law adapts
+    bound: bool  # an upper bound; null means unbounded
+    feedback: bool  # acts on the error; otherwise on the adaptation
 
 
 def gain(
@@ -107,12 +107,12 @@ class ReachingGain:
 
     @property
     def is_adapted(self) -> bool:
-        """Whether K_s is part of the law's memory, as ``reaching_gain``."""
+        """True if K_s is part of the law's memory, as ``reaching_gain``."""
         return self.rate is not None
 
     @property
     def changes(self) -> bool:
-        """Whether adaptation can take K_s anywhere."""
+        """True if adaptation can change K_s."""
         return not np.array_equal(self.largest, self.start)
 
 
@@ -190,7 +190,7 @@ class ControlLaw(abc.ABC):
 
 
 def gains_of(kind: Any) -> dict[str, Gain]:
-    """The gains that a law declares, by name."""
+    """Declared gains of a law, by name."""
     return {name: item for name, item in settings_of(kind).items() if isinstance(item, Gain)}
 
 
