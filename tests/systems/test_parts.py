@@ -179,7 +179,7 @@ def metric(of):
             "output port 'here' must have size 2, as its signal has components, not 3",
         ),
         (Faulty(said=(signal("two words"),)), "must be an identifier, not 'two words'"),
-        (Faulty(said=(signal("state"),), ports=(("state", 1),)), "is taken by another signal"),
+        (Faulty(said=(signal("state"),), ports=(("state", 1),)), "has the name of another"),
         (Faulty(said=(signal("error", of=lambda run: run.time),)), "has the name of another"),
         (Faulty(figures=(metric(lambda run: 1 / 0),)), "metric 'test.figure' failed: ZeroDiv"),
         (Faulty(figures=(metric(lambda run: run["nothing"]),)), "no signal 'nothing'; there are:"),
