@@ -1,5 +1,4 @@
-"""A conformance kit for user-supplied controllers and other blocks, to be called from a user's own
-tests.
+"""A conformance kit for user-supplied controllers and other blocks, for use in their tests.
 
 from ffsm_drake.testing import check_block, check_controller
 from my_module import MyController, Vicon
@@ -46,16 +45,16 @@ _SAMPLES = 25
 
 
 class ConformanceError(AssertionError):
-    """A block breaks the contract; the text says which part, how, and what would be right."""
+    """A block breaks the contract; the text names the part, the fault, and the remedy."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Conformance:
-    """What was checked, and what it costs."""
+    """The checks that passed, and the block's cost."""
 
     name: str
     checks: tuple[str, ...]
-    # s: of a controller per update, the fastest of several runs; of another block, the closed
+    # s: a controller's time per update, fastest of several runs; for other blocks, the closed
     # loop's per sample
     update_time: float
 
@@ -70,7 +69,7 @@ def check_controller(
     scenario: str | Path | Scenario = "postcapture",
     gains: Mapping[str, PerCoordinate] | None = None,
 ) -> Conformance:
-    """Check a controller against the contract that the closed loop relies on.
+    """Check a controller against the contract of the closed loop.
 
     Ports and sizes; a force that is finite and held over each period; no memory outside the context
     (a reset and a second run give the same force, two runs do not disturb each other); forces that
@@ -81,7 +80,7 @@ def check_controller(
       factory: the law's class, a function (BlockSetup -> control law or Drake system), or a name as
         for ``--controller``.
       scenario: the spacecraft to check it with.
-      gains: as under ``controllers.<name>`` in a scenario.
+      gains: gains as under ``controllers.<name>`` in a scenario.
 
     Raises:
       ConformanceError: the first part of the contract that is broken.
@@ -115,8 +114,7 @@ def check_block(
     scenario: str | Path | Scenario = "postcapture",
     settings: Mapping[str, Any] | None = None,
 ) -> Conformance:
-    """Check a user-supplied block in the closed loop; for a controller, ``check_controller`` checks
-    more.
+    """Check a user-supplied block in the closed loop; for controllers see ``check_controller``.
 
     Ports and sizes; signals that are finite; no memory outside the context (a second run, and a
     second closed loop, give the same bits).
@@ -125,7 +123,7 @@ def check_block(
       block: "reference", "sensing", "actuation", or "forces.<name>".
       factory: BlockSetup -> Drake system.
       scenario: the spacecraft to check it with.
-      settings: what the scenario would give to the block.
+      settings: the block's settings in a scenario.
 
     Raises:
       ConformanceError: the first part of the contract that is broken.
@@ -189,7 +187,7 @@ class _Candidate:
 
 
 class _Bench:
-    """A controller alone, fed with given inputs sample by sample."""
+    """A controller alone, with given inputs sample by sample."""
 
     def __init__(self, controller: System, sample_time: float) -> None:
         self._controller = controller
@@ -200,9 +198,7 @@ class _Bench:
     def step(
         self, inputs: Mapping[str, np.ndarray], *, later: Mapping[str, np.ndarray] | None = None
     ) -> np.ndarray:
-        """The force (nv) after one sample with these inputs; with ``later``, read at mid-period
-        with those instead.
-        """
+        """The force (nv) after one sample with inputs; at mid-period with ``later`` if given."""
         context = self._simulator.get_mutable_context()
         self._set(inputs)
         if self._sample == 0:
@@ -261,7 +257,7 @@ def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
 def _reordered(
     samples: list[dict[str, np.ndarray]], order: np.ndarray
 ) -> list[dict[str, np.ndarray]]:
-    """The same samples for a model that lists the old coordinates ``order`` (nv)."""
+    """The same samples for a model with its coordinates in another ``order`` (nv)."""
     # the quaternion has one number more
     states = np.concatenate([[0], 1 + order, order.size + 1 + order])
     orders = {order.size: order, states.size: states}

@@ -15,7 +15,7 @@ _SUBJECTS = (inertia, estimation, sliding_mode, lyapunov, chattering, balances)
 
 
 def analyze(record: RunRecord) -> Analysis:
-    """Evaluate every finding on a run, completed or not. A finding that does not apply says why."""
+    """Evaluate every finding on a run, completed or not; inapplicable ones give their reason."""
     run = Evidence(record)
     found = {finding.key: finding for subject in _SUBJECTS for finding in subject.findings(run)}
     return Analysis(findings=tuple(found[key] for key in TITLES), series=run.dataset())

@@ -1,4 +1,4 @@
-"""Balances of momentum and energy, which check the integrator."""
+"""Momentum and energy balances, which check the integrator."""
 
 import itertools
 from typing import TYPE_CHECKING
@@ -21,37 +21,38 @@ from ffsm_drake.systems.part import INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERG
 if TYPE_CHECKING:
     import xarray as xr
 
-# A balance holds when its residual is below this share of what is exchanged: explicit Euler at the
-# control period misses by 1e-4 and more, the exact integration of the shipped scenarios by 1e-10.
+# A balance holds when its residual is below this fraction of the exchanged momentum or energy:
+# explicit Euler at the control period misses by 1e-4 and more, the accurate integration of the
+# shipped scenarios by 1e-10.
 TOLERANCE = 1e-6
-_INSTANTS = 200  # of a run
+_MAX_SAMPLES = 200  # samples of a run, at most
 
 
 def displacements(position: np.ndarray) -> np.ndarray:
     """Integral of v over each period (n - 1, nv) from the configurations (n, nq).
 
-    Exact but for the base's rotation: its rotation vector differs from the integral of w by L^3 |w
-    x dw/dt| / 12.
+    Exact except for the base's rotation, whose rotation vector differs from the integral of w by
+    L^3 |w x dw/dt| / 12.
     """
     rows = [position_error(after, before) for before, after in itertools.pairwise(position)]
     return np.array(rows).reshape(-1, position.shape[1] - 1)
 
 
 def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
-    """T(t) - T(0) minus the work of tau, tau_d and friction since the start, J (n), and what to
-    compare it with.
+    """Residual of the energy balance, J (n), and the work to compare it with.
 
-    With hidden coordinates the energy of their springs counts too, and so does the work of their
-    dampers.
+    The residual is T(t) - T(0) minus the work of tau, tau_d and friction since the start.
+
+    Hidden coordinates add the energy of their springs and the work of their dampers.
 
     Keys:
       residual: tau is constant over a period, so its work is tau . displacement; tau_d and v are
-        taken as linear within the period; friction's work was integrated with the plant. On an
+        assumed linear within the period; friction's work was integrated with the plant. On an
         exactly integrated run this leaves about 1e-11 J of the paper's 1.2 J.
-      trapezoid: the same with the mean of two samples' v for the displacement; the difference
-        bounds the error of the quadrature where positions and velocities belong to one path (they
-        do not on a plant stepped by explicit Euler).
-      absolute_work: the sum of |work| of every coordinate's tau up to each sample.
+      trapezoid: the same, with the displacement from the mean v of two samples; the difference
+        bounds the quadrature error if positions and velocities belong to one path (not so on a
+        plant stepped by explicit Euler).
+      absolute_work: |work of tau|, summed over coordinates and up to each sample.
     """
     period = float(dataset.attrs["sample_time"])
     velocity = dataset["velocity"].values
@@ -65,8 +66,8 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
         work = (0.5 * (pull[1:] + pull[:-1]) * np.diff(path, axis=0)).sum(axis=1)
         energy = energy - np.concatenate([np.zeros(1), np.cumsum(work)])
     mean = held + 0.5 * (smooth[1:] + smooth[:-1])
-    # Beyond the product of means, linear tau_d and v correlate within the period; the mean of tau_d
-    # is off by its curvature, L^2/12 of the second derivative, here from neighbouring samples.
+    # Linear tau_d and v correlate within the period, which the product of means misses; the mean of
+    # tau_d is off by L^2/12 times its second derivative, here from neighbouring samples.
     correlation = period / 12.0 * np.diff(velocity, axis=0) * np.diff(smooth, axis=0)
     if len(smooth) >= 3:
         slope = np.gradient(smooth, axis=0)
@@ -93,7 +94,7 @@ def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
     """Time integral of the norms of the external force and torque (about the world's origin):
     ``linear``, ``angular``.
 
-    The measure that a momentum residual is compared with, N s and N m s.
+    The scale for a momentum residual, N s and N m s.
     """
     period = float(dataset.attrs["sample_time"])
     total = dataset["applied_force"] + dataset["disturbance_force"]
@@ -111,15 +112,14 @@ def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
 
 
 def exchanged_momentum(run: Evidence) -> dict[str, float]:
-    """What the arm's motion gives the base: the largest momentum of the joints' velocities,
-    ``linear``, ``angular``.
+    """Largest momentum of the joint velocities, exchanged with the base: ``linear``, ``angular``.
 
-    About the base's origin, N s and N m s; with what a momentum residual is compared where no force
-    acts from outside.
+    About the base's origin, N s and N m s; the scale for a momentum residual when no external
+    force acts.
     """
     velocity = run.values("velocity").copy()
     velocity[:, :NUM_BASE_VELOCITIES] = 0.0
-    every = max(1, len(velocity) // _INSTANTS)
+    every = max(1, len(velocity) // _MAX_SAMPLES)
     model = make_nominal_plant(run.scenario)
     rows = zip(run.values("position")[::every], velocity[::every], strict=True)
     momentum = np.array([(model.calc_mass_matrix(q) @ v)[:NUM_BASE_VELOCITIES] for q, v in rows])
@@ -128,7 +128,7 @@ def exchanged_momentum(run: Evidence) -> dict[str, float]:
 
 
 def findings(run: Evidence) -> list[Finding]:
-    """``momentum_balance`` and ``energy_balance``, of any controller."""
+    """``momentum_balance`` and ``energy_balance``, for any controller."""
     if len(run.time) < 4:
         reason = f"the integrals need 4 samples, the record has {len(run.time)}"
         return not_applicable(reason, "momentum_balance", "energy_balance")

@@ -13,8 +13,9 @@ FEWEST_SAMPLES = 16
 
 
 def split_frequency(period: float) -> float:
-    """Frequency from which on a force counts as chattering, Hz: 10 Hz, but at most a fifth of the
-    Nyquist frequency.
+    """Frequency above which a force counts as chattering, Hz.
+
+    10 Hz, or a fifth of the Nyquist frequency if that is lower.
 
     The planned motion and the disturbances lie below 1 Hz, the sampled loop's oscillation at half
     the sampling rate.
@@ -26,8 +27,8 @@ def effort_spectrum(effort: np.ndarray, period: float) -> tuple[np.ndarray, np.n
     """Frequencies (m), Hz, and power spectral density (m, nv), squared force per Hz, smoothed for
     plotting.
 
-    Welch's mean over half-overlapping Hann windows, each with its linear trend (the planned motion)
-    taken out.
+    Welch's method with half-overlapping Hann windows, each with its linear trend (the planned
+    motion) removed.
     """
     from scipy.signal import detrend, welch  # slow to load
 
@@ -44,8 +45,7 @@ def effort_spectrum(effort: np.ndarray, period: float) -> tuple[np.ndarray, np.n
 def split_variance(
     effort: np.ndarray, period: float, *, split: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Variance of each coordinate's force, its linear trend taken out: the parts (below, from
-    ``split`` on).
+    """Variance of each coordinate's detrended force, split into (below ``split``, from it on).
 
     Both (nv), squared force, over the whole record, from the periodogram without a window: it
     weights all samples equally, and by Parseval's theorem the two parts sum to the variance.
@@ -65,9 +65,7 @@ def total_variation(effort: np.ndarray) -> np.ndarray:
 
 
 def reversals(effort: np.ndarray) -> np.ndarray:
-    """Number of reversals of the force (nv): sign changes of tau_{k+1} - tau_k, without the zero
-    changes.
-    """
+    """Number of reversals of the force (nv): sign changes of tau_{k+1} - tau_k, ignoring zeros."""
     changes = np.diff(effort, axis=0).T
     return np.array(
         [np.count_nonzero(np.diff(np.sign(change[change != 0.0]))) for change in changes],
@@ -76,7 +74,7 @@ def reversals(effort: np.ndarray) -> np.ndarray:
 
 
 def findings(run: Evidence) -> list[Finding]:
-    """``chattering``, of any controller."""
+    """``chattering``, for any controller."""
     tau, period = run.values("generalized_force"), run.period
     if len(tau) < FEWEST_SAMPLES:
         return not_applicable(

@@ -1,4 +1,4 @@
-"""Time-delay estimation: its error and its bound, computed after the run."""
+"""Error of time-delay estimation and its bound, computed after the run."""
 
 from typing import TYPE_CHECKING
 
@@ -12,9 +12,7 @@ if TYPE_CHECKING:
 
 
 def mass_matrices(model: PlantModel, positions: np.ndarray) -> np.ndarray:
-    """The mass matrix, apparent where something is hidden, at each of the configurations (n, nq):
-    (n, nv, nv).
-    """
+    """Mass matrices (n, nv, nv), apparent with hidden coordinates, at configurations (n, nq)."""
     size = len(model.coordinates.names)
     return np.array([model.calc_apparent_mass_matrix(q) for q in positions]).reshape(-1, size, size)
 
@@ -26,13 +24,12 @@ def commanded_acceleration(
     nominal_mass_matrix: np.ndarray,
     period: float,
 ) -> np.ndarray:
-    """The injected dynamics u_k (n, nv) that gave the recorded force: equation (6) solved for u,
-    per s^2.
+    """Injected dynamics u_k (n, nv) behind the recorded force: equation (6) solved for u, per s^2.
 
     u_k = (v_k - v_{k-1}) / L + Hhat_k^-1 (tau_k - tau_{k-1}). As in the controller, the first
-    sample has no past: its acceleration and the force before it are zero. ``effort`` is tau held
-    from t_k (n, nv), ``measured_velocity`` v as the controller reads it (n, nv),
-    ``nominal_mass_matrix`` Hhat at the measured configurations (n, nv, nv).
+    sample has no past: its acceleration and previous force are zero. ``effort`` is tau held from
+    t_k (n, nv), ``measured_velocity`` v as the controller reads it (n, nv), ``nominal_mass_matrix``
+    Hhat at the measured configurations (n, nv, nv).
     """
     change = np.diff(effort, axis=0, prepend=np.zeros_like(effort[:1]))
     acceleration = np.diff(measured_velocity, axis=0, prepend=measured_velocity[:1]) / period
@@ -40,8 +37,9 @@ def commanded_acceleration(
 
 
 def estimation_error(*, velocity: np.ndarray, commanded: np.ndarray, period: float) -> np.ndarray:
-    """TDE error Ntilde = N - Nhat (n - 1, nv) of each period: the mean true acceleration minus the
-    commanded one.
+    """TDE error Ntilde = N - Nhat (n - 1, nv) of each period.
+
+    That is the mean true acceleration minus the commanded one.
 
     From (2), (5) and (6), N - Nhat = q'' - u, which is what equation (7) calls the disturbance of
     ds/dt. ``velocity`` is the true v (n, nv), ``commanded`` the u of ``commanded_acceleration`` (n,
@@ -51,11 +49,11 @@ def estimation_error(*, velocity: np.ndarray, commanded: np.ndarray, period: flo
 
 
 def start_up_time(period: float) -> float:
-    """Duration of the start-up transient, s: 0.1 s, or ten samples where those are longer.
+    """Duration of the start-up transient, s: 0.1 s or ten samples, whichever is longer.
 
-    At the first sample the controller has no past, so that Nhat is 0 whatever N is. With the
-    published gains the slowest pole this excites is about -0.74 per sample, which ten samples bring
-    down to 5 %.
+    At the first sample the controller has no past, so Nhat is 0 whatever N is. With the published
+    gains this excites a pole of about -0.74 per sample at the slowest, which decays to 5 % within
+    ten samples.
     """
     return max(0.1, 10.0 * period)
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-# Every series that a finding may add: name -> dimensions, unit, meaning.
+# Series that findings may add: name -> dimensions, unit, meaning.
 _RATE, _ACCELERATION = "rad/s, m/s", "rad/s^2, m/s^2"
 SERIES = {
     "eta": ("posture_time rank", "1", "eigenvalues of H^-1 Hhat, ascending"),
@@ -61,9 +61,7 @@ SERIES = {
 
 
 class Evidence:
-    """A record cut to its finite part, quantities that several findings share, and the series they
-    add.
-    """
+    """The finite part of a record, quantities shared by findings, and the series they add."""
 
     def __init__(self, record: RunRecord) -> None:
         self.record = record
@@ -88,25 +86,23 @@ class Evidence:
 
     @property
     def groups(self) -> dict[str, slice]:
-        """The groups that have coordinates (an arm may have no joints) and are driven."""
+        """The driven groups, without empty ones (an arm may have no joints)."""
         size, groups = len(self.coordinates.names), self.coordinates.driven_groups
         return {name: part for name, part in groups.items() if len(range(*part.indices(size)))}
 
     @functools.cached_property
     def constants(self) -> Mapping[str, Any]:
-        """The gains that the controller declares, (nv) or numbers; empty where it declares none or
-        cannot be loaded.
-        """
+        """The controller's declared gains, (nv) or numbers; empty if it does not load."""
         try:
             return gain_vectors(self.scenario, self.coordinates)
         except FfsmError:
-            if is_shipped("controller", self.scenario.controller):  # gains that no run had
+            if is_shipped("controller", self.scenario.controller):  # then no run had these gains
                 raise
             return {}  # its module is not available; most findings do not need it
 
     @property
     def too_short(self) -> str:
-        """Why there is no complete period; empty where there is at least one."""
+        """Reason why there is no complete period; empty if there is at least one."""
         return (
             ""
             if len(self.time) >= 2
@@ -115,7 +111,7 @@ class Evidence:
 
     @property
     def outlasts_start_up(self) -> bool:
-        """Whether any period begins after the start-up."""
+        """True if any period begins after the start-up."""
         return bool(self.after_start_up[:-1].any())
 
     def values(self, name: str) -> np.ndarray:
@@ -123,7 +119,7 @@ class Evidence:
         return values
 
     def add(self, **series: np.ndarray) -> None:
-        """Keep series, by their names in ``SERIES``."""
+        """Add series, by their names in ``SERIES``."""
         for name, values in series.items():
             dims, units, meaning = SERIES[name]
             self.series[name] = (
@@ -157,15 +153,14 @@ class Evidence:
 
     @functools.cached_property
     def late_bound(self) -> np.ndarray:
-        """N* of each coordinate from the end of the start-up on (nv); NaN where the run ends
-        before.
-        """
+        """N* of each coordinate after the start-up (nv); NaN if the run ends before."""
         return largest(self.tde_error[self.after_start_up[:-1]])
 
     @functools.cached_property
     def gains(self) -> tuple[np.ndarray, np.ndarray]:
-        """K_s and G at every sample, both (n, nv); constant ones from the scenario, zero where the
-        law has none.
+        """K_s and G at every sample, both (n, nv).
+
+        Constant gains come from the scenario; a law without them has zeros.
         """
         v = self.values("velocity")
         constant = np.broadcast_to(self.constants.get("k_s", 0.0), v.shape)
@@ -202,9 +197,7 @@ class Evidence:
 
 
 def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
-    """The samples before the first at which any recorded value is not finite, as at the end of a
-    diverged run.
-    """
+    """The samples before the first non-finite value, which ends the record of a diverged run."""
     finite = np.ones(dataset.sizes["time"], dtype=bool)
     for variable in dataset.data_vars.values():
         finite &= np.isfinite(variable.values).reshape(finite.size, -1).all(axis=1)
@@ -212,12 +205,12 @@ def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
 
 
 def largest(values: np.ndarray) -> np.ndarray:
-    """Largest magnitude along the first axis (m, nv) -> (nv); NaN where there is none."""
+    """Largest magnitude along the first axis (m, nv) -> (nv); NaN if m is 0."""
     return np.abs(values).max(axis=0) if len(values) else np.full(values.shape[1], np.nan)
 
 
 def ratio(part: float, whole: float) -> float:
-    """part / whole; where whole is 0, it is 0 if part is 0, else infinite."""
+    """part / whole; if whole is 0, then 0 for a part of 0, else infinite."""
     if whole != 0.0:
         return part / whole
     return 0.0 if part == 0.0 else np.inf

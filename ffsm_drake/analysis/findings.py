@@ -1,7 +1,6 @@
-"""What an analysis returns: findings with their figures, and the curves behind them.
+"""Result of an analysis: findings with their figures, and the curves behind them.
 
-``docs/findings.md`` explains every finding: its source, how it is computed, and when it does not
-apply.
+``docs/findings.md`` explains every finding: its source, computation, and when it does not apply.
 """
 
 import dataclasses
@@ -39,18 +38,15 @@ class Finding:
     title: str
     statement: str  # one sentence with the main figures
     verdict: (
-        # "measured" for a figure of merit, "not tested" where no sample is of the kind that the
-        # claim is about
+        # "measured" for a figure of merit, "not tested" if the claim covers none of the samples
         Verdict
     )
-    # all figures; ``name.part`` belongs to a group or coordinate, NaN is undefined in this run
+    # all figures; ``name.part`` belongs to a group or coordinate, NaN means undefined in this run
     numbers: Numbers
 
     @property
     def holds(self) -> bool | None:
-        """Whether the claim holds on this run; None where it does not apply or there is no
-        claim.
-        """
+        """True if the claim holds on this run; None if it does not apply or there is no claim."""
         return {"holds": True, "does not hold": False}.get(self.verdict)
 
 
@@ -59,8 +55,8 @@ class Analysis:
     """All findings of a run, and the curves behind them.
 
     ``series`` is an xarray Dataset along ``time`` (samples t_k), ``period`` (start times t_k of the
-    periods), ``posture_time``, ``frequency`` and ``coordinate``. It holds what applies to the run,
-    with units and meaning.
+    periods), ``posture_time``, ``frequency`` and ``coordinate``. It holds the series that apply to
+    the run, with units and meaning.
     """
 
     findings: tuple[Finding, ...]
@@ -73,7 +69,7 @@ class Analysis:
         )
 
     def finding(self, key: str) -> Finding:
-        """The finding of that key. Raises KeyError naming the valid keys."""
+        """The finding with a key. Raises KeyError naming the valid keys."""
         for finding in self.findings:
             if finding.key == key:
                 return finding
@@ -81,9 +77,7 @@ class Analysis:
 
 
 def finding(key: str, statement: str, numbers: Numbers, *, holds: bool | None = None) -> Finding:
-    """A finding whose statement is a format string over ``numbers``; without ``holds`` it is
-    measured.
-    """
+    """A finding; ``statement`` is a format string over ``numbers``. Without ``holds``: measured."""
     verdict: Verdict = "measured" if holds is None else "holds" if holds else "does not hold"
     return Finding(
         key=key,
@@ -95,7 +89,7 @@ def finding(key: str, statement: str, numbers: Numbers, *, holds: bool | None = 
 
 
 def not_applicable(reason: str, *keys: str) -> list[Finding]:
-    """Findings that do not apply to this run, all for the same reason."""
+    """Findings that do not apply to this run, all for one reason."""
     said: Verdict = "not applicable"
     statement = f"Not applicable: {reason}."
     return [

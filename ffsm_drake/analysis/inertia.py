@@ -9,22 +9,23 @@ from ffsm_drake.analysis.evidence import Evidence
 from ffsm_drake.analysis.findings import Finding, finding, not_applicable
 from ffsm_drake.control_design.stability.mass_ratios import inertia_ratios
 
-POSTURE_INTERVAL = 0.1  # s, between the postures at which inertias are compared
+POSTURE_INTERVAL = 0.1  # s, between the postures where inertias are compared
 UNITS_OF_LENGTH = {"centimetres": 0.01, "decimetres": 0.1, "metres": 1.0, "decametres": 10.0}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class InertiaMatch:
-    """How well Hhat matches H at n configurations."""
+    """Match of Hhat and H at n configurations."""
 
-    # eigenvalues of H^-1 Hhat, ascending (n, nv): free of units; > 1 is an over-estimated inertia
+    # eigenvalues of H^-1 Hhat, ascending (n, nv): dimensionless; > 1 if inertia is over-estimated
     eta: np.ndarray
     norm: np.ndarray  # ||E - H^-1 Hhat||_2 of equation (8), for the given unit of length (n)
 
     @property
     def norm_in_h(self) -> np.ndarray:
-        """The same norm in the metric of H, sup |(E - H^-1 Hhat) x|_H / |x|_H = max |1 - eta|: free
-        of units (n).
+        """The same norm in the metric of H, dimensionless (n).
+
+        sup |(E - H^-1 Hhat) x|_H / |x|_H = max |1 - eta|.
         """
         return np.abs(1.0 - self.eta).max(axis=-1, initial=0.0)
 
@@ -35,9 +36,9 @@ def match_inertia(
     """Compare mass matrices H and Hhat (n, nv, nv).
 
     Args:
-      is_length: which coordinates are lengths rather than angles (nv); equation (8) depends on
+      is_length: mask (nv) of the coordinates that are lengths, not angles; equation (8) depends on
         their unit.
-      unit_of_length: the unit, in m, that lengths are expressed in for the norm of (8).
+      unit_of_length: unit of lengths in the norm of (8), in m.
     """
     size = true.shape[-1]
     eta = [inertia_ratios(*pair) for pair in zip(true, nominal, strict=True)]
@@ -49,7 +50,7 @@ def match_inertia(
 
 
 def findings(run: Evidence) -> list[Finding]:
-    """``condition_8``, at postures POSTURE_INTERVAL apart and the last one."""
+    """``condition_8``, at postures POSTURE_INTERVAL apart, and at the last one."""
     if not run.time.size:
         return not_applicable("the record has no finite sample", "condition_8")
     every = max(1, round(POSTURE_INTERVAL / run.period))

@@ -12,7 +12,7 @@ from ffsm_drake.analysis.findings import Finding, Numbers, finding, not_applicab
 
 
 def outside(s: np.ndarray, k_s: np.ndarray, *, beta: np.ndarray, epsilon: float) -> np.ndarray:
-    """Which coordinates are outside |s_i| <= max(K_si / beta_i, epsilon), (n, nv)."""
+    """Mask (n, nv) of the coordinates outside |s_i| <= max(K_si / beta_i, epsilon)."""
     return np.abs(s) > np.maximum(k_s / beta, epsilon)
 
 
@@ -43,9 +43,8 @@ def lyapunov(
 ) -> Lyapunov:
     """Evaluate (12) and (13) on samples.
 
-    The rates are differences over the period, so that their sum is the change of V. A gain that
-    does not adapt (alpha_i or phi_i zero) has no term: it is constant, and its quotient is not a
-    number.
+    The rates are differences over the period, so their sum is the change of V. A gain that does
+    not adapt (alpha_i or phi_i zero) is constant and has no term: its quotient would be NaN.
     """
 
     def term(distance: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -64,16 +63,14 @@ def lyapunov(
 def ultimate_bound(
     *, bound: float, alpha: np.ndarray, beta: np.ndarray, phi: np.ndarray, epsilon: float
 ) -> float:
-    """The bound on ||s||_2 of equation (16). Infinite where a gain does not adapt."""
+    """The bound on ||s||_2 of equation (16). Infinite if a gain does not adapt."""
     with np.errstate(divide="ignore", invalid="ignore"):
         squares = np.maximum(bound / beta, epsilon) ** 2 + bound**2 / alpha + bound**2 / phi
     return float(np.sqrt(np.where(np.isnan(squares), np.inf, squares).sum()))
 
 
 def findings(run: Evidence) -> list[Finding]:
-    """Section 3.2: for a run that records s, K_s and G, of a law with the constants of (9) and
-    (10).
-    """
+    """Findings of Section 3.2, for a run with s, K_s, G and a law with constants of (9), (10)."""
     keys = ("lyapunov_derivative", "ultimate_bound", "lemma_1_premise", "lemma_1_conclusion")
     recorded, constants = (
         {"sliding_variable", "reaching_gain", "switching_gain"},
@@ -81,7 +78,7 @@ def findings(run: Evidence) -> list[Finding]:
     )
     if not (recorded <= {*run.data} and constants <= {*run.constants}):
         reason = (
-            "the proof is about gains that adapt by (9) and (10), which those of "
+            "the proof covers gains that adapt by (9) and (10); those of "
             f"{run.scenario.controller} do not"
         )
         return not_applicable(reason, *keys)
@@ -150,12 +147,12 @@ def _derivative(run: Evidence, bound: float) -> Finding:
         run.constants[name] for name in ("alpha", "beta", "phi", "epsilon")
     )
     v = lyapunov(s=s, k_s=k_s, g=g, alpha=alpha, phi=phi, bound=bound, period=run.period)
-    beyond = outside(s, k_s, beta=beta, epsilon=float(epsilon))
+    exceeding = outside(s, k_s, beta=beta, epsilon=float(epsilon))
     parts = {"s": v.rate_of_s, "K_s": v.rate_of_k_s, "G": v.rate_of_g}
-    run.add(lyapunov=v.value, lyapunov_rate=v.rate, outside=beyond.sum(axis=1))
+    run.add(lyapunov=v.value, lyapunov_rate=v.rate, outside=exceeding.sum(axis=1))
     run.add(**{f"lyapunov_rate_of_{name.lower()}": part for name, part in parts.items()})
-    rising, left, wholly = v.rate > 0.0, beyond[:-1].any(axis=1), beyond[:-1].all(axis=1)
-    # The term of (13) that is the largest where V rises.
+    rising, left, wholly = v.rate > 0.0, exceeding[:-1].any(axis=1), exceeding[:-1].all(axis=1)
+    # The largest term of (13) while V rises.
     driver = max(parts, key=lambda name: parts[name][rising].sum()) if rising.any() else "none"
     numbers: Numbers = {
         "bound": bound,

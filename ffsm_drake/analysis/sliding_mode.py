@@ -1,6 +1,4 @@
-"""The reaching law (7) and the bound on s that follows from it, for the paper's laws; the bound on
-G for any law.
-"""
+"""The reaching law (7) and its bound on s, for the paper's laws; the bound on G for any law."""
 
 import numpy as np
 
@@ -13,12 +11,13 @@ from ffsm_drake.systems.controllers import PAPER_LAWS
 def reaching_law_remainder(
     *, s: np.ndarray, k_s: np.ndarray, g: np.ndarray, tde_error: np.ndarray, period: float
 ) -> np.ndarray:
-    """What equation (7) leaves out, per period (n - 1, nv): (s_{k+1} - s_k) / L + Ntilde + K_s s +
-    G sgn s.
+    """Remainder of equation (7) per period (n - 1, nv).
 
-    (7) is about continuous time. Over a period, s also changes by what de/dt and d^2e/dt^2 vary
-    within it, by the noise of two measurements, and on a plant stepped by explicit Euler by the
-    step's own error.
+    That is (s_{k+1} - s_k) / L + Ntilde + K_s s + G sgn s.
+
+    (7) holds in continuous time. Over a period, s also changes by the variation of de/dt and
+    d^2e/dt^2, by the noise of two measurements and, on a plant stepped by explicit Euler, by the
+    integration error.
     """
     return np.diff(s, axis=0) / period + tde_error + (k_s * s + g * np.sign(s))[:-1]
 
@@ -29,13 +28,13 @@ def direct_bound(
     """Bound on |s_i| (nv) that follows from equation (7) alone: max(|s_i(0)|, (N*_i - G_i)^+ /
     K_si).
 
-    Beyond it d|s_i|/dt <= N*_i - G_i - K_si |s_i| < 0. Neither adaptation nor V is needed, but (7)
-    must hold exactly, as it does in continuous time only.
+    Beyond it d|s_i|/dt <= N*_i - G_i - K_si |s_i| < 0. This needs neither adaptation nor V, but
+    (7) must hold exactly, as it does in continuous time only.
 
     Args: s at the start, N* by coordinate, and the smallest K_s and G of the run, all (nv).
     """
     excess = np.maximum(bound - g_min, 0.0)
-    # Without K_s, |s| is bounded only where there is no excess.
+    # Without K_s, |s| is bounded only if N*_i <= G_i.
     steady = np.divide(
         excess, k_s_min, out=np.where(excess > 0.0, np.inf, 0.0), where=k_s_min > 0.0
     )
@@ -43,7 +42,7 @@ def direct_bound(
 
 
 def findings(run: Evidence) -> list[Finding]:
-    """``reaching_law``, ``direct_bound``, ``switching_gain_bound``: for a run that records s."""
+    """``reaching_law``, ``direct_bound``, ``switching_gain_bound``, for a run that records s."""
     keys = ("reaching_law", "direct_bound", "switching_gain_bound")
     if "sliding_variable" not in run.data:
         return not_applicable(

@@ -190,7 +190,7 @@ def _drive(
         arguments=lambda task: (campaign, *task),
         workers=workers,
         stop=Stop() if stop is None else stop,  # a stop that is not set counts as false
-        worn=lambda row: row["rss_mib"] > MEMORY_LIMIT,
+        should_renew=lambda row: row["rss_mib"] > MEMORY_LIMIT,
     )
     with contextlib.closing(results):
         for (case, controller), result in results:

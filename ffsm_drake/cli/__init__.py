@@ -1,6 +1,4 @@
-"""The command line ``ffsm``: parses, calls, prints. Nothing heavy is imported before a command
-runs.
-"""
+"""The command line ``ffsm``: parses, calls, prints. Slow imports wait until a command runs."""
 
 import logging
 import os
@@ -38,9 +36,9 @@ def main() -> None:
     """
     for name, threads in ONE_THREAD.items():
         os.environ.setdefault(name, threads)  # read when NumPy loads
-    # figures go to files, whatever the user's windows are made with
+    # figures go to files, so no window system is needed
     os.environ["MPLBACKEND"] = "agg"
-    # it remarks on a home that cannot be written
+    # it warns if the home folder is read-only
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     folder = str(Path.cwd())
     if folder not in sys.path:  # for module:Class; last, so that it shadows no installed module

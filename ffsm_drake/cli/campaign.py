@@ -1,6 +1,4 @@
-"""The commands ``ffsm campaign …``. Imports are made when a command runs, so that ``--help`` stays
-fast.
-"""
+"""The commands ``ffsm campaign …``. They import when they run, so that ``--help`` stays fast."""
 
 import math
 import os
@@ -26,7 +24,7 @@ _FOLDER = Path("out/campaigns")
 
 @click.group(cls=CommandGroup)
 def campaign() -> None:
-    """Thousands of runs of a scenario with dispersed values, in one database, with a report.
+    """Run a scenario thousands of times with dispersed values; one database, one report.
 
     A specification (SPEC.yaml, or a shipped name such as payload_uncertainty) says what is
     dispersed and how; see docs/campaigns.md. Every controller runs the same cases. The results do
@@ -66,7 +64,7 @@ _cases_option = click.option(
 @_cases_option
 @_workers_option
 def plan(spec: str, cases: int | None, workers: int | None) -> None:
-    """Check a specification, show its first cases, and say how long it would take.
+    """Check a specification, show its first cases, and estimate its run time.
 
     Runs the first case with every controller to estimate the time; writes nothing.
 
@@ -125,8 +123,7 @@ def resume(source: str, database: Path | None, workers: int | None, scheduler: s
 @_source
 @_database_option
 def status(source: str, database: Path | None) -> None:
-    """Show progress, outcomes so far and memory of the worker processes. Works while the campaign
-    runs.
+    """Show progress, outcomes so far and the workers' memory, also while the campaign runs.
 
     \b
     Example:
@@ -158,8 +155,8 @@ def rerun(
 ) -> None:
     """Repeat one case with its full record and recording, and compare with the stored row.
 
-    Exits with 3 when a value differs from the stored one, for instance with other software or
-    another processor.
+    Exits with 3 when a value differs from the stored one, for instance because of other software
+    or another processor.
 
     \b
     Example:
@@ -172,7 +169,7 @@ def rerun(
     with open_store(_locate(source, database)) as store:
         if controller is not None and controller not in store.spec.controllers:
             raise CampaignError(
-                f"--controller: '{controller}' is not in it; choose "
+                f"--controller: '{controller}' is not in this campaign; choose "
                 f"{', '.join(store.spec.controllers)}"
             )
         folder = out or store.path.parent / f"{store.path.stem}-case-{case_index}"
@@ -214,8 +211,7 @@ def rerun(
 def report(
     source: str, database: Path | None, out: Path | None, axes: tuple[str, str] | None
 ) -> None:
-    """Evaluate a campaign: report.html (one file, opens offline), its figures as PNG, all runs as
-    CSV and Parquet.
+    """Evaluate a campaign: report.html (one file, opens offline), PNG figures, CSV and Parquet.
 
     \b
     Examples:
@@ -228,7 +224,7 @@ def report(
 
     with open_store(_locate(source, database)) as store:
         folder = out or store.path.with_suffix("").with_name(f"{store.path.stem}-report")
-        check_writable(folder)  # before the evaluation, which takes a while
+        check_writable(folder)  # before the slow evaluation
         written = write_report(
             store, folder, axes=axes, progress=count_progress("controllers predicted")
         )
@@ -248,7 +244,7 @@ def _default_database(spec: str) -> Path:
 
 
 def _locate(source: str, database: Path | None) -> Path:
-    """The database that a specification or a path stands for; it must hold that specification."""
+    """The database of a specification or path; it must hold that specification."""
     from ffsm_drake.campaign.spec import load_spec, shipped_campaigns, spec_from_data
     from ffsm_drake.campaign.store import open_store
 
@@ -259,14 +255,14 @@ def _locate(source: str, database: Path | None) -> Path:
         return Path(source)
     path, spec = database or _default_database(source), load_spec(source)
     with open_store(path) as store:
-        # With --cases it may hold fewer or more.
+        # The number of cases may differ, by --cases.
         if (
             store.spec.fingerprint
             != spec_from_data({**spec.data, "cases": store.spec.data["cases"]}).fingerprint
         ):
             raise CampaignError(
-                f"{path}: holds another campaign than {source} describes; name the database to go "
-                "on with it"
+                f"{path}: holds another campaign than {source} describes; to continue that one, "
+                "give its database"
             )
     return path
 
@@ -274,14 +270,12 @@ def _locate(source: str, database: Path | None) -> Path:
 def _drive(
     drive: Callable[..., None], path: Path, workers: int | None, scheduler: str | None
 ) -> None:
-    """Start or resume a campaign with the workers that the options name, and say how it stands
-    then.
-    """
+    """Start or resume a campaign with the chosen workers, then print its status."""
     from ffsm_drake.common.workers import cluster_workers, local_workers, stop_on_signals
 
     if scheduler is not None and workers is not None:
         raise CampaignError(
-            "--workers: the cluster at --scheduler has its own; leave one of them out"
+            "--workers: the cluster at --scheduler has its own workers; leave one of them out"
         )
     crew = (
         cluster_workers(scheduler)

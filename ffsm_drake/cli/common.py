@@ -1,4 +1,4 @@
-"""What the commands share: options, errors as one line, progress."""
+"""Shared by the commands: options, errors as one line, progress."""
 
 import functools
 import math
@@ -29,9 +29,7 @@ EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE = 0, 2, 3
 
 
 class CommandGroup(click.Group):
-    """Lists its commands in the order of use; the package's errors become one line and exit code 2,
-    warnings a line.
-    """
+    """Commands in the order of use; errors of the package become one line and exit code 2."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -40,7 +38,7 @@ class CommandGroup(click.Group):
         for text in args:
             try:
                 text.encode()
-            except UnicodeEncodeError:  # bytes of a file's name
+            except UnicodeEncodeError:  # undecodable bytes in a file name
                 raise click.UsageError(
                     f"{text!r} is not UTF-8 text; rename the file or folder", ctx
                 ) from None
@@ -50,10 +48,10 @@ class CommandGroup(click.Group):
         with warnings_as_lines():
             try:
                 return super().invoke(ctx)
-            except BrokenPipeError:  # the reader has closed the pipe, as ``| head`` does
+            except BrokenPipeError:  # the pipe was closed, as by ``| head``
                 sys.stderr.close()
                 sys.exit(EXIT_GOOD)
-            except (FfsmError, OSError) as error:  # OSError: standard output on a full disk, ...
+            except (FfsmError, OSError) as error:  # OSError: a full disk, ...
                 click.echo(f"error: {one_line(error)}", err=True)
                 sys.exit(EXIT_BAD_INPUT)
             except KeyboardInterrupt as interruption:
@@ -62,7 +60,7 @@ class CommandGroup(click.Group):
 
 
 class _ForgivingStream:
-    """A text stream on which a line may be lost: a full disk must not end a run."""
+    """A text stream that drops lines it cannot write: a full disk must not end a run."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -81,23 +79,21 @@ class _ForgivingStream:
 
 
 def forgiving_stderr() -> None:
-    """Let standard error be closed or full."""
+    """Keep going when standard error is closed, or its disk is full."""
     if sys.stderr is None:  # closed
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 (for the process's life)
     sys.stderr = cast("TextIO", _ForgivingStream(sys.stderr))
 
 
 def end_threads(code: Any) -> None:
-    """End the process if a controller has left threads for which Python would wait."""
+    """End the process if a controller left threads running, which Python would wait for."""
     left = [
         thread.name
         for thread in threading.enumerate()
         if not thread.daemon and thread.ident != threading.get_ident()
     ]
     if left:
-        click.echo(
-            f"warning: ended with threads that were left running: {', '.join(left)}", err=True
-        )
+        click.echo(f"warning: threads were still running at the end: {', '.join(left)}", err=True)
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):
                 stream.flush()
@@ -105,7 +101,7 @@ def end_threads(code: Any) -> None:
 
 
 def complete_scenario(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    """Shipped names, then files."""
+    """Complete with shipped names, then files."""
     from click.shell_completion import CompletionItem
 
     from ffsm_drake.scenario import shipped_scenarios
@@ -130,9 +126,7 @@ overrides_option = click.option(
     metavar="KEY=VALUE",
     help="Override a scenario value; repeatable.",
 )
-seed_option = click.option(
-    "--seed", type=int, help="Seed of the noise; short for --set random_seed=N."
-)
+seed_option = click.option("--seed", type=int, help="Noise seed; short for --set random_seed=N.")
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON document instead of text."
 )
@@ -140,7 +134,7 @@ run_argument = click.argument("run", type=click.Path(path_type=Path), metavar="R
 
 
 def out_option(what: str = "DIR", **settings: Any) -> Callable[..., Any]:
-    """The option --out for a folder, or with "FILE" for a file."""
+    """The option --out: for a folder, or for a file with ``what`` "FILE"."""
     return click.option(
         "--out", type=click.Path(path_type=Path, dir_okay=what == "DIR"), metavar=what, **settings
     )
@@ -158,14 +152,11 @@ def controller_option(*, multiple: bool = False, **settings: Any) -> Callable[..
 
 
 def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add SCENARIO, --controller, --set and --seed, which the command receives as one loaded
-    ``scenario``.
-    """
+    """Add SCENARIO, --controller, --set and --seed; the command gets one loaded ``scenario``."""
 
     @scenario_argument
     @controller_option(
-        help="One of 'ffsm doctor's list, or module:Class. Default: the one that "
-        "the scenario names."
+        help="A controller listed by 'ffsm doctor', or module:Class. Default: the scenario's own."
     )
     @overrides_option
     @seed_option
@@ -191,9 +182,7 @@ def scenario_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @contextmanager
 def located_errors(scenario: str, overrides: Sequence[str] = ()) -> Iterator[None]:
-    """Add to errors that appear after loading where their scenario key was given: in the file or by
-    an override.
-    """
+    """Give errors after loading the place of their scenario key: the file, or an override."""
     from ffsm_drake.scenario import Scenario, is_overridden, schema_fields
 
     def place_of(key: str) -> str:
@@ -219,7 +208,7 @@ def scenario_stem() -> str:
 
 
 def repeated_run() -> Path | None:
-    """The folder of the run that the current command's SCENARIO names; None if it is not a run."""
+    """The run's folder if the current command's SCENARIO is one, else None."""
     from ffsm_drake.scenario import MANIFEST_FILE
 
     path = Path(click.get_current_context().params["scenario"])
@@ -246,9 +235,7 @@ class FiniteFloat(click.FloatRange):
 
 
 class RunProgress:
-    """Progress of one run: one updated line on a terminal, otherwise a line every five simulated
-    seconds.
-    """
+    """Progress of one run: an updated line on a terminal, else one every five simulated s."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -262,7 +249,7 @@ class RunProgress:
             click.echo(text, err=True)
 
     def close(self, record: "RunRecord") -> None:
-        """The run's last line."""
+        """Print the run's last line."""
         wall = record.wall_time["advance_to"]
         start = "\r" if self._terminal else ""
         rate = f"simulated in {wall:.2f} s, {record.realtime_factor:.0f} times real time"
@@ -270,7 +257,7 @@ class RunProgress:
 
 
 def count_progress(what: str) -> Callable[[int, int], None]:
-    """Progress of a few seconds' work: one updated line on a terminal, otherwise nothing."""
+    """Progress of a few seconds' work: an updated line on a terminal, else nothing."""
 
     def show(done: int, total: int) -> None:
         if sys.stderr.isatty():
@@ -282,7 +269,7 @@ def count_progress(what: str) -> Callable[[int, int], None]:
 
 
 def batch_progress(done: int, total: int, following: str) -> None:
-    """Progress of many runs: one updated line on a terminal, otherwise a line every twenty runs."""
+    """Progress of many runs: an updated line on a terminal, else a line every twenty runs."""
     line = f"{done:3d} of {total} runs: {following}"
     if sys.stderr.isatty():
         click.echo(f"\r{line:<100}" + ("\n" if done == total else ""), nl=False, err=True)

@@ -12,9 +12,9 @@ from ffsm_drake.scenario import load_scenario, override_scenario
 
 
 def examine() -> list[dict[str, str]]:
-    """Try every part; takes a few seconds. Each gets a name, a detail and a status.
+    """Try every part of the installation, in seconds; each gets a name, a detail and a status.
 
-    The status is "ok", "missing" (required), "without" (optional and absent) or "remark" (to know).
+    The status is "ok", "missing" (required), "without" (optional and absent) or "remark".
     """
     parts: tuple[tuple[str, str, Callable[[], str]], ...] = (
         ("Python", "missing", lambda: f"{platform.python_version()} on {platform.platform()}"),

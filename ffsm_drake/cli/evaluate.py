@@ -66,12 +66,12 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
 
 @click.command()
 @run_argument
-@out_option(help="Where analysis.png and analysis.json go (default: RUN_DIR).")
+@out_option(help="Folder for analysis.png and analysis.json (default: RUN_DIR).")
 @json_option
 def analyze(run: Path, out: Path | None, as_json: bool) -> None:
-    """Check what the paper proves and claims on a recorded run.
+    """Check the paper's proofs and claims on a recorded run.
 
-    RUN_DIR is a folder that holds record.nc and manifest.json. Prints each finding, and draws them.
+    RUN_DIR is a folder that holds record.nc and manifest.json. Prints the findings and draws them.
 
     \b
     Example:
@@ -109,7 +109,7 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     type=FiniteFloat(),
     nargs=2,
     metavar="LOW HIGH",
-    help="True masses to be stable for, kg.",
+    help="Range of true masses that must be stable, kg.",
 )
 @out_option(default=Path("out/design"), show_default=True)
 @json_option
@@ -120,11 +120,11 @@ def design(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Choose gains and estimator for a scenario's sensors, delays, limits and payload range; never
-    worse than given.
+    """Choose gains and estimator for a scenario's sensors, delays, limits and payload range.
 
-    Writes design.yaml, a scenario to run, and design.png, accuracy against effort. Exits with 3
-    when the chosen gains are unstable for some payload of the range.
+    The result is never worse than the given gains. Writes design.yaml, a scenario to run, and
+    design.png, accuracy against effort. Exits with 3 when the chosen gains are unstable for some
+    payload in the range.
 
     \b
     Examples:

@@ -15,7 +15,7 @@ from ffsm_drake.cli.common import batch_progress, out_option
     type=click.IntRange(min=1),
     default=3,
     show_default=True,
-    help="Seeds of the noise per cell.",
+    help="Noise seeds per cell.",
 )
 def reproduce(what: str, out: Path, seeds: int) -> None:
     """Recompute the paper's table and figures, and evaluate its claims.

@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 @click.command()
 @scenario_options
-@out_option(help="Where plan.yaml and plan.png go (default: out/<scenario>_plan).")
+@out_option(help="Folder for plan.yaml and plan.png (default: out/<scenario>_plan).")
 @json_option
 def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
-    """Plan the least-time or least-effort motion to rest within every limit, as 'planning' in
-    SCENARIO says.
+    """Plan the least-time or least-effort motion to rest within every limit.
 
-    Takes seconds. Prints what the plan takes and how near it comes to each limit. With
-    reference.kind 'optimal' the plan is also written to the file that reference.plan names, and
-    'run' follows it. Exits with 2 when no motion keeps every limit, and says which is in the way.
+    'planning' in SCENARIO sets the goal. Takes seconds. Prints the plan's duration and effort, and
+    how near it comes to each limit. With reference.kind 'optimal' the plan is also written to the
+    file that reference.plan names, and 'run' follows it. Exits with 2 when no motion keeps every
+    limit, and names the one in the way.
 
     \b
     Examples:

@@ -33,9 +33,8 @@ if TYPE_CHECKING:
     from ffsm_drake.scenario import Scenario
 
 _out = out_option(
-    help="Default: out/ and the scenario's name, with the controller's where another is chosen. A "
-    "run that is there "
-    "already is replaced, with a warning if its settings were others."
+    help="Default: out/NAME of the scenario, with the controller's name added if it is not the "
+    "scenario's own. An existing run is replaced, with a warning if its settings differ."
 )
 _report = click.option(
     "--report/--no-report", default=True, show_default=True, help="Write report.html."
@@ -51,7 +50,7 @@ _report = click.option(
 @click.option(
     "--controls",
     is_flag=True,
-    help="Likewise, with an operator's panel that a code printed here unlocks.",
+    help="As --meshcat, with an operator's panel; a code printed here unlocks it.",
 )
 def run(
     scenario: "Scenario",
@@ -63,8 +62,8 @@ def run(
 ) -> None:
     """Run a scenario and write its record and report.
 
-    SCENARIO is a shipped name (see 'ffsm scenarios'), a YAML file, or a run's folder: that run is
-    repeated, into out/NAME_again, and the two records are compared. The folder then holds
+    SCENARIO is a shipped name (see 'ffsm scenarios'), a YAML file, or the folder of a run, which is
+    then repeated in out/NAME_again and compared with the first record. The folder then holds
     record.nc, metrics.json, manifest.json and report.html, one page with results, plots, recording,
     findings and margins. With --controls each run has its own folder.
 
@@ -82,11 +81,11 @@ def run(
     directory = out or Path("out") / (
         f"{scenario_stem()}_again" if repeated else _stem_of(scenario)
     )
-    check_writable(directory)  # before the run, which may take a while
+    check_writable(directory)  # before the slow run
     if report or meshcat or controls:
         check_pictures(scenario.model)
     if not controls:
-        _tell_replaced([(directory, scenario)], directory)
+        _warn_replaced([(directory, scenario)], directory)
         record = _watch(scenario) if meshcat else _simulate(scenario)
         record.save(directory)
         code = _finish([record], directory, as_json=as_json, report=report)
@@ -94,8 +93,8 @@ def run(
             from ffsm_drake.runs.record import RunRecord
 
             same = RunRecord.load(repeated).dataset.identical(record.dataset)
-            remark = "the same record, bit for bit" if same else "not the same record"
-            click.echo(f"{remark}, as {repeated}", err=as_json)
+            remark = "same record, bit for bit" if same else "different record"
+            click.echo(f"{remark}: {repeated}", err=as_json)
         sys.exit(code)
     from ffsm_drake.show.meshcat.interactive import run_interactive
 
@@ -111,7 +110,7 @@ def run(
 
 @click.command()
 @scenario_argument
-@controller_option(multiple=True, help="Repeat for each one; default: the paper's four.")
+@controller_option(multiple=True, help="Repeatable; default: the paper's four.")
 @overrides_option
 @seed_option
 @_out
@@ -126,8 +125,7 @@ def compare(
     as_json: bool,
     report: bool,
 ) -> None:
-    """Run several controllers on the same scenario with the same noise; overlay and rank them, the
-    best first.
+    """Run several controllers on one scenario with the same noise; overlay them, ranked best first.
 
     Writes one folder per controller, and report.html beside them.
 
@@ -155,7 +153,7 @@ def compare(
         check_pictures(base.model)
     # checked before any of them runs
     scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]
-    _tell_replaced(
+    _warn_replaced(
         zip([directory / folder for folder in folders], scenarios, strict=True), directory
     )
     records: list[RunRecord] = []
@@ -172,7 +170,7 @@ def compare(
 
 
 def _distances(records: Sequence["RunRecord"]) -> list[float]:
-    """Of each run's controller to the LQG limit; NaN where it cannot be told."""
+    """Distance of each run's controller to the LQG limit; NaN if it is not known."""
     from ffsm_drake.common.errors import FfsmError
     from ffsm_drake.control_design.limit import find_limit
 
@@ -186,9 +184,7 @@ def _distances(records: Sequence["RunRecord"]) -> list[float]:
 
 
 def _stem_of(scenario: "Scenario") -> str:
-    """A folder name for a run, with the controller where it is not the scenario's own: no run
-    replaces another's.
-    """
+    """Folder name of a run; it ends in the controller's name unless that is the scenario's own."""
     from ffsm_drake.scenario import controller_key, load_scenario
 
     own = load_scenario(click.get_current_context().params["scenario"]).controller
@@ -197,10 +193,8 @@ def _stem_of(scenario: "Scenario") -> str:
     )
 
 
-def _tell_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) -> None:
-    """Say so, in a line, when one of the runs planned in a directory will take the place of one
-    with other settings.
-    """
+def _warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) -> None:
+    """Warn when a planned run will replace one with other settings."""
     from ffsm_drake.common.errors import FfsmError
     from ffsm_drake.preflight.simulate import repeatable_scenario
     from ffsm_drake.scenario import MANIFEST_FILE, differing_keys, load_scenario
@@ -221,7 +215,7 @@ def _tell_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) 
                 f"({', '.join(keys[:3])}{', ...' if len(keys) > 3 else ''})"
             )
         click.echo(
-            f"warning: {directory}: {old} will be replaced; to keep it, give another --out",
+            f"warning: {directory}: {old} will be replaced; give another --out to keep it",
             err=True,
         )
         return
@@ -243,9 +237,7 @@ def _simulate(scenario: "Scenario") -> "RunRecord":
 
 
 def _places(records: Sequence["RunRecord"]) -> list[int]:
-    """The places of the records by accuracy (ITAE), the best first; runs that ended early stand
-    last.
-    """
+    """Ranks of the records by accuracy (ITAE), best first; runs that ended early come last."""
     order = ("completed", "interrupted", "diverged")
 
     def key(k: int) -> tuple[int, float]:
@@ -265,7 +257,7 @@ def _finish(
     report: bool,
     distances: Sequence[float] | None = None,
 ) -> int:
-    """Report, table and exit code of finished runs."""
+    """Write the report, print the table and set the exit code of finished runs."""
     from ffsm_drake.common.errors import ModelError
     from ffsm_drake.runs.limits import run_clearance, run_remarks
     from ffsm_drake.runs.record import REPORT_FILE
@@ -275,11 +267,9 @@ def _finish(
     for record in records:
         for remark in run_remarks(record):
             click.echo(f"warning: {record.scenario.controller}: {remark}", err=True)
-        with suppress(ModelError):  # of which the remarks tell
+        with suppress(ModelError):  # already among the remarks
             for closest in run_clearance(record):
-                click.echo(
-                    f"{record.scenario.controller}: nearest to each other: {closest}", err=True
-                )
+                click.echo(f"{record.scenario.controller}: closest approach: {closest}", err=True)
     if not as_json:
         placed = _places(records)
         shown = None if distances is None else [distances[k] for k in placed]

@@ -67,7 +67,7 @@ def _target(value: str | None) -> tuple[float | None, Path | None]:
 @click.option(
     "--tip",
     metavar="FRAME",
-    help="Link or frame that holds the target (default: end of the longest chain).",
+    help="Link or frame that holds the target (default: the end of the longest chain).",
 )
 @click.option(
     "--package",
@@ -75,19 +75,22 @@ def _target(value: str | None) -> tuple[float | None, Path | None]:
     multiple=True,
     callback=_packages,
     metavar="NAME=FOLDER",
-    help="Where package://NAME/ of a mesh is; repeatable. Folders above the URDF are looked "
-    "through anyway.",
+    help="Folder of package://NAME/ in mesh addresses; repeatable. Folders above the URDF are "
+    "always searched.",
 )
 @click.option(
     "--target",
     "--payload-mass",
     "target",
     metavar="KG|FILE",
-    help="The target: its mass, as a cube of 1 m, or its URDF (default: a quarter of the base's "
-    "mass).",
+    help="The target: the mass of a 1 m cube, or a URDF (default: a cube with a quarter of the "
+    "base's mass).",
 )
 @click.option(
-    "--bus-mass", type=float, metavar="KG", help="For an arm alone: mount it on a box of this mass."
+    "--bus-mass",
+    type=float,
+    metavar="KG",
+    help="Mount an arm without a base on a box of this mass.",
 )
 @click.option(
     "--bus-size",
@@ -109,8 +112,8 @@ def new(
     """Start a scenario for your own servicer from its URDF.
 
     DIR is a new folder. It gets DIR/<name of DIR>.yaml, commented and ready to run with every
-    shipped controller, a copy of the URDF that Drake loads, and the meshes that can be drawn. It
-    can be edited, moved or sent.
+    shipped controller, a copy of the URDF that Drake loads, and the drawable meshes. It can be
+    edited, moved or sent.
 
     \b
     Examples:
@@ -177,11 +180,10 @@ def scenarios(name: str | None, as_json: bool) -> None:
 @overrides_option
 @json_option
 def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bool) -> None:
-    """Check scenarios, their models and controllers, as 'run' does, without a run. Exits with 2 if
-    one cannot be used.
+    """Check scenarios, their models and controllers, as 'run' does, but without running them.
 
-    An unstable loop, or a plan that leaves the joints' limits, can be run: it is a warning, and
-    exits with 0, as 'run' warns and goes on. With --json, 'warnings' lists them.
+    Exits with 2 if one cannot be used. An unstable loop, or a plan that leaves the joints' limits,
+    can be run: it gives a warning and exit code 0. With --json, 'warnings' lists them.
 
     \b
     Examples:
@@ -205,7 +207,7 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
                 rollout = prepare(scenario)
                 rollout.check()
                 loop = rollout.loop
-                with suppress(ModelError):  # of which a warning tells
+                with suppress(ModelError):  # already among the warnings
                     closest = plan_clearance(scenario)
                 rollout.release()
                 if (found := momentum_budget(loop.scenario)) is not None:
@@ -240,8 +242,7 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
 
 @click.command()
 def schema() -> None:
-    """The scenario file's JSON Schema, with the unit and meaning of every key, for editors and
-    checkers.
+    """Print the JSON Schema of scenario files: unit and meaning of every key, for editors.
 
     \b
     Example:
@@ -259,8 +260,7 @@ def schema() -> None:
 @click.command()
 @json_option
 def doctor(as_json: bool) -> None:
-    """Check this installation: versions, models, controllers, a short run, the browser view,
-    Graphviz.
+    """Check the installation: versions, models, controllers, a short run, the browser, Graphviz.
 
     Exits with 2 when something required is missing.
 

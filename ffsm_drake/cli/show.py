@@ -30,12 +30,12 @@ def plot(runs: tuple[Path, ...], out: Path | None) -> None:
     from ffsm_drake.scenario import MANIFEST_FILE
     from ffsm_drake.show.figures.run import save_figures
 
-    if len(runs) > 1:  # as FOLDER/* gives them
+    if len(runs) > 1:  # as from FOLDER/*
         others = [run for run in runs if not (run / MANIFEST_FILE).is_file()]
         runs = tuple(run for run in runs if run not in others) or runs[:1]
         for other in others:
             if other not in runs:
-                click.echo(f"{other}: is not the folder of a run; left out", err=True)
+                click.echo(f"{other}: is not the folder of a run; skipped", err=True)
     directory = out or runs[0]
     check_writable(directory)
     records = [RunRecord.load(run) for run in runs]
@@ -53,7 +53,7 @@ def plot(runs: tuple[Path, ...], out: Path | None) -> None:
 @scenario_options
 @out_option("FILE", help="Write FILE.dot and FILE.svg.")
 def diagram(scenario: "Scenario", out: Path | None) -> None:
-    """The closed loop's block diagram as Graphviz text, or as files.
+    """Print the closed loop's block diagram as Graphviz text, or write it to files.
 
     \b
     Examples:
@@ -84,7 +84,7 @@ def diagram(scenario: "Scenario", out: Path | None) -> None:
 
 @click.command()
 @run_argument
-@click.option("--speed", type=float, default=1.0, show_default=True, help="Times real time.")
+@click.option("--speed", type=float, default=1.0, show_default=True, help="Multiple of real time.")
 @click.option(
     "--ghost/--no-ghost", default=True, show_default=True, help="The target posture, translucent."
 )
@@ -104,8 +104,7 @@ def diagram(scenario: "Scenario", out: Path | None) -> None:
 def replay(
     run: Path, speed: float, ghost: bool, path: bool, forces: bool, live: bool, out: Path | None
 ) -> None:
-    """Play a recorded run back, without simulating it again: as a page to open and send, or live
-    with a time slider.
+    """Play back a recorded run: as a page to open and send, or live with a time slider.
 
     \b
     Examples:

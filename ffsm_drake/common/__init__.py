@@ -1,1 +1,1 @@
-"""What every room uses: errors, files written whole, workers, the lifetime of diagrams."""
+"""Shared by every room: errors, files written whole, workers, the lifetime of diagrams."""

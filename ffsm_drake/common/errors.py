@@ -8,20 +8,18 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-_LONGEST = 1500  # characters of an error that quotes what it was given
+_MAX_LENGTH = 1500  # characters of an error text
 
 
 class FfsmError(Exception):
-    """Base of every error caused by bad input; its text is one line, and its middle left out where
-    that is endless.
-    """
+    """Base of every error caused by bad input; its text is one line, shortened if long."""
 
     def __init__(self, text: str) -> None:
         line = " ".join(text.splitlines())
         super().__init__(
             line
-            if len(line) <= _LONGEST
-            else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+            if len(line) <= _MAX_LENGTH
+            else f"{line[: _MAX_LENGTH // 2]} ... {line[-_MAX_LENGTH // 2 :]}"
         )
 
 
@@ -38,12 +36,12 @@ class ScenarioError(FfsmError):
         return functools.partial(ScenarioError, source=self.source), (self.key, self.problem)
 
     def located(self, source: str) -> "ScenarioError":
-        """The same error with its file named first."""
+        """The same error, with its file named first."""
         return self if self.source else ScenarioError(self.key, self.problem, source=source)
 
 
 class LimitError(ScenarioError):
-    """A motion that no duration brings within its limits; ``limit`` names the one in the way."""
+    """A motion that exceeds a limit at any duration; ``limit`` names it."""
 
     def __init__(self, key: str, problem: str, *, limit: str) -> None:
         super().__init__(key, problem)
@@ -83,7 +81,7 @@ def one_line(error: BaseException) -> str:
     """The text of any exception on a single line; the name of its type where it has none."""
     try:
         text = str(error)
-    except (Exception, GeneratorExit, SystemExit):  # a user's exception may fail even in this
+    except (Exception, GeneratorExit, SystemExit):  # a user's exception may fail even here
         text = ""
     return " ".join(text.split()) or type(error).__name__
 

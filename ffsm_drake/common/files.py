@@ -1,7 +1,6 @@
-"""Files: written whole or not at all, and looked at before they are opened.
+"""Files: written whole or not at all, and checked before they are opened.
 
-A reader never sees half a file, or half of what belongs together; a failed write keeps what was
-there.
+A reader never sees half a file or half a set of files; a failed write keeps the old ones.
 """
 
 import csv
@@ -20,8 +19,7 @@ from ffsm_drake.common.interrupts import undisturbed, unfinished
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside ``path`` to write to, and rename it into place when the block
-    succeeds.
+    """Yield a temporary path beside ``path``; rename it into place when the block succeeds.
 
     Creates missing folders. Raises RecordError when the place cannot be written.
     """
@@ -37,12 +35,11 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def published(directory: Path, *, outdated: Iterable[str] = ()) -> Iterator[Path]:
-    """Give a new folder to write files to, which become those of ``directory`` together when the
-    block succeeds.
+    """Yield a new folder for files, which replace those of ``directory`` when the block succeeds.
 
-    Where there is no such folder, the new one is renamed. An existing one stays (it may be
-    somebody's current folder, and hold other files): its files of the same names and the
-    ``outdated`` ones are exchanged, or all put back.
+    If ``directory`` does not exist, the new folder is renamed to it. An existing one stays (it may
+    be somebody's current folder, and hold other files): its files of the same names and the
+    ``outdated`` ones are replaced, or all restored.
 
     Raises:
       RecordError: the place cannot be written.
@@ -68,9 +65,7 @@ def published(directory: Path, *, outdated: Iterable[str] = ()) -> Iterator[Path
 
 
 def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:
-    """Move all files of a folder within ``directory`` into that; what they replace goes, with what
-    is ``outdated``.
-    """
+    """Move a subfolder's files up into ``directory``; replaced and ``outdated`` files go."""
     names = [path.name for path in new.iterdir()]
     for name in names:
         if (directory / name).is_dir():
@@ -96,12 +91,10 @@ def _exchange(new: Path, directory: Path, outdated: Iterable[str]) -> None:
 
 @contextmanager
 def same_folder() -> Iterator[None]:
-    """Return to the current folder when the block ends: a user-supplied controller may have left
-    it.
-    """
+    """Return to the current folder after the block: a user-supplied controller may change it."""
     try:
         before = os.open(".", os.O_RDONLY)
-    except OSError:  # deleted, or not to be read
+    except OSError:  # deleted or unreadable
         yield
         return
     try:
@@ -113,11 +106,10 @@ def same_folder() -> Iterator[None]:
 
 
 def check_regular(path: Path, *, limit: int) -> None:
-    """Raise OSError unless a file may be opened: not a device or a FIFO, which may never end, nor
-    beyond its limit.
+    """Raise OSError for a device, a FIFO (reading it may never end), or a file that is too large.
 
     Args:
-      limit: of the size, bytes.
+      limit: largest size, bytes.
     """
     info = path.stat()
     if stat.S_ISDIR(info.st_mode):
@@ -129,9 +121,7 @@ def check_regular(path: Path, *, limit: int) -> None:
 
 
 def check_writable(directory: Path) -> None:
-    """Raise RecordError unless files could be written into a folder, which need not exist; creates
-    nothing.
-    """
+    """Raise RecordError unless a folder, existing or not, could be written to; creates nothing."""
     place = directory.absolute()
     try:
         while not _exists(place):
@@ -167,9 +157,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows of the same columns as comma-separated values; numbers with eight digits, empty where
-    not finite.
-    """
+    """Rows of equal columns as CSV; numbers with eight digits, empty if not finite."""
 
     def cell(value: Any) -> Any:
         return (

@@ -1,12 +1,10 @@
-"""Ctrl-C and SIGTERM on the command line: the process ends, at any moment, with 130 or 143 and no
-partial file.
+"""Ctrl-C and SIGTERM on the command line end the process with 130 or 143 and no partial file.
 
-An exception at any moment would not do: within an import it becomes an ImportError, within a
-callback of a library it is printed and forgotten. So the handler itself ends the process, after it
-has removed what is unfinished. Only within ``interruptible`` does a first signal raise
-KeyboardInterrupt, and within ``undisturbed`` it waits. In a program that does not
-``handle_signals`` these change nothing. Imported before anything else, this imports next to
-nothing.
+An exception raised at any moment would not work: within an import it becomes an ImportError,
+within a library's callback it is printed and forgotten. So the handler itself removes unfinished
+files and ends the process. Within ``interruptible`` a first signal raises KeyboardInterrupt;
+within ``undisturbed`` it waits. Without ``handle_signals`` these change nothing. This module is
+imported before anything else, so it imports next to nothing.
 """
 
 import contextlib
@@ -21,12 +19,12 @@ if TYPE_CHECKING:
 
 
 class Interrupts:
-    """The handler of a process's signals, and what it needs to know."""
+    """A process's signal handler and its state."""
 
     def __init__(self) -> None:
-        self.number = 0  # of the first signal that came
+        self.number = 0  # the first signal received
         self.raises = self.waits = False
-        self.waiting = 0  # a signal that waits
+        self.waiting = 0  # the pending signal
         self.unfinished: set[Path] = set()  # files and folders to remove
 
     def __call__(self, number: int, frame: "FrameType | None") -> None:
@@ -42,9 +40,7 @@ class Interrupts:
 
 
 def handle_signals() -> None:
-    """End this process on Ctrl-C and SIGTERM as described above; a signal that is ignored stays
-    so.
-    """
+    """End this process on Ctrl-C and SIGTERM as described above; ignored signals stay ignored."""
     interrupts = Interrupts()
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:
@@ -52,13 +48,13 @@ def handle_signals() -> None:
 
 
 def ignore_signals() -> None:
-    """For the end of the process, when all is done."""
+    """Ignore Ctrl-C and SIGTERM while the process ends."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
 
 
 def current() -> Interrupts | None:
-    """The handler of this process, if it has one."""
+    """The handler of this process, or None."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if isinstance(handler := signal.getsignal(number), Interrupts):
             return handler
@@ -66,15 +62,16 @@ def current() -> Interrupts | None:
 
 
 def exit_code() -> int:
-    """Of an interrupted process: 143 after SIGTERM, else 130."""
+    """Exit code of an interrupted process: 143 after SIGTERM, else 130."""
     interrupts = current()
     return 128 + (signal.SIGINT if interrupts is None else interrupts.number or signal.SIGINT)
 
 
 @contextlib.contextmanager
 def interruptible() -> "Iterator[Interrupts]":
-    """Within, a first Ctrl-C or SIGTERM raises KeyboardInterrupt; what is given remembers it,
-    should that be lost.
+    """Raise KeyboardInterrupt on the first Ctrl-C or SIGTERM in the block.
+
+    Yields the handler, which keeps the signal's number if the exception is lost.
     """
     interrupts = current() or Interrupts()
     before, interrupts.raises = interrupts.raises, True
@@ -86,7 +83,7 @@ def interruptible() -> "Iterator[Interrupts]":
 
 @contextlib.contextmanager
 def undisturbed() -> "Iterator[None]":
-    """Within, Ctrl-C and SIGTERM wait."""
+    """Defer Ctrl-C and SIGTERM to the end of the block."""
     interrupts = current() or Interrupts()
     before, interrupts.waits = interrupts.waits, True
     try:
@@ -99,7 +96,7 @@ def undisturbed() -> "Iterator[None]":
 
 @contextlib.contextmanager
 def unfinished(path: "Path") -> "Iterator[None]":
-    """Within, a file or folder is temporary; it is gone afterwards, however this ends."""
+    """Remove a temporary file or folder after the block, however it ends."""
     interrupts = current() or Interrupts()
     interrupts.unfinished.add(path)
     try:

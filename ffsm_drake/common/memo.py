@@ -1,4 +1,4 @@
-"""Results that are kept: one decorator, whose key is everything that is passed."""
+"""Memoization: a decorator that keys results by the content of all arguments."""
 
 import copy
 import dataclasses
@@ -16,15 +16,14 @@ _LEAVES = (str, bytes, int, type(None), type, enum.Enum)
 
 
 def memoized(*, maxsize: int, besides: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """A decorator that keeps the results of a function, by the content of its arguments
-    (``content_of``).
+    """A decorator that caches results by the content of the arguments (``content_of``).
 
-    Every caller gets lists, mappings, sets and dataclasses of its own, and arrays that are
-    read-only; other objects are shared.
+    Every caller gets its own lists, mappings, sets and dataclasses, and read-only arrays; other
+    objects are shared.
 
     Args:
-      maxsize: how many results are kept: those that were asked for last.
-      besides: a keyword argument that is not part of the key, as it follows from the others.
+      maxsize: number of results kept, the least recently used being dropped.
+      besides: a keyword argument outside the key, because it follows from the others.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
@@ -46,7 +45,7 @@ def memoized(*, maxsize: int, besides: str = "") -> Callable[[Callable[P, R]], C
 
 @dataclasses.dataclass(frozen=True)
 class _Call:
-    """Equal for calls with equal content."""
+    """A call; equal to others with equal content."""
 
     content: Hashable
     args: tuple[Any, ...] = dataclasses.field(compare=False)
@@ -54,19 +53,18 @@ class _Call:
 
 
 def content_of(value: Any) -> Hashable:
-    """Equal for values of equal type and content, and for no others.
+    """A key that is equal for values of equal type and content only.
 
-    Dataclasses and Drake's structs count by every field, arrays by type, shape and bytes, mappings
-    and sequences by their items in order, files (``Path``) by name and the time of their last
-    change.
+    It holds every field of dataclasses and Drake's structs, type, shape and bytes of arrays, the
+    items of mappings and sequences in order, name and modification time of files (``Path``).
 
-    Raises TypeError for anything else: what it holds cannot be told.
+    Raises TypeError for anything else: its content is unknown.
     """
     kind = type(value)
     if isinstance(value, _LEAVES):
         return kind, value
     if isinstance(value, float):
-        return kind, value.hex()  # which tells -0 from 0, and finds nan again
+        return kind, value.hex()  # distinguishes -0 from 0; equal for nan
     if isinstance(value, (np.ndarray, np.generic)) and not value.dtype.hasobject:
         return kind, value.dtype.str, value.shape, value.tobytes()
     if isinstance(value, Mapping):
@@ -76,16 +74,16 @@ def content_of(value: Any) -> Hashable:
     if isinstance(value, (set, frozenset)):
         return kind, frozenset(map(content_of, value))
     if isinstance(value, Path):
-        return kind, str(value), _changed(value)
+        return kind, str(value), _modified(value)
     is_dataclass = dataclasses.is_dataclass(kind)
     fields = dataclasses.fields(kind) if is_dataclass else getattr(kind, "__fields__", None)
     if fields is None:
-        raise TypeError(f"a {kind.__name__} has no content that a result could be kept by")
+        raise TypeError(f"a {kind.__name__} cannot be part of a cache key")
     return kind, tuple(content_of(getattr(value, field.name)) for field in fields)
 
 
-def _changed(path: Path) -> int | None:
-    """When a file was last written, ns; None where there is none."""
+def _modified(path: Path) -> int | None:
+    """Modification time of a file, ns; None if it does not exist."""
     try:
         return path.stat().st_mtime_ns
     except (OSError, ValueError):
@@ -99,7 +97,7 @@ def _frozen(array: np.ndarray) -> np.ndarray:
 
 
 def _mapped(value: Any, of_array: Callable[[np.ndarray], np.ndarray]) -> Any:
-    """A copy of containers and dataclasses, with a function applied to each array in them."""
+    """A copy of containers and dataclasses, with a function applied to each array inside."""
     if isinstance(value, np.ndarray):
         return of_array(value)
     if isinstance(value, dict):
@@ -112,7 +110,7 @@ def _mapped(value: Any, of_array: Callable[[np.ndarray], np.ndarray]) -> Any:
     if isinstance(value, (set, bytearray)):
         return copy.copy(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fresh: Any = object.__new__(type(value))  # without what a cached property has left in it
+        fresh: Any = object.__new__(type(value))  # without cached properties
         for field in dataclasses.fields(value):
             object.__setattr__(fresh, field.name, _mapped(getattr(value, field.name), of_array))
         return fresh

@@ -1,5 +1,6 @@
-"""Rotations: quaternions (w, x, y, z), rotation vectors, and attitudes that move, with their exact
-derivatives. All vectors stand in the world frame.
+"""Rotations: quaternions (w, x, y, z), rotation vectors, attitude motions with exact derivatives.
+
+All vectors are in the world frame.
 
 Sola et al. 2018, "A micro Lie theory for state estimation in robotics".
 """
@@ -24,7 +25,7 @@ def turned_by(vector: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def turning_matrix(vector: np.ndarray) -> np.ndarray:
-    """The matrix (4, 4) that turns quaternions by a rotation vector (3), rad."""
+    """Matrix (4, 4) that turns quaternions by a rotation vector (3), rad."""
     w, x, y, z = quaternion_of(vector)
     return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
 
@@ -80,9 +81,7 @@ def rotation_error_rate(
 
 
 def quaternion_rate(quaternion: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """Rate (4, ...) of a quaternion (4, ...; w, x, y, z) of R_WB, of an angular velocity w_WB_W (3,
-    ...), rad/s.
-    """
+    """Rate (4, ...) of a quaternion (4, ...; w, x, y, z) of R_WB, for w_WB_W (3, ...), rad/s."""
     (w, x, y, z), (a, b, c) = quaternion, 0.5 * omega
     return np.array(
         [

@@ -9,21 +9,21 @@ from collections.abc import Iterator
 from multiprocessing import parent_process
 from typing import Any
 
-GRACE = 10.0  # s beyond the limit, after which a worker process is ended
-_AGAIN = 1.0  # s, after which an exception that was caught on the way is raised once more
+GRACE = 10.0  # s beyond the limit until a worker process is ended
+_RETRY = 1.0  # s until the exception is raised again, in case user code caught it
 
 
 class TimeLimit(BaseException):
-    """The time is over. No Exception, so that what runs does not catch it with all others."""
+    """The time limit has passed. Not an Exception, so ``except Exception`` does not catch it."""
 
 
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Within, TimeLimit is raised after ``seconds`` of wall time.
+    """Raise TimeLimit in the block after ``seconds`` of wall time.
 
-    It interrupts Python in the main thread. A worker process whose code does not let itself be
-    interrupted (compiled code, or a thread of a cluster's worker) is ended GRACE later; elsewhere
-    such code has no limit.
+    It interrupts Python in the main thread. A worker process whose code cannot be interrupted
+    (compiled code, or a thread of a cluster's worker) is ended GRACE later; elsewhere such code has
+    no limit.
     """
 
     def handle(number: int, frame: Any) -> None:
@@ -42,5 +42,5 @@ def time_limit(seconds: float) -> Iterator[None]:
             before = signal.signal(signal.SIGALRM, handle)
             stack.callback(signal.signal, signal.SIGALRM, before)
             stack.callback(signal.setitimer, signal.ITIMER_REAL, 0.0)
-            signal.setitimer(signal.ITIMER_REAL, seconds, _AGAIN)
+            signal.setitimer(signal.ITIMER_REAL, seconds, _RETRY)
         yield

@@ -4,9 +4,9 @@ and tasks repeated.
 ``map_tasks`` is for a list of tasks on this machine; ``run_tasks`` takes tasks one by one, also on
 a Dask cluster.
 
-A process that dies breaks its local pool, and every task in flight is lost with it; nobody says
-which task was to blame. So the tasks that were in flight are repeated one at a time. A task that is
-alone when its worker dies, ``ATTEMPTS`` times, is given up as WorkerLost.
+A process that dies breaks its local pool: every task in flight is lost, and the culprit is not
+known. So the lost tasks are repeated one at a time. A task whose worker dies ``ATTEMPTS`` times
+while it runs alone is given up as WorkerLost.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ from ffsm_drake.common.interrupts import Interrupts, current
 
 ATTEMPTS = 3
 # Library threads per process: the workers fill the machine, and a manipulator's matrices are too
-# small to share out.
+# small to split.
 ONE_THREAD = dict.fromkeys(
     (
         "OMP_NUM_THREADS",
@@ -46,36 +46,34 @@ ONE_THREAD = dict.fromkeys(
     ),
     "1",
 )
-_POLL = 0.5  # s, after which a request to stop is noticed at the latest
+_POLL = 0.5  # s between checks for a request to stop
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
 class WorkerLost:
-    """In place of a result: the task's worker died every time."""
+    """Replaces a result: the task's worker died every time."""
 
 
 @dataclasses.dataclass(kw_only=True)
 class Workers:
-    """Where tasks are run.
+    """Source of executors for tasks.
 
-    ``open`` gives a fresh executor; the one before, if any, is shut down by then or finishing its
+    ``open`` gives a fresh executor; the previous one, if any, has shut down or is finishing its
     last tasks.
     """
 
     open: Callable[[], Executor]
-    in_flight: Callable[[], int]  # how many tasks to keep submitted
-    renewable: bool  # whether a fresh executor means fresh processes
+    in_flight: Callable[[], int]  # number of tasks to keep submitted
+    renewable: bool  # a fresh executor has fresh processes
 
 
 @contextlib.contextmanager
 def local_workers(count: int) -> Iterator[Workers]:
-    """Spawned processes on this machine, one library thread each, that end when this process
-    does.
-    """
+    """Spawned processes on this machine, one library thread each; they end with this process."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)  # inherited by the workers, and read there when NumPy loads
+    os.environ.update(ONE_THREAD)  # inherited by the workers, read when NumPy loads
     try:
         yield Workers(
             open=lambda: ProcessPoolExecutor(
@@ -94,8 +92,7 @@ def local_workers(count: int) -> Iterator[Workers]:
 
 @contextlib.contextmanager
 def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers]:
-    """The workers of a running Dask cluster, by its scheduler's address, such as
-    tcp://127.0.0.1:8786.
+    """The workers of a running Dask cluster, by its scheduler's address (tcp://127.0.0.1:8786).
 
     Waits ``patience`` seconds for the scheduler and its first worker.
 
@@ -131,9 +128,7 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
 
 
 def _check_address(address: str) -> None:
-    """Raise WorkersError for what cannot be a scheduler's address: Dask would try it until its
-    patience ends.
-    """
+    """Raise WorkersError for an impossible address, which Dask would try until it times out."""
     form = r"(?:(?:tcp|tls|wss?)://)?(\[[0-9a-fA-F:.]+(?:%\w+)?\]|[\w.-]+):(\d{1,5})"
     found = re.fullmatch(form, address, re.ASCII)
     if found is None or not 0 < int(found[2]) < 2**16:
@@ -159,7 +154,7 @@ class _InThisProcess(Executor):
 
 
 def _follow_parent() -> None:
-    """End this process as soon as the process that started it has ended, for whatever reason."""
+    """End this process as soon as its parent process has ended, for whatever reason."""
     parent = parent_process()
     if parent is None:
         return
@@ -182,8 +177,9 @@ class Stop(threading.Event):
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """Ctrl-C and SIGTERM request a stop; a second one interrupts at once. Outside the main thread,
-    nothing changes.
+    """Make Ctrl-C and SIGTERM request a stop; a second one interrupts at once.
+
+    Outside the main thread this changes nothing.
     """
     stop, interrupts = Stop(), current() or Interrupts()
 
@@ -211,24 +207,23 @@ def run_tasks(
     arguments: Callable[[Task], tuple[Any, ...]],
     workers: Workers,
     stop: Stop,
-    worn: Callable[[Result], bool] = lambda result: False,
+    should_renew: Callable[[Result], bool] = lambda result: False,
 ) -> Generator[tuple[Task, Result | WorkerLost], None, None]:
     """Run ``function(*arguments(task))`` for every task; yield (task, result) as they come, in any
     order.
 
-    Never more tasks are taken from ``tasks`` than are in flight. When ``stop`` is set, what runs is
-    finished and yielded, and nothing more is started.
+    No task is taken from ``tasks`` before it can be submitted. When ``stop`` is set, running tasks
+    are finished and yielded, and no further task is started.
 
     Args:
-      function: importable by its name in the workers; of its errors only FfsmError is passed on as
-        it is.
-      worn: whether a result shows that its process should be replaced.
+      function: importable by its name in the workers; only its FfsmErrors are passed on unchanged.
+      should_renew: predicate on a result: True if its process should be replaced.
 
     Raises:
       FfsmError: what ``function`` raised.
       WorkersError: the workers do not work: every task is lost, or a task cannot be given to them.
     """
-    yield from _Runner(function, iter(tasks), arguments, workers, stop, worn).run()
+    yield from _Runner(function, iter(tasks), arguments, workers, stop, should_renew).run()
 
 
 def map_tasks(
@@ -238,12 +233,11 @@ def map_tasks(
     workers: int,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> list[Result]:
-    """``function(task)`` for every task, in the order of the tasks; the results do not depend on
-    the workers.
+    """``function(task)`` for every task, in order; the results do not depend on the workers.
 
     Args:
-      function: importable by its name.
-      workers: processes. One is this process; more are spawned, so a script must call this under
+      function: importable by its name. workers: number of processes. One is this process; more are
+      spawned, so a script must call this under
         ``if __name__ == "__main__":``.
       progress: called after every task with (tasks done, tasks in all, the task as text).
 
@@ -264,7 +258,7 @@ def map_tasks(
         with contextlib.closing(done):
             for k, result in done:
                 if isinstance(result, WorkerLost):
-                    raise WorkersError(f"{tasks[k]}: the worker process died each time it ran this")
+                    raise WorkersError(f"{tasks[k]}: the worker process died at every attempt")
                 results[k] = result
                 if progress is not None:
                     progress(len(results), len(tasks), str(tasks[k]))
@@ -279,7 +273,7 @@ class _Flight(Generic[Task]):
 
     task: Task
     executor: Executor
-    strikes: int  # how many workers it has lost while it was alone
+    strikes: int  # workers that died while it ran alone
 
 
 @dataclasses.dataclass
@@ -289,7 +283,7 @@ class _Runner(Generic[Task, Result]):
     arguments: Callable[[Task], tuple[Any, ...]]
     workers: Workers
     stop: Stop
-    worn: Callable[[Result], bool]
+    should_renew: Callable[[Result], bool]
     flying: dict[Future[Result], _Flight[Task]] = dataclasses.field(default_factory=dict)
     # with their strikes
     suspects: deque[tuple[Task, int]] = dataclasses.field(default_factory=deque)
@@ -301,7 +295,7 @@ class _Runner(Generic[Task, Result]):
         try:
             while True:
                 if self.stop:
-                    # those not started yet
+                    # tasks not started yet
                     for future in [future for future in self.flying if future.cancel()]:
                         del self.flying[future]
                 else:
@@ -348,20 +342,22 @@ class _Runner(Generic[Task, Result]):
             not future.cancelled() and isinstance(future.exception(), BrokenExecutor)
             for future in done
         ):
-            # The pool is gone: every other future of it ends now too.
+            # The pool is broken: its other futures end now too.
             done, _ = wait(self.flying)
-        broken, worn = False, False
+        broken, should_renew = False, False
         for future in done:
             flight = self.flying.pop(future)
             if future.cancelled():
                 raise WorkersError(
-                    "the cluster cancelled a task: its scheduler is gone, or somebody cleared it"
+                    "the cluster cancelled a task: its scheduler ended or was cleared"
                 )
             error = future.exception()
             if error is None:
                 result = future.result()
                 self.succeeded = True
-                worn = worn or (flight.executor is self.executor and self.worn(result))
+                should_renew = should_renew or (
+                    flight.executor is self.executor and self.should_renew(result)
+                )
                 yield flight.task, result
             elif isinstance(error, BrokenExecutor):
                 broken = True
@@ -371,7 +367,7 @@ class _Runner(Generic[Task, Result]):
                 else:
                     yield self._give_up(flight.task)
             elif type(error).__name__ == "KilledWorker":
-                # Dask's, which may not be installed; it counts the attempts
+                # an error of Dask, which may not be installed; Dask counts the attempts
                 yield self._give_up(flight.task)
             elif isinstance(error, FfsmError):
                 raise error
@@ -379,7 +375,7 @@ class _Runner(Generic[Task, Result]):
                 raise WorkersError(
                     f"a worker cannot work: {type(error).__name__}: {one_line(error)}"
                 ) from error
-        if broken or (worn and self.workers.renewable):
+        if broken or (should_renew and self.workers.renewable):
             self._renew()
 
     def _give_up(self, task: Task) -> tuple[Task, WorkerLost]:

@@ -1,1 +1,1 @@
-"""The closed loop: which blocks there are, and how they are wired into one Diagram."""
+"""The closed loop: its blocks, and their wiring into one Diagram."""

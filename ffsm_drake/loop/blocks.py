@@ -1,4 +1,4 @@
-"""The blocks of the closed loop: which there are, their ports, and what fills them.
+"""The blocks of the closed loop, their ports, and the systems that fill them.
 
 A block is a named place in the diagram. The scenario's own section fills it (``sensing``,
 ``actuation``, ...), unless ``blocks`` in the scenario, or a factory given in Python, puts another
@@ -49,14 +49,13 @@ class Ports:
     outputs: Mapping[str, str]
     optional_inputs: Mapping[str, str] = dataclasses.field(default_factory=dict)
     optional_outputs: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    held: bool = False  # no output may follow an input at once
+    held: bool = False  # no output may depend directly on an input
 
 
 BLOCKS: dict[str, Ports] = {
     "reference": Ports(
         outputs={"desired_state": STATE, "desired_acceleration": VELOCITY},
-        # Of the frame F that the motion prescribes: [quaternion of R_WF; p_WF; w_WF; v_WF;
-        # alpha_WF; a_WF].
+        # Motion of the prescribed frame F: [quaternion of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF].
         optional_outputs={"desired_frame": FRAME},
     ),
     "sensing": Ports(
@@ -64,8 +63,8 @@ BLOCKS: dict[str, Ports] = {
         inputs={"state": STATE},
         optional_inputs={"true_state": STATE},
         outputs={"estimated_state": STATE},
-        # 1: this control sample brings a new measurement, 0: an earlier one is repeated. Without it
-        # all are new.
+        # 1: this control sample has a new measurement, 0: it repeats an earlier one. Without
+        # this port all are new.
         optional_outputs={"measurement_is_new": STATE},
     ),
     "controller": Ports(
@@ -89,8 +88,8 @@ BLOCKS: dict[str, Ports] = {
     "forces": Ports(
         outputs={"generalized_force": VELOCITY},
         optional_inputs={"state": STATE, "hidden_state": HIDDEN_STATE},
-        # The force at a control sample, for the record, which would read the one before its update.
-        # What acts on hidden coordinates comes with the force at a control sample.
+        # The force after the update of a control sample: the record would see the one before it.
+        # The force on hidden coordinates, after the update of a control sample.
         optional_outputs={
             "next_generalized_force": VELOCITY,
             "hidden_force": HIDDEN,
@@ -104,7 +103,7 @@ _SECTION_PARTS: dict[str, Callable[[Scenario], Part | None]] = {
     "flexible": Deflections.of,
 }
 DISTURBANCE, ENVIRONMENT = "forces.disturbance", "forces.environment"
-# What the scenario's own sections describe; an actuator that does nothing to the force is None.
+# Factories for the scenario's own sections; None for an ideal actuator.
 _SECTIONS: dict[str, Factory] = {
     "reference": lambda setup: make_reference(setup.scenario, setup.coordinates),
     "sensing": lambda setup: make_sensing(
@@ -135,7 +134,7 @@ def stage_name(name: str) -> str:
 
 
 def block_choices(scenario: Scenario) -> dict[str, Block]:
-    """The blocks that the scenario fills with something else than its own section, by name."""
+    """The blocks that ``blocks`` in the scenario fills in place of their own section, by name."""
     named = {name: getattr(scenario.blocks, name) for name in ("reference", "actuation")}
     named |= {stage_name(name): block for name, block in scenario.blocks.sensing.items()}
     named |= {f"forces.{name}": block for name, block in scenario.blocks.forces.items()}
@@ -148,11 +147,10 @@ def make_blocks(
     factories: Mapping[str, Factory] | None = None,
     hidden: HiddenCoordinates | None = None,
 ) -> tuple[dict[str, System], dict[str, PlacedPart]]:
-    """All blocks by name, checked, and the parts among what fills them. ``actuation`` is missing
-    where what is commanded acts.
+    """All blocks by name, checked, and the parts that fill blocks; no ``actuation`` if it is ideal.
 
     Args:
-      scenario: what fills them.
+      scenario: names the systems that fill the blocks.
       nominal: the plant with the nominal payload; the controller's own.
       factories: block -> factory in place of what the scenario names; "forces.<name>" for a force.
       hidden: hidden coordinates of the true plant.
@@ -168,7 +166,7 @@ def make_blocks(
         if not several and (name not in valid or name in _SEVERAL):
             raise ScenarioError(
                 f"blocks.{name}",
-                f"is no block; choose {', '.join(valid)}{did_you_mean(name, valid)}",
+                f"is not a block; choose {', '.join(valid)}{did_you_mean(name, valid)}",
             )
     everything = (*_own_forces(scenario), *choices, *given)
     stages, forces = (
@@ -196,7 +194,7 @@ def make_blocks(
             if made is None and name not in choices and name not in given:
                 continue  # an ideal actuator
         check_ports(made, kind_of(name), nominal.coordinates, place=place)
-        if name != "controller":  # which has its own
+        if name != "controller":  # it has its own plant
             made.set_name(own.name if own.name not in _TAKEN else name.replace(".", "_"))
             if part is not None:
                 placed[name] = place_part(part, own, made, name=name, block=name)
@@ -227,16 +225,16 @@ def is_rehearsed(scenario: Scenario) -> bool:
 
 
 def part_of(name: str, scenario: Scenario, given: Any = None) -> Part | None:
-    """The part that fills a block, with its settings; None where something else fills it.
+    """The part that fills a block, with its settings; None if it is filled by something else.
 
     Args:
-      name: of the block.
-      scenario: what fills it.
-      given: a factory, or a part, in place of what the scenario names.
+      name: block name.
+      scenario: names the part.
+      given: a factory or part that replaces the scenario's choice.
 
     Raises:
-      ScenarioError: a setting is unknown, or cannot have its value.
-      BlockError: what fills the block cannot be loaded.
+      ScenarioError: a setting is unknown, or its value is not allowed.
+      BlockError: the block's system cannot be loaded.
     """
     choice, key = block_choices(scenario).get(name), f"blocks.{name}.settings"
     if given is None and choice is not None:
@@ -262,9 +260,7 @@ def parts_of(scenario: Scenario, given: Mapping[str, Any] | None = None) -> dict
 
 
 def _check_initialized(system: System, *, place: str) -> None:
-    """Raise BlockError for a system whose __init__ did not call Drake's, if building it did not
-    raise already.
-    """
+    """Raise BlockError for a system whose __init__ did not call Drake's."""
     try:
         system.get_name()
     except TypeError:
@@ -278,8 +274,7 @@ def _own_forces(scenario: Scenario) -> tuple[str, ...]:
 
 
 def block_factory(name: str, scenario: Scenario) -> Factory:
-    """What builds a block that is not the controller: what ``blocks`` names, else the scenario's
-    section of that name.
+    """Factory of a block except the controller: from ``blocks``, else the scenario's section.
 
     Raises ScenarioError and BlockError as ``make_blocks`` does.
     """
@@ -292,9 +287,7 @@ def block_factory(name: str, scenario: Scenario) -> Factory:
 
 
 def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
-    """Where each block comes from: block -> ``system``; of user-supplied ones and a plan, ``file``
-    and ``sha256``.
-    """
+    """Origin of each block: ``system``, with ``file`` and ``sha256`` if it comes from a file."""
     names = {name: f"scenario: {name}" for name in ("reference", "sensing", "actuation")}
     names |= {"controller": scenario.controller}
     names |= {name: f"scenario: {name.partition('.')[2]}" for name in _own_forces(scenario)}
@@ -320,9 +313,9 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
     """Raise BlockError unless a system has a block's ports, with the right sizes.
 
     Args:
-      system: what fills the block.
+      system: the system that fills the block.
       block: a key of BLOCKS.
-      coordinates: of the spacecraft; they give the sizes.
+      coordinates: the spacecraft's, which determine the sizes.
       place: names the block in the error.
     """
     ports = BLOCKS[block]
@@ -366,7 +359,6 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
                 and system.HasDirectFeedthrough(int(found[name].get_index()))
             ):
                 raise BlockError(
-                    f"{place}: output port '{name}' must not follow an input at once; declare it "
-                    "with "
-                    "DeclareStateOutputPort, or with prerequisites {self.all_state_ticket()}"
+                    f"{place}: output port '{name}' must not depend directly on an input; declare "
+                    "it with DeclareStateOutputPort, or prerequisites {self.all_state_ticket()}"
                 )

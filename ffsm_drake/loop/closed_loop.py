@@ -8,7 +8,7 @@
                +-----------+                                                               |
          ^------------------------------- sensing <----------------------------------------+
 
-``loop.blocks`` says what each block's ports are, and what fills it.
+``loop.blocks`` defines each block's ports and the systems that fill it.
 """
 
 import dataclasses
@@ -46,11 +46,11 @@ from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.part import Parts
 from ffsm_drake.systems.registry import Factory
 
-# Integration schemes that are stable at any step, however fast friction acts.
+# Integration schemes that are stable at any step, for any friction.
 IMPLICIT_SCHEMES = ("implicit_euler", "velocity_implicit_euler", "radau1", "radau3")
-# Signals of every closed loop. OPTIONAL_OUTPUTS come on top that the controller gives, those that
-# the actuators give, "hidden_state" where there are hidden coordinates, and "force_<name>" for each
-# external force where there are several.
+# Signals of every closed loop. Added to them: the OPTIONAL_OUTPUTS that the controller has, those
+# of the actuators, "hidden_state" with hidden coordinates, and "force_<name>" for each external
+# force if there are several.
 SIGNALS = (
     "state",
     "estimated_state",
@@ -77,32 +77,27 @@ class ClosedLoop:
     # signal -> the system and the name of its output port
     sources: Mapping[str, tuple[System, str]]
     parts: Parts = dataclasses.field(default_factory=dict)  # those of ``blocks`` that are parts
-    diagram: Any = None  # Diagram, of ``make_closed_loop``; its outputs are the signals
+    diagram: Any = None  # the Diagram, after ``make_closed_loop``; its outputs are the signals
 
     @property
     def tracks_frame(self) -> bool:
-        """Whether the controller tracks the pose of a frame, and coordinates only as far as that
-        leaves them free.
-        """
+        """True if the controller tracks a frame's pose, and coordinates only in its null space."""
         return bool(self.blocks["controller"].HasInputPort("desired_frame"))
 
     def output_port(self, signal: str) -> OutputPort:
-        """The port of a signal; see SIGNALS. ``disturbance_force`` is the sum of the external
-        forces.
-        """
+        """The port of a signal of SIGNALS; ``disturbance_force`` sums the external forces."""
         system, name = self.sources[signal]
         return system.GetOutputPort(name)
 
     def initialize(self, root: System, root_context: Context) -> None:
-        """Seed the noise, give the plant its payload and put it into the initial posture, at the
-        initial velocity.
+        """Seed the noise, set the payload, and set the initial posture and velocity.
 
         Args:
           root: the diagram that holds the loop.
           root_context: a context of ``root``.
         """
         scenario = self.scenario
-        # First, because it resets every state and parameter of the diagram.
+        # First: it resets every state and parameter of the diagram.
         root.SetRandomContext(root_context, RandomGenerator(scenario.random_seed))
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         set_true_masses(self.plant, context, scenario)
@@ -119,7 +114,7 @@ class ClosedLoop:
         self.set_whole_state(root_context, state)
 
     def model(self, plant_context: Context) -> PlantModel:
-        """The plant for computations, in one of its contexts."""
+        """The plant in one of its contexts, for computations."""
         return PlantModel(
             plant=self.plant,
             context=plant_context,
@@ -128,9 +123,7 @@ class ClosedLoop:
         )
 
     def _check_friction(self, context: Context) -> None:
-        """Raise ScenarioError where a fixed step does not resolve how friction slows a joint near
-        rest.
-        """
+        """Raise ScenarioError if a fixed step does not resolve a joint's friction near rest."""
         scenario, config = self.scenario, self.scenario.simulator_config
         if (
             scenario.drives is None
@@ -154,14 +147,14 @@ class ClosedLoop:
                 raise ScenarioError(
                     "simulator_config.max_step_size",
                     f"{config.max_step_size:g} s does not resolve the friction of {joint}, which "
-                    "near rest acts within "
+                    "near rest has a time constant of "
                     f"{constant:.2g} s ({name}): take at most {0.9 * constant:.2g} s, or "
                     f"{1.1 * config.max_step_size / constant:.2g} times the "
                     "actuation.drives.smoothing_rate",
                 )
 
     def set_payload(self, root_context: Context, properties: MassProperties) -> None:
-        """Give the plant, and the blocks that ask for it, the payload's true mass properties."""
+        """Set the payload's true mass properties in the plant and in the blocks that use them."""
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         change_payload(self.plant, context, self.scenario, properties)
         self._tell_blocks(root_context, properties)
@@ -172,20 +165,18 @@ class ClosedLoop:
                 block.set_payload(block.GetMyMutableContextFromRoot(root_context), properties)
 
     def set_state(self, root_context: Context, state: np.ndarray) -> None:
-        """Put the plant into a known state [q; v], and the blocks into one in which nothing else
-        was before.
-        """
+        """Set the plant to a known state [q; v], and reset the blocks, without history, to it."""
         self.set_whole_state(root_context, self.hidden.whole(state))
 
     def set_whole_state(self, root_context: Context, state: np.ndarray) -> None:
-        """As ``set_state``, with the plant's own [q; v], which holds the hidden state too."""
+        """As ``set_state``, for the plant's own [q; v], which includes the hidden state."""
         self.plant.SetPositionsAndVelocities(
             self.plant.GetMyMutableContextFromRoot(root_context), state
         )
         self.set_blocks(root_context, self.hidden.known_part(state))
 
     def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
-        """Put the blocks into a state in which nothing was before the known state [q; v]."""
+        """Reset the blocks, without history, to a known state [q; v]."""
         for block in self.blocks.values():
             if hasattr(block, "set_initial_state"):
                 block.set_initial_state(block.GetMyMutableContextFromRoot(root_context), state)
@@ -197,14 +188,13 @@ class ClosedLoop:
         context_before: Context,
         reference: np.ndarray,
     ) -> None:
-        """Let the blocks go on where those of another loop, of the same scenario but for its
-        payload, have come to.
+        """Continue the blocks from another loop's state; its scenario differs in the payload only.
 
         Args:
-          root_context: of this loop.
+          root_context: this loop's root context.
           before: the other loop.
-          context_before: of that.
-          reference: [q_d; v_d] with which this loop's motion begins.
+          context_before: the other loop's root context.
+          reference: [q_d; v_d] where this loop's motion begins.
         """
         for name, block in self.blocks.items():
             other = before.blocks[name]
@@ -228,12 +218,13 @@ def add_closed_loop(
     """Add the closed loop of a scenario to a diagram.
 
     Args:
-      builder: of the diagram.
-      scenario: what to build.
-      blocks: block -> factory (BlockSetup -> Drake system) in place of what the scenario says, such
-        as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
-      plant: the plant, if it is part of the diagram already (``add_combined_plant``, to show it);
-        one without geometry is added otherwise.
+      builder: the diagram's builder.
+        scenario: the scenario to build. blocks: block -> factory (BlockSetup -> Drake system) that
+        replaces the scenario's choice, such
+          as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
+        plant: the plant, if the diagram has it already (``add_combined_plant``, to show it);
+        otherwise
+          one without geometry is added.
 
     Raises:
       ModelError: the model does not load.
@@ -265,7 +256,7 @@ def add_closed_loop(
             builder.Connect(state, stage.GetInputPort("true_state"))
         measured = stage.GetOutputPort("estimated_state")
     sensing = stages[-1]
-    # What the controller read at its last sample, for the record.
+    # The measurement of the controller's last sample, for the record.
     measurement = ZeroOrderHold(scenario.sample_time, 2 * len(coordinates.names) + 1)
     builder.AddNamedSystem("measurement", measurement)
     builder.Connect(measured, measurement.get_input_port())
@@ -288,7 +279,7 @@ def add_closed_loop(
         if actuation.HasInputPort("state"):
             builder.Connect(state, actuation.GetInputPort("state"))
         applied = (actuation, "applied_force")
-    if coordinates.undriven:  # where no force acts, whatever is commanded
+    if coordinates.undriven:  # no force acts there, whatever is commanded
         only_driven = builder.AddNamedSystem(
             "driven_force", Gain(coordinates.is_driven.astype(float))
         )
@@ -436,7 +427,7 @@ def _add_states(
 
 
 def _sum(builder: DiagramBuilder, name: str, terms: list[tuple[System, str]]) -> tuple[System, str]:
-    """The sum of ports, itself as a system and its port; a single one is its own sum."""
+    """The sum of ports, as a system and its port's name; a single port is returned as it is."""
     if len(terms) == 1:
         return terms[0]
     ports = [system.GetOutputPort(port) for system, port in terms]

@@ -26,13 +26,13 @@ from ffsm_drake.systems.setup import BlockSetup
 def make_operated_disturbance(
     setup: BlockSetup, *, initial: np.ndarray, poll: Callable[[float, np.ndarray], np.ndarray]
 ) -> Diagram:
-    """The force ``disturbance`` of a scenario, which an operator scales and adds pushes to.
+    """The force ``disturbance`` of a scenario, scaled by an operator, who also adds pushes.
 
     Args:
-      setup: of the force.
-      initial: [scale, F (3; world frame, N)], acts until ``poll`` says otherwise.
-      poll: called with (time, q) at every control sample; returns what acts from the next sample on
-        (4).
+      setup: the force's setup.
+      initial: [scale, F (3; world frame, N)] before the first ``poll``.
+      poll: called with (time, q) at every control sample; returns [scale, F] (4) from the next
+        sample on.
     """
     builder = DiagramBuilder()
     choice = block_choices(setup.scenario).get(DISTURBANCE, Block())
@@ -62,8 +62,8 @@ class OperatorInputs(LeafSystem):
         mass.
       next_generalized_force: the same just after the update of a control sample, for a logger,
         which sees the state before the update of its instant.
-    State (discrete, period ``sample_time``): [scale, F (3; world frame, N)] that acts, and what
-    will act from the next sample on.
+    State (discrete, period ``sample_time``): [scale, F (3; world frame, N)] that acts, and that of
+    the next sample.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class OperatorInputs(LeafSystem):
         output.SetFromVector(force)
 
     def _calc_jacobian(self, q: np.ndarray) -> np.ndarray:
-        """Of the velocity of the payload's centre of mass in world, (3, nv)."""
+        """Jacobian (3, nv) of the velocity of the payload's centre of mass in the world frame."""
         plant, context = self._model.plant, self._model.context
         plant.SetPositions(context, q)
         return plant.CalcJacobianTranslationalVelocity(

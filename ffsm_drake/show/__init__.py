@@ -1,1 +1,1 @@
-"""What people look at: tables, figures, pages, recordings, block diagrams."""
+"""Presentation: tables, figures, pages, recordings, block diagrams."""

@@ -1,5 +1,6 @@
-"""Graphviz pictures of the wiring; ``python -m ffsm_drake.show.block_diagram`` writes those kept in
-``diagrams/``.
+"""Graphviz diagrams of the wiring.
+
+``python -m ffsm_drake.show.block_diagram`` writes those in ``diagrams/``.
 """
 
 import re
@@ -26,13 +27,12 @@ NO_GRAPHVIZ = (
 
 
 def closed_loop_dot(scenario: Scenario) -> str:
-    """The closed loop, visualizer included, as Graphviz text; the same wiring always gives the same
-    text.
+    """The closed loop with visualizer as Graphviz text; equal wiring gives equal text.
 
-    Of the plant's many ports, and of the visualizer's, only the connected ones are drawn: which
-    others there are depends on Drake's release.
+    Only the connected ports of the plant and the visualizer are drawn: the others depend on Drake's
+    release.
     """
-    with quiet_drake():  # the server is there for the wiring only
+    with quiet_drake():  # the server is needed for the wiring only
         builder = DiagramBuilder()
         plant = add_combined_plant(builder, scenario.model, flexible=True)
         loop = add_closed_loop(builder, scenario, plant=plant)
@@ -57,7 +57,7 @@ def system_dot(system: System, *, max_depth: int | None = None) -> str:
 
     Args:
       system: a diagram or a leaf system.
-      max_depth: how many levels of nested diagrams to open; None for all.
+      max_depth: levels of nested diagrams to show; None for all.
     """
     text = system.GetGraphvizString(max_depth=max_depth)
     numbers: dict[str, int] = {}
@@ -115,7 +115,7 @@ def write_diagram(dot: str, path: Path) -> str:
 
 
 def shipped_diagrams() -> dict[str, str]:
-    """File stem -> Graphviz text of the pictures kept in ``diagrams/``."""
+    """File stem -> Graphviz text of the diagrams in ``diagrams/``."""
     scenario = load_scenario("postcapture")
     return {"closed_loop": closed_loop_dot(scenario), "controller": controller_dot(scenario)}
 

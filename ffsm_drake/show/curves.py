@@ -1,4 +1,4 @@
-"""Curves made ready to be drawn: thinned, smoothed, and with the range that shows them."""
+"""Preparation of curves for drawing: thinning, smoothing, axis ranges."""
 
 from collections.abc import Sequence
 
@@ -8,9 +8,7 @@ RMS_WINDOW = 1.0  # s
 
 
 def thinned(values: np.ndarray, points: int) -> np.ndarray:
-    """Indices of at most ``points`` values (n,) that keep the first, the last and every interval's
-    extremes.
-    """
+    """Indices of at most ``points`` values (n,): first, last, and the extremes of each interval."""
     if values.size <= points:
         return np.arange(values.size)
     width = -(-values.size // ((points - 2) // 2))
@@ -25,11 +23,10 @@ def thinned(values: np.ndarray, points: int) -> np.ndarray:
 
 
 def moving_rms(values: np.ndarray, sample_time: float) -> np.ndarray:
-    """Root of the mean square over one second around each row of values (n, ...); rows that are not
-    finite spoil none.
+    """Rms over one second around each row of values (n, ...).
 
-    Returns as many rows as there are before the first one that is not finite; a zero, which has no
-    logarithm, is NaN.
+    Returns the rows before the first non-finite one, which does not affect them; zeros become NaN,
+    for logarithmic axes.
     """
     from scipy.ndimage import uniform_filter1d
 
@@ -44,9 +41,7 @@ def moving_rms(values: np.ndarray, sample_time: float) -> np.ndarray:
 
 
 def completed_range(curves: Sequence[tuple[bool, np.ndarray]]) -> list[float] | None:
-    """The range of the curves of completed runs, where there are others that diverged and would
-    flatten them.
-    """
+    """Range of the completed runs' curves if diverged ones would flatten them, else None."""
     completed = [values for done, values in curves if done]
     if not completed or len(completed) == len(curves):
         return None
@@ -56,6 +51,6 @@ def completed_range(curves: Sequence[tuple[bool, np.ndarray]]) -> list[float] | 
 
 
 def cumulative(values: np.ndarray, total: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sorted values and the percentage of ``total`` that is at most each."""
+    """Sorted values, and for each the percentage of ``total`` that does not exceed it."""
     ordered = np.sort(values[np.isfinite(values)])
     return ordered, 100.0 * np.arange(1, ordered.size + 1) / max(total, 1)

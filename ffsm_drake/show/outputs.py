@@ -1,4 +1,4 @@
-"""What a finished run leaves for people: the report page, figures and recording."""
+"""Outputs of a finished run: report page, figures and recording."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,15 +24,14 @@ def write_outputs(
 
     Args:
       records: the runs.
-      directory: where the files go.
-      figures, recording: whether to write these, too.
-      distances: each run's controller's distance to the LQG limit (``control_design.limit``), to be
-        shown.
+      directory: folder for the files.
+      figures, recording: write these, too.
+      distances: distance of each run's controller to the LQG limit (``control_design.limit``).
 
     Raises:
       RecordError: a file cannot be written.
     """
-    # Here, because they are slow to import and not every run wants them.
+    # Here, because they are slow to import and not always needed.
     from ffsm_drake.show.figures.run import save_figures
     from ffsm_drake.show.meshcat import recording_html
     from ffsm_drake.show.report import write_report

@@ -1,6 +1,4 @@
-"""Self-contained HTML pages: one Jinja environment, one stylesheet, and Plotly figures embedded as
-data.
-"""
+"""Self-contained HTML pages: one Jinja environment, one stylesheet, embedded Plotly figures."""
 
 import functools
 import json
@@ -20,17 +18,17 @@ _SYMBOL = re.compile(r"(?<![\w.])(K|G|s|q|τ|β|beta|N\*)_(si|s|d\d|[iDPd])\b")
 
 
 def render(template: str, content: Mapping[str, Any], *, package: str = "ffsm_drake.show") -> str:
-    """A page as text; nothing that it needs is outside it.
+    """A self-contained page as text.
 
     ``template`` is a file in the package's folder ``templates`` (or the show room's), ``content``
-    what it names; ``plots``, from ``embedded``, brings plotly.js with it.
+    its variables; ``plots``, from ``embedded``, adds plotly.js.
     """
     return _environment(package).get_template(template).render(content)
 
 
 @functools.cache
 def _environment(package: str) -> Environment:
-    """Where a package's templates come from; it compiles each of them once."""
+    """The environment of a package's templates; it compiles each once."""
     folders = dict.fromkeys((package, "ffsm_drake.show"))
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(name, "templates") for name in folders]),
@@ -49,9 +47,7 @@ def plotly_script() -> Markup:
 
 
 def embedded(sections: Mapping[str, Iterable[View]]) -> Markup:
-    """The figures of a page's sections as JSON; the page names each by section, view and place
-    (``error-0-3``).
-    """
+    """Figures of a page's sections as JSON, keyed by section, view and panel (``error-0-3``)."""
     figures = {
         f"{key}-{i}-{k}": panel.figure.to_plotly_json()
         for key, views in sections.items()
@@ -62,7 +58,7 @@ def embedded(sections: Mapping[str, Iterable[View]]) -> Markup:
 
 
 def script_json(data: Any) -> Markup:
-    """JSON that a script element can hold: nothing in it can close the element or open another."""
+    """JSON that is safe in a script element: nothing in it closes the element or opens another."""
     text = json.dumps(_finite(data), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
 
@@ -72,12 +68,12 @@ def _finite(value: Any) -> Any:
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_finite(item) for item in value]
-    # what Plotly has left as it is, such as an array without elements
+    # unconverted by Plotly, such as an empty array
     if isinstance(value, np.ndarray | np.generic):
         return _finite(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def symbols(text: str) -> Markup:
-    """Text with its symbols' subscripts as HTML."""
+    """Text with subscripts of symbols as HTML."""
     return Markup(_SYMBOL.sub(r"\1<sub>\2</sub>", str(escape(text))))

@@ -1,4 +1,4 @@
-"""Plotly figures for the pages: panels of one look, over time or not."""
+"""Plotly figures for the pages: panels of one style, over time or not."""
 
 import dataclasses
 import html
@@ -36,7 +36,7 @@ _SPACE_AXIS = {
     "showspikes": False,
     "nticks": 5,
 }
-# What all figures of a page share; legible on light and dark ground.
+# Layout shared by all figures of a page; legible on light and dark backgrounds.
 TEMPLATE: dict[str, Any] = {
     "layout": {
         "font": FONT | {"color": NEUTRAL},
@@ -65,41 +65,41 @@ class Panel:
 
     title: str
     figure: go.Figure
-    # "time" panels share their time axis; the stylesheet knows also "map", "space" and "chart"
+    # "time" panels share their time axis; other styles are "map", "space" and "chart"
     kind: str = "time"
-    group: str = ""  # a heading above the first panel of it
+    group: str = ""  # heading above the group's first panel
     height: int = 0  # px; 0: the stylesheet's
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class View:
-    """Panels that stand together; a section shows one of its views."""
+    """Panels shown together; a section shows one of its views."""
 
     label: str
     panels: list[Panel]
 
     @property
     def wide(self) -> bool:
-        """Whether its panels need more room than curves over time."""
+        """True if its panels need more room than curves over time."""
         return any(panel.kind != "time" for panel in self.panels)
 
 
 @dataclasses.dataclass
 class Thinning:
-    """Draws curves with at most ``points`` points and remembers the longest it was given."""
+    """Limits curves to ``points`` points and remembers the longest one given."""
 
     points: int
     longest: int = 0
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A curve, thinned; in single precision, which is all that a screen shows."""
+        """A thinned curve in single precision, enough for a screen."""
         self.longest = max(self.longest, x.size)
         kept = thinned(y, self.points)
         with np.errstate(over="ignore"):
             return x[kept].astype(np.float32), y[kept].astype(np.float32)
 
 
-Trace = dict[str, Any]  # of plotly; a Figure checks it once, when it takes it in
+Trace = dict[str, Any]  # Plotly's; a Figure checks it once, on adding
 
 
 def curve(
@@ -110,7 +110,7 @@ def curve(
     width: float = 1.4,
     **rest: Any,
 ) -> Trace:
-    """A line; one that has a single point is drawn as such."""
+    """A line; a single point is drawn as a marker."""
     line = {
         "color": style.color,
         "dash": style.dash,
@@ -130,16 +130,12 @@ def curve(
 
 
 def escape(text: str) -> str:
-    """Text for a label of Plotly's, which reads a few tags: none of them may come from a
-    scenario.
-    """
+    """Text for a Plotly label, with tags escaped: none may come from a scenario."""
     return html.escape(text, quote=False)
 
 
 def figure(traces: Sequence[Trace], *, x: str, y: str, **layout: Any) -> go.Figure:
-    """A figure without a template: the page has one for all. ``xaxis`` and ``yaxis`` add to the
-    axes' titles.
-    """
+    """A figure; the page has the template. ``xaxis`` and ``yaxis`` extend the axes."""
     axes = {
         name: {"title": {"text": escape(title)}, **layout.pop(name, {})}
         for name, title in (("xaxis", x), ("yaxis", y))
@@ -161,9 +157,7 @@ def time_panel(
     level: tuple[float, str] | None = None,
     legend: bool = False,
 ) -> Panel:
-    """Curves over time; ``range`` in decades where ``log``; ``level`` is a horizontal line with its
-    text.
-    """
+    """Curves over time; ``range`` is in decades if ``log``; ``level``: a labelled line."""
     yaxis: dict[str, Any] = {} if range is None else {"range": list(range)}
     if log:
         yaxis |= log_axis()
@@ -202,7 +196,5 @@ def time_panel(
 
 
 def log_axis(form: str = "~e", *, ticks: int = 4) -> dict[str, Any]:
-    """A logarithmic axis; the format writes every label in full, so that none of them is there
-    twice.
-    """
+    """A logarithmic axis; the format writes labels in full, so that none appears twice."""
     return {"type": "log", "tickformat": form, "nticks": ticks}

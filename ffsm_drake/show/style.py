@@ -1,6 +1,4 @@
-"""How runs, groups and pages look: one palette, and a name, colour and line style for every
-controller.
-"""
+"""Style of runs, groups and pages: a palette, and each controller's name, colour and line."""
 
 import dataclasses
 import itertools
@@ -11,16 +9,15 @@ from typing import Any
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import differing_keys, flatten, scenario_to_dict
 
-# Okabe and Ito's palette: told apart by the colour-blind, and with the line styles also in grey
-# print.
+# Okabe and Ito's palette: distinct for colour-blind readers and, with the line styles, in grey.
 VERMILION, BLUE, GREEN, PURPLE = "#D55E00", "#0072B2", "#009E73", "#CC79A7"
 SKY, ORANGE, GREY, BLACK = "#56B4E9", "#E69F00", "#7A7A7A", "#000000"
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)  # coordinates of one panel
 GRID = "#DDDDDD"
-UNSTABLE = "#F4D9CC"  # regions in which a loop is unstable
-NEUTRAL = "#707780"  # text and reference lines that are legible on white and on a dark page
+UNSTABLE = "#F4D9CC"  # regions where a loop is unstable
+NEUTRAL = "#707780"  # text and reference lines, legible on light and dark pages
 
-# Colours of the pages, in the light and in the dark.
+# Colours of the pages, light and dark.
 PAGE = {
     "ink": ("#1b1f24", "#e7e9ec"),
     "soft": ("#5b636e", "#a3abb6"),
@@ -47,19 +44,19 @@ _MATPLOTLIB_DASHES: dict[str, Any] = {
 
 @dataclasses.dataclass(frozen=True)
 class Style:
-    """A colour and a line style (Plotly's word for it)."""
+    """A colour and a line style (Plotly's name)."""
 
     color: str
     dash: str = "solid"
 
     @property
     def matplotlib(self) -> dict[str, Any]:
-        """The keywords of Matplotlib's ``plot``."""
+        """Keywords for Matplotlib's ``plot``."""
         return {"color": self.color, "linestyle": _MATPLOTLIB_DASHES[self.dash]}
 
     @property
     def css(self) -> str:
-        """The border style that comes nearest."""
+        """The nearest CSS border style."""
         return {"solid": "solid", "dot": "dotted"}.get(self.dash, "dashed")
 
 
@@ -85,7 +82,7 @@ _CONTROLLERS = {
     "torque_against_momentum": ("Torque against H", Style("#999933", "dashdot")),
     "pd_plus": ("PD+", Style(SKY, "longdashdot")),
 }
-# For every other controller, and for a run whose controller's style is taken.
+# For other controllers, and for runs whose controller's style is taken.
 _SPARE = (
     Style(PURPLE),
     Style("#8C6BB1", "dash"),
@@ -97,14 +94,14 @@ _SPARE = (
 
 
 def label_of(controller: str) -> str:
-    """A controller's name for people; of ``module:Class`` the class."""
+    """A controller's display name; the class for ``module:Class``."""
     return (
         _CONTROLLERS[controller][0] if controller in _CONTROLLERS else controller.rpartition(":")[2]
     )
 
 
 def styles_of(controllers: Sequence[str]) -> list[Style]:
-    """A style for each controller of a picture, no two alike until the spare ones are used up."""
+    """A style for each controller of a figure, all different while spare ones last."""
     styles: list[Style] = []
     spares = itertools.cycle(_SPARE)
     for name in controllers:
@@ -114,7 +111,7 @@ def styles_of(controllers: Sequence[str]) -> list[Style]:
 
 
 def labels_of(records: Sequence[RunRecord]) -> list[str]:
-    """A name for each run: its controller's, and what sets it apart where controllers repeat."""
+    """A name for each run: its controller's, with the distinguishing settings if it repeats."""
     labels = [label_of(record.scenario.controller) for record in records]
     if len(set(labels)) < len(labels):
         flat = [flatten(scenario_to_dict(record.scenario)) for record in records]
@@ -134,7 +131,7 @@ def labels_of(records: Sequence[RunRecord]) -> list[str]:
 
 
 def _short(key: str) -> str:
-    """The part of a dotted key that says enough: k_s_max of controllers.tde_aismc.k_s_max.all."""
+    """The telling part of a dotted key: k_s_max of controllers.tde_aismc.k_s_max.all."""
     return re.sub(r"^controllers\.[^.]*\.", "", key).removesuffix(".all")
 
 

@@ -1,1 +1,1 @@
-"""The spacecraft: coordinates, the multibody plant, its mass properties, and URDFs from outside."""
+"""The spacecraft: coordinates, multibody plant, mass properties, and user-supplied URDFs."""

@@ -1,6 +1,4 @@
-"""A scenario's capture: how target and servicer move before the grasp, and what the grasp
-leaves.
-"""
+"""A scenario's capture: motion of target and servicer before the grasp, and velocities after it."""
 
 import dataclasses
 
@@ -23,14 +21,13 @@ from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Contact:
-    """The instant of a grasp: the motion on both sides of it, and the grasp itself; world axes, SI
-    units.
+    """A grasp, with the motion before and after it; world axes, SI units.
 
-    q and v are the plant's own, with its hidden coordinates.
+    q and v are the plant's own and include its hidden coordinates.
     """
 
     q: np.ndarray  # (nq)
-    velocity: np.ndarray  # (nv) of the servicer before
+    velocity: np.ndarray  # (nv) of the servicer before the grasp
     target_velocity: np.ndarray  # (6) of the target's frame P before: angular, linear
     grasp: Grasp
     # (6) on the target, angular about the end effector's origin, then linear, N m s and N s
@@ -45,9 +42,7 @@ class Contact:
 
 
 def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
-    """The payload body. Raises ModelError unless it is, alone, all that the grasp separates from
-    the servicer.
-    """
+    """The payload body. Raises ModelError unless the target consists of this body alone."""
     key = "payload.body"
     body = find_body(model.plant, scenario.payload.body, key=key)
     effector = find_frame(model.plant, scenario.model.end_effector, key="model.end_effector").body()
@@ -88,8 +83,8 @@ def servicer_velocity(
 ) -> np.ndarray:
     """v (nv) of the servicer at the grasp in a known configuration q.
 
-    To follow the grasp frame it takes, of the rates with the least mismatch of end effector and
-    target, the cheapest.
+    Following the grasp frame takes the least rates among those with the least mismatch between
+    end effector and target.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate.
@@ -127,11 +122,11 @@ def contact_at(
     """The grasp of the target by a servicer in configuration q (nq) with velocity v (nv), the
     joints free or braked.
 
-    q and v are the plant's own; what is hidden in it is free.
+    q and v are the plant's own; its hidden coordinates are free.
 
     Args:
-      scenario: with a capture.
-      model: the plant that holds the target, with the payload that it then has.
+      scenario: one with a capture.
+      model: the plant that holds the target, with the payload at the grasp.
       target_velocity: [w_WP; v_WP] (6) of the target's frame P before, world axes.
     """
     capture = scenario.capture or Capture()
@@ -160,7 +155,7 @@ def contact_at(
     compliant = None
     if capture.compliance is not None:
         # [w; v_E] = moved [w; v_P]
-        moved, back = (_moved(sign * (p_WE - X_WP.translation())) for sign in (1.0, -1.0))
+        moved, back = (_shift_twist(sign * (p_WE - X_WP.translation())) for sign in (1.0, -1.0))
         of = capture.compliance
         compliant = compliant_grasp(
             mass_matrix=mass_matrix,
@@ -189,10 +184,8 @@ def contact_at(
     )
 
 
-def _moved(offset: np.ndarray) -> np.ndarray:
-    """The matrix (6, 6) from [w; v] at a point of a body to [w; v] at one that lies ``offset`` (3,
-    m) from it.
-    """
+def _shift_twist(offset: np.ndarray) -> np.ndarray:
+    """Matrix (6, 6) from a body's [w; v] at one point to that at ``offset`` (3, m) from it."""
     x, y, z = offset
     matrix = np.eye(6)
     matrix[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
@@ -200,17 +193,14 @@ def _moved(offset: np.ndarray) -> np.ndarray:
 
 
 def velocity_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
-    """The velocity (nv) that the motion with the target held starts from; errors as
-    ``planned_contact``.
-    """
+    """Initial velocity (nv) of the motion with the target held; errors as ``planned_contact``."""
     if scenario.capture is not None:
         return planned_contact(scenario, model).grasp.velocity
     return model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
 
 
 def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
-    """The grasp as a scenario has it: in ``initial_posture``, at the chosen rates, with the payload
-    of ``model``.
+    """A scenario's grasp: in ``initial_posture``, at the chosen rates, with ``model``'s payload.
 
     Raises:
       ModelError: the target is not a body of its own.

@@ -1,10 +1,10 @@
 """Clearance: the smallest distance between parts of the spacecraft that a joint can bring together.
 
-The shapes are the model's collision geometry; of a model without any, its pictures; of a mesh, the
-convex hull. Left out are parts that are fixed to each other (the target and what grasps it), parts
-that a joint connects, and those with few joints between them that are near each other wherever
-these are, as the links of a wrist. Before a grasp the target is a body of its own, which the
-gripper may touch over the last decimetre.
+The shapes are the model's collision geometry, or its visual geometry if it has none; a mesh counts
+by its convex hull. Left out are parts fixed to each other (the target and the gripper), parts
+connected by a joint, and parts with few joints between them that are always near each other, as
+the links of a wrist. Before a grasp the target is a separate body, which the gripper may touch over
+the last decimetre.
 """
 
 import dataclasses
@@ -33,28 +33,27 @@ from ffsm_drake.spacecraft.plant import (
     make_plant,
 )
 
-# Bodies with few joints between them that are always near, wherever these are, tell nothing of a
-# motion.
+# Bodies with few joints between them that are near at every joint angle are left out.
 _NEIGHBOURS, _NEAR = 3, 0.2  # joints, m
-_PLACES = 40  # of these joints that are looked at
+_TRIALS = 40  # joint configurations tested
 
-_REACH = 0.1  # m; from its place on the target to where the gripper is about to touch it
+_REACH = 0.1  # m; distance from the grasp below which the gripper may touch the target
 
-_MEASURED = (".obj", ".gltf", ".vtk")  # meshes that have a distance, that of their convex hull
+_MEASURED = (".obj", ".gltf", ".vtk")  # meshes whose convex hull Drake can measure
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Nearest:
     """The smallest distance in one configuration."""
 
-    distance: float  # m; negative: they overlap by this; infinite: nothing can meet
+    distance: float  # m; negative: depth of overlap; infinite: no bodies can meet
     first: str  # names of the bodies
     second: str
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Approach:
-    """Where a motion comes nearest to itself."""
+    """The closest approach of the spacecraft's parts along a motion."""
 
     index: int  # of the configuration
     nearest: Nearest
@@ -64,10 +63,14 @@ class Clearance:
     """Distances between the parts of a spacecraft. The scene graph's context is a scratch pad."""
 
     def __init__(self, model: Model, *, apart: str | None = None) -> None:
-        """Args: the model; the body (scoped name) that is not grasped yet, whose pose then follows
-        the configuration.
+        """Load the model.
 
-        Raises ModelError: the model does not load, or has shapes without a distance.
+        Args:
+          model: the model.
+          apart: body (scoped name) not grasped yet, whose pose then follows the configuration.
+
+        Raises:
+          ModelError: the model does not load, or Drake cannot measure one of its shapes.
         """
         builder = DiagramBuilder()
         self.plant: MultibodyPlant = add_combined_plant(builder, model, apart=apart)
@@ -81,7 +84,7 @@ class Clearance:
                         scene_graph.AssignRole(source, geometry, ProximityProperties())
             self._diagram = builder.Build()
         except DRAKE_ERRORS as error:
-            raise ModelError(f"model: shapes that have no distance: {cause_of(error)}") from error
+            raise ModelError(f"model: shapes without a distance: {cause_of(error)}") from error
         self._context = self._diagram.CreateDefaultContext()
         self.plant_context = self.plant.GetMyMutableContextFromRoot(self._context)
         self._shapes = scene_graph.GetMyContextFromRoot(self._context)
@@ -109,8 +112,9 @@ class Clearance:
             manager.Apply(CollisionFilterDeclaration().AllowBetween(*parts))
 
     def nearest(self, q: np.ndarray, *, below: float = np.inf) -> Nearest:
-        """The smallest distance in configuration q (nq), of those below some distance (m): the
-        smaller, the faster.
+        """The smallest distance in configuration q (nq), if below ``below`` (m).
+
+        A smaller ``below`` is faster.
         """
         self.plant.SetPositions(self.plant_context, q)
         found = self._query.Eval(self._shapes).ComputeSignedDistancePairwiseClosestPoints(below)
@@ -127,9 +131,7 @@ class Clearance:
         return Nearest(distance=least.distance, first=first, second=second)
 
     def along(self, positions: np.ndarray) -> Approach:
-        """Where a motion, configurations (n, nq), comes nearest to itself; not finite ones are
-        passed over.
-        """
+        """The closest approach along configurations (n, nq); those not finite are skipped."""
         best = None
         for index in np.flatnonzero(np.isfinite(positions).all(axis=1)):
             nearest = self.nearest(
@@ -142,18 +144,18 @@ class Clearance:
         return best
 
     def _may_touch(self) -> set[BodyIndex]:
-        """Bodies whose distances from each other mean nothing in the present configuration."""
+        """Bodies that may touch each other in the present configuration."""
         return set()
 
     def _free_pairs(self) -> list[tuple[RigidBody, RigidBody]]:
-        """The pairs of bodies with shapes whose distance means something."""
+        """The pairs of bodies with shapes that must keep clear of each other."""
         plant = self.plant
-        part_of: dict[BodyIndex, int] = {}  # body -> number of the rigid part that it belongs to
+        part_of: dict[BodyIndex, int] = {}  # body -> number of its rigid part
         for body in self._bodies[1:]:
             if body.index() not in part_of:
                 number = len(set(part_of.values()))
                 part_of |= {each.index(): number for each in plant.GetBodiesWeldedTo(body)}
-        # rigid part -> the parts that a joint leads to
+        # rigid part -> the parts beyond its joints
         joints_at: dict[int, list[tuple[int, Joint]]] = {}
         for joint in map(plant.get_joint, plant.GetJointIndices()):
             if joint.num_velocities() == 1:
@@ -181,10 +183,10 @@ class Clearance:
     def _between(
         joints_at: dict[int, list[tuple[int, Joint]]], start: int, end: int
     ) -> tuple[Joint, ...]:
-        """The joints on the way from one rigid part to another."""
+        """The joints between two rigid parts."""
         ways: dict[int, tuple[Joint, ...]] = {start: ()}
         pending = [start]
-        for part in pending:  # which grows
+        for part in pending:  # grows meanwhile
             for there, joint in joints_at.get(part, []):
                 if there not in ways:
                     ways[there] = (*ways[part], joint)
@@ -192,13 +194,13 @@ class Clearance:
         return ways.get(end, ())
 
     def _always_near(self, first: RigidBody, second: RigidBody, joints: tuple[Joint, ...]) -> bool:
-        """Whether two bodies are nearer than _NEAR wherever the joints between them are."""
+        """True if two bodies are nearer than _NEAR at every angle of the joints between them."""
         q = self.plant.GetPositions(self.plant_context)  # with unit quaternions
         shapes = list(
             itertools.product(self._shapes_of[first.index()], self._shapes_of[second.index()])
         )
         generator = np.random.default_rng(0)
-        for _ in range(_PLACES):
+        for _ in range(_TRIALS):
             for joint in joints:
                 lower, upper = (
                     float(joint.position_lower_limits()[0]),
@@ -220,8 +222,9 @@ class Clearance:
 
 
 class ApproachClearance(Clearance):
-    """Before the grasp: configurations are the servicer's, followed by the target's pose
-    (quaternion, position).
+    """Clearance before the grasp.
+
+    Configurations are the servicer's, then the target's pose (quaternion, position).
     """
 
     def __init__(self, model: Model, target: str) -> None:

@@ -63,12 +63,12 @@ class Coordinates:
 
     @property
     def driven_groups(self) -> dict[str, slice]:
-        """``groups`` without those that nothing drives."""
+        """``groups`` without the undriven ones."""
         return {group: part for group, part in self.groups.items() if group not in self.undriven}
 
     @functools.cached_property
     def is_driven(self) -> np.ndarray:
-        """Whether actuators move each coordinate (nv)."""
+        """Mask (nv) of the coordinates that actuators move."""
         return np.array([group not in self.undriven for group in self.group_of])
 
     @functools.cached_property
@@ -84,11 +84,11 @@ class Coordinates:
     def vector(
         self, values: Mapping[str, float], *, key: str, default: float | None = None
     ) -> np.ndarray:
-        """The vector (nv) that a mapping by ``all``, group or coordinate name describes.
+        """Vector (nv) from a mapping by ``all``, group or coordinate name.
 
-        A coordinate's own name wins over its group, a group over ``all``; ``default`` is for
-        coordinates that are not mentioned. Raises ScenarioError, which names ``key``, for an
-        unknown name or a coordinate without a value.
+        A coordinate's own name overrides its group, a group overrides ``all``; ``default`` is for
+        coordinates not mentioned. Raises ScenarioError, naming ``key``, for an unknown name or a
+        coordinate without a value.
         """
         self.check_names(values, key=key)
         result = [
@@ -103,20 +103,16 @@ class Coordinates:
         return np.array(result, dtype=float)
 
     def joint_vector(self, values: Mapping[str, float], *, key: str, default: float) -> np.ndarray:
-        """As ``vector``, of the joints alone, which a key other than ``all`` must be of. Raises
-        ScenarioError.
-        """
+        """As ``vector``, for joints only: keys are ``all`` or joint names. Raises ScenarioError."""
         valid = ("all", "joints", *self.joints)
         for name in values:
             if name not in valid:
                 choice = f"{', '.join(valid)}{did_you_mean(name, valid)}"
-                raise ScenarioError(f"{key}.{name}", f"is no joint; valid here: {choice}")
+                raise ScenarioError(f"{key}.{name}", f"is not a joint; valid here: {choice}")
         return self.vector(values, key=key, default=default)[NUM_BASE_VELOCITIES:]
 
     def indices(self, names: Iterable[str], *, key: str) -> np.ndarray:
-        """Which coordinates of v, ascending, names of groups and coordinates mean. Raises
-        ScenarioError for others.
-        """
+        """Indices in v, ascending, of groups and coordinates. Raises ScenarioError for others."""
         wanted = dict.fromkeys(names)
         self.check_names(wanted, key=key)
         both = zip(self.names, self.group_of, strict=True)
@@ -143,26 +139,23 @@ class Coordinates:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class HiddenCoordinates:
-    """Coordinates of the true plant that the controller does not know of, among those that it
-    knows.
+    """Coordinates of the true plant that are hidden from the controller.
 
-    The plant's own [q; v] holds both; beside it stand the known state [q; v] and the hidden one
-    [q_h; v_h].
+    The plant's own [q; v] holds both kinds; the known state [q; v] and the hidden state [q_h; v_h]
+    are its parts.
     """
 
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()  # "rad" or "m", one per coordinate
-    # Of the plant's [q; v]: where each entry of the known and of the hidden state stands.
+    # Indices in the plant's [q; v] of the entries of the known and of the hidden state.
     known_state: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
     hidden_state: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
-    # Of the plant's v: likewise.
+    # The same in the plant's v.
     known: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
     hidden: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
 
     def whole(self, state: np.ndarray, hidden_state: np.ndarray | None = None) -> np.ndarray:
-        """The plant's [q; v] of known and hidden states (..., their sizes); without the latter it
-        is zero.
-        """
+        """The plant's [q; v] from known and hidden states (..., sizes); hidden default: zero."""
         if not self.names:
             return state
         result = np.zeros((*state.shape[:-1], self.known_state.size + self.hidden_state.size))
@@ -172,7 +165,7 @@ class HiddenCoordinates:
         return result
 
     def whole_positions(self, q: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:
-        """The plant's q of known and hidden positions; without the latter it is zero."""
+        """The plant's q from known and hidden positions; hidden default: zero."""
         if not self.names:
             return q
         at_rest = None if hidden is None else np.concatenate([hidden, np.zeros(hidden.size)])
@@ -181,7 +174,7 @@ class HiddenCoordinates:
         ]
 
     def whole_velocities(self, v: np.ndarray) -> np.ndarray:
-        """The plant's v of known velocities (nv); the hidden ones are zero."""
+        """The plant's v from known velocities (nv); the hidden ones are zero."""
         if not self.names:
             return v
         result = np.zeros(v.size + len(self.names))

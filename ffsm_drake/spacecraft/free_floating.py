@@ -1,15 +1,14 @@
-"""Free floating: where undriven base coordinates go when the driven coordinates move, by
-conservation of momentum.
+"""Free floating: motion of an undriven base by conservation of momentum.
 
-Of the velocities v, some are driven (a), the others not (u): the whole base, or its position alone.
-Then
+Some of the velocities v are driven (a), the others are not (u): the whole base, or only its
+position. Then
 
     H_uu v_u + H_ua v_a = p_u
 
-with the mass matrix H and the momentum p_u, of which v_u, generalized Jacobians, H* and the
-reaction null space follow (``docs/free_floating.md``). World axes throughout; twists are [w; v],
-rad/s and m/s, as Drake has them. Momenta are [angular about the world's origin; linear], N m s and
-N s: constant while no force acts from outside.
+with the mass matrix H and the momentum p_u. This gives v_u, generalized Jacobians, H* and the
+reaction null space (``docs/free_floating.md``). World axes throughout; twists are [w; v], rad/s and
+m/s, as Drake has them. Momenta are [angular about the world's origin; linear], N m s and N s:
+constant without external forces.
 """
 
 import dataclasses
@@ -24,7 +23,7 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOC
 from ffsm_drake.spacecraft.flexible import apparent_mass_matrix
 from ffsm_drake.spacecraft.nominal import PlantModel
 
-_RANK = 1e-9  # ratio of singular values, between rounding and what an arm has
+_RANK = 1e-9  # ratio of singular values: above rounding errors, below that of any arm
 _BASE = Coordinates((), ())
 _POSITION = slice(4, NUM_BASE_POSITIONS)  # of q: p_WB
 
@@ -39,9 +38,9 @@ TASK_ROWS: dict[str, slice] = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class FreeFloating:
-    """A spacecraft in one configuration or many (...), part of whose coordinates nothing drives.
+    """An underactuated spacecraft in one configuration or many (...).
 
-    ``free_floating`` makes it of a plant. What it computes once is kept.
+    ``free_floating`` makes it from a plant. Results are cached.
     """
 
     mass_matrix: np.ndarray  # H (..., nv, nv)
@@ -50,14 +49,12 @@ class FreeFloating:
 
     @functools.cached_property
     def undriven(self) -> np.ndarray:
-        """Indices of v that nothing drives (nu)."""
+        """Indices (nu) of the undriven v."""
         return np.delete(np.arange(self.mass_matrix.shape[-1]), self.driven)
 
     @functools.cached_property
     def momentum_map(self) -> np.ndarray:
-        """A (..., 6, nv) of the momentum A v: the first six rows of H, moments taken about the
-        world's origin.
-        """
+        """Momentum matrix A (..., 6, nv), momentum = A v, with moments about the world's origin."""
         rows = self.mass_matrix[..., :NUM_BASE_VELOCITIES, :].copy()
         rows[..., :3, :] += np.cross(self.base_position[..., :, None], rows[..., 3:, :], axis=-2)
         return rows
@@ -66,16 +63,16 @@ class FreeFloating:
     def center_of_mass(self) -> np.ndarray:
         """p_BC (..., 3), from the base's origin, world axes, m."""
         mass = self.mass_matrix[..., 3, 3, None]
-        # w moves it by w x p_BC
+        # its velocity from w is w x p_BC
         center: np.ndarray = self.mass_matrix[..., [4, 5, 3], [2, 0, 1]] / mass
         return center
 
     @functools.cached_property
     def spin_map(self) -> np.ndarray:
-        """(..., 3, nv) of the angular momentum about the centre of mass, N m s, world axes.
+        """Matrix (..., 3, nv) from v to the angular momentum about the centre of mass, world axes.
 
         Its first three columns are the inertia about the centre of mass with the joints held, the
-        next three zero.
+        next three are zero.
         """
         turning, moving = (
             self.mass_matrix[..., :3, :],
@@ -86,24 +83,21 @@ class FreeFloating:
 
     @functools.cached_property
     def following(self) -> np.ndarray:
-        """-H_uu^-1 H_ua (..., nu, na): the undriven velocities for each driven one, at zero
-        momentum.
-        """
+        """-H_uu^-1 H_ua (..., nu, na): undriven velocities per driven one, at zero momentum."""
         rows = self.mass_matrix[..., self.undriven, :]
         return -np.linalg.solve(rows[..., self.undriven], rows[..., self.driven])
 
     def velocity(
         self, driven_velocity: np.ndarray, momentum: np.ndarray | None = None
     ) -> np.ndarray:
-        """v (..., nv) of driven velocities (..., na): v_u = H_uu^-1 (p_u - H_ua v_a), the base's
-        twist in v[:6].
+        """All velocities v (..., nv) from the driven ones: v_u = H_uu^-1 (p_u - H_ua v_a).
 
         Args:
-          driven_velocity: v_a, rad/s and m/s.
-          momentum: (..., 6) of all; None: zero.
+          driven_velocity: v_a (..., na), rad/s and m/s.
+          momentum: total momentum (..., 6); None: zero.
 
-        Raises ValueError unless base or base position are undriven: of nothing else is momentum
-        conserved.
+        Raises ValueError unless base or base position are undriven: other coordinates do not follow
+        from momentum.
         """
         self._check_conserved()
         following = _times(self.following, driven_velocity)
@@ -127,7 +121,7 @@ class FreeFloating:
     def generalized_jacobian(self, jacobian: np.ndarray) -> np.ndarray:
         """J* = J_a - J_u H_uu^-1 H_ua (..., m, na): a frame's twist is J* v_a, and its ``drift``.
 
-        Args: the Jacobian J (..., m, nv), such as that of ``PlantModel.calc_jacobian``. Raises as
+        Args: the Jacobian J (..., m, nv), as from ``PlantModel.calc_jacobian``. Raises as
         ``velocity``.
         """
         self._check_conserved()
@@ -157,8 +151,7 @@ class FreeFloating:
     def bias_acceleration(
         self, jacobian: np.ndarray, frame_bias: np.ndarray, bias: np.ndarray
     ) -> np.ndarray:
-        """J' v - J_u H_uu^-1 C_u (..., m): a frame's [alpha; a] is J* dv_a/dt and this, whatever
-        tau_a is.
+        """J' v - J_u H_uu^-1 C_u (..., m): a frame's [alpha; a] less J* dv_a/dt, for any tau_a.
 
         Args: J (..., m, nv); J' v (..., m) of ``PlantModel.calc_bias_acceleration``; C (..., nv) of
         ``calc_bias``.
@@ -169,11 +162,10 @@ class FreeFloating:
         return result
 
     def reaction_null_space(self, held: Sequence[str] = ("base_rotation",)) -> np.ndarray:
-        """The projector N (..., na, na): velocities v_a = N z leave the held base coordinates alone
-        at zero momentum.
+        """Projector N (..., na, na): at zero momentum v_a = N z keeps the held coordinates at rest.
 
-        N is symmetric, N z the nearest to z that does so; N = 0 where there is none. Its rank is
-        na less the independent rows of ``following`` that are held.
+        N is symmetric, and N z is the nearest such velocity to z; N = 0 if there is none. Its rank
+        is na less the number of independent rows of ``following`` that are held.
 
         Args: groups or names of undriven base coordinates. Raises ValueError for others, and as
         ``velocity``.
@@ -181,7 +173,7 @@ class FreeFloating:
         self._check_conserved()
         rows = np.flatnonzero(np.isin(self.undriven, _BASE.indices(held, key="held")))
         if rows.size < len(_BASE.indices(held, key="held")):
-            raise ValueError(f"held: {', '.join(held)} is driven, so that no reaction moves it")
+            raise ValueError(f"held: {', '.join(held)} is driven, so no reaction moves it")
         _, sizes, directions = np.linalg.svd(self.following[..., rows, :])
         kept = sizes > _RANK * sizes.max(axis=-1, keepdims=True, initial=0.0)
         directions = directions[..., : sizes.shape[-1], :] * kept[..., None]
@@ -190,7 +182,7 @@ class FreeFloating:
     def _check_conserved(self) -> None:
         if self.undriven.tolist() not in ([0, 1, 2, 3, 4, 5], [3, 4, 5], []):
             raise ValueError(
-                "momentum says where undriven coordinates go only if they are the whole base or "
+                "undriven coordinates follow from momentum only if they are the whole base or "
                 "its position"
             )
 
@@ -198,7 +190,7 @@ class FreeFloating:
 def free_floating(
     model: PlantModel, q: np.ndarray, driven: Sequence[str] = ("joints",)
 ) -> FreeFloating:
-    """A plant in configurations q (..., nq) whose coordinates are driven in part.
+    """An underactuated plant in configurations q (..., nq).
 
     Args:
       model: the plant with its payload.
@@ -211,7 +203,7 @@ def free_floating(
     """
     if model.hidden.names:
         raise ValueError(
-            "the plant has hidden coordinates, which springs move too; take one without"
+            "the plant has hidden coordinates, which springs move too; use one without"
         )
     return FreeFloating(
         mass_matrix=model.calc_mass_matrix(q),
@@ -222,30 +214,28 @@ def free_floating(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReducedModel(PlantModel):
-    """A plant whose undriven coordinates (``coordinates.undriven``) follow, as a control law has
-    it.
+    """A control law's model of an underactuated plant (``coordinates.undriven``).
 
-    Its mass matrix holds H* and its bias C* in the rows and columns of the driven coordinates; in
-    those of the others a unit mass and no bias, which no force on the driven ones meets. Of its
-    other methods, ``calc_jacobian`` is the whole plant's.
+    Its mass matrix holds H* and its bias C* in the rows and columns of the driven coordinates, and
+    a decoupled unit mass without bias in the others. ``calc_jacobian`` is still the whole plant's.
     """
 
-    # As FreeFloating has it, on one configuration, for every control sample.
+    # The formulas of FreeFloating for one configuration, fast enough for every control sample.
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """H* and ones (..., nv, nv) in configurations q (..., nq)."""
-        whole = super().calc_mass_matrix(q)  # of several, each came by here
+        whole = super().calc_mass_matrix(q)  # if there are several, each is reduced already
         return whole if q.ndim > 1 else self._reduced(whole)
 
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """As PlantModel: H* of what the known coordinates weigh."""
+        """As PlantModel: H* of the apparent mass matrix."""
         whole = PlantModel.calc_mass_matrix(self, self.hidden.whole_positions(q))
         if self.hidden.names:
             whole = apparent_mass_matrix(whole, self.hidden.known, self.hidden.hidden)
         return self._reduced(whole)
 
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """C* and zeros (..., nv), N m and N, of the velocities v of all."""
+        """C* and zeros (..., nv), N m and N, for velocities v (..., nv)."""
         whole = super().calc_bias(q, v)
         if q.ndim > 1:
             return whole
@@ -258,7 +248,7 @@ class ReducedModel(PlantModel):
 
     @functools.cached_property
     def _blocks(self) -> tuple[tuple[np.ndarray, ...], ...]:
-        """Where H_ua, H_uu and H_aa stand."""
+        """Index arrays of H_ua, H_uu and H_aa."""
         driven, undriven = self.coordinates.driven, np.flatnonzero(~self.coordinates.is_driven)
         return np.ix_(undriven, driven), np.ix_(undriven, undriven), np.ix_(driven, driven)
 
@@ -270,9 +260,7 @@ class ReducedModel(PlantModel):
 
 
 def driven_model(model: PlantModel) -> PlantModel:
-    """The plant as a control law has it: a ReducedModel where some coordinates are undriven, else
-    itself.
-    """
+    """A control law's model of the plant: a ReducedModel if it is underactuated, else itself."""
     if not model.coordinates.undriven:
         return model
     return ReducedModel(
@@ -282,16 +270,14 @@ def driven_model(model: PlantModel) -> PlantModel:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Manipulability:
-    """How well driven coordinates move a frame, of generalized Jacobians (..., m, na) or of a fixed
-    base's.
-    """
+    """Manipulability of a frame, from generalized (..., m, na) or fixed-base Jacobians."""
 
     singular_values: np.ndarray  # (..., k), the largest first; k is the smaller of m and na
-    lost: np.ndarray  # (..., m) the direction of the twist that the smallest one moves
+    lost: np.ndarray  # (..., m) twist direction of the smallest one
 
     @property
     def measure(self) -> np.ndarray:
-        """sqrt(det(J* J*^T)) (...), the product of the singular values; of J*^T J* where na < m."""
+        """sqrt(det(J* J*^T)) (...), the product of the singular values; J*^T J* if na < m."""
         return self.singular_values.prod(axis=-1)
 
     @property
@@ -306,8 +292,8 @@ def manipulability(
     """The dynamic manipulability of a generalized Jacobian J* (..., 6, na).
 
     Args:
-      task: which rows count: of the twist [w; v], of w, or of v.
-      length: what makes radians comparable to metres, m: w counts as length w.
+      task: rows of the Jacobian: of the twist [w; v], of w, or of v.
+      length: characteristic length, m, that makes w comparable to v: w counts as length w.
     """
     scaled = (np.repeat([length, 1.0], 3)[:, None] * jacobian)[..., TASK_ROWS[task], :]
     left, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
@@ -316,11 +302,11 @@ def manipulability(
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Singularity:
-    """Where a motion comes nearest to a dynamic singularity, for a while."""
+    """A local closest approach of a motion to a dynamic singularity."""
 
     time: float  # s
     smallest: float  # singular value
-    # (m) the direction of the twist that then takes the largest rates, length w for w
+    # (m) twist direction that then takes the largest rates, length w for w
     lost: np.ndarray
 
 
@@ -333,11 +319,10 @@ def manipulability_along(
     task: Task = "pose",
     length: float = 1.0,
 ) -> Manipulability:
-    """The dynamic manipulability of a frame along a motion, configurations (n, nq). Where the base
-    is does not matter.
+    """The dynamic manipulability of a frame along a motion, configurations (n, nq).
 
-    Args: as ``free_floating``, ``PlantModel.calc_jacobian`` and ``manipulability``, whose errors it
-    raises.
+    The base's pose does not matter. Arguments and errors as ``free_floating``,
+    ``PlantModel.calc_jacobian`` and ``manipulability``.
     """
     spacecraft = free_floating(model, positions, driven)
     jacobian = spacecraft.generalized_jacobian(model.calc_jacobian(positions, frame))
@@ -355,14 +340,13 @@ def singularities_along(
     task: Task = "pose",
     length: float = 1.0,
 ) -> list[Singularity]:
-    """Where a motion's smallest singular value has a minimum below some value, in order of time.
+    """Minima over time of a motion's smallest singular value that lie below a bound.
 
     Args:
       positions: configurations (n, nq) at times (n,), s, such as the first columns of
         ``Plan.rows``.
-      times: where to look first, ascending; minima are then found between them to 1e-9 of their
-        distance.
-      below: of singular values.
+      times: ascending; each minimum is then refined to 1e-9 of their spacing.
+      below: bound on the singular value.
       others: as ``manipulability_along``.
     """
 

@@ -1,5 +1,4 @@
-"""The grasp of a moving target as a plastic impact: the velocities after it, the impulses, the
-energy that it takes.
+"""The grasp of a moving target as a plastic impact: final velocities, impulses, lost energy.
 
 With v of the servicer and V = [w_WP; v_WP] of the target's frame P, world axes, the impulse G that
 acts on the target at P leaves
@@ -8,9 +7,9 @@ acts on the target at P leaves
 
 with J the Jacobian of P as a point of the arm, and g the impulses of the brakes (S picks the braked
 joints, S v+ = 0). Without brakes that is M_c v+ = M_s v + J^T M_T V, where M_c = M_s + J^T M_T J is
-the mass matrix with the target held. Forces other than impulses are too small to matter in no time,
-so that momentum is kept exactly, and of all motions with this momentum (and with the braked joints
-at rest) v+ has the least energy.
+the mass matrix with the target held. Finite forces have no effect in an instant, so momentum is
+conserved exactly, and v+ has the least energy of all motions with this momentum (and with the
+braked joints at rest).
 """
 
 import dataclasses
@@ -21,11 +20,11 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Grasp:
-    """What a grasp does; world axes, rad, m, s, N s, N m s, J."""
+    """Effect of a grasp; world axes, rad, m, s, N s, N m s, J."""
 
     velocity: np.ndarray  # (nv) v+ of the servicer that holds the target
     impulse: np.ndarray  # (6) on the target: angular about the frame's origin P, then linear
-    brake_impulse: np.ndarray  # (nv) of the brakes on the coordinates; zero where there are none
+    brake_impulse: np.ndarray  # (nv) of the brakes on the coordinates; zero without brakes
     energy_before: float
     energy_after: float
     momentum_before: np.ndarray  # (6) of both: angular about the base's origin, then linear
@@ -41,7 +40,7 @@ def plastic_grasp(
     target_velocity: np.ndarray,
     braked: Sequence[int] = (),
 ) -> Grasp:
-    """The plastic grasp; see the module.
+    """The plastic grasp; see the module docstring.
 
     Args:
       mass_matrix: M_c (nv, nv) of the servicer with the target in its grasp.
@@ -55,7 +54,7 @@ def plastic_grasp(
         raise ValueError(
             f"braked: joints of v have the indices 6 to {velocity.size - 1}, not {list(braked)}"
         )
-    # M_T times what the target is faster by
+    # M_T times the target's relative velocity
     change = target_inertia @ (target_velocity - jacobian @ velocity)
     p = mass_matrix @ velocity + jacobian.T @ change
     free = np.setdiff1d(np.arange(velocity.size), braked)
@@ -66,7 +65,7 @@ def plastic_grasp(
         after[free] = np.linalg.solve(mass_matrix[np.ix_(free, free)], p[free])
         brakes[list(braked)] = (mass_matrix @ after - p)[list(braked)]
     target_momentum = target_inertia @ target_velocity
-    held = target_inertia @ (jacobian @ velocity)  # of a target that moved with the arm
+    held = target_inertia @ (jacobian @ velocity)  # momentum of a target moving with the arm
     return Grasp(
         velocity=after,
         impulse=target_inertia @ (jacobian @ after) - target_momentum,
@@ -84,9 +83,7 @@ def plastic_grasp(
 
 
 def shift_moment(momentum_or_impulse: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """A momentum or impulse (6; angular, linear) about a point that lies ``offset`` (3, m) from the
-    present one.
-    """
+    """A momentum or impulse (6; angular, linear) about a point ``offset`` (3, m) away."""
     shifted = momentum_or_impulse.copy()
     shifted[:3] -= np.cross(offset, momentum_or_impulse[3:])
     return shifted
@@ -94,14 +91,14 @@ def shift_moment(momentum_or_impulse: np.ndarray, offset: np.ndarray) -> np.ndar
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CompliantGrasp:
-    """A grasp through springs and dampers, while nothing else moves far."""
+    """A grasp through springs and dampers, in a fixed configuration."""
 
     peak_force: float  # N
     peak_torque: float  # N m
     peak_stretch: float  # m; of the gripper
-    # s; until 1 % of the energy that the grasp takes is left between gripper and target
+    # s; until 1 % of the lost energy is left between gripper and target
     time: float
-    # (6) on the target, about the gripper's point: angular, linear; that of the plastic grasp
+    # (6) on the target, about the gripper's point: angular, linear; as in the plastic grasp
     impulse: np.ndarray
 
 
@@ -116,10 +113,10 @@ def compliant_grasp(
     damping: np.ndarray,
     braked: Sequence[int] = (),
 ) -> CompliantGrasp:
-    """The grasp by a gripper of a stiffness: how large its force becomes, and how long it takes.
+    """Peak force and duration of a grasp by a compliant gripper.
 
-    Of the offset d and its rate d' = V - J v between target and gripper, in a configuration that
-    does not change, d'' = -(M_T^-1 + J M_s^-1 J^T) (K d + D d'). Braked joints do not move.
+    The offset d between target and gripper, with rate d' = V - J v, follows in a fixed
+    configuration d'' = -(M_T^-1 + J M_s^-1 J^T) (K d + D d'). Braked joints do not move.
 
     Args: as ``plastic_grasp``, but with P at the gripper, and
       stiffness, damping: diagonals of K (6; N m/rad, N/m) and D (6; N m s/rad, N s/m), world axes;

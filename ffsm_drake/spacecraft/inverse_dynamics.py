@@ -1,12 +1,13 @@
-"""Inverse dynamics of many states at once with its derivatives, for optimization.
+"""Inverse dynamics of many states at once, with derivatives, for optimization.
 
 A base attitude is a rotation vector phi from a fixed attitude R_0, in the world frame: R_WB =
 exp(phi) R_0. So a motion is a curve in R^nv without a constraint, z = [phi, p_WB, joints], in the
 order of v. It is unique while |phi| < pi.
 
-Drake's own inverse dynamics takes one state at a time, with automatic differentiation about 1 ms;
-here NumPy takes all states of a motion in one recursion (Newton-Euler, from the base outward and
-back), with complex-step derivatives. The tests compare it with Drake's. No gravity.
+Drake's own inverse dynamics takes one state at a time, about 1 ms each with automatic
+differentiation; here NumPy evaluates all states of a motion in one recursion (Newton-Euler, from
+the base outward and back), with complex-step derivatives. The tests compare it with Drake's. No
+gravity.
 """
 
 import dataclasses
@@ -22,8 +23,8 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body
 
-_STEP = 1e-30  # of the complex-step derivative, which has no truncation error worth the name
-_COLUMNS = 600  # states in one pass: as many as the processor's cache takes
+_STEP = 1e-30  # complex step: its truncation error is below rounding
+_COLUMNS = 600  # states in one pass: as many as fit the processor's cache
 
 
 def complex_step(
@@ -34,8 +35,8 @@ def complex_step(
     """calc(z, rate, acceleration) (m, n) of a motion (size, n each), and derivatives (3, m, size,
     n; row, column).
 
-    Args: of complex arrays, column by column; by what to differentiate: (order, index), others are
-    zero.
+    Args: a function of complex arrays, column by column; the variables to differentiate by, (order,
+    index), other derivatives being zero.
     """
     size, count = motion[0].shape
     share = max(1, _COLUMNS // count)
@@ -56,31 +57,27 @@ def complex_step(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Link:
-    """What moves as one body, in a frame of its own, that of its joint."""
+    """A rigid group of bodies, in the frame of its joint."""
 
     mass: float
     com: np.ndarray
     inertia: np.ndarray  # (3, 3), about the centre of mass
     parent: int = -1
-    rotation: np.ndarray  # (3, 3), of the joint's frame in the parent's
-    place: np.ndarray  # (3,), likewise
+    rotation: np.ndarray  # (3, 3), joint frame in the parent's
+    place: np.ndarray  # (3,), joint frame in the parent's, m
     axis: np.ndarray
     slides: bool = False
     damping: float = 0.0  # N m s/rad or N s/m
-    rotor: float = 0.0  # kg m^2 or kg; of the joint's drive, as seen at the joint
+    rotor: float = 0.0  # kg m^2 or kg; rotor inertia of the joint's drive, as seen at the joint
 
 
 class InverseDynamics:
-    """The generalized force tau = H dv/dt + C + d v that a motion takes, d being the joints'
-    damping.
-    """
+    """Generalized force tau = H dv/dt + C + d v of a motion, d being the joints' damping."""
 
-    turns = False  # the base's rotation is a coordinate of the motion
+    turns = False  # True if the base's rotation is a coordinate of the motion
 
     def __init__(self, model: PlantModel, first: RotationMatrix) -> None:
-        """Args: the plant with its payload; the attitude R_0 that rotation vectors are counted
-        from.
-        """
+        """Args: the plant with its payload; the attitude R_0, the origin of rotation vectors."""
         plant, context = model.plant, model.context
         q = np.zeros(plant.num_positions())
         q[0] = 1.0
@@ -119,7 +116,7 @@ class InverseDynamics:
 
     @property
     def mass(self) -> float:
-        """Of the whole spacecraft, kg."""
+        """Mass of the whole spacecraft, kg."""
         return sum(link.mass for link in self._links)
 
     @staticmethod
@@ -145,7 +142,7 @@ class InverseDynamics:
         turned, w, alpha = attitude_motion(z[:3], rate[:3], acceleration[:3])
         rotations = [np.einsum("ijn,jk->ikn", turned, self._first)]
         rates, accelerations, linear = [w], [alpha], [acceleration[3:6]]
-        # from the parent's origin; of the joint
+        # from the parent's origin to the joint
         arms, axes = [np.zeros_like(w)], [np.zeros_like(w)]
         for number, link in enumerate(self._links[1:], start=NUM_BASE_VELOCITIES):
             parent, joint_rate = link.parent, rate[number]
@@ -208,7 +205,7 @@ class InverseDynamics:
         column).
         """
         size = len(z)
-        # nothing depends on place and its rate
+        # the force does not depend on position and its rate
         inner = [i for i in range(size) if not 3 <= i < NUM_BASE_VELOCITIES]
         wanted = [(0, i) for i in inner] + [(1, i) for i in inner] + [(2, i) for i in range(size)]
         return complex_step(self.force, (z, rate, acceleration), wanted)

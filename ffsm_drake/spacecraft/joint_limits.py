@@ -1,4 +1,4 @@
-"""Limits of the joints, as the URDFs give them."""
+"""Limits of the joints, from the URDFs."""
 
 import dataclasses
 from xml.etree import ElementTree
@@ -14,7 +14,7 @@ from ffsm_drake.spacecraft.urdf.elements import read_joint
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class JointLimits:
-    """Limits of the joints, in their order (n); infinite where there are none."""
+    """Limits of the joints, in their order (n); infinite if there are none."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]  # "rad" or "m"
@@ -25,10 +25,9 @@ class JointLimits:
 
 
 def joint_limits(model: Model, plant: MultibodyPlant) -> JointLimits:
-    """The limits of a model's joints; zero velocity or effort means that it is not known, as URDFs
-    have it.
+    """The limits of a model's joints; a zero velocity or effort in a URDF means unknown.
 
-    Drake keeps no efforts of joints without a transmission, so all are read from the URDFs.
+    Drake drops effort limits of joints without a transmission, so all are read from the URDFs.
 
     Raises:
       ModelError: a URDF cannot be read.
@@ -47,7 +46,7 @@ def joint_limits(model: Model, plant: MultibodyPlant) -> JointLimits:
         try:
             elements = list(ElementTree.parse(path).getroot().iter("joint"))
         except (OSError, ElementTree.ParseError):
-            # Drake has read it, so that it is not what it seems
+            # Drake could read it, so the fault is unusual
             continue
         for element in elements:
             if element.get("name") not in limits.names or element.find("limit") is None:
@@ -62,10 +61,9 @@ def joint_limits(model: Model, plant: MultibodyPlant) -> JointLimits:
 
 
 def rate_limits(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
-    """The largest rate of each joint (n), rad/s or m/s: the URDFs' velocities and those of drives;
-    else infinite.
+    """Largest rate of each joint (n), rad/s or m/s, from URDFs and drives; else infinite.
 
-    Raises ScenarioError, ModelError: a limit names what is no joint, or a URDF cannot be read.
+    Raises ScenarioError, ModelError: a limit names an unknown joint, or a URDF cannot be read.
     """
     velocity = joint_limits(scenario.model, plant).velocity
     if scenario.drives is None:

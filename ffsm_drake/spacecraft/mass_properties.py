@@ -1,6 +1,4 @@
-"""Mass properties that are given to a plant in one context: of the payload, and what wheels and
-drives change.
-"""
+"""Mass properties set in one context of a plant: payload, wheels and drives."""
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -18,7 +16,7 @@ from ffsm_drake.spacecraft.plant import (
     hidden_of,
 )
 
-_SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues, between rounding and any spacecraft
+_SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues: above rounding, below any spacecraft's
 
 
 def spatial_inertia(properties: MassProperties) -> SpatialInertia:
@@ -42,10 +40,9 @@ def spatial_inertia(properties: MassProperties) -> SpatialInertia:
 
 
 def set_wheels(plant: MultibodyPlant, context: Context, wheels: Wheels | None) -> None:
-    """Take the wheels' inertia about their axes, which does not turn with the base, out of the
-    base's in one context.
+    """Subtract the wheels' axial inertia, which does not turn with the base, in one context.
 
-    Call it once for a context. Raises ScenarioError where the base has less.
+    Call it once for a context. Raises ScenarioError if the base has less inertia than the wheels.
     """
     if wheels is None:
         return
@@ -67,23 +64,22 @@ def set_wheels(plant: MultibodyPlant, context: Context, wheels: Wheels | None) -
     except DRAKE_ERRORS as error:
         raise ScenarioError(
             "actuation.wheels",
-            f"their inertia is part of the base's, which has less: {cause_of(error)}",
+            f"their inertia is part of the base's, which is smaller: {cause_of(error)}",
         ) from error
 
 
 def set_drives(
     plant: MultibodyPlant, context: Context, drives: Drives | None, *, nominal: bool = False
 ) -> None:
-    """Give the joints the inertia of their drives' rotors in one context, gear ratio squared times
-    that of the motor.
+    """Set the joints' reflected rotor inertia in one context: gear ratio squared times the motor's.
 
     Drake adds it to the mass matrix's diagonal: the rotor's spin about its axis, without its
     gyroscopic torque.
 
     Args:
-      nominal: as the controller's model has it.
+      nominal: use the values of the controller's model.
 
-    Raises ScenarioError: a value is given for what is no joint.
+    Raises ScenarioError: a value is given for an unknown joint.
     """
     if drives is None:
         return
@@ -96,7 +92,7 @@ def set_drives(
     of = dict(zip(coordinates.joints, zip(rotors, ratios, strict=True), strict=True))
     for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
         rotor, ratio = of.get(actuator.joint().name(), (np.nan, 1.0))
-        if not np.isnan(rotor):  # else it stays as the URDF has it
+        if not np.isnan(rotor):  # else the URDF's value stays
             actuator.SetRotorInertia(context, rotor)
             actuator.SetGearRatio(context, ratio)
 
@@ -104,10 +100,9 @@ def set_drives(
 def set_payload(
     plant: MultibodyPlant, context: Context, *, body: str, properties: MassProperties
 ) -> None:
-    """Give the payload body its mass properties in one context; the parsed model stays as it is.
+    """Set the payload body's mass properties in one context; the parsed model does not change.
 
-    Raises ModelError when there is no such body, or when the spacecraft then has a singular mass
-    matrix.
+    Raises ModelError if there is no such body, or if the mass matrix becomes singular.
     """
     held = find_body(plant, body, key="payload.body")
     if held.index() == plant.world_body().index():
@@ -119,7 +114,7 @@ def set_payload(
         eigenvalues, directions = np.linalg.eigh(plant.CalcMassMatrix(context))
     except (*DRAKE_ERRORS, np.linalg.LinAlgError) as error:
         raise ModelError(
-            f"payload: mass properties that Drake refuses: {cause_of(error)}"
+            f"payload: Drake refuses the mass properties: {cause_of(error)}"
         ) from error
     if not eigenvalues[0] > _SINGULAR * eigenvalues[-1]:
         coordinates, hidden = coordinates_of(plant), hidden_of(plant)
@@ -133,9 +128,9 @@ def set_payload(
         raise ModelError(
             f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular "
             "(eigenvalues "
-            f"{eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves nothing that has "
-            "inertia beside the rest; "
-            "give every link of the URDF and the payload a mass and inertia of the same kind of "
+            f"{eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves no "
+            "inertia to speak of; "
+            "give every link of the URDF and the payload a mass and inertia of similar "
             "size, or fix the joint"
         )
 

@@ -1,6 +1,4 @@
-"""The files that a model leads to, looked at before Drake opens them: it would read a device or a
-FIFO without end.
-"""
+"""The files of a model, checked before Drake opens them: it would read a device or FIFO forever."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -11,11 +9,11 @@ from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.memo import memoized
 
-DRAWABLE = (".obj", ".gltf", ".dae")  # what Meshcat, and with it the recording, can draw
+DRAWABLE = (".obj", ".gltf", ".dae")  # meshes that Meshcat and the recording can draw
 _TEXTS = (".urdf", ".sdf", ".xml", ".yaml", ".yml", ".gltf", ".obj", ".mtl")
 _MAX_SIZE = 500_000_000  # bytes
-_MAX_READ = 5_000_000  # characters looked through for the names of further files
-# A file's name in XML, JSON or YAML, or in a line of Wavefront's, where it comes last.
+_MAX_READ = 5_000_000  # characters searched for names of further files
+# A file name in XML, JSON or YAML, or at the end of a line of a Wavefront file.
 _NAMES = re.compile(
     r"""\b(?:filename|file|uri|url)["']?\s*[=:]\s*(?:"([^"\n]*)"|'([^'\n]*)'|([^\s"'<>,}]+))|<uri>\s*([^<\s]+)"""
     r"""|^\s*(?:mtllib|map_\w+|bump|disp|refl|norm)\s.*?(\S+)\s*$""",
@@ -24,9 +22,9 @@ _NAMES = re.compile(
 
 
 def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Path, ...]:
-    """A model's file and all files that it names, which are regular and of a size to be read.
+    """A model's file and all files that it names, regular and not too large.
 
-    What does not exist is left to Drake to report.
+    Drake reports missing files.
 
     Args:
       address: a path, or a package:// or file:// address.
@@ -42,17 +40,17 @@ def files_of(address: str, place: str, packages: Mapping[str, str]) -> tuple[Pat
             return ()
     except (OSError, ValueError):
         return ()
-    problem, files = _looked_at(first, packages)
+    problem, files = _checked(first, packages)
     if problem:
         raise ModelError(f"{place}: {problem}")
     return files
 
 
-@memoized(maxsize=64)  # plants are made again and again
-def _looked_at(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path, ...]]:
-    """What is wrong with a file and those that it names, or nothing, and which they are."""
+@memoized(maxsize=64)  # plants are made many times
+def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path, ...]]:
+    """The first problem of a file and the files that it names, or "", and the files."""
     pending = [first]
-    for path in pending:  # which grows
+    for path in pending:  # grows meanwhile
         try:
             check_regular(path, limit=_MAX_SIZE)
             if path.suffix.lower() in _TEXTS:
@@ -71,7 +69,7 @@ def _looked_at(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Pat
 
 
 def _resolved(name: str, folder: Path, packages: Mapping[str, str]) -> Iterator[Path]:
-    """The path of a file named in one of ``folder``, where it has one."""
+    """The path of a file that is named in a file of ``folder``, if it has one."""
     scheme, separator, rest = name.rpartition("://")
     if not separator and not name.startswith("data:"):
         yield folder / name
@@ -84,7 +82,7 @@ def _resolved(name: str, folder: Path, packages: Mapping[str, str]) -> Iterator[
 
 
 def check_collada(path: Path) -> None:
-    """Raise ValueError unless a file is COLLADA, which only the browser reads."""
+    """Raise ValueError unless a file is COLLADA, which only browsers read."""
     try:
         root = ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError) as error:

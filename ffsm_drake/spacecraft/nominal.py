@@ -1,6 +1,4 @@
-"""Plants with a payload, for computations outside a simulation: the nominal one (the controller's)
-and the true one.
-"""
+"""Plants for computations outside a simulation: nominal (the controller's) and true."""
 
 import dataclasses
 import math
@@ -44,10 +42,9 @@ class PlantModel:
         return self.plant.CalcMassMatrix(self.context)
 
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """What the known coordinates weigh (nv, nv) in configuration q (nq) before a spring has had
-        time to act.
+        """Apparent mass matrix (nv, nv) of the known coordinates at high frequency, at q (nq).
 
-        That is H itself where nothing is hidden; see ``flexible.apparent_mass_matrix``. Hidden
+        Without hidden coordinates it is H itself; see ``flexible.apparent_mass_matrix``. Hidden
         coordinates are zero.
         """
         mass_matrix = self.calc_mass_matrix(self.hidden.whole_positions(q))
@@ -56,9 +53,7 @@ class PlantModel:
         return apparent_mass_matrix(mass_matrix, self.hidden.known, self.hidden.hidden)
 
     def hidden_modes(self, q: np.ndarray) -> list[HiddenMode]:
-        """The modes of vibration at rest in configuration q (nq), the slowest first; none where
-        nothing is hidden.
-        """
+        """Modes of vibration at rest in configuration q (nq), slowest first."""
         if not self.hidden.names:
             return []
         self._set_positions(self.hidden.whole_positions(q))
@@ -78,8 +73,8 @@ class PlantModel:
 
         v_WF is the velocity of F's origin.
 
-        Args: q; the frame, or its scoped name, such as ``servicer::end_effector`` or, of a body's,
-        ``debris::debris``.
+        Args: q; the frame, or its scoped name, such as ``servicer::end_effector`` or, for a body's
+        frame, ``debris::debris``.
 
         Raises ModelError when there is no such frame.
         """
@@ -96,8 +91,7 @@ class PlantModel:
     def calc_bias_acceleration(
         self, q: np.ndarray, v: np.ndarray, frame: Frame | str
     ) -> np.ndarray:
-        """J' v (..., 6) of a frame F: its [alpha_WF; a_WF] while v (..., nv) does not change,
-        rad/s^2 and m/s^2.
+        """J' v (..., 6) of a frame F: its [alpha_WF; a_WF] at constant v (..., nv), rad/s^2, m/s^2.
 
         a_WF is the acceleration of F's origin; world axes. Args and errors as ``calc_jacobian``.
         """
@@ -116,8 +110,9 @@ class PlantModel:
         return np.array(bias.get_coeffs())
 
     def calc_frame_pose(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
-        """[quaternion (w, x, y, z) of R_WF; p_WF] (..., 7) of a frame F; p_WF in m. Args, errors:
-        ``calc_jacobian``.
+        """[quaternion (w, x, y, z) of R_WF; p_WF] (..., 7) of a frame F; p_WF in m.
+
+        Args and errors as ``calc_jacobian``.
         """
         if isinstance(frame, str):
             frame = find_frame(self.plant, frame, key="frame")
@@ -130,8 +125,7 @@ class PlantModel:
     def calc_frame_motion(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, frame: Frame | str
     ) -> np.ndarray:
-        """A frame's pose, twist and acceleration (..., 19) in a motion q, v, dv/dt of all: the rows
-        of ``FramePath``.
+        """A frame's pose, twist, acceleration (..., 19) for q, v, dv/dt: the rows of ``FramePath``.
 
         [``calc_frame_pose``; w_WF; v_WF; alpha_WF; a_WF], world axes. Args and errors as
         ``calc_jacobian``.
@@ -146,9 +140,7 @@ class PlantModel:
         return (self.calc_mass_matrix(q) @ a[..., None])[..., 0] + self.calc_bias(q, v)
 
     def calc_tracking_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """The force (..., nv) that actuators give along a motion: inverse dynamics and the joints'
-        damping.
-        """
+        """Actuator force (..., nv) along a motion: inverse dynamics and the joints' damping."""
         damping = np.zeros(v.shape[-1])
         for joint in map(self.plant.get_joint, self.plant.GetJointIndices()):
             if joint.num_velocities() == 1:
@@ -156,7 +148,7 @@ class PlantModel:
         return self.calc_inverse_dynamics(q, v, a) + damping * v
 
     def _set_positions(self, q: np.ndarray) -> None:
-        if not math.isfinite(q.dot(q)):  # on which Drake ends the process
+        if not math.isfinite(q.dot(q)):  # Drake would end the process
             raise ValueError("the configuration q is not finite")
         self.plant.SetPositions(self.context, q)
 
@@ -167,9 +159,7 @@ class PlantModel:
 
 
 def make_nominal_plant(scenario: Scenario) -> PlantModel:
-    """The plant with the nominal payload (``payload.nominal``): its mass matrix is the paper's H
-    with a hat.
-    """
+    """The plant with the nominal payload (``payload.nominal``), whose mass matrix is Hhat."""
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
     set_masses(plant, context, scenario, scenario.payload.nominal, nominal=True)
@@ -179,7 +169,7 @@ def make_nominal_plant(scenario: Scenario) -> PlantModel:
 
 
 def make_true_plant(scenario: Scenario) -> PlantModel:
-    """The plant with the true payload (``payload.truth``), what is flexible in it locked."""
+    """The plant with the true payload (``payload.truth``), flexible parts locked."""
     plant = make_plant(scenario.model)
     context = plant.CreateDefaultContext()
     set_masses(plant, context, scenario, scenario.payload.truth)
@@ -189,10 +179,9 @@ def make_true_plant(scenario: Scenario) -> PlantModel:
 
 
 def make_flexible_plant(scenario: Scenario) -> PlantModel:
-    """The plant as it is: with the true payload and the hidden coordinates of ``model.flexible``,
-    if there are any.
+    """The true plant, with the hidden coordinates of ``model.flexible``, if any.
 
-    Its q and v hold both (``PlantModel.hidden``).
+    Its q and v hold known and hidden coordinates (``PlantModel.hidden``).
     """
     plant = make_plant(scenario.model, flexible=True)
     context = plant.CreateDefaultContext()
@@ -216,6 +205,6 @@ def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario)
 def change_payload(
     plant: MultibodyPlant, context: Context, scenario: Scenario, properties: MassProperties
 ) -> None:
-    """Give a plant that has its masses another true payload, in one context."""
+    """Set another true payload in one context whose other masses are set."""
     set_payload(plant, context, body=scenario.payload.body, properties=properties)
     take_masses(plant, context, scenario.model, body=scenario.payload.body)

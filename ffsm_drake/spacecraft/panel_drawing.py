@@ -1,4 +1,4 @@
-"""What a model draws of its panels, moved to the plates that are hinged there."""
+"""Visual shapes of panels, moved to the hinged plates that replace them."""
 
 import itertools
 
@@ -11,21 +11,19 @@ from pydrake.multibody.tree import RigidBody
 from ffsm_drake.scenario import Flexible, Model
 from ffsm_drake.spacecraft.flexible import labels_of
 
-# How far a drawing may reach beyond a panel and still be of it, in shares of its width and of its
-# length.
+# Distance by which a shape may reach beyond its panel, as fractions of width and length.
 _ASIDE, _INWARDS, _OUTWARDS, _ABOVE = 0.25, 0.05, 0.25, 0.1
-_LEAST = 0.5  # of width and length that the drawings cover together; otherwise they are fittings
-_MOST_PLATES = 1.5  # of which one shape may be the picture; a longer one cannot bend
+_LEAST = 0.5  # fraction of width and length that the shapes cover; below it they are fittings
+_MOST_PLATES = 1.5  # longest shape, in plates; a longer one cannot bend
 
 
 def draw_on_plates(plant: MultibodyPlant, scene_graph: SceneGraph, model: Model) -> None:
-    """Let what is drawn of the carrying bodies within the outlines of their panels move with the
-    plates.
+    """Move the visual shapes of panels from their carrying bodies to the plates.
 
-    That is, where it makes up a panel. A shape goes to the plate that its centre is nearest to; a
-    plate that has one is not drawn itself. Where a shape is longer than a plate and a half, those
-    within the outline go and the plates are drawn. Call it once, after ``Finalize`` and before a
-    context is made.
+    This concerns shapes within a panel's outline that together make up the panel. Each goes to the
+    nearest plate; a plate with a shape is not drawn itself. If a shape is longer than a plate and a
+    half, those within the outline are removed and the plates are drawn. Call it once, after
+    ``Finalize`` and before a context is made.
     """
     inspector, source = scene_graph.model_inspector(), plant.get_source_id()
     for name, part in model.flexible.items():
@@ -66,9 +64,7 @@ def _drawn_of(
 
 
 def box_around(inspector: SceneGraphInspector, geometry: GeometryId) -> Obb | None:
-    """The box around a geometry, in its frame; None for what has no end, and for COLLADA, which
-    only browsers read.
-    """
+    """The box around a geometry, in its frame; None if it is unbounded or COLLADA."""
     try:
         return inspector.GetObbInGeometryFrame(geometry)
     except RuntimeError:
@@ -87,7 +83,7 @@ def box_corners(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndar
 def _extent(
     inspector: SceneGraphInspector, geometry: GeometryId, X_BA: RigidTransform
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The least and the largest place (3 each) of a geometry of a body in the panel's axes, m."""
+    """Smallest and largest coordinates (3 each) of a body's geometry in the panel's axes, m."""
     corners = box_corners(inspector, geometry)
     if corners is None:
         return None
@@ -103,7 +99,7 @@ def _is_of(part: Flexible, low: np.ndarray, high: np.ndarray) -> bool:
 
 
 def _is_whole(part: Flexible, extents: list[tuple[np.ndarray, np.ndarray]]) -> bool:
-    """Whether shapes with these extents make up the panel."""
+    """True if shapes with these extents make up the panel."""
     if not extents:
         return False
     low, high = (

@@ -1,6 +1,4 @@
-"""The combined spacecraft: model directives -> MultibodyPlant, its coordinates, and the captured
-payload.
-"""
+"""The combined spacecraft: model directives -> MultibodyPlant, coordinates, captured payload."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -32,12 +30,12 @@ from ffsm_drake.spacecraft.flexible import HIDDEN, add_flexible, lock_joints
 from ffsm_drake.spacecraft.model_files import DRAWABLE, check_collada, files_of
 from ffsm_drake.spacecraft.panel_drawing import draw_on_plates
 
-# The types of C++ exceptions in Python; a violated condition arrives as SystemExit.
+# C++ exceptions as they arrive in Python; a violated condition arrives as SystemExit.
 DRAKE_ERRORS = (RuntimeError, ValueError, IndexError, TypeError, SystemExit)
 
 OWN_PACKAGE = "package://ffsm_drake/"
 
-_CONDITIONS = {  # in words, where Drake gives C++
+_CONDITIONS = {  # Drake's C++ text -> plain words
     "pos_lower_limits.array() <=": "a joint's lower limit lies above its upper limit",
     "in set_velocity_limits()": "a joint's velocity limit is negative",
     "in set_acceleration_limits()": "a joint's acceleration limit is negative",
@@ -54,7 +52,7 @@ def models_dir() -> Path:
 
 
 def resolve_package(address: str) -> Path:
-    """The file of a path or of a ``package://ffsm_drake/`` address."""
+    """The file at a path or ``package://ffsm_drake/`` address."""
     return (
         models_dir() / address.removeprefix(OWN_PACKAGE)
         if address.startswith(OWN_PACKAGE)
@@ -68,9 +66,9 @@ def add_combined_plant(
     """Add the finalized plant (continuous, no gravity, quaternion floating base) and its scene
     graph to a diagram.
 
-    Contact is off. A body ``apart`` (scoped name) is not held by anything: its pose, as a
-    quaternion and a position, follows the spacecraft's configuration. A ``flexible`` plant has the
-    hidden coordinates too (``flexible.py``).
+    Contact is off. A body ``apart`` (scoped name) is free: its pose, as a quaternion and a
+    position, follows the spacecraft's configuration. A ``flexible`` plant has the hidden
+    coordinates too (``flexible.py``).
 
     Raises:
       ModelError: the directives or URDFs do not load, or do not give one floating base with
@@ -93,10 +91,9 @@ def add_combined_plant(
 def add_pictures_apart(
     builder: DiagramBuilder, model: Model, body: str
 ) -> MultibodyPositionToGeometryPose:
-    """Add a scene graph with the model's geometry, where nothing holds a body (scoped name), and
-    what poses it.
+    """Add a scene graph of the model with one free body (scoped name), and a system that poses it.
 
-    Returns: a system whose input is the spacecraft's configuration and that body's pose
+    Returns: the system; its input is the spacecraft's configuration, then the body's pose
     (quaternion, position).
 
     Raises:
@@ -117,9 +114,7 @@ def add_pictures_apart(
 
 
 def check_pictures(model: Model) -> None:
-    """Raise ModelError unless the model loads with its visual geometry, which a run does not
-    need.
-    """
+    """Raise ModelError unless the model's visual geometry loads, which a run does not need."""
     builder = DiagramBuilder()
     add_combined_plant(builder, model, flexible=True)
     inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
@@ -130,7 +125,7 @@ def check_pictures(model: Model) -> None:
         path = Path(shape.source().description())
         if path.suffix.lower() not in DRAWABLE:
             raise ModelError(
-                f"model: mesh {path}: is of a kind that is not drawn; convert it to "
+                f"model: mesh {path}: this format cannot be drawn; convert it to "
                 f"{', '.join(DRAWABLE)}"
             )
         try:
@@ -138,9 +133,7 @@ def check_pictures(model: Model) -> None:
                 path
             ) if path.suffix.lower() == ".dae" else inspector.GetObbInGeometryFrame(geometry)
         except DRAKE_ERRORS as error:
-            raise ModelError(
-                f"model: mesh {path}: is no mesh that can be drawn: {cause_of(error)}"
-            ) from error
+            raise ModelError(f"model: mesh {path}: cannot be drawn: {cause_of(error)}") from error
 
 
 def make_plant(model: Model, *, flexible: bool = False) -> MultibodyPlant:
@@ -156,7 +149,7 @@ def _load(
     plant: MultibodyPlant, model: Model, *, apart: str | None = None, flexible: bool = False
 ) -> None:
     parser = Parser(plant)
-    parser.SetStrictParsing()  # otherwise Drake replaces a non-physical inertia by a solid sphere
+    parser.SetStrictParsing()  # else Drake replaces a non-physical inertia by a solid sphere
     folders = _package_folders(model)
     packages = parser.package_map()
     for name, folder in folders.items():
@@ -205,9 +198,9 @@ def _load(
         raise ModelError(f"{source}: {cause_of(error)}") from error
     if plant.num_constraints():
         raise ModelError(
-            f"{source}: a joint follows another, or bodies are tied together, by <mimic> or a "
+            f"{source}: joints or bodies are coupled by <mimic> or a "
             "constraint; "
-            "take it out: each joint is controlled on its own"
+            "remove it: each joint is controlled on its own"
         )
     if not plant.GetFloatingBaseBodies():
         raise ModelError(f"{source}: no floating base; the base must not be welded to world")
@@ -220,9 +213,7 @@ def _load(
 
 
 def _add_drives(plant: MultibodyPlant) -> None:
-    """Give each joint an actuator, for the inertia of its rotor; its force is applied as all others
-    are.
-    """
+    """Give each joint an actuator, only for its rotor's inertia; forces are applied elsewhere."""
     driven = {
         plant.get_joint_actuator(index).joint().index() for index in plant.GetJointActuatorIndices()
     }
@@ -234,7 +225,7 @@ def _add_drives(plant: MultibodyPlant) -> None:
 
 
 def _package_folders(model: Model) -> dict[str, str]:
-    """Folder of each package:// name, but of Drake's own, whose files come over the network."""
+    """Folder of each package:// name, except Drake's own, whose files come over the network."""
     found = PackageMap.MakeEmpty()
     found.PopulateFromRosPackagePath()
     for name, folder in model.packages.items():
@@ -269,9 +260,7 @@ def files_read(scenario: Scenario) -> tuple[Path, ...]:
 
 
 def cause_of(error: BaseException) -> str:
-    """Drake's error text without its place in Drake's source; of a violated condition, what it was
-    asked of.
-    """
+    """Drake's error text without its place in Drake's source; a condition names its function."""
     text = one_line(error)
     for condition, meaning in _CONDITIONS.items():
         if condition in text:
@@ -288,7 +277,7 @@ def _add_models(
     if "://" not in file:
         try:
             found, folder = Path(file).is_file(), Path(file).is_dir()
-        except (OSError, ValueError) as error:  # too long, not allowed to look, ...
+        except (OSError, ValueError) as error:  # too long, no permission, ...
             raise ModelError(f"{place}: cannot be read: {one_line(error)}") from error
         if not found:
             fault = "is a folder" if folder else "no such file"
@@ -314,7 +303,7 @@ def base_body(plant: MultibodyPlant) -> RigidBody:
 
 
 def coordinates_of(plant: MultibodyPlant, *, undriven: tuple[str, ...] = ()) -> Coordinates:
-    """Names of the plant's generalized velocities, and the groups of them that nothing drives.
+    """Names of the plant's generalized velocities, with the undriven groups.
 
     Raises ModelError for a layout that the package cannot control.
     """
@@ -345,7 +334,7 @@ def coordinates_of(plant: MultibodyPlant, *, undriven: tuple[str, ...] = ()) -> 
     reserved = sorted(set(names) & {"all", *GROUPS, *BASE_ROTATION, *BASE_POSITION})
     if reserved:
         raise ModelError(
-            "joint names must not be those of groups or base coordinates; rename "
+            "joint names must differ from those of groups and base coordinates; rename "
             f"{', '.join(reserved)}"
         )
     repeated = sorted({name for name in names if names.count(name) > 1})
@@ -356,7 +345,7 @@ def coordinates_of(plant: MultibodyPlant, *, undriven: tuple[str, ...] = ()) -> 
 
 
 def hidden_of(plant: MultibodyPlant) -> HiddenCoordinates:
-    """The hidden coordinates of a plant; none of one that was made without them."""
+    """The hidden coordinates of a plant; empty if it was made without them."""
     joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
     moving = [joint for joint in joints if joint.num_velocities() == 1]
     moving.sort(key=lambda joint: joint.velocity_start())
@@ -411,7 +400,7 @@ def _find(
         for index in indices(instance)
     }
     if name not in found:
-        # Drake adds a frame to every joint and loop, which no file names.
+        # Drake adds unnamed frames to every joint and loop.
         joints = {plant.get_joint(index).name() for index in plant.GetJointIndices()}
         own = [
             each for each in found if each.rpartition("::")[2].removesuffix("_parent") not in joints

@@ -1,10 +1,8 @@
-"""How far along its path a motion is: a polynomial from rest to rest, or from a velocity to rest,
-perhaps input-shaped.
+"""Progress of a motion along its path: a polynomial to rest, from rest or a velocity.
 
-Input shaping (Singer and Seering 1990, doi:10.1115/1.2894142) makes a motion a weighted sum of
-copies of itself that are delayed by half and whole periods of a vibration, so that what each
-excites cancels what the others do. Here the copies are of the path parameter: the path, its start
-and its end stay as they are, and the whole takes its given duration.
+Input shaping (Singer and Seering 1990, doi:10.1115/1.2894142) replaces a motion by a weighted sum
+of copies delayed by half and whole periods of a vibration, so that the vibrations they excite
+cancel. Here the path parameter is copied: path, start, end and total duration do not change.
 """
 
 import dataclasses
@@ -15,7 +13,7 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import Reference, Shaper
 
-# of time: a value, its rate, its acceleration
+# of a function of time: value, rate, acceleration
 Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -32,11 +30,10 @@ def quintic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
 
 
 def quintic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
-    """How far something of unit velocity at the start goes, until it is back there at rest: g in s,
-    g', g'' in 1/s.
+    """Excursion g, s, with g', g'' in 1/s, from unit velocity until it returns to rest at 0.
 
-    g(x) = T x (1 - x)^3 (1 + 3 x), x = t/T: fifth order, without acceleration at either end;
-    constant outside [0, T].
+    g(x) = T x (1 - x)^3 (1 + 3 x), x = t/T: fifth order, zero acceleration at both ends; constant
+    outside [0, T].
     """
     x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
     y = 1.0 - x
@@ -48,9 +45,9 @@ def quintic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
 
 
 def septic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
-    """As ``quintic_blend``, of seventh order, without jerk at either end: peak speed 2.1875/T,
-    acceleration 7.5132/T^2.
+    """As ``quintic_blend``, but of seventh order, with zero jerk at both ends.
 
+    Peak speed 2.1875/T, peak acceleration 7.5132/T^2.
     s(x) = x^4 (35 - 84 x + 70 x^2 - 20 x^3), s' = 140 x^3 (1 - x)^3 / T.
     """
     x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
@@ -63,8 +60,9 @@ def septic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
 
 
 def septic_stop(time: np.ndarray | float, duration: float) -> Derivatives:
-    """As ``quintic_stop``, of seventh order, without jerk at either end: g(x) = T x (1 - x)^4 (1 +
-    4 x + 10 x^2).
+    """As ``quintic_stop``, but of seventh order, with zero jerk at both ends.
+
+    g(x) = T x (1 - x)^4 (1 + 4 x + 10 x^2).
     """
     x = np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
     y = 1.0 - x
@@ -80,36 +78,34 @@ _POLYNOMIALS = {"quintic": (quintic_blend, quintic_stop), "septic": (septic_blen
 
 @dataclasses.dataclass(frozen=True)
 class Impulses:
-    """An input shaper: what is shaped comes ``delays`` (s) late with the ``shares``, which add up
-    to one.
-    """
+    """An input shaper: copies delayed by ``delays`` (s), weighted by ``shares`` (sum: one)."""
 
     delays: tuple[float, ...] = (0.0,)
     shares: tuple[float, ...] = (1.0,)
 
     @property
     def length(self) -> float:
-        """By how much the shaped motion outlasts what is shaped, s."""
+        """Extra duration of the shaped motion, s."""
         return max(self.delays)
 
     @property
     def mean(self) -> float:
-        """How late it is on average, s."""
+        """Weighted mean delay, s."""
         return math.fsum(
             delay * share for delay, share in zip(self.delays, self.shares, strict=True)
         )
 
     def reversed(self) -> "Impulses":
-        """The shaper of a motion that is run backwards."""
+        """The shaper of a reversed motion."""
         return Impulses(tuple(self.length - delay for delay in self.delays), self.shares)
 
 
 def make_impulses(shaper: Shaper | None) -> Impulses:
     """The shaper of a scenario: one for each frequency, in series.
 
-    ZV leaves no vibration at its frequency: with K = exp(-pi z / sqrt(1 - z^2)) the shares 1, K at
-    half a damped period from each other, over their sum. ZVD, two of them in series, stays near
-    that in a neighbourhood.
+    ZV leaves no vibration at its frequency: two copies, half a damped period apart, with shares in
+    the ratio 1 : K, K = exp(-pi z / sqrt(1 - z^2)). ZVD, two of them in series, leaves little near
+    its frequency.
     """
     if shaper is None:
         return Impulses()
@@ -121,7 +117,7 @@ def make_impulses(shaper: Shaper | None) -> Impulses:
         for _ in range(1 if shaper.kind == "zv" else 2):
             delays = np.concatenate([delays, delays + half])
             shares = np.concatenate([shares, ratio * shares]) / (1.0 + ratio)
-    # without copies that coincide, such as the two in the middle of ZVD
+    # coincident copies are merged, such as the two in the middle of ZVD
     found = dict[float, float]()
     for delay, share in zip(np.round(delays, 12).tolist(), shares.tolist(), strict=True):
         found[delay] = found.get(delay, 0.0) + share
@@ -132,9 +128,9 @@ class Blend:
     """The blend of a motion, and the stop from a velocity, over a duration."""
 
     def __init__(self, reference: Reference, duration: float, *, backwards: bool = False) -> None:
-        """Args: how the motion goes; s; whether it is to be run backwards.
+        """Args: the reference; the duration, s; ``backwards``: the motion is run backwards.
 
-        Raises ScenarioError: the shaper takes all the duration or more.
+        Raises ScenarioError: the shaper takes the whole duration or more.
         """
         impulses = make_impulses(reference.shaper)
         self._impulses = impulses.reversed() if backwards else impulses
@@ -150,7 +146,7 @@ class Blend:
 
     @property
     def stopping_time(self) -> float:
-        """How far something of unit velocity goes until it rests where it costs least, s."""
+        """Distance to rest from unit velocity at the least cost, s."""
         return 0.5 * self._own + self._impulses.mean
 
     def blend(self, times: np.ndarray) -> Derivatives:
@@ -162,10 +158,9 @@ class Blend:
         )
 
     def stop(self, times: np.ndarray) -> Derivatives:
-        """How far something of unit velocity at the start goes, until it is back there at rest; as
-        ``blend``.
+        """Excursion from unit velocity until it returns to rest; arguments as ``blend``.
 
-        Shaped as if it had had that velocity since ever, which excites nothing.
+        Shaped as if the velocity had always been constant, which excites nothing.
         """
         if self._impulses.length == 0.0:
             return self._stop(times, self._own)

@@ -1,6 +1,4 @@
-"""The external disturbance: one harmonic and one constant per coordinate (Table 1), all in C++
-systems.
-"""
+"""The external disturbance: a harmonic and a constant per coordinate (Table 1), in C++ systems."""
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from ffsm_drake.systems.planned_motion import PlannedMotion
 
 _LONGEST = 1000.0  # s
-_GROWTH = 1.15  # from one duration that is tried to the next
-_INSTANTS = 101  # of a motion that are looked at, or of what an input shaper copies
-# of the part of it that an input shaper takes, the shortest duration that is tried
+_GROWTH = 1.15  # ratio of successive trial durations
+_INSTANTS = 101  # samples of a motion, or of the part that an input shaper copies
+# first trial duration, as a multiple of the input shaper's part
 _LEAST_SHAPED = 1.05
 
 
@@ -28,17 +28,17 @@ def shortest_duration(
 ) -> float:
     """The shortest duration, in s and whole control samples, of a motion that keeps every limit.
 
-    Limits: of the force those of actuators and URDFs, of the joints the velocities of URDFs and
-    drives, both less ``reference.reserve``, and the URDFs' positions. The force is that of inverse
-    dynamics with the nominal payload.
+    The limits are forces (actuators and URDFs) and joint velocities (URDFs and drives), both less
+    ``reference.reserve``, and the URDFs' joint positions. The force comes from inverse dynamics
+    with the nominal payload.
 
     Args:
-      motion_in: the motion with a given duration, s.
-      shaped_by: s; the part of it that an input shaper takes.
+      motion_in: duration, s -> the motion.
+      shaped_by: duration, s, added by an input shaper.
 
     Raises:
       ScenarioError: there are no limits.
-      LimitError: no duration keeps them all; it names the one in the way.
+      LimitError: no duration keeps all limits; it names the one that fails.
     """
     key, free = "reference.duration", 1.0 - scenario.reference.reserve
     model = make_nominal_plant(scenario)
@@ -54,7 +54,7 @@ def shortest_duration(
     names += [f"{what} of {name}" for what in ("velocity", "position") for name in joints.names]
 
     def worst(duration: float) -> tuple[float, str]:
-        """The largest share of its limit that anything takes, and what that is."""
+        """The largest fraction of a limit that is used, and the name of that limit."""
         motion = motion_in(duration)
         instants = math.ceil(_INSTANTS * duration / (duration - shaped_by))
         times = np.linspace(motion.begin, motion.end, instants)
@@ -87,7 +87,7 @@ def shortest_duration(
             f"{name} takes {100.0 * share:.3g} % of what reference.reserve leaves of its limit",
             limit=name,
         )
-    while samples - before > 1:  # the last that is too short, the first that is not
+    while samples - before > 1:  # between the last that is too short and the first that is not
         half = (before + samples) // 2
         before, samples = (before, half) if worst(half * sample_time)[0] <= 1.0 else (half, samples)
     return samples * sample_time

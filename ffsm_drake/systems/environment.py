@@ -1,5 +1,4 @@
-"""The orbit's forces on every body, as one generalized force: the gravity gradient, the tide, and
-sunlight's pressure.
+"""Orbital forces on all bodies as one generalized force: gravity gradient, tide, solar pressure.
 
 The world frame W falls freely with a point of a circular orbit, its origin; its axes do not turn. A
 mass at p_W then feels the difference of gravity, to first order in p over the orbit's radius
@@ -7,10 +6,10 @@ mass at p_W then feels the difference of gravity, to first order in p over the o
   a(p) = n^2 (3 r r' - 1) p,
 
 with the mean motion n and the unit vector r away from the attracting body, which turns at n about
-the orbit's normal h. With Hill's axes r, t = h x r and h, and what a uniform rotation at 1 rad/s
-about an axis u through the origin accelerates p by, c_u(p) = u x (u x p), that is n^2 (2 c_r - c_t
-- c_h). So the generalized force of all bodies, with their extent, is the same sum of three inverse
-dynamics (``PlantModel``).
+the orbit's normal h. With Hill's axes r, t = h x r and h, and c_u(p) = u x (u x p), the
+acceleration of p in a uniform rotation at 1 rad/s about an axis u through the origin, that is n^2
+(2 c_r - c_t - c_h). So the generalized force of all bodies, with their extent, is the same sum of
+three inverse dynamics (``PlantModel``).
 """
 
 import dataclasses
@@ -28,7 +27,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel, change_payload, make_flexi
 from ffsm_drake.systems.setup import BlockSetup
 
 EARTH_GRAVITY = 3.986004418e14  # m^3/s^2; gravitational parameter of the Earth (EGM2008)
-EARTH_RADIUS = 6378136.3  # m; at the equator, likewise
+EARTH_RADIUS = 6378136.3  # m; at the equator (EGM2008)
 
 
 def mean_motion(settings: Environment) -> float:
@@ -44,12 +43,10 @@ class OrbitalForce:
     """
 
     def __init__(self, settings: Environment, model: PlantModel) -> None:
-        """Args: what acts; the plant with its mass properties, whose context is set at every
-        call.
-        """
+        """Args: the environment; the plant with its masses; every call sets its context."""
         self._settings, self._model = settings, model
         self._rate = mean_motion(settings)
-        self._velocity = np.zeros(model.plant.num_velocities())  # of a rotation; a scratch pad
+        self._velocity = np.zeros(model.plant.num_velocities())  # scratch pad: v of a rotation
         # R_WH at the start
         self._hill = RollPitchYaw(settings.hill_rpy).ToRotationMatrix().matrix()
         solar = settings.solar_pressure
@@ -104,16 +101,15 @@ class EnvironmentForce(LeafSystem):
 
     Inputs:
       state: known [q; v] (nq + nv) of the plant.
-      hidden_state: where there are hidden coordinates, theirs.
+      hidden_state: state of the hidden coordinates, if there are any.
     Outputs:
       generalized_force: (nv), held.
       next_generalized_force: the force at this instant, for the record.
-      hidden_force, next_hidden_force: likewise, on hidden coordinates.
-    What is held is the force at the middle of the sample, on a line through the ones at its start
-    and one sample earlier: it is off by 3/8 of its second difference from sample to sample. State
-    (discrete, period ``sample_time``): what is held (nv, then the hidden ones), and the whole force
-    at the last sample. Parameter: the payload's mass, centre of mass and inertia (10), as
-    ``MassProperties``.
+      hidden_force, next_hidden_force: the same, on hidden coordinates.
+    The held force is that at the middle of the sample, extrapolated linearly from the sample's
+    start and the one before: it is off by 3/8 of its second difference. State (discrete, period
+    ``sample_time``): the held force (nv, then the hidden ones), and the whole force at the last
+    sample. Parameter: the payload's mass, centre of mass and inertia (10), as ``MassProperties``.
     """
 
     def __init__(
@@ -124,8 +120,13 @@ class EnvironmentForce(LeafSystem):
         sample_time: float,
         scenario: Scenario | None = None,
     ) -> None:
-        """Args: what acts; the plant, for its own use; s; whose true payload ``set_payload``
-        changes, if it is to.
+        """Make the system.
+
+        Args:
+          settings: the environment.
+          model: a plant for the system's own use.
+          sample_time: the control period, s.
+          scenario: the scenario of the true payload, needed by ``set_payload``.
         """
         super().__init__()
         self._model, self._scenario = model, scenario
@@ -160,11 +161,11 @@ class EnvironmentForce(LeafSystem):
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "EnvironmentForce":
-        """Of a scenario with an ``environment``."""
+        """The force of a scenario with an ``environment``."""
         scenario = setup.scenario
         if scenario.environment is None:
-            raise ValueError("environment: there is none")
-        # The wheels' mass is pulled at as a part of the base's.
+            raise ValueError("the scenario has no environment")
+        # Gravity acts on the wheels' mass as part of the base.
         actuation = dataclasses.replace(scenario.actuation, wheels=None)
         model = make_flexible_plant(dataclasses.replace(scenario, actuation=actuation))
         return cls(scenario.environment, model, sample_time=setup.sample_time, scenario=scenario)

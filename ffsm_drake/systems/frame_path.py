@@ -1,8 +1,7 @@
-"""The path of a frame that a scenario prescribes: a line for its origin, the eigenaxis for its
-attitude.
+"""A scenario's path of a frame: a line for its origin, an eigenaxis turn for its attitude.
 
 Both follow the blend of the planned motion. After a capture the frame moves at the start, and the
-blend's stop takes that velocity to rest, as it does with coordinates (``systems/reference.py``).
+blend's stop brings it to rest, as it does with coordinates (``systems/reference.py``).
 """
 
 import dataclasses
@@ -20,7 +19,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.blend import Blend
 
-FRAME_SIZE = 19  # of a row of FramePath
+FRAME_SIZE = 19  # length of a row of FramePath
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,13 +27,13 @@ class FramePath:
     """The pose of a frame F over time, with velocities and accelerations; world axes, rad, m, s."""
 
     first: np.ndarray  # (7) quaternion (w, x, y, z) of R_WF, then p_WF, at the start
-    change: np.ndarray  # (6) rotation vector from the first attitude to the last, then the line
+    change: np.ndarray  # (6) rotation vector from first to last attitude, then the displacement
     twist: np.ndarray  # (6) [w_WF; v_WF] at the start
     blend: Blend
 
     @property
     def end(self) -> float:
-        """When the frame comes to rest, s."""
+        """Time at which the frame comes to rest, s."""
         return self.blend.duration
 
     def rows(self, times: np.ndarray) -> np.ndarray:
@@ -70,7 +69,7 @@ class FramePath:
 
 
 def goal_frame(scenario: Scenario, plant: MultibodyPlant) -> Frame:
-    """The frame of ``reference.frame``. Raises ModelError: there is none of that name."""
+    """The frame of ``reference.frame``. Raises ModelError: there is no such frame."""
     goal = scenario.reference.frame or FrameGoal()
     if goal.frame is None:
         return find_frame(plant, scenario.model.end_effector, key="model.end_effector")
@@ -80,24 +79,22 @@ def goal_frame(scenario: Scenario, plant: MultibodyPlant) -> Frame:
 def make_frame_path(
     scenario: Scenario, model: PlantModel, *, duration: float | None = None
 ) -> FramePath:
-    """The path of ``reference.frame`` from where the frame is in ``initial_posture``.
+    """The path of ``reference.frame`` from its pose in ``initial_posture``.
 
     Args:
-      scenario: without a frame of its own the end effector stays where it is.
+      scenario: the scenario; without ``reference.frame`` the end effector stays where it is.
       model: the plant with the nominal payload.
-      duration: of the motion, s; without it ``reference.duration``.
+      duration: the motion's, s; default: ``reference.duration``.
 
     Raises:
       ModelError: there is no such frame, or no grasp of the target.
-      ScenarioError: the duration is still to be found, or an input shaper takes all of it.
+      ScenarioError: the duration is ``auto``, or an input shaper takes all of it.
     """
     reference = scenario.reference
     goal = reference.frame or FrameGoal()
     duration = reference.duration if duration is None else duration
     if duration is None:
-        raise ScenarioError(
-            "reference.duration", "auto is still to be found; give a number of seconds"
-        )
+        raise ScenarioError("reference.duration", "auto has no value yet; give a number of seconds")
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
     frame = goal_frame(scenario, model.plant)
     model.plant.SetPositions(model.context, q)

@@ -1,9 +1,8 @@
-"""Planned motions of a spacecraft part of which nothing drives: the rest goes where conservation of
-momentum takes it.
+"""Planned motions of an underactuated spacecraft, by conservation of momentum.
 
-Only the pose of the base is integrated, with the momentum at the start and the nominal payload. At
-any instant its velocity follows from that momentum, its acceleration from the equations of motion,
-so that inverse dynamics of the motion gives no force where nothing drives.
+Only the pose of the base is integrated, with the momentum at the start and the nominal payload. Its
+velocity follows from that momentum, its acceleration from the equations of motion, so that inverse
+dynamics of the motion gives no force on undriven coordinates.
 """
 
 import abc
@@ -20,9 +19,9 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 
 
 class MomentumMotion(PlannedMotion, abc.ABC):
-    """A planned motion that is integrated; a subclass says how the driven coordinates move."""
+    """A planned motion that is integrated; a subclass gives the driven coordinates' motion."""
 
-    accuracy = 1e-11  # of the integration, relative; a hundredth of it absolute
+    accuracy = 1e-11  # relative tolerance of the integration; the absolute one is a hundredth
 
     def __init__(
         self,
@@ -37,15 +36,15 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         """Args: the plant with the nominal payload; q (nq) and v (nv) at the start; the control
         period, s; its end, s.
 
-        Of ``velocity`` only the momentum counts. Motions of the same ``content``
-        (``memo.content_of``), which says all that they depend on, are integrated once; without,
-        each on its own.
+        Only the momentum of ``velocity`` matters. Motions with equal ``content``
+        (``memo.content_of``), which covers all their inputs, are integrated once; without it, each
+        on its own.
         """
         self._content = content
         self._model, self._driven = model, model.coordinates.driven
         self._momentum = self._stack(position).momentum(velocity)
         self._first, self._duration = position, end
-        # dense solutions q(t) over [0, end], [end, 2 end], ..., as far as was asked
+        # dense solutions q(t) over [0, end], [end, 2 end], ..., as far as needed
         self._parts = list[Any]()
         super().__init__(coordinates=model.coordinates, sample_time=sample_time, end=end)
 
@@ -93,7 +92,7 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         return np.concatenate([quaternion_rate(unit[:4], v[:3]), v[3:]])
 
     def solve(self) -> Any:
-        """The dense solution q(t) of the next part that is not integrated yet."""
+        """The dense solution q(t) of the next part."""
         from scipy.integrate import solve_ivp  # slow to load, as below wherever SciPy is used
 
         begin, end = (self._duration * (len(self._parts) + i) for i in (0, 1))
@@ -125,15 +124,15 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         return q
 
 
-# a run, its report and the next run ask for the same motion
+# a run, its report and the next run use the same motion
 @memoized(maxsize=16, besides="motion")
 def _solved(content: tuple[Any, ...], index: int, *, motion: MomentumMotion) -> Any:
-    """A part of the motion of that content."""
+    """A part of the motion with this content."""
     return motion.solve()
 
 
 class FreeMotion(MomentumMotion):
-    """A planned motion of the driven coordinates, whatever it asks of the others."""
+    """A planned motion of the driven coordinates; its values for the others are ignored."""
 
     def __init__(
         self,
@@ -143,9 +142,7 @@ class FreeMotion(MomentumMotion):
         sample_time: float,
         content: tuple[Any, ...] = (),
     ) -> None:
-        """Args: the motion; the plant with the nominal payload; the control period, s; as
-        MomentumMotion.
-        """
+        """Args: the motion; the plant with the nominal payload; the control period, s."""
         self._wanted = wanted
         coordinates = model.coordinates
         self._columns = np.concatenate(

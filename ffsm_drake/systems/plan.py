@@ -1,5 +1,4 @@
-"""A plan: a motion as a cubic spline, in a small text file that ``ffsm plan`` writes and the
-reference reads.
+"""A plan: a motion as a cubic spline, in a small text file written by ``ffsm plan``.
 
 The curve is z(t) = [phi, p_WB, joints] (see ``spacecraft.inverse_dynamics``), a cubic B-spline on
 [0, duration]. A plan may end with small rates; these then die away over ``settle``. q_d, v_d and
@@ -31,15 +30,15 @@ _KEYS = ("duration", "settle", "first_attitude", "coordinates", "control_points"
 class Plan:
     """A planned motion; at rest after ``duration + settle``."""
 
-    duration: float  # s, of the spline
-    settle: float  # s; time in which the rates at its end die away; 0 where there are none
+    duration: float  # s; the spline's
+    settle: float  # s; time for the rates at its end to die away; 0 if they are zero
     first_attitude: tuple[float, float, float, float]  # quaternion (w, x, y, z) of R_0
     coordinates: tuple[str, ...]  # names of z, which are those of v (nv)
     control_points: np.ndarray  # (segments + 3, nv), rad and m
 
     @property
     def end(self) -> float:
-        """When it has come to rest, s."""
+        """Time at which it has come to rest, s."""
         return self.duration + self.settle
 
     @functools.cached_property
@@ -77,9 +76,7 @@ class Plan:
         return np.vstack([quaternion, z[3:], w, rate[3:], alpha, acceleration[3:]]).T
 
     def save(self, path: Path, *, title: str) -> None:
-        """Write it as text, to the last bit. Raises RecordError when the place cannot be
-        written.
-        """
+        """Write it as text, to the last bit. Raises RecordError if the file cannot be written."""
         data = {
             "duration": self.duration,
             "settle": self.settle,
@@ -98,7 +95,7 @@ def load_plan(address: str, coordinates: Coordinates) -> Plan:
 
     Args:
       address: a path or package:// address.
-      coordinates: of the spacecraft, which the plan must have.
+      coordinates: the spacecraft's, which the plan must match.
 
     Raises:
       ScenarioError: it cannot be read, or is for other coordinates.
@@ -131,7 +128,7 @@ def load_plan(address: str, coordinates: Coordinates) -> Plan:
             and len(plan.first_attitude) == 4
             and abs(norm - 1.0) < 1e-6
         ):
-            raise ValueError("its numbers are not those of a plan")
+            raise ValueError("its numbers do not form a valid plan")
         if not (0.0 < plan.duration < np.inf and 0.0 <= plan.settle < np.inf):
             raise ValueError("its duration is not > 0 s")
     except FileNotFoundError:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
-# control samples that are computed together: NumPy takes little longer for them than for one
+# control samples computed together: NumPy takes little longer for them than for one
 _BLOCK = 256
 
 
@@ -16,8 +16,7 @@ class PlannedMotion(abc.ABC):
     def __init__(
         self, *, coordinates: Coordinates, sample_time: float, begin: float = 0.0, end: float
     ) -> None:
-        """Args: what moves; the control period, s; when the motion with the target held begins, and
-        its end, s.
+        """Args: coordinates; control period, s; start and end of the motion after the grasp, s.
 
         At multiples of ``sample_time`` the motion is read from a precomputed block.
         """
@@ -37,11 +36,11 @@ class PlannedMotion(abc.ABC):
         return self.rows(times)[:, num_positions : num_positions + len(self.coordinates.names)]
 
     def remarks(self) -> list[str]:
-        """What of the motion is not as it was asked, a line each."""
+        """Deviations of the motion from its specification, a line each."""
         return []
 
     def part(self, share: float) -> float:
-        """The time at which a share (0 to 1) of the motion with the target held has passed, s."""
+        """Time at which a fraction (0 to 1) of the motion with the target held has passed, s."""
         return self.begin + share * (self.end - self.begin)
 
     def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,17 +1,16 @@
-"""The planned motion, with exact rates and accelerations: a plan from a file, or a polynomial,
-perhaps input-shaped.
+"""The planned motion, with exact rates and accelerations: a plan from a file, or a polynomial.
 
 Position and joints follow q(t) = q_0 + (q_T - q_0) s(t/T). The base turns about the eigenaxis, the
 fixed axis of the rotation from its first to its last attitude, by an angle that follows the same
 blend; or, as in the paper, its roll, pitch and yaw follow it. Angular velocity and acceleration are
 exact either way. With zero boundary rates and accelerations the blend is s(x) = 10 x^3 - 15 x^4 + 6
 x^5 (Section 4 of the paper; peak speed 1.875 D/T, peak acceleration 5.7735 D/T^2); ``blend`` has
-the others.
+the others, and input shaping.
 
-After the grasp of a moving target the motion begins at the velocity v_0 that the grasp leaves, to
-which the blend g(x) = T x (1 - x)^3 (1 + 3 x) belongs: q(t) = q_0 + (q_T - q_0) s + v_0 g. The
-base's attitude follows the same polynomial of a rotation vector from its first attitude, world
-frame, along the eigenaxis when v_0 is zero.
+After the grasp of a moving target the motion begins at the velocity v_0 after the grasp, brought to
+rest by g(x) = T x (1 - x)^3 (1 + 3 x): q(t) = q_0 + (q_T - q_0) s + v_0 g. The base's attitude
+follows the same polynomial for a rotation vector from its first attitude, world frame, which is the
+eigenaxis turn if v_0 is zero.
 """
 
 import dataclasses
@@ -44,7 +43,7 @@ from ffsm_drake.systems.resolved_motion import ResolvedMotion
 
 
 class PolynomialMotion(PlannedMotion):
-    """A polynomial from one posture to another, or to wherever it costs least to come to rest."""
+    """A polynomial from one posture to another, or to rest at the least cost."""
 
     def __init__(
         self,
@@ -57,12 +56,11 @@ class PolynomialMotion(PlannedMotion):
         sample_time: float,
         velocity: np.ndarray | None = None,
     ) -> None:
-        """Args: start and target posture (SI units), how to move between them; the target is held
-        afterwards.
+        """Args: start and target posture (SI units); the reference; the target is held afterwards.
 
-        Without a target it ends where the integral of the acceleration's square, in any constant
-        metric, is least; of a shaped motion that of what is shaped. ``velocity`` (nv) at the start
-        is zero without; ``base_rotation`` "rpy" takes none.
+        Without a target it ends where the integral of the squared acceleration (before shaping), in
+        any constant metric, is least. ``velocity`` (nv) at the start defaults to zero;
+        ``base_rotation`` "rpy" allows no other.
         """
         self._blend = blend
         vectors = [
@@ -75,8 +73,8 @@ class PolynomialMotion(PlannedMotion):
             )
             for posture in (start, target or start)
         ]
-        # Roll, pitch, yaw, position, joints; with an eigenaxis a rotation vector from the first
-        # attitude, world frame.
+        # Roll, pitch, yaw, position, joints; for an eigenaxis turn the angles are replaced by a
+        # rotation vector from the first attitude, world frame.
         self._start, self._change = vectors[0], vectors[1] - vectors[0]
         self._velocity = velocity if velocity is not None and velocity.any() else None
         self._first: np.ndarray | None = None  # the first attitude, a quaternion
@@ -118,7 +116,7 @@ class SplineMotion(PlannedMotion):
     """The motion of a plan."""
 
     def __init__(self, plan: Plan, *, coordinates: Coordinates, sample_time: float) -> None:
-        """Args: the plan; of the spacecraft; the control period, s."""
+        """Args: the plan; the spacecraft's coordinates; the control period, s."""
         self._plan = plan
         super().__init__(coordinates=coordinates, sample_time=sample_time, end=plan.end)
 
@@ -128,14 +126,12 @@ class SplineMotion(PlannedMotion):
 
 
 class CaptureMotion(PlannedMotion):
-    """Up to the grasp, at ``begin``, one motion run backwards; another from there on."""
+    """A motion run backwards until the grasp, at ``begin``; then another."""
 
     def __init__(
         self, *, approach: PolynomialMotion, stop: PlannedMotion, sample_time: float
     ) -> None:
-        """Args: from the velocity at the grasp, reversed, to the posture at the start; from the
-        grasp to rest.
-        """
+        """Args: the approach, from the grasp back to the start; the motion after the grasp."""
         self._approach, self._stop = approach, stop
         begin = approach.end
         super().__init__(
@@ -156,7 +152,7 @@ class CaptureMotion(PlannedMotion):
 
 
 class _FrameMotion(PlannedMotion):
-    """The path of a frame, whose rows are those of FramePath."""
+    """The path of a frame, with the rows of FramePath."""
 
     def __init__(self, path: FramePath, *, coordinates: Coordinates, sample_time: float) -> None:
         self._path = path
@@ -167,7 +163,7 @@ class _FrameMotion(PlannedMotion):
 
 
 class _MotionSource(LeafSystem):
-    """The rows of a motion in one output: two would be two calls from Drake in every sample."""
+    """The rows of a motion in one output: with two, Drake would call twice per sample."""
 
     def __init__(self, motion: PlannedMotion) -> None:
         super().__init__()
@@ -183,10 +179,10 @@ class _MotionSource(LeafSystem):
 
 
 def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
-    """The planned motion of a scenario; with a capture from the velocity after the grasp of the
-    nominal payload.
+    """The planned motion of a scenario.
 
-    What nothing drives follows by conservation of momentum.
+    With a capture it starts at the velocity after the grasp of the nominal payload. Undriven
+    coordinates follow by conservation of momentum.
 
     Raises:
       ModelError, ScenarioError: no grasp of the target, or no motion within the limits, can be
@@ -248,7 +244,7 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
 
 
 def _content(scenario: Scenario, motion: PlannedMotion) -> tuple[Any, ...]:
-    """What the motion that follows from a planned one depends on."""
+    """All inputs of the free motion that follows from a planned one."""
     plain = Scenario()
     part = dataclasses.replace(
         planned_part(scenario),
@@ -262,14 +258,12 @@ def _content(scenario: Scenario, motion: PlannedMotion) -> tuple[Any, ...]:
 
 
 def timed(scenario: Scenario) -> Scenario:
-    """The scenario with the duration of its planned motion in s, where it is ``auto``; errors as
-    ``make_motion``.
-    """
+    """The scenario with a duration of ``auto`` replaced by seconds; errors as ``make_motion``."""
     if scenario.reference.duration is not None:
         return scenario
     motion = make_motion(scenario, make_nominal_plant(scenario).coordinates)
     duration = motion.end - motion.begin
-    # whole samples: the very number, which the difference may have lost
+    # whole samples: restores the exact number after a difference
     if scenario.reference.kind != "optimal":
         duration = round(duration / scenario.sample_time) * scenario.sample_time
     reference = dataclasses.replace(scenario.reference, duration=duration)
@@ -277,12 +271,12 @@ def timed(scenario: Scenario) -> Scenario:
 
 
 def make_reference(scenario: Scenario, coordinates: Coordinates) -> Diagram:
-    """A source of the planned motion, a function of time alone.
+    """A source of the planned motion, a function of time only.
 
     Outputs:
       desired_state: [q_d; v_d] (nq + nv).
       desired_acceleration: time derivative of v_d (nv).
-      desired_frame: where the pose of a frame is prescribed, the rows of FramePath (19).
+      desired_frame: rows of FramePath (19), if the pose of a frame is prescribed.
     """
     builder, planned = DiagramBuilder(), make_motion(scenario, coordinates)
     motion = builder.AddNamedSystem("motion", _MotionSource(planned))

@@ -1,6 +1,4 @@
-"""Finding what fills a block: by a shipped name, an installed entry point, or
-``module:attribute``.
-"""
+"""Finding a block's factory: by shipped name, installed entry point, or ``module:attribute``."""
 
 import functools
 import importlib
@@ -35,7 +33,7 @@ SHIPPED: dict[str, dict[str, str]] = {
         "task_time_delay": f"{_LAWS}.task_time_delay:TaskTimeDelay",
     },
 }
-# Block -> group of the entry points by which installed packages offer further ones.
+# Block -> entry point group where installed packages offer further ones.
 ENTRY_POINT_GROUPS = {
     "reference": "ffsm_drake.reference",
     "sensing": "ffsm_drake.sensing",
@@ -45,29 +43,29 @@ ENTRY_POINT_GROUPS = {
 }
 
 
-@functools.cache  # a process looks through the installed packages once
+@functools.cache  # searches the installed packages once per process
 def block_names(block: str) -> tuple[str, ...]:
-    """The names of what can fill a block without giving a module: shipped, then installed."""
+    """Names of the systems that can fill a block: shipped, then installed."""
     shipped = SHIPPED.get(block, {})
     installed = sorted(set(entry_points(group=ENTRY_POINT_GROUPS[block]).names) - set(shipped))
     return (*shipped, *installed)
 
 
 def is_shipped(block: str, name: str) -> bool:
-    """Whether a name stands for a part of this package."""
+    """True if a name stands for a part of this package."""
     return name in SHIPPED.get(block, {})
 
 
 def find_factory(
     block: str, name: str, *, key: str = "", python_path: Sequence[str] = ()
 ) -> Factory:
-    """What builds a block.
+    """The factory of a block.
 
     Args:
       block: "controller", "sensing", ... as in ``ENTRY_POINT_GROUPS``.
       name: a shipped or installed name, or ``module:attribute``.
       key: the name's place in the scenario, for errors; default: the block.
-      python_path: folders to look for the module in, before Python's own.
+      python_path: folders to search for the module before Python's own.
 
     Raises:
       ScenarioError: an unknown name.
@@ -97,7 +95,7 @@ def find_factory(
             "python_path or PYTHONPATH"
         ) from error
     except (Exception, GeneratorExit, SystemExit) as error:
-        # a user's module may raise anything when it is imported
+        # a user's module may raise anything on import
         raise BlockError(
             f"{place} cannot be loaded: {type(error).__name__}: {one_line(error)}"
         ) from error
@@ -108,9 +106,7 @@ def find_factory(
 
 
 def address_of(factory: Factory) -> str:
-    """``module:attribute`` of a factory, by which ``find_factory`` finds it again; its name where
-    it has no such.
-    """
+    """``module:attribute`` of a factory, for ``find_factory``; else its name."""
     name = str(getattr(factory, "__qualname__", type(factory).__name__))
     module = str(getattr(factory, "__module__", "__main__"))
     found: Any = sys.modules.get(module)
@@ -124,7 +120,7 @@ def address_of(factory: Factory) -> str:
 
 
 def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
-    """What a factory makes of a setup. Raises BlockError naming ``place`` when it cannot."""
+    """The result of a factory for a setup. Raises BlockError naming ``place`` if it fails."""
     factory = getattr(factory, "from_setup", factory)
     try:
         return factory(setup)
@@ -137,9 +133,7 @@ def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
 
 
 def module_file(address: str) -> Path | None:
-    """The file of the module in ``module:attribute`` once it is imported; None for an installed
-    package's.
-    """
+    """File of the imported module in ``module:attribute``; None for an installed package."""
     file = getattr(sys.modules.get(address.partition(":")[0]), "__file__", None)
     if ":" not in address or file is None:
         return None
@@ -150,15 +144,13 @@ def module_file(address: str) -> Path | None:
     )
 
 
-@functools.cache  # finding them costs a millisecond, and every block of every loop asks
+@functools.cache  # takes a millisecond, and every block of every loop calls it
 def _installed_folders() -> tuple[Path, ...]:
     return tuple({Path(sysconfig.get_path(name)) for name in ("purelib", "platlib")})
 
 
 def module_folder(address: str) -> Path | None:
-    """The folder to put on Python's path to import the module in ``module:attribute``; None as for
-    ``module_file``.
-    """
+    """Folder to add to Python's path for ``module:attribute``; None as for ``module_file``."""
     file = module_file(address)
     if file is None:
         return None

@@ -1,15 +1,15 @@
-"""Resolved motion rate: the joints that take a frame along its path, with the generalized Jacobian.
+"""Resolved motion rate: joint rates that move a frame along its path, with J*.
 
-The joint rates u solve tasks in order of priority, each in what the ones before leave free, with
-least squares:
+The joint rates u solve tasks by least squares in order of priority, each in the null space of those
+before:
 
-    frame   A u = V_d + feedback - V_0    A: columns of J* (rows of the task), V_0: the frame's
-    twist with u = 0 hold    F u = 0                       F: rows of -H_uu^-1 H_ua: what the held
-    base coordinates do
+    frame   A u = V_d + feedback - V_0    A: columns of J* (rows of the task),
+                                          V_0: the frame's twist with u = 0
+    hold    F u = 0                       F: rows of -H_uu^-1 H_ua for the held base coordinates
 
-and what then is left goes to a rate of the joints' own: zero, or towards the target posture. The
-frame's task is damped where its Jacobian has singular values s below ``damping`` e: 1/s becomes s
-(2 e^2 - s^2) / e^4, which is damped least squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2),
+and the rest of the null space goes to the joints' own rate: zero, or towards the target posture.
+The frame's task is damped where its Jacobian has singular values s below ``damping`` e: 1/s becomes
+s (2 e^2 - s^2) / e^4, which is damped least squares with lambda^2 = (e^2 - s^2)^2 / (2 e^2 - s^2),
 once differentiable in s, and at most sqrt(32/27)/e = 1.09/e. (Nakamura 1991, "Advanced Robotics",
 chapters 4 and 9; Siciliano and Slotine 1991, doi:10.1109/ICAR.1991.240390.)
 """
@@ -36,16 +36,17 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 
 # of a twist
 _ROWS = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6), "none": slice(0, 0)}
-_RANK = 1e-9  # ratio of singular values, between rounding and what an arm has
-_STEP = 1e-4  # s; of the difference quotient along the motion
-_INSTANTS = 201  # that a report looks at
-_SLOWEST = 1e-3  # m/s; bound of the feedback for a frame that is to stay where it is
-MISSED = 1e-6  # rad, m; from which on a path counts as missed
+_RANK = 1e-9  # ratio of singular values: above rounding errors, below that of any arm
+_STEP = 1e-4  # s; step of the difference quotient along the motion
+_INSTANTS = 201  # samples for a report
+_SLOWEST = 1e-3  # m/s; bound of the feedback for a frame at rest
+MISSED = 1e-6  # rad, m; smallest deviation that counts as missing the path
 
 
 def damped_inverse(sizes: np.ndarray, damping: float) -> np.ndarray:
-    """Instead of 1/s of singular values s: 1/s from ``damping`` on, below less, zero at zero; at
-    most 1.09/damping.
+    """Damped inverses of singular values s: 1/s from ``damping`` on, less below, zero at zero.
+
+    At most 1.09/damping.
     """
     share = np.minimum(sizes / damping, 1.0)
     return share * (2.0 - share**2) / np.maximum(sizes, damping)
@@ -53,26 +54,26 @@ def damped_inverse(sizes: np.ndarray, damping: float) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Resolution:
-    """How well a resolved motion follows its path, at times (n,)."""
+    """Accuracy of a resolved motion on its path, at times (n,)."""
 
     times: np.ndarray  # (n) s
-    # (n) singular value of the task's Jacobian that is not zero; infinite without a task
+    # (n) smallest non-zero singular value of the task's Jacobian; infinite without a task
     smallest: np.ndarray
-    # (n) rad; angle between the frame's attitude and the path's; zero where it has no part
+    # (n) rad; angle between the frame's attitude and the path's; zero if not prescribed
     attitude_miss: np.ndarray
-    position_miss: np.ndarray  # (n) m; likewise
+    position_miss: np.ndarray  # (n) m; distance of the frame's origin from the path's
     joint_rate: np.ndarray  # (n) rad/s or m/s; norm of the joints' rates
-    base_turn: np.ndarray  # (n) rad; of the base from its first attitude
-    base_shift: np.ndarray  # (n) m; likewise of its position
+    base_turn: np.ndarray  # (n) rad; rotation of the base from its first attitude
+    base_shift: np.ndarray  # (n) m; distance of the base from its first position
 
     @property
     def missed(self) -> bool:
-        """Whether the frame leaves the path."""
+        """True if the frame leaves the path."""
         return bool(np.fmax(self.attitude_miss, self.position_miss).max() > MISSED)
 
 
 class _Resolved(NamedTuple):
-    """In configurations (n, nq)."""
+    """Velocities and task errors in configurations (n, nq)."""
 
     v: np.ndarray  # (n, nv)
     smallest: np.ndarray  # (n) singular value of the frame's task
@@ -80,11 +81,9 @@ class _Resolved(NamedTuple):
 
 
 class ResolvedMotion(MomentumMotion):
-    """A frame goes along its path; driven base coordinates, and as far as they are free the joints,
-    as is wanted.
-    """
+    """Motion of a frame along its path; the null space follows the given motion."""
 
-    # the feedback takes back what it misses, and velocities are those of the configuration
+    # the feedback corrects errors, and velocities follow from the configuration
     accuracy = 1e-9
 
     def __init__(
@@ -98,22 +97,20 @@ class ResolvedMotion(MomentumMotion):
         sample_time: float,
         content: tuple[Any, ...] = (),
     ) -> None:
-        """Args: the motion without the frame; its path; what is asked of it; the frame; as
-        MomentumMotion.
-        """
+        """Args: the motion without the frame; its path; its goal; the frame; as MomentumMotion."""
         self._wanted, self._path, self._goal, self._frame = wanted, path, goal, frame
         coordinates = model.coordinates
-        # of the driven coordinates
+        # indices among the driven coordinates
         self._arm = np.flatnonzero(coordinates.driven >= NUM_BASE_VELOCITIES)
-        self._base = coordinates.driven[: self._arm[0]]  # of v: what of the base is driven
+        self._base = coordinates.driven[: self._arm[0]]  # indices in v of driven base coordinates
         held = coordinates.indices(goal.hold, key="reference.frame.hold")
-        # Of the undriven coordinates.
+        # Indices among the undriven coordinates.
         self._held = np.flatnonzero(
             np.isin(np.delete(np.arange(len(coordinates.names)), coordinates.driven), held)
         )
         self._task = _ROWS[goal.task]
         times = np.linspace(0.0, path.end, _INSTANTS)
-        # of the feedback
+        # bounds of the feedback
         self._most = max(_SLOWEST, float(np.linalg.norm(path.rows(times)[:, 7:13], axis=1).max()))
         self._fastest = float(path.blend.blend(times)[1].max())
         q, v, _ = wanted.evaluate(0.0)
@@ -121,7 +118,7 @@ class ResolvedMotion(MomentumMotion):
         self._first_rate = v[NUM_BASE_VELOCITIES:]
         stack = free_floating(model, q, [coordinates.names[i] for i in coordinates.driven])
         self._first_reaction = stack.following[self._held][:, self._arm] @ self._first_rate
-        # Whether the base does while the joints rest.
+        # True if the base moves while the joints rest.
         self._moves = bool(self._base.size or stack.momentum(v).any())
         super().__init__(
             model=model,
@@ -133,7 +130,7 @@ class ResolvedMotion(MomentumMotion):
         )
 
     def velocity(self, time: float, q: np.ndarray) -> np.ndarray:
-        return self._resolved(q[None], self._asked(np.array([time]))[0]).v[0]
+        return self._resolved(q[None], self._inputs(np.array([time]))[0]).v[0]
 
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         return self.velocity(time, q)[self._driven]
@@ -141,24 +138,23 @@ class ResolvedMotion(MomentumMotion):
     def driven_motion(
         self, times: np.ndarray, q: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        asked, change = self._asked(times)
-        v = self._resolved(q, asked).v
-        # What the rates depend on goes on as fast as it does: first order is enough of central
-        # differences.
+        inputs, change = self._inputs(times)
+        v = self._resolved(q, inputs).v
+        # Inputs of the rates are extrapolated linearly: central differences need no more.
         rate = np.hstack([quaternion_rate(q[:, :4].T, v[:, :3].T).T, v[:, 3:]])
         after, before = (
-            self._resolved(q + h * rate, asked + h * change).v for h in (_STEP, -_STEP)
+            self._resolved(q + h * rate, inputs + h * change).v for h in (_STEP, -_STEP)
         )
         return q, v[:, self._driven], (after - before)[:, self._driven] / (2.0 * _STEP)
 
     def velocities(self, times: np.ndarray) -> np.ndarray:
-        return self._resolved(self._integrated(times), self._asked(times)[0]).v
+        return self._resolved(self._integrated(times), self._inputs(times)[0]).v
 
     def resolution(self, times: np.ndarray | None = None) -> Resolution:
-        """How well the path is followed, at times (n,), s; without them, over the motion."""
+        """Accuracy on the path at times (n,), s; default: over the motion."""
         times = np.linspace(0.0, self.end, _INSTANTS) if times is None else times
         q = self._integrated(times)
-        found, miss = self._resolved(q, self._asked(times)[0]), np.zeros((times.size, 6))
+        found, miss = self._resolved(q, self._inputs(times)[0]), np.zeros((times.size, 6))
         miss[:, self._task] = found.error
         moved = position_errors(q, np.tile(self._first, (times.size, 1)))
         return Resolution(
@@ -172,7 +168,7 @@ class ResolvedMotion(MomentumMotion):
         )
 
     def remarks(self) -> list[str]:
-        """What of the path is missed, and why; a line, or none."""
+        """Deviation from the path and its cause: a line, or none."""
         found, damping = self.resolution(), self._goal.damping
         if not found.missed:
             return []
@@ -183,9 +179,9 @@ class ResolvedMotion(MomentumMotion):
             for i in (worst, -1)
         ]
         why = (
-            "more is asked of it than the joints"
-            + (" and what is held" if self._goal.hold else "")
-            + " leave free"
+            "the joints"
+            + (" and the held coordinates" if self._goal.hold else "")
+            + " leave too little freedom"
         )
         if found.smallest[nearest] < damping:
             why = (
@@ -199,12 +195,12 @@ class ResolvedMotion(MomentumMotion):
             f"and by {sizes[1]} at its end: {why}"
         ]
 
-    def _asked(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What the joints depend on beside the configuration, (n, .), and how fast it changes.
+    def _inputs(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inputs of the joint rates beside the configuration, (n, .), and their rates of change.
 
-        Pose (quaternion, position) and twist of the frame, velocities of the base that are driven,
-        positions and rates that the joints would have, the pull towards these positions, 1/s, and
-        the share of the first reaction.
+        Pose (quaternion, position) and twist of the frame, driven base velocities, positions and
+        rates of the joints' own motion, the gain towards these positions, 1/s, and the fraction of
+        the first reaction.
         """
         path, coordinates, arm = (
             self._path.rows(times),
@@ -232,12 +228,12 @@ class ResolvedMotion(MomentumMotion):
             np.hstack([turn, path[:, 10:], a[:, self._base], *changing, slower]),
         )
 
-    def _resolved(self, q: np.ndarray, asked: np.ndarray) -> _Resolved:
-        """In configurations (n, nq), of what is asked (n, .)."""
+    def _resolved(self, q: np.ndarray, inputs: np.ndarray) -> _Resolved:
+        """Solution in configurations (n, nq) for inputs (n, .)."""
         arm, count = self._arm, self._arm.size
         ends = list(itertools.accumulate([7, 6, self._base.size, count, count, 1, 1], initial=0))
         pose, twist, base, joints, rate, pull, slow = (
-            asked[:, a:b] for a, b in itertools.pairwise(ends)
+            inputs[:, a:b] for a, b in itertools.pairwise(ends)
         )
         q = q.copy()
         q[:, :4] /= np.sqrt((q[:, :4] * q[:, :4]).sum(axis=1, keepdims=True))

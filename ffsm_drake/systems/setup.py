@@ -1,4 +1,4 @@
-"""What a block of the closed loop is built from."""
+"""Inputs of a block's factory."""
 
 import dataclasses
 import functools
@@ -11,24 +11,23 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 
 
 class _Settings(dict[str, Any]):
-    """Settings that say what there is when one is missing."""
+    """Settings whose KeyError lists the valid keys."""
 
     def __missing__(self, key: object) -> Any:
         raise KeyError(
-            f"no '{key}' in the settings that the scenario gives; there are: "
-            f"{', '.join(self) or 'none'}"
+            f"no '{key}' in the scenario's settings; there are: {', '.join(self) or 'none'}"
         )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BlockSetup:
-    """What a block is built from: ``factory(setup)`` returns a Drake system with the block's ports.
+    """Input of a block's factory: ``factory(setup)`` returns a Drake system with the block's ports.
 
     A controller's factory may return a control law instead. A controller works with ``nominal``
     only; ``true`` is for blocks of the world around it, such as sensors and forces.
     """
 
-    name: str  # of the system in the diagram
+    name: str  # the system's name in the diagram
     scenario: Scenario
     nominal: PlantModel  # the plant with the nominal payload
     settings: Mapping[str, Any]  # as the scenario gives them to this block
@@ -50,5 +49,5 @@ class BlockSetup:
 
     @functools.cached_property
     def true(self) -> PlantModel:
-        """The plant with the true payload; with a context of its own."""
+        """The plant with the true payload, with its own context."""
         return make_true_plant(self.scenario)

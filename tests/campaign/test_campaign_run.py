@@ -269,7 +269,8 @@ def test_databases_that_cannot_be_used(spec, database, tmp_path):
     one_line_error(invoke("report", database, "--out", tmp_path / "file"), "cannot be written")
     one_line_error(invoke("rerun", database, "--case", "16"), "has no case 16; there are 0 to 15")
     one_line_error(
-        invoke("rerun", database, "--case", "1", "--controller", "aismc"), "'aismc' is not in it"
+        invoke("rerun", database, "--case", "1", "--controller", "aismc"),
+        "'aismc' is not in this campaign",
     )
     one_line_error(
         invoke("run", spec, "--workers", "1", "--scheduler", "tcp://127.0.0.1:1"),

@@ -297,8 +297,8 @@ TABLE = [
     *(
         visual(f"no-mesh-{kind}", f'<mesh filename="m.{kind}"/>', said, **{f"m.{kind}": "hello"})
         for kinds, words in (
-            ("obj gltf dae", "m.{}: is no"),
-            ("stl glb txt", "is of a kind that is not drawn; convert it to .obj"),
+            ("obj gltf dae", "m.{}: cannot be drawn"),
+            ("stl glb txt", "this format cannot be drawn; convert it to .obj"),
         )
         for kind in kinds.split()
         for said in (words.format(kind),)
@@ -1131,7 +1131,7 @@ def test_plot_passes_over_what_is_no_run(tmp_path, good_run, monkeypatch):
     # draws nothing
     result = CliRunner().invoke(main, ["plot", *names, "--out", str(tmp_path / "report.html")])
     assert result.stderr.splitlines()[:2] == [
-        f"{names[k]}: is not the folder of a run; left out" for k in (0, 2)
+        f"{names[k]}: is not the folder of a run; skipped" for k in (0, 2)
     ]
     assert f"{names[0]}: cannot be written" in result.stderr.splitlines()[2]
     monkeypatch.setattr(

@@ -73,7 +73,7 @@ def test_workers_that_all_die_end_the_work():
 
 def test_worn_processes_are_replaced():
     with local_workers(1) as workers:
-        results = run(process_of, range(4), workers, worn=lambda result: True)
+        results = run(process_of, range(4), workers, should_renew=lambda result: True)
     assert sorted(task for task, _ in results) == [0, 1, 2, 3]
     assert len({pid for _, pid in results}) >= 2
 

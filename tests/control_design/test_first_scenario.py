@@ -191,7 +191,7 @@ REFUSED = {
         simple_arm(
             link("lamp", mass=1, inertia=(0, 0, 0)), joint("pan", "bus", "lamp", limit=TURN)
         ),
-        "joint 'pan' moves nothing that has inertia beside the rest",
+        "joint 'pan' moves no inertia to speak of",
     ),
     "geometry": (
         simple_arm(
@@ -356,7 +356,7 @@ MOUNTING = {
     "foot beside the world's": (
         lambda: arm_alone().replace("</robot>", link("b", **BOX) + "</robot>"),
         BUS,
-        "beside what is fixed to the world",
+        "besides links fixed to the world",
     ),
     "no arm": (lambda: robot(link("a", **BOX)), BUS, "has no joint that moves"),
     "a negative target": (simple_arm, ["--target", "-1"], "must be > 0 kg, not -1"),

@@ -185,7 +185,7 @@ def test_what_cannot_be_planned_is_named(override, said):
         (
             "{duration: 2, settle: 0, first_attitude: [1, 0, 0, 0], coordinates: [a], "
             "control_points: [[1], [2]]}",
-            "its numbers are not those of a plan",
+            "its numbers do not form a valid plan",
         ),
     ],
 )

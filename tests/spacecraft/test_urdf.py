@@ -274,7 +274,7 @@ REFUSED = {
     "two roots": (plus(link("lost", mass=1)), "not 2 (bus, lost)"),
     "loop": (
         plus(link("a"), link("b"), joint("p", "a", "b"), joint("q", "b", "a")),
-        "link 'a' does not hang on the base 'bus'",
+        "link 'a' is not connected to the base 'bus'",
     ),
     "two parents": (plus(joint("again", "bus", "fore")), "link 'fore' is the child of 2 joints"),
     "missing link": (

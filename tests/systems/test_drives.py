@@ -318,8 +318,8 @@ def test_a_step_that_does_not_resolve_friction_is_refused_before_the_run(two_bod
         simulate(coarse)
     assert str(error.value) == (
         "simulator_config.max_step_size: 0.0326861 s does not resolve the friction of hinge, "
-        "which near rest acts "
-        "within 0.032 s (initial_posture): take at most 0.029 s, or 1.1 times the "
+        "which near rest "
+        "has a time constant of 0.032 s (initial_posture): take at most 0.029 s, or 1.1 times the "
         "actuation.drives.smoothing_rate"
     )
     coarse.simulator_config.integration_scheme = "radau3"
@@ -336,16 +336,16 @@ def test_a_step_that_does_not_resolve_friction_is_refused_before_the_run(two_bod
         ),
         (
             "rotor_inertia: {elbow: 1}",
-            "actuation.drives.rotor_inertia.elbow: is no joint; valid here: all, joints, joint",
+            "actuation.drives.rotor_inertia.elbow: is not a joint; valid here: all, joints, joint",
         ),
         (
             "gear_ratio: {base_rotation: 2}",
-            "actuation.drives.gear_ratio.base_rotation: is no joint; valid here: all, j",
+            "actuation.drives.gear_ratio.base_rotation: is not a joint; valid here: all, j",
         ),
         ("knee: 1", "actuation.drives.knee.all: must be from 0 to below 1, not 1"),
         (
             "coulomb_friction: {joint_9: 1}",
-            "actuation.drives.coulomb_friction.joint_9: is no joint",
+            "actuation.drives.coulomb_friction.joint_9: is not a joint",
         ),
         (
             "{coulomb_friction: 0.2, static_friction: {joint_2: 0.1}}",

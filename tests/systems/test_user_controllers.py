@@ -227,7 +227,7 @@ class OddField(DividesByZero):
         (Constant, "the force never changes"),
         (
             Follows,
-            "output port 'generalized_force' must not follow an input at once; declare it "
+            "output port 'generalized_force' must not depend directly on an input; declare it "
             "with Declare",
         ),
         (

@@ -1,6 +1,4 @@
-"""One page of pictures of an analysis: the quantities of the proof over time, beside their
-bounds.
-"""
+"""One page of an analysis: the quantities of the proof over time, with their bounds."""
 
 import dataclasses
 import textwrap
@@ -31,17 +29,16 @@ from ffsm_drake.show.style import (
 _VERDICT_COLORS = {"does not hold": BAD, "holds": GOOD, "not tested": MUTE, "not applicable": MUTE}
 _DASHED: Any = (0, (5, 3))
 _LIMIT: Any = {"linewidth": 1.1, "linestyle": _DASHED}
-# Noisy magnitudes are drawn as the largest of each stretch of time: what a bound is about, and
+# Noisy magnitudes are drawn as the maximum of each time interval: comparable with bounds, and
 # legible.
-_STRETCHES = 200
+_INTERVALS = 200
 
 
 def plot_analysis(analysis: Analysis) -> Figure:
-    """TDE error, condition (8), sliding variable, Lyapunov function, gains and spectrum of a run,
-    six panels.
+    """Six panels: TDE error, condition (8), sliding variable, Lyapunov function, gains, spectrum.
 
-    The verdicts of a panel's findings are at the right of its title; a panel that does not apply
-    says why.
+    The verdicts of a panel's findings are at the right of its title; an inapplicable panel gives
+    its reason.
     """
     drawn = analysis.series.map(
         lambda one: one.where(np.abs(one) < LARGEST) if one.dtype.kind == "f" else one
@@ -98,7 +95,7 @@ def plot_analysis(analysis: Analysis) -> Figure:
             verdicts = "; ".join(
                 f"{verdict}: {', '.join(labels)}" for verdict, labels in evaluated.items()
             )
-            # The least favourable verdict colours them all.
+            # The least favourable verdict determines the colour.
             color = next(
                 (shade for verdict, shade in _VERDICT_COLORS.items() if verdict in evaluated), MUTE
             )
@@ -119,7 +116,7 @@ def plot_analysis(analysis: Analysis) -> Figure:
         axes.set_title(title, fontsize=10, loc="left", fontweight="bold")
         for each in part.axes:
             low, high = np.nan_to_num(each.get_ylim(), nan=1.0)
-            # a line of a huge bound
+            # line of a huge bound
             if each.get_yscale() == "log" and not 1.0 / LARGEST <= low < high <= LARGEST:
                 each.set_ylim(max(low, 1e-12), min(max(high, 1.0), LARGEST))
     return figure
@@ -239,7 +236,7 @@ def _plot_lyapunov(part: SubFigure, analysis: Analysis) -> Axes:
     # Shade the samples outside, each as wide as its period but never too narrow to be seen.
     width = max(float(series.attrs["sample_time"]), 0.003 * float(time[-1] - time[0]))
     for axes in (upper, lower):
-        _look(axes)
+        _style(axes)
         axes.broken_barh(
             [(start, width) for start in time[outside].tolist()],
             (0.0, 1.0),
@@ -264,7 +261,7 @@ def _plot_gains(part: SubFigure, analysis: Analysis) -> Axes:
     axes.set_yscale("log")
     series, time = analysis.series, analysis.series["time"].values
     if "scaled_sliding_variable" in series:
-        when, most = _stretches(time, series["scaled_sliding_variable"].values)
+        when, most = _interval_maxima(time, series["scaled_sliding_variable"].values)
         axes.plot(when, most, color=PURPLE, linewidth=0.9, label="premise: max β$_i$ ‖s‖$_∞$")
     for name, label, color in (
         ("reaching_gain", "K$_{si}$", VERMILION),
@@ -291,9 +288,9 @@ def _plot_spectrum(part: SubFigure, analysis: Analysis) -> Axes:
     axes = _axes(part, "power density [(N m)$^2$/Hz, N$^2$/Hz]", "frequency [Hz]")
     series, group = analysis.series, analysis.series["group"].values
     numbers = analysis.finding("chattering").numbers
-    # The zero frequency was taken out with the trend.
+    # The zero frequency was removed with the trend.
     frequency, density = series["frequency"].values[1:], series["effort_spectrum"].values[1:]
-    # not of what nothing drives
+    # driven groups only
     for name in (each for each in _groups(analysis) if f"share.{each}" in numbers):
         axes.plot(
             frequency,
@@ -320,27 +317,25 @@ def _axes(part: SubFigure, ylabel: str, xlabel: str = "time [s]") -> Axes:
     axes = part.subplots()
     axes.set_ylabel(ylabel, fontsize=9)
     axes.set_xlabel(xlabel, fontsize=9)
-    _look(axes)
+    _style(axes)
     return axes
 
 
-def _look(axes: Axes) -> None:
+def _style(axes: Axes) -> None:
     tidy(axes)
     axes.tick_params(labelsize=8)
     axes.margins(x=0.01, y=0.1)
 
 
-def _stretches(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The largest of each of at most _STRETCHES runs of samples, at the run's first time; zero
-    becomes NaN.
-    """
-    starts = np.unique(np.linspace(0, len(values), _STRETCHES, endpoint=False, dtype=int))
+def _interval_maxima(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Maxima of at most _INTERVALS intervals, at the intervals' first times; zero becomes NaN."""
+    starts = np.unique(np.linspace(0, len(values), _INTERVALS, endpoint=False, dtype=int))
     most = np.maximum.reduceat(values, starts)
     return time[starts], np.where(most > 0.0, most, np.nan)
 
 
 def _groups(analysis: Analysis) -> list[str]:
-    """The groups that have coordinates and are driven."""
+    """The driven groups that have coordinates."""
     driven = analysis.series["group"].values[analysis.series["driven"].values]
     return [name for name in GROUP_TITLES if name in driven]
 
@@ -349,7 +344,7 @@ def _plot_groups(axes: Axes, analysis: Analysis, name: str, time: str) -> None:
     """The largest magnitude of every group's coordinates over time."""
     series, group = analysis.series, analysis.series["group"].values
     for key in _groups(analysis):
-        when, most = _stretches(
+        when, most = _interval_maxima(
             series[time].values, np.abs(series[name].values[:, group == key]).max(axis=1)
         )
         style = GROUP_STYLES[key].matplotlib | {"marker": "." if len(when) < 20 else ""}
@@ -357,7 +352,7 @@ def _plot_groups(axes: Axes, analysis: Analysis, name: str, time: str) -> None:
 
 
 def _plot_bounds(axes: Axes, analysis: Analysis, name: str, label: str) -> None:
-    """The largest bound of every group's coordinates, where there is one."""
+    """The largest bound of every group's coordinates, if there is one."""
     bounds, group = analysis.series[name].values, analysis.series["group"].values
     largest = {key: bounds[group == key].max() for key in _groups(analysis)}
     shown = {key: value for key, value in largest.items() if np.isfinite(value) and value > 0.0}

@@ -1,4 +1,4 @@
-"""What the Matplotlib figures share: the look of their panels."""
+"""Shared style of the Matplotlib figures' panels."""
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
@@ -6,11 +6,11 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ffsm_drake.show.style import GRID
 
-LARGEST = 1e100  # of what is drawn: axes have no ticks where numbers end
+LARGEST = 1e100  # largest drawn value: near the largest float, axes have no ticks
 
 
 def tidy(axes: Axes) -> None:
-    """The look that all panels share."""
+    """Apply the style that all panels share."""
     axes.grid(True, color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -18,7 +18,7 @@ def tidy(axes: Axes) -> None:
 
 
 def legend_below(figure: Figure | SubFigure, axes: Axes, *, columns: int = 3) -> None:
-    """The panel's legend below it, where it hides no curve."""
+    """Put the panel's legend below it, clear of the curves."""
     figure.legend(
         *axes.get_legend_handles_labels(),
         fontsize=8,
@@ -29,9 +29,7 @@ def legend_below(figure: Figure | SubFigure, axes: Axes, *, columns: int = 3) ->
 
 
 def plain(text: object) -> str:
-    """A user's text for a label of Matplotlib's, which takes what stands between dollar signs for
-    mathematics.
-    """
+    """A user's text for a Matplotlib label, dollar signs escaped: they would mark mathematics."""
     return str(text).replace("$", r"\$")
 
 

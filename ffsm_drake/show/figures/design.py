@@ -1,4 +1,4 @@
-"""The picture of a gain design: accuracy against effort."""
+"""Figure of a gain design: accuracy against effort."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -9,9 +9,7 @@ from ffsm_drake.show.style import BLUE, GREEN, GREY, GROUP_TITLES, VERMILION, la
 
 
 def plot_design(found: Design) -> Figure:
-    """The front of accuracy against effort, the least possible, and the given and the published
-    gains.
-    """
+    """Front of accuracy against effort, with the LQG limit and the given and published gains."""
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     scenario = found.chosen.scenario
     figure.suptitle(

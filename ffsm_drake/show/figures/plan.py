@@ -1,4 +1,4 @@
-"""The picture of a plan: forces and rates with their limits."""
+"""Figure of a plan: forces and rates with their limits."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,9 +16,7 @@ _UNITS = {
 
 
 def plot_plan(found: PlannedMotionReport, scenario: Scenario) -> Figure:
-    """Forces (above) and rates (below) by group, with their limits and the instant at which the
-    plan ends.
-    """
+    """Forces (above) and rates (below) by group, with their limits and the end of the plan."""
     figure = Figure(figsize=(12.0, 6.4), layout="constrained")
     least = (
         f", at least {found.least_by_torque:.2f} s by base torque alone"

@@ -1,6 +1,4 @@
-"""Matplotlib figures of one run, or of several runs overlaid. Each function returns a Figure;
-nothing is shown.
-"""
+"""Matplotlib figures of one run, or of several overlaid. Each function returns a Figure."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -51,8 +49,9 @@ def save_figures(records: Sequence[RunRecord], directory: Path) -> list[Path]:
 
 
 def plot_trajectories(record: RunRecord) -> Figure:
-    """The paper's Figure 3: end effector in task space, base attitude, base position, joints;
-    reference dashed.
+    """The paper's Figure 3: end effector in space, base attitude and position, joints.
+
+    The reference is dashed.
     """
     data = record.dataset
     figure = _figure(record, "Planned and tracked trajectories", (11.0, 8.0))
@@ -108,9 +107,8 @@ def plot_trajectories(record: RunRecord) -> Figure:
 def plot_errors(records: Sequence[RunRecord]) -> Figure:
     """Tracking error of every coordinate, runs overlaid (the paper's Figure 4).
 
-    Two panels each: the error itself, and below it the rms of the error over one second on a
-    logarithmic axis, where controllers whose errors differ by orders of magnitude, or hide in each
-    other's noise, can be told apart.
+    Two panels each: the error itself, and below it its rms over one second on a logarithmic axis,
+    which separates controllers whose errors differ by orders of magnitude or overlap in noise.
     """
     errors = [record.dataset["error"].values for record in records]
     units = {unit: f"error [{unit}]" for unit in EFFORT_UNITS}
@@ -125,7 +123,7 @@ def plot_efforts(records: Sequence[RunRecord]) -> Figure:
     chattering without the motion.
     """
     efforts = [record.dataset["generalized_force"].values for record in records]
-    # Without the first steps, in which the loop finds the force from nothing.
+    # Without the first steps, in which the loop builds up the force from zero.
     steps = [np.diff(effort, axis=0)[_STARTING_STEPS:] for effort in efforts]
     labels = {"rad": "torque [N m]", "m": "force [N]"}
     return _plot_coordinates(
@@ -134,9 +132,7 @@ def plot_efforts(records: Sequence[RunRecord]) -> Figure:
 
 
 def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
-    """K_s and G of every coordinate over time, a column for each run that adapts them; None where
-    none does.
-    """
+    """K_s and G of every coordinate over time, a column per adaptive run; None if there is none."""
     kinds = {"reaching_gain": "$K_s$ [1/s]", "switching_gain": "$G$ [rad/s$^2$, m/s$^2$]"}
     adaptive = [record for record in records if any(kind in record.dataset for kind in kinds)]
     if not adaptive:
@@ -189,8 +185,9 @@ def _plot_coordinates(
     *,
     lower_label: str = "rms",
 ) -> Figure:
-    """Of each coordinate every run's upper values (n, nv), and below them the rms of the lower ones
-    (its last rows).
+    """For each coordinate, the runs' upper values (n, nv), and below them the rms of lower ones.
+
+    Lower values may have fewer rows: those of the last samples.
     """
     coordinates, kinds = (
         records[0].dataset[name].values.astype(str) for name in ("coordinate", "unit")
@@ -209,7 +206,7 @@ def _plot_coordinates(
         else f"{plain(label)}, {record.outcome.status} at {record.outcome.time:.1f} s"
         for record, label in zip(records, labels_of(records), strict=True)
     ]
-    # The largest first, so that none covers a smaller one.
+    # Largest first, so that none covers a smaller one.
     order = np.argsort([-float(np.median(magnitude)) for magnitude in magnitudes], kind="stable")
     columns = 3
     rows = -(-(len(coordinates) + 1) // columns)
@@ -231,8 +228,7 @@ def _plot_coordinates(
         lower_axes = figure.add_subplot(cell[1], sharex=upper_axes)
         for i in order:
             time, magnitude = records[i].dataset["time"].values, magnitudes[i]
-            # Dashes would drown in the noise. As pixels, because a vector graphic of it would be
-            # megabytes.
+            # Dashes would not show in the noise. Rasterized: as vectors this would be megabytes.
             upper_axes.plot(
                 time,
                 upper[i][:, k],
@@ -283,7 +279,7 @@ def _figure(
     layout: Literal["constrained"] | None = "constrained",
 ) -> Figure:
     figure = Figure(figsize=size, layout=layout)
-    # Only where it finds the title itself does the constrained layout keep room for it.
+    # The constrained layout keeps room for the title only if it places it itself.
     place = {} if layout == "constrained" else {"y": 1.0 - 0.12 / size[1]}
     figure.suptitle(f"{title}\n", fontsize=13, fontweight="bold", **place)
     description = plain(record.scenario.description)

@@ -1,6 +1,4 @@
-"""The picture of a scenario's sampled-loop margins: the stability map, and what it rests on along
-the motion.
-"""
+"""Figure of a scenario's sampled-loop margins: stability map, and its inputs along the motion."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,14 +17,12 @@ from ffsm_drake.show.style import (
     label_of,
 )
 
-# seven joints can be told apart
+# seven distinguishable joints
 _DASHES = ("-", "--", ":", "-.", (0, (1, 1)), (0, (6, 2, 1, 2, 1, 2)), (0, (9, 3)))
 
 
 def plot_margins(margins: Margins) -> Figure:
-    """The stability map with the operating point and its expected path, and what it rests on along
-    the motion.
-    """
+    """The stability map with operating point and expected path, and its inputs along the motion."""
     rows = 1 if margins.axes is None else 2
     figure = Figure(figsize=(12.0, 0.5 + 4.0 * rows), layout="constrained")
     figure.suptitle(

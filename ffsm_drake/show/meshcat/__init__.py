@@ -1,4 +1,4 @@
-"""Meshcat: the stage, the page that plays a record back, and the live replay with its controls."""
+"""Meshcat: the stage, the recorded page, and the live replay with its controls."""
 
 from ffsm_drake.show.meshcat.live import LiveReplay, replay_live
 from ffsm_drake.show.meshcat.recording import recording_html, write_recording

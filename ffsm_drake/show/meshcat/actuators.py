@@ -1,4 +1,4 @@
-"""Thrusters and wheels on the base, and the plumes of what fires."""
+"""Thrusters and wheels on the base, and the plumes of firing thrusters."""
 
 from collections.abc import Mapping
 
@@ -9,7 +9,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, Thruster, Wheels, own_thrusters
 
-# Lengths as shares of the base's longest edge.
+# Lengths as fractions of the base's longest edge.
 _NOZZLE, _PLUME, _WHEEL = 0.05, 0.35, 0.06
 _NOZZLE_COLOR, _PLUME_COLOR = Rgba(0.55, 0.57, 0.62, 1.0), Rgba(1.0, 0.93, 0.65, 0.65)
 _WHEEL_COLOR = Rgba(0.55, 0.95, 0.75, 0.55)
@@ -61,7 +61,7 @@ def _draw_wheels(meshcat: Meshcat, base: str, wheels: Wheels, *, longest: float)
 
 
 class Plumes:
-    """A plume at each nozzle, seen in the pictures in whose time its thruster is open."""
+    """A plume at each nozzle, visible in frames during which its thruster is open."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class Plumes:
         """
         self._meshcat, self._open = meshcat, opened > 0.0
         self._paths = [f"{base}/plumes/{name}" for name in thrusters]
-        # What was shown last, apart in a recording, which has its own beginning.
+        # The plumes shown last; kept apart for a recording, which starts afresh.
         self._last: dict[bool, np.ndarray] = {}
         length = _PLUME * longest
         for path, unit in zip(self._paths, thrusters.values(), strict=True):
@@ -97,9 +97,7 @@ class Plumes:
         return cls(meshcat, base, units, record.dataset["thruster_open"].values, longest=longest)
 
     def show(self, first: int, count: int, *, time_in_recording: float | None = None) -> None:
-        """Show those that are open in any of ``count`` samples from ``first`` on; only what changes
-        is told.
-        """
+        """Show the plumes open in any of ``count`` samples from ``first`` on; send only changes."""
         now = np.atleast_1d(self._open[first : first + count].any(axis=0))
         last = self._last.get(time_in_recording is not None, ~now)
         for i in np.flatnonzero(now != last):

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _FOLDER = "forces"
-_NOTHING = 1e-6  # a scale of zero cannot be inverted, which the renderer does
+_MIN_SCALE = 1e-6  # smallest scale: the renderer inverts it, so not zero
 
 
 @dataclasses.dataclass(frozen=True)
 class ArrowKind:
-    """What one arrow shows."""
+    """The vector shown by an arrow."""
 
     label: str
     variable: str  # of the record's dataset
@@ -35,7 +35,7 @@ class ArrowKind:
 
     @property
     def path(self) -> str:
-        """Its place in Meshcat's tree."""
+        """Its path in Meshcat's tree."""
         return f"{_FOLDER}/{self.label}"
 
 
@@ -59,7 +59,7 @@ ARROW_KINDS = (
 
 
 class Arrow:
-    """One arrow in Meshcat that nothing hides."""
+    """An arrow in Meshcat that is drawn over everything else."""
 
     def __init__(
         self,
@@ -70,9 +70,7 @@ class Arrow:
         color: tuple[float, float, float],
         heads: int = 1,
     ) -> None:
-        """Add an arrow of no particular direction; ``size`` (m), the length of a long one, gives it
-        its thickness.
-        """
+        """Add an arrow, yet without direction; ``size``, m, is the length of a long one."""
         self._meshcat = meshcat
         self._path = path
         self._head = 0.12 * size
@@ -102,12 +100,10 @@ class Arrow:
         *,
         time_in_recording: float | None = None,
     ) -> None:
-        """Show it from its tail (3; world frame) along a unit vector (3); a length (m) of zero
-        hides it.
-        """
-        # A short arrow has a small head, so that it does not look longer than it is.
-        head = max(_NOTHING, min(1.0, length / (2.0 * self._head)))
-        shaft = max(_NOTHING, length - 0.5 * head * self._head)
+        """Show it from its tail (3; world) along a unit vector (3); a length (m) of 0 hides it."""
+        # A short arrow has a small head, or it would look too long.
+        head = max(_MIN_SCALE, min(1.0, length / (2.0 * self._head)))
+        shaft = max(_MIN_SCALE, length - 0.5 * head * self._head)
         pose = RigidTransform(RotationMatrix.MakeFromOneVector(direction, 2), tail)
         self._meshcat.SetTransform(self._path, pose, time_in_recording)
         self._meshcat.SetProperty(
@@ -120,14 +116,13 @@ class Arrow:
 
 
 class ForceArrows:
-    """The base's control force and torque and its disturbance in Meshcat, one arrow each
-    (``ARROW_KINDS``).
+    """Arrows for the base's control force and torque and its disturbance (``ARROW_KINDS``).
 
-    The run's largest control force is as long as the base's longest edge, and so is its largest
-    control torque. A disturbance has the scale of its control times a round ``magnification``,
-    because it may be far smaller. A torque's arrow has two heads and points along its axis. Each
-    starts where its line through the base's origin leaves the base (a torque's a little above), and
-    nothing hides it.
+    The arrow of the run's largest control force is as long as the base's longest edge, and so is
+    that of its largest control torque. A disturbance has the scale of its control times a round
+    ``magnification``, because it may be far smaller. A torque's arrow has two heads and points
+    along its axis. Each arrow starts where its line through the base's origin leaves the base (a
+    torque's a little above), and is drawn over everything else.
     """
 
     def __init__(
@@ -151,7 +146,7 @@ class ForceArrows:
         self._longest = 2.0 * float(self._box_half_width.max())
         self.magnifications: list[int] = []
         self._scales: list[float] = []  # m per N or N m
-        # force and torque, whose scales the disturbance's arrows share
+        # control force and torque; the disturbance's arrows share their scales
         control = self.peaks[:2] * 2
         for peak, largest in zip(self.peaks, control, strict=True):
             reference = largest or peak or 1.0
@@ -179,14 +174,12 @@ class ForceArrows:
             norm = float(np.linalg.norm(vector))
             direction = vector / norm if norm > 0.0 else np.array([0.0, 0.0, 1.0])
             tail = q[4:7] + self._distance_to_surface(rotation, direction) * direction
-            if kind.is_torque:  # a free vector: beside a force of the same direction
+            if kind.is_torque:  # a free vector, drawn beside a force of the same direction
                 tail[2] += 0.08 * self._longest
             arrow.show(tail, direction, scale * norm, time_in_recording=time_in_recording)
 
     def _distance_to_surface(self, rotation: RotationMatrix, direction: np.ndarray) -> float:
-        """From the base's origin along a world direction to the surface of the base's bounding box,
-        m.
-        """
+        """Distance from the base's origin to its bounding box along a world direction, m."""
         in_box = self._box_pose.rotation().inverse() @ (rotation.inverse() @ direction)
         origin = self._box_pose.inverse().translation()
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -195,9 +188,7 @@ class ForceArrows:
 
 
 def legend(arrows: ForceArrows) -> list[str]:
-    """One line per arrow: its colour, what it shows, how much it is magnified, and the run's
-    peak.
-    """
+    """One line per arrow: colour, vector, magnification, and the run's peak."""
     times = [f" x {factor}" if factor > 1 else "" for factor in arrows.magnifications]
     return [
         f"{kind.color_name}: {kind.label}{factor}, peak {peak:.3g} {kind.unit}"
@@ -206,16 +197,12 @@ def legend(arrows: ForceArrows) -> list[str]:
 
 
 def _finite_rows(vectors: np.ndarray) -> np.ndarray:
-    """A copy with zero vectors for those (rows) whose length is not finite: a diverged run's last
-    force may be so.
-    """
+    """A copy with zeros for rows of non-finite length, such as a diverged run's last force."""
     with np.errstate(over="ignore", invalid="ignore"):
         return np.where(np.isfinite(np.linalg.norm(vectors, axis=1, keepdims=True)), vectors, 0.0)
 
 
 def magnification(ratio: float) -> int:
-    """The largest of 1, 2, 5, 10, ... 1000 that leaves a ratio to the longest that is drawn below
-    one.
-    """
+    """The largest of 1, 2, 5, 10, ... 1000 whose product with a length ratio stays below one."""
     allowed = [step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if step * ratio <= 1.0]
     return allowed[-1] if allowed and ratio > 0.0 else 1

@@ -1,6 +1,4 @@
-"""Buttons and sliders of a Meshcat page, what the operator did with them, and a lock before
-them.
-"""
+"""Buttons and sliders of a Meshcat page, their state, and a lock for them."""
 
 import secrets
 from collections.abc import Callable
@@ -9,16 +7,12 @@ from pydrake.geometry import Meshcat
 
 
 def label_text(text: str) -> str:
-    """Any text, as a label may hold it: Meshcat pastes labels into a script, between single
-    quotes.
-    """
+    """Text made safe for a label: Meshcat pastes labels into a script, between single quotes."""
     return " ".join(text.replace("\\", "/").replace("'", "\N{RIGHT SINGLE QUOTATION MARK}").split())
 
 
 class Controls:
-    """The controls that one user of a Meshcat page has added to it; ``remove`` takes them away
-    again.
-    """
+    """A set of controls on a Meshcat page; ``remove`` removes them all."""
 
     def __init__(self, meshcat: Meshcat) -> None:
         self._meshcat = meshcat
@@ -27,7 +21,7 @@ class Controls:
 
     def add_button(self, label: str, *, keycode: str = "") -> None:
         """Add a button; ``keycode`` is a JavaScript key code that clicks it."""
-        self._clicks[label] = 0  # first, so that an interrupt between the two leaves nothing behind
+        self._clicks[label] = 0  # first, for ``remove`` after an interrupt between the two
         self._meshcat.AddButton(label, keycode)
 
     def add_slider(self, label: str, *, low: float, high: float, step: float, value: float) -> None:
@@ -35,14 +29,14 @@ class Controls:
         self._values[label] = self._meshcat.AddSlider(label, low, high, step, value)
 
     def clicked(self, label: str) -> bool:
-        """Whether the button was clicked since this was last asked."""
+        """True if the button was clicked since the last call."""
         clicks = self._meshcat.GetButtonClicks(label)
         news = clicks != self._clicks[label]
         self._clicks[label] = clicks
         return news
 
     def all_clicked(self) -> set[str]:
-        """The buttons that were clicked since this was last asked."""
+        """The buttons clicked since the last call."""
         return {label for label in self._clicks if self.clicked(label)}
 
     def value(self, label: str) -> float:
@@ -50,23 +44,23 @@ class Controls:
         return float(self._meshcat.GetSliderValue(label))
 
     def moved(self, label: str) -> bool:
-        """Whether the operator moved the slider since this was last asked."""
+        """True if the operator moved the slider since the last call."""
         value = self.value(label)
         news = value != self._values[label]
         self._values[label] = value
         return news
 
     def set_value(self, label: str, value: float) -> None:
-        """Move the slider from here: ``moved`` does not report it."""
+        """Move the slider by program: ``moved`` does not report it."""
         self._values[label] = self._meshcat.SetSliderValue(label, value)
 
     def remove_button(self, label: str) -> None:
-        """Take one button away if it is there."""
+        """Remove a button, if it exists."""
         self._meshcat.DeleteButton(label, strict=False)
         self._clicks.pop(label, None)
 
     def remove(self) -> None:
-        """Take all controls away."""
+        """Remove all controls."""
         for label in [*self._clicks]:
             self.remove_button(label)
         for label in self._values:
@@ -75,33 +69,30 @@ class Controls:
 
 
 CODE, UNLOCK = "code", "Unlock the controls"
-_DIGITS = 5  # all that the panel shows of a number
+_DIGITS = 5  # digits of a number that the panel can show
 _TRIES = 3
 
 
 class CodeLock:
-    """A lock before the controls of a page, open once the code that ``tell`` was given is dialled
-    in on it.
+    """A lock for a page's controls; it opens when the code passed to ``tell`` is entered there.
 
-    Whatever page reaches the server may send what it likes to it, and sees what is dialled: Drake's
-    server looks at no origin. So a code serves once, and only while a single page is connected; as
-    soon as another comes, or that one goes, the lock closes with a new code. After three wrong
-    codes it stays closed.
+    Drake's server does not check origins: any page that reaches it can send commands and sees the
+    code being entered. So a code works once, and only while a single page is connected; when
+    another joins or that one leaves, the lock closes with a new code. After three wrong codes it
+    stays closed.
     """
 
     def __init__(self, meshcat: Meshcat, tell: Callable[[str], None]) -> None:
-        """Args: where the controls are; what to call with each line for the person at the
-        terminal.
-        """
+        """Args: the page's Meshcat; a function called with each line for the terminal."""
         self._meshcat, self._tell = meshcat, tell
         self._controls = Controls(meshcat)
         self._tries = _TRIES
-        self._pages = 0  # connected when it was opened
+        self._pages = 0  # number of pages when it was opened
         self.is_open = False
         self._close("")
 
     def check(self) -> bool:
-        """Look at the page; whether the lock is open now."""
+        """Poll the page; True if the lock is open now."""
         pages = self._meshcat.GetNumActiveConnections()
         if self.is_open:
             if pages != self._pages:
@@ -120,7 +111,7 @@ class CodeLock:
         return self.is_open
 
     def remove(self) -> None:
-        """Take the lock's own controls away."""
+        """Remove the lock's own controls."""
         self._controls.remove()
 
     def _close(self, why: str) -> None:

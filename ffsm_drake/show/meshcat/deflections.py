@@ -1,6 +1,4 @@
-"""Hidden coordinates of a record as they are shown: panels bend by milliradians, which nobody
-sees.
-"""
+"""Magnified hidden coordinates of a record: panels bend by invisible milliradians."""
 
 import math
 from typing import TYPE_CHECKING
@@ -17,22 +15,22 @@ from ffsm_drake.spacecraft.plant import find_frame
 if TYPE_CHECKING:
     import xarray as xr
 
-_LARGEST = {"rad": math.radians(10.0), "m": 0.3}  # of a part that is drawn larger
+_LARGEST = {"rad": math.radians(10.0), "m": 0.3}  # largest drawn deflection of a magnified part
 _PLURAL = {"mass": "masses"}
 
 
 class Deflections:
-    """The hidden coordinates of a record, drawn larger by a round factor for each kind of part.
+    """The hidden coordinates of a record, magnified by a round factor for each kind of part.
 
-    The factor leaves the part that bends most below 10 degrees (a chain's plates together) or 0.3
-    m. What the end effector hangs on is drawn as it is, so that the arm still meets its path.
+    The largest deflection stays below 10 degrees (a chain's plates together) or 0.3 m. Parts that
+    carry the end effector are not magnified, so that the arm still meets its path.
     """
 
     def __init__(
         self, dataset: "xr.Dataset", model: Model, plant: MultibodyPlant, hidden: HiddenCoordinates
     ) -> None:
-        """Args: of a run; its model, and the plant and its hidden coordinates that show it."""
-        self.factors: dict[str, int] = {}  # by kind; those beyond 1
+        """Args: a run's dataset; its model, and the plant shown with its hidden coordinates."""
+        self.factors: dict[str, int] = {}  # by kind; those above 1
         self._shown = np.zeros((dataset.sizes["time"], len(hidden.names)))
         if not hidden.names:
             return
@@ -57,13 +55,13 @@ class Deflections:
                 self.factors[kind] = factor
 
     def at(self, sample: int) -> np.ndarray:
-        """What is shown of a sample of the record."""
+        """The magnified hidden coordinates of a sample."""
         shown: np.ndarray = self._shown[sample]
         return shown
 
     @property
     def legend(self) -> str:
-        """By how much they are drawn larger; empty where they are as they were."""
+        """The magnifications as text; empty if there are none."""
         factors = [
             f"{_PLURAL.get(kind, f'{kind}s')} x {factor}" for kind, factor in self.factors.items()
         ]

@@ -1,6 +1,4 @@
-"""Where a spacecraft goes that nothing drives: the outline of its base at the start, and the way of
-a frame.
-"""
+"""Drift of an undriven base: its outline at the start, and the path of a frame."""
 
 import itertools
 
@@ -19,9 +17,7 @@ START_LEGEND = "red outline: the base at the start; red line: the path of its or
 
 
 def draw_drift(meshcat: Meshcat, spacecraft: SpacecraftView, positions: np.ndarray) -> None:
-    """The edges of the box around the base in the first configuration, and the base's path through
-    all (n, nq).
-    """
+    """Draw the box around the base at the start, and the base's path through positions (n, nq)."""
     X_BG, half_width = base_bounding_box(spacecraft.plant, spacecraft.scene_graph.model_inspector())
     first = positions[0, :NUM_BASE_POSITIONS]
     X_WG = RigidTransform(Quaternion(first[:4] / np.linalg.norm(first[:4])), first[4:]) @ X_BG
@@ -37,7 +33,7 @@ def draw_drift(meshcat: Meshcat, spacecraft: SpacecraftView, positions: np.ndarr
     meshcat.SetLine(
         "drift/path", np.asfortranarray(positions[:, 4:NUM_BASE_POSITIONS].T), 4.0, _START_COLOR
     )
-    for path in ("drift/start", "drift/path"):  # the base itself would hide them
+    for path in ("drift/start", "drift/path"):  # else the base would hide them
         meshcat.SetProperty(f"{path}/<object>", "material.depthTest", False)
         meshcat.SetProperty(f"{path}/<object>", "renderOrder", 1.0)
 
@@ -45,9 +41,7 @@ def draw_drift(meshcat: Meshcat, spacecraft: SpacecraftView, positions: np.ndarr
 def draw_frame_path(
     meshcat: Meshcat, spacecraft: SpacecraftView, scenario: Scenario, positions: np.ndarray
 ) -> str:
-    """The path of the frame whose pose is prescribed through configurations (n, nq); returns its
-    legend.
-    """
+    """Draw the prescribed frame's path through configurations (n, nq); returns its legend."""
     frame = goal_frame(scenario, spacecraft.plant)
     path = np.empty((3, len(positions)), order="F")
     for i, q in enumerate(positions):

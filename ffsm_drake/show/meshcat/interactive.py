@@ -1,10 +1,9 @@
-"""A simulation to watch, or with an operator: a control panel in Meshcat, and records that say what
-the operator did.
+"""A live simulation, to watch or with an operator's panel in Meshcat, whose use is recorded.
 
-The panel is there once a code is dialled in (see ``CodeLock``). Two kinds of control are on the
-page. Those that say "now" act on the current run from the next control sample on: the scale of the
-disturbance and pushes on the payload. Those that say "next run" shape the scenario of the runs that
-start after it: the controller, by the start button that was clicked, and the payload's true mass.
+The panel appears once a code is entered (see ``CodeLock``). Controls marked "now" act on the
+current run from the next control sample on: the scale of the disturbance, and pushes on the
+payload. Those marked "next run" change the scenario of the runs that start later: the controller,
+by the start button clicked, and the payload's true mass.
 (A body cannot change its mass during a run without its momentum jumping, so a new mass needs a new
 run; the record's scenario then holds it.)
 """
@@ -34,19 +33,19 @@ from ffsm_drake.spacecraft.plant import configuration, find_body
 from ffsm_drake.systems.controllers import complete_gains, controller_names
 from ffsm_drake.systems.setup import BlockSetup
 
-OPERATOR_ATTRIBUTE = "operator"  # of a record's dataset: what the operator did, in words
+OPERATOR_ATTRIBUTE = "operator"  # attribute of a record's dataset: the operator's actions in words
 
 PAUSE, QUIT = "Pause / resume (space)", "Quit (Esc)"
 TIME, RATE = "time [s]", "x real time"
 DISTURBANCE, IMPULSE, MASS = "now: disturb. x", "now: push [N s]", "next: mass [kg]"
-_MASS_STEP = 0.05  # of the scenario's true mass
+_MASS_STEP = 0.05  # fraction of the scenario's true mass
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}  # world frame
 _PUSH_DURATION = 0.1  # s, rounded to whole control samples
-_PUSH_SHOWN = 1.0  # s (simulated) for which its arrow is seen
+_PUSH_SHOWN = 1.0  # s (simulated) for which its arrow is visible
 _PUSH_COLOR = (1.0, 0.9, 0.2)
-_PATIENCE = 10.0  # s, for a browser to open the page
-_LONGEST_WAIT = 0.04  # s, between two looks at the page
-_LARGEST_DEBT = 0.1  # s by which the simulation may lag behind before it stops trying to catch up
+_PATIENCE = 10.0  # s, until a browser opens the page
+_LONGEST_WAIT = 0.04  # s, between two polls of the page
+_LARGEST_DEBT = 0.1  # s of lag up to which the simulation tries to catch up
 
 
 def start_button(controller: str) -> str:
@@ -66,10 +65,9 @@ def watch(
     open_browser: bool = False,
     wait: Callable[[float], None] = time.sleep,
 ) -> RunRecord:
-    """Run a scenario once, at real time or its own ``target_realtime_rate``, for pages that can
-    only look.
+    """Run a scenario once, at real time or its ``target_realtime_rate``, to watch without controls.
 
-    Arguments and errors as ``run_interactive``; with ``open_browser`` it waits some seconds for the
+    Arguments and errors as ``run_interactive``; with ``open_browser`` it waits up to 10 s for the
     page to open. Returns: the record of ``simulate``.
     """
     meshcat = start_meshcat() if meshcat is None else meshcat
@@ -105,22 +103,21 @@ def run_interactive(
     pressed.
 
     A run that is restarted, quit or interrupted from the keyboard leaves a record up to then, with
-    the status "interrupted". The record's scenario has the run's controller and payload, its
-    ``disturbance_force`` is what acted on the plant (scaled disturbance and pushes, as generalized
-    forces), and if the operator did anything, the dataset's attribute ``operator`` says what and
-    the outcome's message that. A run without intervention gives the record of ``simulate``. The
-    metric ``momentum_residual`` takes the disturbance to be smooth, which a push is not.
+    the status "interrupted". The record's scenario has the run's controller and payload; its
+    ``disturbance_force`` is the generalized force on the plant (scaled disturbance and pushes). The
+    operator's actions, if any, are in the dataset's attribute ``operator`` and noted in the
+    outcome's message. A run without intervention gives the record of ``simulate``. The metric
+    ``momentum_residual`` assumes a smooth disturbance, which a push is not.
 
     Args:
-      scenario: what to run; its own pace (``target_realtime_rate``) is replaced by the page's
-        slider.
-      meshcat: where to show it; by default a server of its own, at an address that Drake prints and
-        no other page can know.
+      scenario: the scenario; the page's slider replaces its ``target_realtime_rate``.
+      meshcat: server to show it on; by default a new one, at an address that Drake prints and other
+        pages cannot guess.
       open_browser: open the page in the default browser.
       check_stability: as in ``simulate``, before each run.
       keep: called with each record as soon as its run has ended, to save it.
-      tell: called with each line for the person at the terminal, the code that unlocks the panel
-        among them; by default it goes to standard error.
+      tell: called with each line for the person at the terminal, such as the code that unlocks the
+        panel; default: print to standard error.
       wait: called to let wall time pass, with seconds.
 
     Returns: the records of all runs in their order.
@@ -137,7 +134,7 @@ def run_interactive(
         while (run_scenario := operator.next_scenario()) is not None:
             try:
                 records.append(operator.run(run_scenario, check_stability=check_stability))
-            except FfsmError as error:  # of a controller whose gains the scenario lacks, say
+            except FfsmError as error:  # such as missing gains of the controller
                 operator.show_status(one_line(error))
                 continue
             if keep is not None:
@@ -155,7 +152,7 @@ def run_interactive(
 @dataclasses.dataclass
 class _Push:
     force: np.ndarray  # N, world frame
-    samples: int  # for which it still acts
+    samples: int  # samples left for which it acts
 
 
 class _Operator:
@@ -176,9 +173,9 @@ class _Operator:
         self._wait = wait
         self._quit = False
         self._paused = False
-        # Controller whose start button was clicked; without an operator the run starts by itself.
+        # Controller whose start button was clicked; without an operator the run starts at once.
         self._requested = "" if tell is not None else scenario.controller
-        self._pushed: set[str] = set()  # axes along which a push was asked for
+        self._pushed: set[str] = set()  # axes of requested pushes
         self._pushes: list[_Push] = []
         self._scale = 1.0
         self._events: list[str] = []
@@ -202,10 +199,10 @@ class _Operator:
             IMPULSE: 5.0,
             MASS: scenario.payload.truth.mass,
         }
-        self._controls: Controls | None = None  # while they are locked
+        self._controls: Controls | None = None  # None while locked
         self._panel, self._status = Controls(meshcat), ""
-        self._lock = None if tell is None else CodeLock(meshcat, tell)  # None: nobody operates
-        self.show_status("starting" if tell is None else "locked: dial the terminal's code in")
+        self._lock = None if tell is None else CodeLock(meshcat, tell)  # None: no operator
+        self.show_status("starting" if tell is None else "locked: enter the terminal's code")
 
     def _add_controls(self) -> Controls:
         controls, values = Controls(self.meshcat), self._values
@@ -244,7 +241,7 @@ class _Operator:
         self._panel.add_button(label)
 
     def next_scenario(self) -> Scenario | None:
-        """Wait for a start button and return what it asks for; None once Quit was clicked."""
+        """Wait for a start button and return its scenario; None once Quit was clicked."""
         with interruptible():
             while not (self._quit or self._requested):
                 self._wait(_LONGEST_WAIT)
@@ -254,7 +251,7 @@ class _Operator:
         scenario, controller, mass = self._scenario, self._requested, self._values[MASS]
         self._requested, self.stopped_run, self._paused = "", False, False
         self._pushes, self._events, self._scale, self._arrow_until = [], [], 1.0, 0.0
-        self._pushed.clear()  # before the run: pushes nothing
+        self._pushed.clear()  # clicks before the run do not push
         if controller != scenario.controller:
             self._events.append(f"controller {controller} (scenario: {scenario.controller})")
             scenario = dataclasses.replace(scenario, controller=controller)
@@ -270,7 +267,7 @@ class _Operator:
                 scenario, payload=dataclasses.replace(scenario.payload, truth=truth)
             )
         self._run_scenario = scenario
-        # The page's slider paces the run; Drake's pacing would race to make up for every pause.
+        # The page's slider paces the run; Drake's own pacing would catch up after every pause.
         config = copy.deepcopy(scenario.simulator_config)
         config.target_realtime_rate = 0.0
         self._due = time.perf_counter()
@@ -278,14 +275,14 @@ class _Operator:
         return dataclasses.replace(scenario, simulator_config=config)
 
     def _make_disturbance(self, setup: BlockSetup) -> Diagram:
-        """The disturbance of the next run, which the operator changes."""
+        """The disturbance of the next run, under the operator's control."""
         self._note_scale("from the start")
         return make_operated_disturbance(
             setup, initial=np.array([self._scale, 0.0, 0.0, 0.0]), poll=self._poll
         )
 
     def run(self, scenario: Scenario, *, check_stability: bool = True) -> RunRecord:
-        """The record of what ``next_scenario`` gave, with what the operator did written into it."""
+        """Run the result of ``next_scenario``; the record lists the operator's actions."""
         hands = {"forces.disturbance": self._make_disturbance}
         record = simulate(scenario, check_stability=check_stability, blocks=hands)
         record = dataclasses.replace(record, scenario=complete_gains(self._run_scenario))
@@ -300,11 +297,10 @@ class _Operator:
         )
 
     def _poll(self, now: float, q: np.ndarray) -> np.ndarray:
-        """Read the page, wait for real time, and return what acts from the next sample on: [scale,
-        F] (4).
+        """Read the page, wait for real time, and return [scale, F] (4) from the next sample on.
 
         Raises:
-          KeyboardInterrupt: the run shall end.
+          KeyboardInterrupt: the run must end.
         """
         self._pace()
         self._draw(now, q)
@@ -316,7 +312,7 @@ class _Operator:
             self._due = time.perf_counter()
         period = self._scenario.sample_time
         force = np.zeros(3)
-        # otherwise it would act after the run
+        # else it would act after the run
         if now + 1.5 * period < self._scenario.num_control_periods * period:
             self._note_scale(f"from t = {now + period:.2f} s")
             self._read_pushes(now + period)
@@ -327,7 +323,7 @@ class _Operator:
         return np.array([self._scale, *force])
 
     def _pace(self) -> None:
-        """Wait until the present sample is due; the page is looked at often enough meanwhile."""
+        """Wait until the present sample is due, polling the page meanwhile."""
         now = time.perf_counter()
         period = self._scenario.sample_time / self._values[RATE]
         self._due = max(min(self._due, now) + period, now - _LARGEST_DEBT)
@@ -346,7 +342,7 @@ class _Operator:
             raise KeyboardInterrupt
 
     def _read_page(self) -> None:
-        """What the page asks for, unless it is locked."""
+        """Read the page's requests, unless it is locked."""
         if not self._is_unlocked():
             return
         if self._controls is None:
@@ -359,7 +355,7 @@ class _Operator:
             for label in self._values
             if self._controls.moved(label)
         }
-        if not self._is_unlocked():  # what was read may be that of a page that has just come
+        if not self._is_unlocked():  # the request may come from a page that has just joined
             return
         for name in self._controllers:
             if start_button(name) in clicked:
@@ -371,7 +367,7 @@ class _Operator:
         self._values |= moved
 
     def _is_unlocked(self) -> bool:
-        """Whether the page may command; if not, its controls go."""
+        """True if the page is unlocked; otherwise its controls are removed."""
         if self._lock is not None and self._lock.check():
             return True
         if self._controls is not None:
@@ -413,7 +409,7 @@ class _Operator:
         self.show_status(f"{what}: {self._run_scenario.controller}, {mass:g} kg")
 
     def _show(self, now: float, q: np.ndarray) -> None:
-        """The spacecraft, and for a while after a push an arrow whose tip is where it acts."""
+        """Show the spacecraft and, for a while after a push, an arrow that ends where it acts."""
         self._view.show(q)
         length = self._view.longest if now < self._arrow_until else 0.0
         tip = self._view.position_of(

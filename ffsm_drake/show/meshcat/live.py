@@ -1,6 +1,4 @@
-"""Live replay of a record in Meshcat, with time slider, play button, speed slider and quit
-button.
-"""
+"""Live replay of a record in Meshcat, with time slider, play, speed slider and quit."""
 
 import time
 import webbrowser
@@ -20,10 +18,10 @@ SLOWEST, FASTEST = 0.1, 10.0
 
 
 class LiveReplay:
-    """A record in Meshcat, moved on by ``step``.
+    """A record in Meshcat, advanced by ``step``.
 
-    Moving the time slider pauses and shows that instant. At the end the replay pauses; playing on
-    starts it over. With ``forces``, one button per arrow names its colour and hides or shows it.
+    Moving the time slider pauses and shows that instant. At the end the replay pauses; playing
+    again restarts it. With ``forces``, one button per arrow names its colour and toggles it.
     """
 
     def __init__(
@@ -59,9 +57,7 @@ class LiveReplay:
         self.playing = True
 
     def step(self, wall_dt: float) -> bool:
-        """Obey the controls and show what ``wall_dt`` (s) of wall time later is due; False once
-        Quit was clicked.
-        """
+        """Apply the controls and advance by ``wall_dt`` (s); False once Quit was clicked."""
         if self._controls.clicked(QUIT):
             return False
         for i, label in enumerate(self._arrow_buttons):
@@ -84,7 +80,7 @@ class LiveReplay:
         return True
 
     def close(self) -> None:
-        """Take the controls away; the scene stays."""
+        """Remove the controls; the scene stays."""
         self._controls.remove()
 
 
@@ -103,12 +99,12 @@ def replay_live(
     Args:
       record: the run.
       speed, ghost, path, forces: as in ``recording_html``; a slider changes the speed.
-      meshcat: where to show it; by default a server of its own, whose address Drake prints.
+      meshcat: server to show it on; by default a new one, whose address Drake prints.
       open_browser: open the page in the default browser.
 
     Raises:
       FfsmError: the speed is not positive.
-      ModelError: the scenario's model does not load any more.
+      ModelError: the scenario's model no longer loads.
     """
     replay = LiveReplay(record, speed=speed, ghost=ghost, path=path, forces=forces, meshcat=meshcat)
     if open_browser:
@@ -120,6 +116,6 @@ def replay_live(
                 last = now
                 time.sleep(1.0 / FRAMES_PER_SECOND)
     except KeyboardInterrupt:
-        pass  # the other way to quit
+        pass  # Ctrl-C, another way to quit
     finally:
         replay.close()

@@ -1,4 +1,4 @@
-"""The self-contained page that plays a record back."""
+"""A self-contained page that plays back a record."""
 
 import html
 import math
@@ -11,8 +11,8 @@ from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.replay_view import FRAMES_PER_SECOND, ReplayView, check_speed
 from ffsm_drake.show.meshcat.stage import quiet_drake, start_meshcat
 
-# ``viewer`` is a global name of Drake's page. Alone the page plays at once; within another it shows
-# its first frame.
+# ``viewer`` is a global name of Drake's page. The page plays at once, but embedded in another it
+# shows its first frame.
 _CAPTION = """<style>
 #caption {{ position: fixed; left: 12px; bottom: 12px; padding: 8px 12px;
   border-radius: 6px; pointer-events: none;
@@ -52,24 +52,24 @@ def recording_html(
     path: bool = True,
     forces: bool = False,
 ) -> str:
-    """A self-contained HTML page that plays a run back: no simulation, only the record.
+    """A self-contained HTML page that plays back a record, without simulation.
 
     Args:
       record: the run.
-      speed: of the playback; 2 shows a run of 20 s in 10 s.
+      speed: multiple of real time; 2 shows a run of 20 s in 10 s.
       ghost: show the target posture as a translucent ghost.
       path: show the end effector's path.
-      forces: show the base's control force and torque and the disturbance on it as arrows; a
-        caption names them.
+      forces: show control force and torque on the base, and the disturbance, as arrows; a caption
+        names them.
 
     Raises:
       FfsmError: the speed is not positive.
-      ModelError: the scenario's model does not load any more.
+      ModelError: the scenario's model no longer loads.
     """
     check_speed(speed)
     # Slow motion has no more frames than the record has samples; the page interpolates.
     frames_per_second = min(FRAMES_PER_SECOND, speed / record.scenario.sample_time)
-    with quiet_drake():  # the server is only a means to the page; nobody should open its address
+    with quiet_drake():  # the server only makes the page; its address is of no use
         meshcat = start_meshcat()
     view = ReplayView(
         meshcat,
@@ -101,14 +101,15 @@ def write_recording(
     path: bool = True,
     forces: bool = False,
 ) -> None:
-    """Write the page of ``recording_html`` (same arguments and errors). Raises RecordError where
-    that fails.
+    """Write the page of ``recording_html``, with its arguments and errors.
+
+    Raises RecordError if the file cannot be written.
     """
     write_text(file, recording_html(record, speed=speed, ghost=ghost, path=path, forces=forces))
 
 
 def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: float) -> str:
-    """The page with a title and a caption: which run, how fast, what the arrows mean."""
+    """The page with a title and a caption: run, speed, meaning of the arrows."""
     title = record.scenario.description or "Run"
     lines = [
         f"<b>{html.escape(title)}</b>",

@@ -1,6 +1,4 @@
-"""A record on Meshcat's stage, one sample at a time: what the recorded page and the live replay
-share.
-"""
+"""A record on Meshcat's stage, one sample at a time, for the recorded page and the live replay."""
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -21,22 +19,18 @@ _PATH_VERTICES = 400
 
 
 class ReplayView:
-    """Stage, spacecraft with plumes and, if wanted, ghost of the target posture, end effector's
-    path, force arrows.
-    """
+    """Stage and spacecraft; plumes, ghost of the target posture, end effector's path, arrows."""
 
     def __init__(
         self, meshcat: Meshcat, record: RunRecord, *, ghost: bool, path: bool, forces: bool,
         frames_per_second: float = FRAMES_PER_SECOND, speed: float = 1.0,
     ) -> None:  # fmt: skip
-        """Set the scene and show the first sample. Raises ModelError where the model does not load
-        any more.
+        """Set the scene and show the first sample. Raises ModelError if the model no longer loads.
 
-        A picture stands for ``speed / frames_per_second`` s of the run: so short pulses are seen,
-        too.
+        A frame covers ``speed / frames_per_second`` s of the run, so that short pulses show.
         """
         dataset = record.dataset
-        # A run that diverged may end in numbers that no picture can show.
+        # A diverged run may end in numbers too large to draw.
         shown = [
             dataset[name].values for name in ("position", "hidden_position") if name in dataset
         ]
@@ -45,7 +39,7 @@ class ReplayView:
         dataset = dataset.isel(time=slice(count))
         self.times = dataset["time"].values
         self._positions = dataset["position"].values
-        # Before a grasp the target is a body of its own.
+        # Before a grasp the target is a separate body.
         self._target: np.ndarray | None = None
         if "phase" in dataset.coords:
             free = dataset.isel(time=dataset["phase"].values.astype(str) == "approach")
@@ -64,7 +58,7 @@ class ReplayView:
             every = max(1, count // _PATH_VERTICES)
             vertices = dataset["end_effector_position"].values[::every]
             meshcat.SetLine("end_effector_path", vertices.T, 4.0, _PATH_COLOR)
-        self.legend: list[str] = []  # what lines mean, beside the end effector's path
+        self.legend: list[str] = []  # meaning of lines other than the end effector's path
         few = self._positions[:: max(1, count // _PATH_VERTICES)]
         if path and record.scenario.undriven and count > 1:
             draw_drift(meshcat, self.spacecraft, few)
@@ -104,6 +98,6 @@ class ReplayView:
 
 
 def check_speed(speed: float) -> None:
-    """Raise FfsmError unless a playback speed can be used."""
+    """Raise FfsmError unless a playback speed is positive."""
     if not (np.isfinite(speed) and speed > 0.0):
         raise FfsmError(f"speed: must be > 0, not {speed:g}")

@@ -39,19 +39,22 @@ from ffsm_drake.spacecraft.plant import (
 )
 from ffsm_drake.systems.reference import make_motion
 
-# unit vector from what the camera looks at to the camera
+# unit vector from the camera's target to the camera
 _VIEW = np.array([0.5843, -0.7176, 0.3793])
-# Meshcat shows 37.5 degrees up and down; some of it stays free
+# Meshcat's vertical half angle is 37.5 degrees; this leaves a margin
 _TANGENT = 0.85 * math.tan(math.radians(37.5))
 _HIDDEN_TRIES = 4
-_TO_TARGET = ("quintic", "target_posture")  # kind and goal of a reference that ends there
-_WITHIN = ("mass", "pendulum")  # flexible parts within what carries them
+_TO_TARGET = (
+    "quintic",
+    "target_posture",
+)  # kind and goal of a motion to the target posture
+_WITHIN = ("mass", "pendulum")  # flexible parts inside their carrying bodies
 _GHOST_COLOR = Rgba(0.45, 0.85, 1.0, 0.10)
 
 
 @contextmanager
 def quiet_drake() -> Iterator[None]:
-    """Hold back Drake's log messages below errors."""
+    """Suppress Drake's log messages below errors."""
     logger = logging.getLogger("drake")
     level = logger.level
     logger.setLevel(logging.ERROR)
@@ -62,13 +65,12 @@ def quiet_drake() -> Iterator[None]:
 
 
 def start_meshcat(*, hidden: bool = False) -> Meshcat:
-    """A Meshcat server for this machine only: 127.0.0.1, with a port from 7000 on. Raises FfsmError
-    when none is free.
+    """A Meshcat server for this machine only: 127.0.0.1, with a port from 7000 on.
 
-    Drake's server answers every page of this machine's browsers, of whatever origin, and takes
-    their messages. One with controls is ``hidden``: it listens at a random one of the machine's own
-    2^24 addresses, 127.x.y.z, and a random port, which other pages cannot know; where the system
-    has 127.0.0.1 only, there.
+    Drake's server accepts messages from every page of this machine's browsers, whatever its
+    origin. One with controls is ``hidden``: it listens on a random loopback address, 127.x.y.z (if
+    the system has more than 127.0.0.1), and a random port, which other pages cannot guess. Raises
+    FfsmError if no port is free.
     """
     params = MeshcatParams()
     params.show_stats_plot = False
@@ -87,9 +89,7 @@ def start_meshcat(*, hidden: bool = False) -> Meshcat:
 
 
 def set_stage(meshcat: Meshcat, scenario: Scenario, *, ghost: bool = True) -> None:
-    """A dark background, a camera on the servicer, and the translucent ghost of the target
-    posture.
-    """
+    """Set a dark background, the camera and the translucent ghost of the target posture."""
     meshcat.SetProperty("/Background/<object>", "top_color", [0.02, 0.03, 0.08])
     meshcat.SetProperty("/Background/<object>", "bottom_color", [0.07, 0.09, 0.16])
     meshcat.SetProperty("/Grid", "visible", False)
@@ -115,7 +115,7 @@ def _show_target_posture(
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
         properties = IllustrationProperties(inspector.GetIllustrationProperties(geometry))
         properties.UpdateProperty("phong", "diffuse", _GHOST_COLOR)
-        with quiet_drake():  # warns that a visualizer might have started before; none has
+        with quiet_drake():  # warns that a visualizer may be running; none is
             scene_graph.AssignRole(plant.get_source_id(), geometry, properties, RoleAssign.kReplace)
     params = MeshcatVisualizerParams()
     params.prefix = "target_posture"
@@ -128,9 +128,7 @@ def _show_target_posture(
 
 
 def _last_configuration(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
-    """Where the motion ends (nq): other than a polynomial to the target posture of all coordinates
-    it is elsewhere.
-    """
+    """Final configuration (nq) of the motion, which need not be the target posture."""
     reference = scenario.reference
     elsewhere = (
         (reference.kind, reference.goal) != _TO_TARGET
@@ -138,7 +136,7 @@ def _last_configuration(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray
         or scenario.undriven
     )
     if scenario.blocks.reference is None and elsewhere:
-        with suppress(FfsmError):  # a plan's file that is not there any more
+        with suppress(FfsmError):  # a plan's file may be gone
             motion = make_motion(scenario, coordinates_of(plant))
             return motion.evaluate(motion.end)[0]
     return configuration(plant, scenario.target_posture, key="target_posture")
@@ -147,10 +145,10 @@ def _last_configuration(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray
 def camera_pose(
     plant: MultibodyPlant, scenario: Scenario, inspector: SceneGraphInspector
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the camera stands and the point that it looks at (3 each), world frame, m.
+    """Positions of the camera and of its target point (3 each), world frame, m.
 
-    It looks at the middle of what is seen of the spacecraft where it starts and ends, from as far
-    as it takes to see all.
+    It looks at the middle of the visible spacecraft at the start and the end, from a distance that
+    shows all.
     """
     context = plant.CreateDefaultContext()
     points = []
@@ -162,7 +160,7 @@ def camera_pose(
             else configuration(plant, posture, key=name)
         )
         plant.SetPositions(context, hidden_of(plant).whole_positions(q))
-        # no world
+        # not the world
         points += [
             _outline(plant, context, inspector, BodyIndex(k)) for k in range(1, plant.num_bodies())
         ]
@@ -177,9 +175,7 @@ def camera_pose(
 def base_bounding_box(
     plant: MultibodyPlant, inspector: SceneGraphInspector
 ) -> tuple[RigidTransform, np.ndarray]:
-    """Pose in the base's frame and half width (3), m, of a box around the base's largest visible
-    geometry.
-    """
+    """Pose and half width (3), m, of a box around the base's largest visible geometry."""
     frame = plant.GetBodyFrameIdOrThrow(base_body(plant).index())
     found = (RigidTransform(), np.full(3, 0.5))  # an invisible base: a cube of 1 m
     largest = 0.0
@@ -194,9 +190,7 @@ def base_bounding_box(
 def _outline(
     plant: MultibodyPlant, context: Context, inspector: SceneGraphInspector, index: BodyIndex
 ) -> np.ndarray:
-    """A body's origin and the corners of the boxes around what is seen of it (n, 3), world frame,
-    m.
-    """
+    """A body's origin and the corners of its visible geometry's boxes (n, 3), world frame, m."""
     X_WB = plant.get_body(index).EvalPoseInWorld(context)
     points = [X_WB.translation()[None]]
     frame = plant.GetBodyFrameIdIfExists(index)
@@ -214,8 +208,7 @@ class SpacecraftView:
     def __init__(
         self, meshcat: Meshcat, scenario: Scenario, *, frames_per_second: float = 25.0
     ) -> None:
-        """Show the default configuration; ``frames_per_second`` of an animation that ``visualizer``
-        records.
+        """Show the default configuration; ``frames_per_second`` is for ``visualizer``'s animation.
 
         Raises:
           ModelError: the model does not load.
@@ -256,14 +249,14 @@ class SpacecraftView:
     def place(
         self, body: str, X_WB: RigidTransform, *, time_in_recording: float | None = None
     ) -> None:
-        """Show a body (scoped name) apart from the rest; until the next ``show``."""
+        """Show a body (scoped name) apart from the rest, until the next ``show``."""
         frame = self.plant.GetBodyFrameIdOrThrow(
             find_body(self.plant, body, key="payload.body").index()
         )
         self._meshcat.SetTransform(self._path_of(frame), X_WB, time_in_recording)
 
     def _show_through(self, body: str) -> None:
-        """Let nothing hide a body."""
+        """Draw a body over everything else."""
         frame, inspector = (
             self.plant.GetBodyFrameIdOrThrow(self.plant.GetBodyByName(body).index()),
             self.scene_graph.model_inspector(),
@@ -279,8 +272,6 @@ class SpacecraftView:
         return f"{self._prefix}/{name.replace('::', '/')}"
 
     def position_of(self, frame: Frame, point: np.ndarray) -> np.ndarray:
-        """A point (3) of a frame of ``plant``, in world (3), in the configuration that is
-        shown, m.
-        """
+        """A point (3) of a frame of ``plant`` in world (3), in the shown configuration, m."""
         world = self.plant.world_frame()
         return self.plant.CalcPointsPositions(self._plant_context, frame, point, world)[:, 0]

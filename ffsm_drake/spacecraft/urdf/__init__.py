@@ -1,9 +1,8 @@
-"""URDFs as users bring them: reading one, and writing a copy that Drake loads.
+"""User-supplied URDFs: reading one, and writing a copy that Drake loads.
 
-URDFs hold much that a free-flying spacecraft in Drake has no use for: settings of controllers and
-simulators, collision shapes, friction, meshes that are not there. The copy leaves these out and
-lists them. What only the author can decide, such as a missing mass, is an error whose message says
-what to change.
+URDFs hold much that a free-flying spacecraft in Drake does not use: settings of controllers and
+simulators, collision shapes, friction, missing meshes. The copy leaves these out and lists them. A
+gap that only the author can fill, such as a missing mass, is an error that names the remedy.
 """
 
 from ffsm_drake.spacecraft.urdf.elements import Joint

@@ -1,4 +1,4 @@
-"""Plain pictures for links that have none, so that base and arm can be seen without meshes."""
+"""Plain shapes for links without visuals, so that base and arm are visible without meshes."""
 
 import math
 from collections.abc import Collection, Iterator
@@ -13,12 +13,12 @@ _COLORS = {"box": "0.83 0.62 0.20 1", "cylinder": "0.92 0.92 0.94 1", "sphere": 
 
 
 def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float) -> int:
-    """Draw the links of a URDF that have no visual; returns how many.
+    """Draw the links of a URDF that have no visual; returns their number.
 
-    A link of the base becomes the box that has its moments of inertia. Another one becomes a ball
-    at its joint and rods of the given radius (m) from there to what it holds, over the stroke of a
-    sliding joint, or, at the end of a chain, past its centre of mass. So the bodies touch from
-    joint to joint.
+    A link of the base becomes the box with its moments of inertia. Any other becomes a ball at its
+    joint, with rods of the given radius (m) from there to the joints and frames on it, over the
+    stroke of a sliding joint, or, at the end of a chain, past its centre of mass. So the bodies
+    touch from joint to joint.
     """
     drawn = 0
     for link in root.findall("link"):
@@ -53,9 +53,7 @@ def _held_points(root: Element, link: str) -> Iterator[np.ndarray]:
 
 
 def _stroke(root: Element, link: str) -> Iterator[np.ndarray]:
-    """Where the holder's end (3) of a sliding link's joint may lie in its frame: one or both limits
-    of the stroke.
-    """
+    """Ends (3) of a sliding link's stroke in its frame: one or both limits."""
     for element in root.findall("joint"):
         joint = read_joint(element)
         if joint.child == link and joint.unit == "m" and joint.is_limited:
@@ -89,9 +87,7 @@ def color_visual(visual: Element, name: str, rgba: str) -> None:
 
 
 def _equivalent_box(link: Element) -> str | None:
-    """The sides, in m, of the solid box that has a link's moments of inertia; None where there is
-    no such box.
-    """
+    """Sides of the solid box with a link's moments of inertia, m; None if there is no such box."""
     inertia, mass = link.find("inertial/inertia"), link.find("inertial/mass")
     if inertia is None or mass is None:
         return None

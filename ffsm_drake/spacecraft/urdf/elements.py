@@ -26,10 +26,10 @@ class Joint:
     kind: str  # revolute, continuous, prismatic, fixed
     parent: str
     child: str
-    lower: float  # rad or m; minus infinity where nothing limits it
+    lower: float  # rad or m; minus infinity if unlimited
     upper: float
-    effort: float  # N m or N; infinite where the URDF gives none
-    velocity: float  # rad/s or m/s; infinite where the URDF gives none
+    effort: float  # N m or N; infinite if not given
+    velocity: float  # rad/s or m/s; infinite if not given
     offset: float  # distance from the parent's origin, m
 
     @property
@@ -38,7 +38,7 @@ class Joint:
 
     @property
     def is_limited(self) -> bool:
-        """Whether its limits mean anything; generators write huge ones where they are not known."""
+        """True if its limits are meaningful; generators write huge ones for unknown limits."""
         return self.upper - self.lower < 20.0
 
     @property
@@ -53,9 +53,7 @@ def require(condition: object, problem: str) -> None:
 
 
 def parse(path: Path, what: str = "the URDF of base and arm") -> tuple[Element, str]:
-    """The root element, and the comments before it, where licences stand. Raises ModelError: not a
-    URDF.
-    """
+    """The root element, and the comments before it (licences). Raises ModelError: not a URDF."""
     require(path.is_file(), f"no such file; give {what}")
     try:
         check_regular(path, limit=MAX_URDF)
@@ -102,7 +100,7 @@ def number(element: Element, attribute: str, place: str, default: str = "") -> f
 def vector(
     element: Element | None, attribute: str, place: str, default: str = "0 0 0"
 ) -> np.ndarray:
-    """Three numbers; the default where there is no element or no attribute."""
+    """Three numbers; the default if there is no element or no attribute."""
     text = default if element is None else element.get(attribute, default)
     try:
         values = np.array([float(part) for part in text.split()])
@@ -124,7 +122,7 @@ def read_joint(element: Element) -> Joint:
                 lower <= upper,
                 f"{place}: its lower limit {lower:g} lies above its upper limit {upper:g}",
             )
-        # Zero is what generators write where the limit is not known.
+        # Generators write zero for an unknown limit.
         effort, velocity = (
             number(limit, what, place, "0") or math.inf for what in ("effort", "velocity")
         )
@@ -156,9 +154,7 @@ def check_kind(joint: Joint) -> None:
 
 
 def read_mass(link: Element) -> float:
-    """Mass of a link, kg; zero without <inertial>. Raises ModelError for a mass or inertia that no
-    body can have.
-    """
+    """Mass of a link, kg; zero without <inertial>. Raises ModelError for a non-physical inertia."""
     place = f"link '{name_of(link)}'"
     mass_element, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
     mass = 0.0 if mass_element is None else number(mass_element, "value", place)

@@ -1,6 +1,4 @@
-"""Mounting an arm without a spacecraft on a bus: a box of uniform density, whose +z face carries
-it.
-"""
+"""Mounting an arm on a bus: a box of uniform density, with the arm on its +z face."""
 
 import dataclasses
 import math
@@ -9,7 +7,7 @@ from xml.etree.ElementTree import Element, SubElement
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.spacecraft.urdf.elements import WORLD, end_of, name_of, require, vector
 
-DENSITY = 50.0  # kg/m^3, of a bus whose size is not given; that of the shipped servicer
+DENSITY = 50.0  # kg/m^3, of a bus without a given size; that of the shipped servicer
 _NAME, _MOUNT = "bus", "bus_mount"
 
 
@@ -28,7 +26,7 @@ class Bus:
 
 
 def make_bus(mass: float, size: tuple[float, ...] | None = None) -> Bus:
-    """A bus of a mass (kg) and size (m: one side of a cube, or three); without, a cube of DENSITY.
+    """A bus of given mass, kg, and size, m (side of a cube, or three); default: a cube of DENSITY.
 
     Raises ScenarioError for values that are not positive.
     """
@@ -43,15 +41,14 @@ def make_bus(mass: float, size: tuple[float, ...] | None = None) -> Bus:
     x, y, z = sides if len(sides) == 3 else 3 * sides
     bus = Bus(mass=mass, size=(x, y, z))
     if not all(0.0 < moment < math.inf for moment in bus.inertia):
-        raise ScenarioError("--bus-size", f"gives {mass:g} kg no usable inertia; take another size")
+        raise ScenarioError("--bus-size", f"gives {mass:g} kg no usable inertia; use another size")
     return bus
 
 
 def mount(root: Element, bus: Bus) -> str:
-    """Join the arm of a parsed URDF to a new base link; what stood in the world stands on the bus's
-    +z face.
+    """Join the arm of a parsed URDF to a new base link, moving world-fixed links to its +z face.
 
-    Returns: the link of the bus. Raises ModelError when it is not plain what to mount.
+    Returns: the link of the bus. Raises ModelError if the arm's foot is ambiguous.
     """
     links = [name_of(link) for link in root.findall("link")]
     joints = [joint for joint in root.iter("joint") if joint in list(root)]
@@ -71,10 +68,10 @@ def mount(root: Element, bus: Bus) -> str:
         len(roots) + bool(standing) == 1,
         f"one link must be the arm's foot, without a parent, not {len(roots)} "
         f"({', '.join(roots) or 'none'})"
-        + (" beside what is fixed to the world" if standing else ""),
+        + (" besides links fixed to the world" if standing else ""),
     )
     height = 0.5 * bus.size[2]
-    for joint in standing:  # its origin is where it stands on the face
+    for joint in standing:  # its origin lies on the face
         parent, origin = joint.find("parent"), joint.find("origin")
         assert parent is not None
         parent.set("link", name)

@@ -33,29 +33,29 @@ class Tip:
     """A frame at the end of a chain that starts at the base."""
 
     frame: str
-    joints: tuple[str, ...]  # that move it, from the base on
-    reach: float  # length of the stretched chain from its first joint on, m
+    joints: tuple[str, ...]  # the joints that move it, from the base outward
+    reach: float  # length of the stretched chain from its first joint, m
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Servicer:
-    """What a URDF holds, as a free-flying base with joints."""
+    """A URDF read as a free-flying base with joints."""
 
     source: Path
     base: str
-    base_links: tuple[str, ...]  # the base and all that is fixed to it
+    base_links: tuple[str, ...]  # the base and the links fixed to it
     base_mass: float  # of those, kg
     total_mass: float  # kg
-    joints: tuple[Joint, ...]  # those that move, in the file's order
+    joints: tuple[Joint, ...]  # the moving ones, in the file's order
     tip: Tip
     other_tips: tuple[Tip, ...]
     remarks: tuple[str, ...]  # about the model itself, one line each
     root: Element  # the parsed file
-    header: str  # the comments before its root element, where licences stand
+    header: str  # the comments before its root element (licences)
 
     @property
     def reach(self) -> float:
-        """Of the arm that holds the target, m."""
+        """Reach of the arm that holds the target, m."""
         return self.tip.reach
 
 
@@ -64,11 +64,12 @@ def read_urdf(path: Path, *, tip: str | None = None, bus: Bus | None = None) -> 
 
     Args:
       path: the file.
-      bus: what to mount it on, where it is an arm without a spacecraft.
+      bus: the bus to mount it on, if it is an arm without a base.
       tip: name of the link or frame that holds the target; None for the end of the longest chain.
 
     Raises:
-      ModelError: the file is no URDF of a free base with single-degree joints and physical masses.
+      ModelError: the file is not a URDF of a free base with single-degree joints and physical
+      masses.
     """
     try:
         root, header = parse(path)
@@ -154,7 +155,7 @@ class _Tree:
         for name in self.links:
             require(
                 name in reached,
-                f"link '{name}' does not hang on the base '{self.base}': its joints form a loop",
+                f"link '{name}' is not connected to the base '{self.base}': its joints form a loop",
             )
         self.masses = {name: read_mass(link) for name, link in self.links.items()}
 
@@ -165,7 +166,7 @@ class _Tree:
             yield from self.descend(joint.child)
 
     def rigid_group(self, link: str) -> list[str]:
-        """The link and all that is fixed to it, outward."""
+        """The link and the links fixed to it, outward."""
         fixed = [joint.child for joint in self.below[link] if not joint.moves]
         return [link, *(name for child in fixed for name in self.rigid_group(child))]
 
@@ -203,9 +204,7 @@ class _Tree:
             )
 
     def check_masses(self, tip: Tip) -> None:
-        """Raise ModelError unless the base has mass, and every joint moves some; the target counts
-        for the tip's.
-        """
+        """Raise ModelError unless the base has mass, and every joint moves mass or the target."""
         base_mass = sum(self.masses[name] for name in self.rigid_group(self.base))
         require(
             base_mass,
@@ -220,9 +219,7 @@ class _Tree:
             )
 
     def tips(self, chosen: str | None) -> list[Tip]:
-        """The chosen tip, then the ends of the other chains; the longest chain comes first, and is
-        the default.
-        """
+        """The chosen tip (default: the longest chain's), then the others, longest chain first."""
         ends = sorted(self._ends(), key=lambda tip: (-len(tip.joints), -tip.reach))
         if chosen is None:
             return ends
@@ -233,7 +230,7 @@ class _Tree:
         ]
         known = chosen in self.links or chosen in self.frames
         fault = (
-            f"tip '{chosen}' does not move against the base"
+            f"tip '{chosen}' does not move relative to the base"
             if known
             else f"no link or frame '{chosen}' for the tip"
         )
@@ -254,10 +251,10 @@ class _Tree:
         return Tip(frame=frame, joints=joints, reach=reach)
 
     def _ends(self) -> list[Tip]:
-        """The ends of the chains; of a gripper its palm or what is fixed there, not its fingers."""
+        """The ends of the chains; for a gripper its palm or a link fixed there, not its fingers."""
         ends = []
         for head in (joint.child for joint in self.joints if joint.moves):
-            # A rigid group counts once, by the frame of it that lies farthest out.
+            # A rigid group counts once, by its outermost frame.
             group = self.rigid_group(head)
             onward = [joint for name in group for joint in self.below[name] if joint.moves]
             has_fingers = len(onward) > 1 and not any(

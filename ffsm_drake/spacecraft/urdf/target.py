@@ -15,7 +15,7 @@ GRASP = "grasp"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Target:
-    """What a URDF holds, as a target."""
+    """A URDF read as a target."""
 
     source: Path
     body: str
@@ -36,9 +36,7 @@ class Target:
 
 
 def read_target(path: Path) -> Target:
-    """Read and check a URDF. Raises ModelError: it is not that of one rigid body with a frame where
-    it is held.
-    """
+    """Read and check a URDF. Raises ModelError unless it is one rigid body with a grasp frame."""
     try:
         root, header = parse(path, "its URDF")
         links = root.findall("link")

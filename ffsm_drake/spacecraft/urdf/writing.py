@@ -1,4 +1,4 @@
-"""Writing the copy of a URDF that Drake loads, with its meshes, and listing what was left out."""
+"""Writing the copy of a URDF that Drake loads, with its meshes, and listing the omissions."""
 
 import copy
 import re
@@ -16,7 +16,7 @@ from ffsm_drake.spacecraft.urdf.elements import DRAKE, WORLD, name_of, number
 from ffsm_drake.spacecraft.urdf.servicer import Servicer
 from ffsm_drake.spacecraft.urdf.target import Target
 
-# A file that a mesh names: in quotes or between tags, or at the end of one of Wavefront's lines.
+# A file name in a mesh: in quotes, between tags, or at the end of a line of a Wavefront file.
 _NAMED_FILE = re.compile(
     r'(?:["\'>]|^\s*\w+\s)([^"\'<>\n]+\.(?:mtl|bin|png|jpe?g|ktx2|webp))', re.MULTILINE | re.I
 )
@@ -30,11 +30,10 @@ _REASONS = {
 def write_urdf(
     servicer: Servicer | Target, directory: Path, *, file_name: str, packages: Mapping[str, Path]
 ) -> tuple[str, ...]:
-    """Write the copy that Drake loads, and its meshes, into a folder. Returns what was left out, a
-    line each.
+    """Write the copy that Drake loads, with its meshes. Returns the omissions, one per line.
 
     Args:
-      servicer: what was read; a target likewise.
+      servicer: the servicer or target that was read.
       directory: gets the URDF and a folder ``meshes``.
       packages: folder of each ROS package that mesh addresses name; others are looked for above the
         URDF.
@@ -46,7 +45,7 @@ def write_urdf(
     left_out = _strip(root)
     _inline_colors(root)
     remarks = [
-        *_told(left_out),
+        *_omissions(left_out),
         *_copy_meshes(root, servicer.source.resolve(), directory / "meshes", packages),
     ]
     drawn = draw_bare_links(
@@ -57,8 +56,8 @@ def write_urdf(
     root.set("name", root.get("name") or "servicer")
     ElementTree.indent(root)
     ElementTree.register_namespace("drake", DRAKE.strip("{}"))
-    told = "".join(f"\n  - {remark}" for remark in remarks)
-    comment = f"Made from {servicer.source.name} by 'ffsm new'.{told}".replace("--", "- -")
+    listed = "".join(f"\n  - {remark}" for remark in remarks)
+    comment = f"Made from {servicer.source.name} by 'ffsm new'.{listed}".replace("--", "- -")
     parts = (
         '<?xml version="1.0" encoding="UTF-8"?>',
         *([servicer.header] if servicer.header else []),
@@ -70,9 +69,7 @@ def write_urdf(
 
 
 def _strip(root: Element) -> Counter[str]:
-    """Remove what is not used here. Returns how often each kind of element was left out that meant
-    something.
-    """
+    """Remove unused elements. Returns the number of meaningful ones removed, by kind."""
     left_out: Counter[str] = Counter()
     for element in list(root):
         parent = element.find("parent")
@@ -106,7 +103,7 @@ def _strip(root: Element) -> Counter[str]:
     return left_out
 
 
-def _told(left_out: Counter[str]) -> Iterator[str]:
+def _omissions(left_out: Counter[str]) -> Iterator[str]:
     for tag, reason in _REASONS.items():
         if left_out[tag]:
             yield reason.format(n=left_out[tag])
@@ -116,9 +113,7 @@ def _told(left_out: Counter[str]) -> Iterator[str]:
 
 
 def _inline_colors(root: Element) -> None:
-    """Give every visual its colour: the first one defined for a name, as Drake refuses a second.
-    Textures go.
-    """
+    """Define every visual's colour in place, as Drake refuses repeated names; drop textures."""
     colors: dict[str, str] = {}
     for material in root.iter("material"):
         rgba = next((color.get("rgba", "") for color in material.findall("color")), "")
@@ -137,9 +132,7 @@ def _inline_colors(root: Element) -> None:
 def _copy_meshes(
     root: Element, source: Path, folder: Path, packages: Mapping[str, Path]
 ) -> Iterator[str]:
-    """Copy the meshes that can be drawn and address the copies; other visuals go. Yields a remark
-    for each reason.
-    """
+    """Copy the drawable meshes and address the copies; drop other visuals. Yields remarks."""
     missing: list[str] = []
     undrawable: list[str] = []
     places: dict[Path, str] = {}  # folder of meshes -> the name of its copy
@@ -163,11 +156,10 @@ def _copy_meshes(
             mesh.set("filename", f"{folder.name}/{place}/{file.name}")
     for addresses, problem, remedy in (
         (missing, "not found", "give --package NAME=FOLDER to have them drawn"),
-        (undrawable, "of a kind not drawn", f"convert them to {', '.join(DRAWABLE)}"),
+        (undrawable, "of an undrawable format", f"convert them to {', '.join(DRAWABLE)}"),
     ):
         if addresses:
-            # Of an absolute path only the name: the copy should not say where its author kept
-            # things.
+            # Only the name of an absolute path: the copy should not reveal its author's folders.
             shown = [
                 each if each.startswith("package://") else Path(each).name
                 for each in dict.fromkeys(addresses)
@@ -176,9 +168,7 @@ def _copy_meshes(
 
 
 def _find_mesh(address: str, source: Path, packages: Mapping[str, Path]) -> Path | None:
-    """The file of a mesh address, a path from the URDF ``source`` on or file://, package:// or
-    model://.
-    """
+    """The file of a mesh address: a path relative to the URDF ``source``, or a URL."""
     scheme, _, rest = address.rpartition("://")
     if scheme in ("", "file"):
         candidates = [source.parent / rest]
@@ -193,7 +183,7 @@ def _find_mesh(address: str, source: Path, packages: Mapping[str, Path]) -> Path
 def _with_companions(mesh: Path) -> list[Path]:
     """A mesh and the files in its folder that it names: materials, textures, buffers."""
     files = [mesh]
-    for file in files:  # which grows
+    for file in files:  # grows meanwhile
         if file.suffix.lower() not in (*DRAWABLE, ".mtl"):
             continue
         for named in _NAMED_FILE.findall(file.read_text(encoding="utf-8", errors="replace")):

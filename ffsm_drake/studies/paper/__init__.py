@@ -1,6 +1,4 @@
-"""The paper with one command: its table and figures computed anew, and a verdict on each of its
-claims.
-"""
+"""Reproduction of the paper: its table and figures recomputed, and a verdict on each claim."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,18 +19,16 @@ def reproduce(
     workers: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Path:
-    """Compute a part of the paper, or all of it, and write it into a directory, each file whole.
+    """Reproduce the paper, or a part of it, into a directory.
 
     ``table2`` writes table2.html, .md and .csv; ``fig3`` to ``fig5`` write figures/ as PNG and SVG;
-    ``all`` writes these and the page that gathers everything, reproduction.html (self-contained)
-    and reproduction.md.
+    ``all`` writes these and the summary page, reproduction.html (self-contained) and
+    reproduction.md. Each file is written whole.
 
     Args:
       what: one of ``PARTS``.
-      seeds: how many seeds of the measurement noise, from 0 on; more give a better mean and spread
-        in Table 2.
-      overrides: ``key=value`` for every run, as for ``load_scenario``; the page says that they were
-        given.
+      seeds: number of noise seeds, from 0 on; more give a better mean and spread in Table 2.
+      overrides: ``key=value`` for every run, as for ``load_scenario``; the page lists them.
       workers, progress: as for ``ffsm_drake.common.workers.map_tasks``; the results do not depend
         on the workers.
 
@@ -51,7 +47,7 @@ def reproduce(
     if workers < 1:
         raise FfsmError(f"workers: must be at least 1, not {workers}")
     directory = Path(directory)
-    # Drawing and templates are slow to import, and whoever only asks for PARTS needs neither.
+    # Drawing and templates are slow to import, and PARTS needs neither.
     from ffsm_drake.studies.paper import claims, figures, page, runs, table
 
     if what in ("table2", "all"):

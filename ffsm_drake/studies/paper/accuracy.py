@@ -87,7 +87,7 @@ def values_of_itae(results: Results) -> Evaluated:
         }
 
     ratio = both(of_controllers)
-    parts = ratio.told(lambda by_name: named(by_name, lambda values: span(values, 2)))
+    parts = ratio.text(lambda by_name: named(by_name, lambda values: span(values, 2)))
     within = all(
         abs(value - 1.0) <= paper.REPRODUCED for values in ratio.euler.values() for value in values
     )
@@ -112,7 +112,7 @@ def integral_surface_gains_an_order(results: Results) -> Evaluated:
         for name in ("asmc", "tdc")
     )
     return (
-        f"ITAE of ASMC over AISMC, which share K_D and the initial K_s: {factor.told(times_span)} "
+        f"ITAE of ASMC over AISMC, which share K_D and the initial K_s: {factor.text(times_span)} "
         "(without noise "
         f"{quiet.pair(times_span)}). TDC over AISMC: {tdc.pair(span)}. In the paper: "
         f"{asmc_printed} and {tdc_printed}.",
@@ -143,7 +143,7 @@ def integral_surface_removes_steady_errors(results: Results) -> Evaluated:
         "Sum of the absolute mean errors (rad, m) over the last five of "
         f"{fixed(at_rest.outcome.time, 2)} s, motion "
         f"until {fixed(motion, 2)} s, constant disturbance, no noise: "
-        f"{left.told(lambda errors: named(errors, lambda error: scientific(error, 2)))}. "
+        f"{left.text(lambda errors: named(errors, lambda error: scientific(error, 2)))}. "
         "Time-delay estimation already "
         "acts as an integrator.",
         left.ruling(removed),
@@ -163,7 +163,7 @@ def robust_term_improves_accuracy(results: Results) -> Evaluated:
     if ruling[0] != "holds" and max(*quiet.euler, *quiet.bounded) < 1.0:
         ruling = ("holds only", "without measurement noise, for the proposed controller")
     return (
-        f"ITAE of the proposed controller with G over without it: {noisy.told(times_span)}; "
+        f"ITAE of the proposed controller with G over without it: {noisy.text(times_span)}; "
         "without noise "
         f"{quiet.pair(times_span)}. ASMC, whose G starts at zero: {asmc.pair(times_span)}. ASMC's "
         "lead over TDC is "
@@ -215,7 +215,7 @@ def accuracy_does_not_depend_on_the_disturbance(results: Results) -> Evaluated:
     noise = both(lambda setting: max(change(itae(setting, name, "tau_d1")) for name in CONTROLLERS))
     return (
         "Largest change of the mean ITAE: "
-        f"{changes.told(lambda by_name: named(by_name, percent))}; the noise "
+        f"{changes.text(lambda by_name: named(by_name, percent))}; the noise "
         f"seed alone changes it by up to {noise.pair(percent)}. Evaluated for the proposed "
         "controller, within 5 %.",
         changes.ruling(lambda by_name: by_name[PROPOSED] <= paper.SLIGHTLY),
@@ -252,7 +252,7 @@ def target_is_reached_with_high_precision(results: Results) -> Evaluated:
             ("with explicit Euler at the control period, or with K_s bounded"),
         )
     return (
-        f"Largest error of all runs: {errors.told(written)}. With exact integration and the "
+        f"Largest error of all runs: {errors.text(written)}. With exact integration and the "
         "published gains "
         f"{len(diverged)} of {total} runs diverge{when}. Position and attitude are measured "
         "without error.",
@@ -261,7 +261,7 @@ def target_is_reached_with_high_precision(results: Results) -> Evaluated:
 
 
 @claim(
-    "Time-delay estimation tells the lumped uncertainty N accurately.",
+    "Time-delay estimation gives the lumped uncertainty N accurately.",
     "Sections 3.1 and 4, equation (5)",
 )
 def estimation_is_accurate(results: Results) -> Evaluated:
@@ -278,23 +278,24 @@ def estimation_is_accurate(results: Results) -> Evaluated:
         ruling = ("holds only", "without measurement noise")
     return (
         "Rms of the estimation error over that of N: "
-        f"{noisy.told(lambda shares: named(shares, percent))}. Without "
-        f"noise: {quiet.told(lambda shares: named(shares, percent))}. Noise σ is √2 σ/L of "
+        f"{noisy.text(lambda shares: named(shares, percent))}. Without "
+        f"noise: {quiet.text(lambda shares: named(shares, percent))}. Noise σ is √2 σ/L of "
         "acceleration.",
         ruling,
     )
 
 
 def _estimation_error(record: RunRecord) -> dict[str, float]:
-    """Rms of N - N(t - L) as the controller estimates it, over the rms of N, by group (equations
-    (2) and (5)).
+    """Rms of the controller's estimation error N - N(t - L) over that of N, by group.
+
+    Equations (2) and (5).
     """
     data = record.dataset
     nominal = make_nominal_plant(record.scenario)
     period = record.scenario.sample_time
     position, effort = data["measured_position"].values[:-1], data["generalized_force"].values[:-1]
     inverse = [np.linalg.inv(nominal.calc_mass_matrix(q)) for q in position]
-    acceleration = np.diff(data["velocity"].values, axis=0) / period  # its mean over [t_k, t_{k+1})
+    acceleration = np.diff(data["velocity"].values, axis=0) / period  # mean over [t_k, t_{k+1})
     # over [t_{k-1}, t_k)
     measured = np.diff(data["measured_velocity"].values[:-1], axis=0) / period
     truth = np.array(
@@ -303,7 +304,7 @@ def _estimation_error(record: RunRecord) -> dict[str, float]:
     estimate = np.array(
         [a - h @ tau for a, h, tau in zip(measured, inverse[1:], effort[:-1], strict=True)]
     )
-    error = (truth - estimate)[1:]  # the first update has no sample before it
+    error = (truth - estimate)[1:]  # the first update has no previous sample
     group = data["group"].values
 
     def rms(values: np.ndarray, name: str) -> float:

@@ -6,7 +6,7 @@ from ffsm_drake.studies.paper import accuracy, effort, robustness, schemes, theo
 from ffsm_drake.studies.paper.runs import Results
 from ffsm_drake.studies.paper.verdict import Claim, Kind, Verdict
 
-# Every claim that these modules define, in their order.
+# The claims of these modules, in their order.
 CLAIMS: tuple[Claim, ...] = tuple(
     item
     for module in (accuracy, effort, schemes, robustness, theory)
@@ -29,5 +29,5 @@ def by_topic(verdicts: list[Verdict]) -> list[tuple[str, list[Verdict]]]:
 
 
 def counts(verdicts: list[Verdict]) -> dict[Kind, int]:
-    """How many verdicts of each kind."""
+    """Number of verdicts of each kind."""
     return {kind: sum(verdict.kind == kind for verdict in verdicts) for kind in get_args(Kind)}

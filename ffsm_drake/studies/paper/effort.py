@@ -29,14 +29,14 @@ claim = claims_about("Effort and chattering")
 def values_of_isv(results: Results) -> Evaluated:
     ratio = both(lambda setting: [row.isv.ratio for row in table_rows(results, setting)])
 
-    def beyond_tdc(values: dict[str, float]) -> dict[str, float]:
-        """What each controller spends more than TDC."""
+    def above_tdc(values: dict[str, float]) -> dict[str, float]:
+        """Excess of each controller over TDC."""
         return {name: value - values["tdc"] for name, value in values.items() if name != "tdc"}
 
     def differences(setting: str) -> list[dict[str, float]]:
         rows = table_rows(results, setting)
         return [
-            beyond_tdc(
+            above_tdc(
                 {row.controller: row.isv.mean for row in rows if row.disturbance == disturbance}
             )
             for disturbance in DISTURBANCES
@@ -46,14 +46,14 @@ def values_of_isv(results: Results) -> Evaluated:
         by_name = {name: [values[name] for values in found] for name in found[0]}
         return named(by_name, lambda values: between(values, lambda value: f"{value:+.1f}"))
 
-    printed = [beyond_tdc(values) for values in paper.ISV.values()]
+    printed = [above_tdc(values) for values in paper.ISV.values()]
     return (
-        f"Ours over the paper's, all twelve cells: {ratio.told(times_span)}. Within 3 % counts as "
+        f"Ours over the paper's, all twelve cells: {ratio.text(times_span)}. Within 3 % counts as "
         "reproduced. What the "
         "paper leaves open (geometry, sign of the disturbance, noise level) was chosen to meet "
         "these values. The "
         f"differences are another matter. Beyond TDC's, the paper has {written(printed)}; ours: "
-        f"{both(differences).told(written)}.",
+        f"{both(differences).text(written)}.",
         ratio.ruling(lambda values: all(abs(value - 1.0) <= paper.REPRODUCED for value in values)),
     )
 
@@ -81,7 +81,7 @@ def order_of_effort(results: Results) -> Evaluated:
         )
 
     counts = both(count)
-    parts = counts.told(
+    parts = counts.text(
         lambda found: "TDC least in {}, both pairs in {}, the whole order in {}".format(*found)
     )
     measured = f"Of {len(cases)} comparisons by ISV {parts}."
@@ -98,7 +98,7 @@ def effort_is_slightly_larger(results: Results) -> Evaluated:
     quiet = ratios_in_both(results, "isv", (PROPOSED, "no noise"), (PROPOSED, "G = 0, no noise"))
     printed = [values[PROPOSED] / values["aismc"] for values in paper.ISV.values()]
     return (
-        f"ISV over AISMC's: {ratio.told(times_span)} (the paper's: {times_span(printed)}). The "
+        f"ISV over AISMC's: {ratio.text(times_span)} (the paper's: {times_span(printed)}). The "
         "switching term alone: "
         f"{noisy.pair(times_span)} times, without noise {quiet.pair(times_span)}. Slightly: up to "
         "5 %.",
@@ -126,7 +126,7 @@ def chattering_is_local(results: Results) -> Evaluated:
     share = both(share_doubled)
     return (
         "Rms change of the force from sample to sample, with G over without it: "
-        f"{growth('', 'G = 0').told(fixed)}; "
+        f"{growth('', 'G = 0').text(fixed)}; "
         f"without noise {growth('no noise', 'G = 0, no noise').pair(fixed)}. There it more than "
         "doubles in "
         f"{share.pair(percent)} of all seconds and coordinates; locally: in less than half.",
@@ -150,7 +150,7 @@ def epsilon_trades_accuracy_for_smoothness(results: Results) -> Evaluated:
     epsilon = gain_of(record.scenario, "epsilon")
     above = float(np.mean(np.abs(record.dataset["sliding_variable"].values).max(axis=1) > epsilon))
     effect = both(effects)
-    parts = effect.told(lambda e: f"{signed(e[0])} and {signed(e[1])}")
+    parts = effect.text(lambda e: f"{signed(e[0])} and {signed(e[1])}")
     return (
         f"Change of the force's rms step by ε/10, and of the ITAE by 10 ε: {parts}. (‖s‖∞ exceeds "
         "the published ε = "

@@ -1,7 +1,5 @@
 # ruff: noqa: RUF001 (the texts use mathematical signs)
-"""The paper's Figures 2 to 5 redrawn, and two that it does not have. Each is written as PNG and
-SVG.
-"""
+"""The paper's Figures 2 to 5 redrawn, and two more. Each is written as PNG and SVG."""
 
 import dataclasses
 from collections.abc import Callable
@@ -31,15 +29,13 @@ from ffsm_drake.studies.paper.table import METRICS, Row
 from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, ending, fixed
 
 FOLDER = "figures"
-# The two settings in which every controller reaches the end.
+# The two settings where every controller completes.
 DRAWN = {"euler": "explicit Euler", "bounded": "exact integration"}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FigureFile:
-    """A written figure; the paths are None where it could not be drawn, and ``caption`` says
-    why.
-    """
+    """A written figure; if it could not be drawn, the paths are None and ``caption`` says why."""
 
     key: str
     title: str
@@ -100,9 +96,9 @@ def write_figure_5(results: Results, directory: Path) -> list[FigureFile]:
     caption = (
         "Upper panels: force or torque held over every control period, the roughest drawn first. "
         "Lower panels: rms "
-        "over one second of its change from one sample to the next, logarithmic: what the "
-        "measurement noise and the "
-        "switching term add to the motion's own force."
+        "over one second of its change from one sample to the next, logarithmic: the "
+        "contribution of measurement noise and "
+        "switching term beside the motion's own force."
     )
     return _write_overlaid(
         results, directory, "fig5", "Control forces and torques", plot_efforts, caption
@@ -130,7 +126,7 @@ def _write_overlaid(
 
 
 def write_overview(rows: list[Row], directory: Path) -> FigureFile:
-    """Table 2 as a picture."""
+    """Write Table 2 as a figure."""
     title = "Table 2 as a picture"
     caption = (
         f"{title}: the paper's values and ours, means over the seeds. With exact integration and "
@@ -141,7 +137,7 @@ def write_overview(rows: list[Row], directory: Path) -> FigureFile:
 
 
 def write_divergence(results: Results, directory: Path) -> FigureFile:
-    """What the published gains do on an exactly integrated plant."""
+    """Write the figure of the published gains on an exactly integrated plant."""
     caption = (
         "Not in the paper. The proposed controller, τ_d1, seed 0. Left: the largest K_s of the "
         "eleven coordinates, "
@@ -231,13 +227,13 @@ def plot_divergence(results: Results) -> Figure:
     """K_s and the error of the proposed controller in the three settings."""
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     gain_axes, error_axes = figure.subplots(1, 2)
-    looks = {
+    styles = {
         "exact": Style(VERMILION),
         "euler": Style(BLUE, "dash"),
         "bounded": Style(GREEN, "dashdot"),
     }
     top = 0.0
-    for setting, look in looks.items():
+    for setting, look in styles.items():
         run, record = results.run(setting, PROPOSED), results.record(setting, PROPOSED)
         label = _math(SETTINGS[setting].title) + (
             "" if run.outcome.completed else f": {ending(run)}"

@@ -1,10 +1,9 @@
-"""The published gains with the law evaluated in every minor step of an integrator, as in a
-continuous block diagram.
+"""The published gains in a continuous block diagram: the law in every minor step.
 
 The paper does not say how its simulation coupled law and plant. Here a Runge-Kutta step of one
-control period advances plant, error integral and adapted gains together. The pair of equation (5),
-force and acceleration of a sample ago, is that of the last major step throughout. ``held``
-evaluates the law at the major step alone, as a digital controller.
+control period advances plant, error integral and adapted gains together. Equation (5)'s force and
+acceleration of a sample ago are always those of the last major step. ``held`` evaluates the law at
+the major step only, as a digital controller does.
 """
 
 import dataclasses
@@ -47,18 +46,18 @@ RUNGE_KUTTA = Scheme(
     ((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
     (1 / 6, 1 / 3, 1 / 3, 1 / 6),
 )
-_INTEGRATED = ("integral_error", "reaching_gain", "switching_gain")  # of the law's memory
-# Euler has no minor step: the paper's simulation
+_INTEGRATED = ("integral_error", "reaching_gain", "switching_gain")  # entries of the law's memory
+# the paper's simulation: Euler has no minor step
 MINOR = (EULER, HEUN, BOGACKI_SHAMPINE, RUNGE_KUTTA)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MinorStepRun:
-    """What became of a run."""
+    """Outcome of a run."""
 
     scheme: Scheme
     held: bool
-    diverged: float | None  # when, s
+    diverged: float | None  # time of divergence, s
     itae: float  # infinite when it diverged
     isv: float  # of the force at the major steps; infinite when it diverged
     largest_k_s: float  # 1/s
@@ -70,15 +69,13 @@ class MinorStepRun:
 
 @functools.lru_cache(maxsize=4)
 def minor_step_runs(overrides: tuple[str, ...] = ()) -> tuple[MinorStepRun, ...]:
-    """The proposed controller with the published gains under tau_d1: the law in minor steps, last
-    the force held.
-    """
+    """Runs of the proposed controller, published gains, under tau_d1; the last holds the force."""
     scenario = Case(setting="euler", controller=PROPOSED).scenario(overrides)
     return (*(run(scenario, scheme) for scheme in MINOR), run(scenario, RUNGE_KUTTA, held=True))
 
 
 def minor_step_table(overrides: tuple[str, ...] = ()) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: where the law is evaluated, the outcome and its figures."""
+    """Header and rows: place of evaluation, outcome, metrics."""
     header = [
         "integrator, step of a control period",
         "law evaluated",
@@ -101,9 +98,9 @@ def minor_step_table(overrides: tuple[str, ...] = ()) -> tuple[list[str], list[l
 def run(scenario: Scenario, scheme: Scheme, *, held: bool = False) -> MinorStepRun:
     """Simulate the proposed controller.
 
-    Of the scenario it takes model, payloads, postures, reference, gains, disturbance, velocity
-    noise (drawn once a period), seed, sample time, duration and ``divergence_speed``; nothing else
-    that sensing or actuation may say.
+    It uses the scenario's model, payloads, postures, reference, gains, disturbance, velocity noise
+    (drawn once a period), seed, sample time, duration and ``divergence_speed``, and ignores other
+    settings of sensing and actuation.
     """
     loop, period = _Loop(scenario), scenario.sample_time
     times = period * np.arange(round(scenario.duration / period))
@@ -164,7 +161,7 @@ class _Loop:
         return np.split(y, self.nv + 1 + self.nv * np.arange(4))
 
     def valid(self, y: np.ndarray) -> np.ndarray:
-        """With a quaternion of norm one, and adapted gains that are not negative."""
+        """y with a unit quaternion and non-negative adapted gains."""
         y = y.copy()
         y[:4] /= np.linalg.norm(y[:4])
         y[-2 * self.nv :] = np.maximum(y[-2 * self.nv :], 0.0)
@@ -178,7 +175,7 @@ class _Loop:
         delayed_force: np.ndarray,
         delayed_acceleration: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Force, tracking error, and the rates of what the law integrates."""
+        """Force, tracking error, and the rates of the law's integrated memory."""
         q, v, *memory = self.parts(y)
         q_d, v_d, a_d = self.motion.evaluate(time)
         error = position_error(q_d, q)
@@ -201,7 +198,7 @@ class _Loop:
         q, v, *_ = self.parts(y)
         self.disturbance_context.SetTime(time)
         disturbance = self.disturbance.get_output_port().Eval(self.disturbance_context)
-        bias = self.truth.calc_bias(q, v)  # sets the positions that the map below reads
+        bias = self.truth.calc_bias(q, v)  # sets the positions for the map below
         acceleration = np.linalg.solve(self.truth.calc_mass_matrix(q), force + disturbance - bias)
         return np.concatenate(
             [self.truth.plant.MapVelocityToQDot(self.truth.context, v), acceleration, rates]

@@ -1,4 +1,4 @@
-"""The page that gathers everything, as self-contained HTML and as Markdown."""
+"""The summary page, as self-contained HTML and as Markdown."""
 
 import base64
 import datetime
@@ -36,7 +36,7 @@ _MINOR_STEPS = (
     "2's ISV is "
     f"{paper.ISV['tau_d1'][PROPOSED]}."
 )
-_PIXELS = ("fig4", "fig5")  # embedded as such; the other figures are small as vectors
+_PIXELS = ("fig4", "fig5")  # embedded as PNG; the other figures are small as vectors
 
 
 def write_table(rows: list[Row], results: Results, directory: Path) -> Path:
@@ -65,7 +65,7 @@ def write_page(
 
 
 def summary(results: Results, rows: list[Row]) -> list[str]:
-    """The outcome in a few sentences, every figure from the runs."""
+    """The outcome in a few sentences, with numbers from the runs."""
     total = len(results.comparisons)
     first = {
         setting: sum(order[0] == PROPOSED for order in results.rankings("itae", setting))
@@ -92,7 +92,7 @@ def summary(results: Results, rows: list[Row]) -> list[str]:
 
 
 def provenance(results: Results, what: str) -> list[tuple[str, str]]:
-    """Where the numbers come from: label and text."""
+    """Provenance of the numbers: label and text."""
     versions = software_versions() | {name: version(name) for name in ("matplotlib", "jinja2")}
     return [
         ("Paper", paper.CITATION),
@@ -107,7 +107,7 @@ def provenance(results: Results, what: str) -> list[tuple[str, str]]:
 
 
 def runs_made(results: Results) -> list[str]:
-    """What was run, in sentences."""
+    """Description of the runs, in sentences."""
     table = sum(not case.variant for case in results.runs)
     diverged = sum(not run.outcome.completed for run in results.runs.values())
     scenario = Case(setting="bounded", controller=PROPOSED).scenario(results.overrides)
@@ -169,7 +169,7 @@ def _render(
 
 
 def _data_address(figure: FigureFile) -> str:
-    """The picture itself as an address, or nothing where there is none."""
+    """The figure as a data address, or "" without a file."""
     path = figure.png if figure.svg is None or figure.key.startswith(_PIXELS) else figure.svg
     if path is None:
         return ""

@@ -1,7 +1,5 @@
 # ruff: noqa: RUF001 (the texts use mathematical signs)
-"""What the paper prints: Table 2, with two slips that its own numbers give away; and what its
-adverbs are taken for.
-"""
+"""The paper's Table 2, with two misprints corrected, and numbers for its adverbs."""
 
 from ffsm_drake.studies.paper.runs import CONTROLLERS
 
@@ -28,7 +26,7 @@ ISV = {
     "tau_d3": _row(489.1, 482.4, 472.8, 472.4),
 }
 
-# (metric, disturbance, controller) -> what is printed there, and why it is read otherwise.
+# (metric, disturbance, controller) -> the misprint, and the reason for its correction.
 CORRECTIONS = {
     (
         "itae",
@@ -40,11 +38,11 @@ CORRECTIONS = {
     "smallest of its row",
 }
 
-# What the paper's adverbs are taken to mean.
+# Interpretation of the paper's adverbs.
 NEARLY_TENFOLD = 5.0  # "nearly one order of magnitude": at least this factor
-SLIGHTLY = 0.05  # "slightly larger": by at most this share
-NOTICEABLE = 0.02  # an effect below this share is none
-REPRODUCED = 0.03  # a table's values are reproduced within this share
-LOCALLY = 0.5  # "only locally": in less than this share of time and coordinates
-PRECISELY = 1e-5  # "high precision": errors at the end below this, rad and m
-ACCURATELY = 0.1  # "accurately estimated": within this share
+SLIGHTLY = 0.05  # "slightly larger": by at most this fraction
+NOTICEABLE = 0.02  # smaller effects count as none
+REPRODUCED = 0.03  # largest deviation of a reproduced table, as a fraction
+LOCALLY = 0.5  # "only locally": in less than this fraction of time and coordinates
+PRECISELY = 1e-5  # "high precision": largest final error, rad and m
+ACCURATELY = 0.1  # "accurately estimated": largest relative error

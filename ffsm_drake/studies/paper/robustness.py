@@ -127,7 +127,7 @@ def _bounded_k_s(results: Results) -> str:
 
 
 def _completed(results: Results, setting: str, name: str) -> list[str]:
-    """The nominal payloads with which a controller reaches the end."""
+    """The nominal payloads with which a controller completes."""
     return [
         variant
         for variant in _VARIANTS
@@ -136,9 +136,7 @@ def _completed(results: Results, setting: str, name: str) -> list[str]:
 
 
 def nominal_payload_table(results: Results) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: nominal payload, the left side of (8), eigenvalues of H^-1 Hhat, and each
-    controller's ITAE.
-    """
+    """Header and rows: nominal payload, norm of (8), eigenvalues of H^-1 Hhat, ITAE."""
     header = [
         "nominal payload",
         "‖E − H⁻¹Ĥ‖₂",
@@ -173,7 +171,7 @@ class _MassRatio:
     """H^-1 Hhat along the planned motion."""
 
     norm: float  # largest ||E - H^-1 Hhat||_2, in metres and radians
-    low: float  # smallest and
+    low: float  # smallest eigenvalue
     high: float  # largest eigenvalue
 
 
@@ -187,7 +185,7 @@ def _mass_ratio(results: Results, variant: str) -> _MassRatio:
     for q in planned[:: max(len(planned) // 40, 1)]:
         ratio = np.linalg.solve(truth.calc_mass_matrix(q), nominal.calc_mass_matrix(q))
         norms.append(float(np.linalg.norm(np.eye(len(ratio)) - ratio, 2)))
-        # real: a product of positive definite matrices
+        # real, as a product of positive definite matrices
         eigenvalues.append(np.linalg.eigvals(ratio).real)
     return _MassRatio(
         norm=max(norms), low=float(np.min(eigenvalues)), high=float(np.max(eigenvalues))
@@ -195,8 +193,6 @@ def _mass_ratio(results: Results, variant: str) -> _MassRatio:
 
 
 def _tolerated_k_s(results: Results, eta: float) -> float:
-    """K_s below which a sampled loop with eigenvalue eta of H^-1 Hhat is stable: (K_D + K_s) L < 2
-    (2 - eta) / eta.
-    """
+    """Limit of K_s for an eigenvalue eta of H^-1 Hhat: (K_D + K_s) L < 2 (2 - eta) / eta."""
     scenario = results.record("bounded", PROPOSED).scenario
     return 2.0 * (2.0 - eta) / (eta * scenario.sample_time) - gain_of(scenario, "k_d")

@@ -1,4 +1,4 @@
-"""The runs of the reproduction: which there are, and what is kept of each."""
+"""The runs of the reproduction and their results."""
 
 import dataclasses
 import functools
@@ -26,7 +26,7 @@ Side = str | tuple[str, str]  # a controller, or a controller and a variant of i
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Setting:
-    """A way to read the paper's simulation."""
+    """An interpretation of the paper's simulation."""
 
     title: str
     description: str
@@ -37,7 +37,7 @@ class Setting:
 SETTINGS = {
     "euler": Setting(
         title="Explicit Euler, published gains",
-        description="The paper's simulation as far as it can be told: explicit Euler at the "
+        description="The paper's simulation as far as it is known: explicit Euler at the "
         "control period, 10 ms.",
         scenario="paper",
     ),
@@ -83,7 +83,7 @@ NOMINALS = {
     f"nominal {round(100 * fraction)} kg": fraction for fraction in (0.3, 0.5, 1.0, 1.1, 1.25)
 }
 
-# What single claims need beyond the table: name -> overrides of the scenario.
+# Variants for single claims: name -> overrides of the scenario.
 VARIANTS: dict[str, tuple[str, ...]] = {
     "": (),
     "no noise": _NO_NOISE,
@@ -91,10 +91,9 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "G = 0, no noise": (*_NO_SWITCHING, *_NO_NOISE),
     "epsilon / 10": ("controllers.tde_aismc.epsilon=1e-5",),
     "epsilon x 10": ("controllers.tde_aismc.epsilon=1e-3",),
-    # The motion ends at 20 s, the disturbance is constant: what is left at 30 s is a steady-state
-    # error.
+    # The motion ends at 20 s, the disturbance is constant: an error at 30 s is steady-state.
     "at rest": ("duration=30", "disturbance.frequency_scale=0", *_NO_NOISE),
-    # K_D + K_s and K_s K_D of ASMC as TDC's gains: the same law as ASMC without its switching term.
+    # TDC with ASMC's K_D + K_s and K_s K_D as gains: ASMC without its switching term.
     "stiffness of ASMC": ("controllers.tdc.k_d=180", "controllers.tdc.k_p=8000"),
     **{name: _nominal(fraction) for name, fraction in NOMINALS.items()},
 }
@@ -112,9 +111,7 @@ class Case:
 
     @property
     def canonical(self) -> "Case":
-        """The case whose run serves this one: bounding the proposed controller's K_s changes no
-        other controller.
-        """
+        """The case whose run is used: bounding K_s changes only the proposed controller."""
         shared = self.setting == "bounded" and self.controller != PROPOSED
         return dataclasses.replace(self, setting="exact") if shared else self
 
@@ -123,7 +120,7 @@ class Case:
         return ", ".join(part for part in parts if part)
 
     def scenario(self, overrides: Sequence[str] = ()) -> Scenario:
-        """The scenario; ``overrides`` win over everything that the case says."""
+        """The scenario; ``overrides`` take precedence over the case."""
         setting = SETTINGS[self.setting]
         own = f"controller={self.controller}", f"random_seed={self.seed}"
         case = *setting.overrides, *own, *DISTURBANCES[self.disturbance], *VARIANTS[self.variant]
@@ -132,7 +129,7 @@ class Case:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Run:
-    """What is kept of a run."""
+    """Results of a run."""
 
     case: Case
     outcome: Outcome
@@ -142,11 +139,11 @@ class Run:
     ripple: np.ndarray
     # Sum over the coordinates of |mean error| over the last five seconds, rad and m.
     resting_error: float
-    dataset: "xr.Dataset | None"  # the time series, where the case ``keeps_record``
+    dataset: "xr.Dataset | None"  # the time series, if the case ``keeps_record``
 
     @property
     def itae(self) -> float:
-        """Infinite when the run did not reach its end: worse than any that did."""
+        """ITAE; infinite if the run did not complete."""
         return float(self.metrics["itae"]) if self.outcome.completed else math.inf
 
     @property
@@ -156,9 +153,7 @@ class Run:
 
     @property
     def mean_ripple(self) -> float:
-        """Rms change of the force from one sample to the next over run and coordinates; infinite as
-        ``itae``.
-        """
+        """Rms sample-to-sample change of the force over run and coordinates, or infinite."""
         return float(np.sqrt(np.mean(self.ripple**2))) if self.outcome.completed else math.inf
 
 
@@ -179,7 +174,7 @@ class Results:
         seed: int = 0,
         variant: str = "",
     ) -> Run:
-        """The run of a case, also where another case's run serves it."""
+        """The run of a case, possibly shared with another case."""
         case = Case(
             setting=setting,
             controller=controller,
@@ -192,7 +187,7 @@ class Results:
     def runs_of(
         self, setting: str, controller: str, *, variant: str = "", disturbance: str | None = None
     ) -> dict[tuple[str, int], Run]:
-        """All runs made of a controller, or those with one disturbance, by (disturbance, seed)."""
+        """A controller's runs, optionally with one disturbance, by (disturbance, seed)."""
         one = Case(setting=setting, controller=controller, variant=variant).canonical
         return {
             (case.disturbance, case.seed): run
@@ -213,7 +208,7 @@ class Results:
         return list(product(DISTURBANCES, range(self.num_seeds)))
 
     def rankings(self, metric: str, setting: str) -> list[list[str]]:
-        """Of every comparison, the controllers from the smallest value to the largest."""
+        """The controllers of every comparison, from the smallest value to the largest."""
         values = {name: self.runs_of(setting, name) for name in CONTROLLERS}
 
         def ranking(case: tuple[str, int]) -> list[str]:
@@ -240,7 +235,7 @@ class Results:
         return [a / b if math.isfinite(b) else math.nan for a, b in pairs]
 
     def divergence_times(self, setting: str, controller: str, **which: str) -> list[float]:
-        """When runs of a controller diverged, s; ``which`` as for ``runs_of``."""
+        """Times at which runs of a controller diverged, s; ``which`` as for ``runs_of``."""
         runs = self.runs_of(setting, controller, **which).values()
         return [run.outcome.time for run in runs if not run.outcome.completed]
 
@@ -263,12 +258,12 @@ class Results:
 
 
 def gain_of(scenario: Scenario, gain: str, controller: str = PROPOSED) -> float:
-    """A gain in a record's scenario, where it is the same for all coordinates."""
+    """A gain of a scenario that is equal for all coordinates."""
     return (scenario.controllers[controller][gain] or {})["all"]
 
 
 def keeps_record(case: Case) -> bool:
-    """Whether the full record of a run is kept: a figure or a claim needs it."""
+    """True if a figure or claim needs the full record of the run."""
     noise_free = case.controller == PROPOSED and case.variant == "no noise"
     return case.disturbance == "tau_d1" and case.seed == 0 and (case.variant == "" or noise_free)
 
@@ -284,14 +279,14 @@ def table_cases(num_seeds: int) -> list[Case]:
 
 
 def figure_cases(settings: Iterable[str], controllers: Iterable[str]) -> list[Case]:
-    """The runs that a figure of these controllers shows."""
+    """The runs in a figure of these controllers."""
     return _distinct(
         Case(setting=setting, controller=name) for setting, name in product(settings, controllers)
     )
 
 
 def claim_cases(num_seeds: int) -> list[Case]:
-    """The runs that single claims need beyond Table 2."""
+    """The runs for single claims, in addition to Table 2."""
     both = ("euler", "bounded")
     wanted = [
         *product(both, CONTROLLERS, ("no noise", "at rest")),
@@ -313,7 +308,7 @@ def claim_cases(num_seeds: int) -> list[Case]:
 
 
 def all_cases(num_seeds: int) -> list[Case]:
-    """Everything that the page shows or evaluates."""
+    """All cases that the page shows or evaluates."""
     return _distinct([*table_cases(num_seeds), *claim_cases(num_seeds)])
 
 
@@ -365,7 +360,7 @@ def _run(case: Case, overrides: Sequence[str]) -> Run:
 
 
 def _ripple(effort: np.ndarray, window: int) -> np.ndarray:
-    # without the first samples, in which the loop finds the force from nothing
+    # without the first samples, in which the loop builds up the force from zero
     steps = np.diff(effort[5:], axis=0)
     if len(steps) == 0:
         return np.zeros((1, effort.shape[1]))

@@ -1,4 +1,4 @@
-"""Claims about how the four schemes compare and turn into one another."""
+"""Claims about the comparison of the four schemes, and their special cases."""
 
 import dataclasses
 from typing import Any
@@ -26,7 +26,7 @@ def comparison_is_fair(results: Results) -> Evaluated:
         f"Stiffness (1/s²): TDC {span(tdc.k_p)}, ASMC K_s K_D = {span(asmc_stiffness, 4)}, AISMC "
         "and proposed K_P + "
         f"K_s K_D = {span(stiffness, 4)} at the start. ITAE of TDC over ASMC: "
-        f"{before.told(fixed)}; with ASMC's "
+        f"{before.text(fixed)}; with ASMC's "
         f"stiffness {after.pair(times_span)}.",
         holds_if(min(asmc_stiffness) <= 2.0 * max(tdc.k_p)),
     )
@@ -68,9 +68,9 @@ def without_k_p_surfaces_become_ordinary(results: Results) -> Evaluated:
     return (
         "Largest difference of the commands over random errors with K_P = 0 and equal K_s and G: "
         "(6) and (18) "
-        f"{percent(robust)}, (20) and (17) {percent(plain)}: (20) keeps K_s s, which TDC has not. "
+        f"{percent(robust)}, (20) and (17) {percent(plain)}: (20) keeps K_s s, which TDC lacks. "
         "The adaptation laws "
-        "differ besides: K_s is constant in (18), and G follows (19), not (10).",
+        "differ, too: K_s is constant in (18), and G follows (19), not (10).",
         ruling,
     )
 

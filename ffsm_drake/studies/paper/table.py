@@ -18,17 +18,18 @@ _PRINTED = {"itae": paper.ITAE, "isv": paper.ISV}
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One metric of one controller under one disturbance; mean, spread and ratio are NaN where runs
-    diverged.
+    """A metric of a controller under a disturbance.
+
+    Mean, spread and ratio are NaN if runs diverged.
     """
 
     mean: float  # over the seeds
-    spread: float  # standard deviation over the seeds (of a sample); NaN for a single one
+    spread: float  # sample standard deviation over the seeds; NaN for a single one
     paper: float
     ratio: float  # mean / paper
     rank: int  # among the four controllers, 1 the smallest; diverged ones last
     paper_rank: int
-    correction: str  # why the paper's value is read otherwise than printed, or empty
+    correction: str  # reason to correct the paper's value, or empty
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +63,7 @@ def make_table(results: Results) -> list[Row]:
                 else (f" ({len(ended)} of {len(runs[name])} runs)")
             )
             times_ended = span((run.outcome.time for run in ended), 2)
-            told = f"{ended[0].outcome.status} at {times_ended} s{which}" if ended else ""
+            ending_text = f"{ended[0].outcome.status} at {times_ended} s{which}" if ended else ""
             rows.append(
                 Row(
                     setting,
@@ -70,7 +71,7 @@ def make_table(results: Results) -> list[Row]:
                     name,
                     len(runs[name]),
                     len(ended),
-                    told,
+                    ending_text,
                     itae[name],
                     isv[name],
                 )
@@ -100,7 +101,7 @@ def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[st
 
 
 def table_csv(rows: list[Row]) -> str:
-    """The table as comma-separated values, full precision; empty where runs diverged."""
+    """The table as comma-separated values, full precision; empty if runs diverged."""
     lines = []
     for row in rows:
         line = dict(vars(row))
@@ -118,12 +119,12 @@ def table_csv(rows: list[Row]) -> str:
 
 
 def shown(metric: str, value: float) -> str:
-    """A metric's value as the tables write it."""
+    """A metric's value as formatted in the tables."""
     return scientific(value, 4) if metric == "itae" else f"{value:.1f}"
 
 
 def shown_ours(metric: str, cell: Cell) -> str:
-    """Mean over the seeds and, of several, spread in the mean's exponent."""
+    """Mean over the seeds and, for several, the spread with the mean's exponent."""
     if math.isnan(cell.spread):
         return f"{cell.mean:.2f}" if metric == "isv" else scientific(cell.mean, 4)
     if metric == "isv":
@@ -137,14 +138,14 @@ def shown_ratio(cell: Cell) -> str:
 
 
 def markdown_rows(rows: list[Row]) -> list[list[str]]:
-    """Text of the cells of one setting's table."""
+    """Cell texts of one setting's table."""
     lines = []
     for row in rows:
         line = [DISTURBANCE_NAMES[row.disturbance], NAMES[row.controller]]
         for metric in METRICS:
             cell: Cell = getattr(row, metric)
             mark = " †" if cell.correction else ""
-            # When, is said once.
+            # The time is given once.
             ended = row.diverged and (row.diverged if metric == "itae" else "diverged")
             ours = ended or shown_ours(metric, cell)
             line += [
@@ -172,10 +173,10 @@ HEADER = [
 
 
 def table_notes() -> list[str]:
-    """What the reader of the table must know."""
+    """Notes below the table."""
     return [
-        "Ours: mean over the noise seeds, of several ± their standard deviation. Ratio: ours over "
-        "the paper's. "
+        "Ours: mean over the noise seeds, ± standard deviation if there are several. Ratio: ours "
+        "over the paper's. "
         "Rank: ours among the four controllers, 1 for the smallest value, diverged runs last; in "
         "brackets the paper's.",
         *[

@@ -1,6 +1,4 @@
-"""Claims of the proof, and of stability as the sampled loop has it; evaluated by ``analysis`` and
-``stability``.
-"""
+"""Claims of the proof and of the sampled loop's stability, by ``analysis`` and ``stability``."""
 
 import functools
 
@@ -31,9 +29,7 @@ def _analysis(record: RunRecord) -> Analysis:
 
 @claim("The Lyapunov criterion proves the controller's global stability.", "Abstract, Section 3.2")
 def proof_is_conclusive(results: Results) -> Evaluated:
-    """A run that ends well agrees with what a proof concludes; the proof fails with its premises
-    all the same.
-    """
+    """Evaluate the premises: a completed run agrees with the conclusion, but does not prove it."""
     premise = _shares(results, "lemma_1_premise", "share_of_samples")
     conclusion = _shares(results, "lemma_1_conclusion", "share_of_gains")
     margins = {
@@ -59,9 +55,9 @@ def proof_is_conclusive(results: Results) -> Evaluated:
         f"exact, K_s bounded) and whose conclusion of {conclusion.pair(percent)} of the gains. It "
         "is in continuous "
         "time, too: with the force held, the published gains' run "
-        f"{fate(results.run('exact', PROPOSED))}. What tells "
-        f"the outcome is the sampled loop, {agreement}: it is stable for K_s below {fixed(limit)} "
-        "1/s on the exactly "
+        f"{fate(results.run('exact', PROPOSED))}. The "
+        f"sampled loop predicts the outcome, {agreement}: it is stable for K_s below "
+        f"{fixed(limit)} 1/s on the exactly "
         f"integrated plant and {fixed(euler_limit)} 1/s on the Euler plant. That runs complete "
         "proves nothing.",
         holds_if(
@@ -72,7 +68,7 @@ def proof_is_conclusive(results: Results) -> Evaluated:
 
 
 def _shares(results: Results, key: str, number: str) -> Both[float]:
-    """A share that a finding counts in the two runs of ``both``."""
+    """A fraction counted by a finding, in the two runs of ``both``."""
     found = both(
         lambda setting: _analysis(results.record(setting, PROPOSED)).finding(key).numbers[number]
     )
@@ -101,9 +97,7 @@ def tde_errors_are_bounded(results: Results) -> Evaluated:
 
 
 def _finding(key: str, text: str, place: str) -> Claim:
-    """A claim that is one finding of the analysis, in the paper's own run and in the exact one that
-    ends.
-    """
+    """A claim that is a finding of the analysis, in the paper's and the exact bounded run."""
 
     def evaluate(results: Results) -> Evaluated:
         found = {

@@ -1,9 +1,9 @@
-"""The form of a claim and of the verdict on it, and what the claims have in common.
+"""Claims, verdicts, and helpers to evaluate them.
 
-Every figure in a verdict is computed from the results, and the verdict follows from the figures. Of
-the settings (``runs.SETTINGS``), ``euler`` is the paper's own simulation and ``bounded`` the
-exactly integrated plant with the proposed controller's K_s bounded: the two in which every
-controller reaches the end.
+Every number in a verdict is computed from the results, and the verdict follows from the numbers.
+Of the settings (``runs.SETTINGS``), ``euler`` is the paper's own simulation and ``bounded`` the
+exactly integrated plant with the proposed controller's K_s bounded: the two where every controller
+completes.
 """
 
 import dataclasses
@@ -26,12 +26,12 @@ T = TypeVar("T")
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """One claim and what became of it."""
+    """A claim with its verdict."""
 
     topic: Topic
     claim: str  # in our words
     place: str  # section, equation or table of the paper
-    measured: str  # sentences with the figures
+    measured: str  # sentences with the numbers
     kind: Kind
     condition: str = ""  # completes "holds only", such as "without measurement noise"
 
@@ -42,13 +42,13 @@ class Verdict:
 
 
 Ruling = tuple[Kind, str]  # kind and condition of a verdict
-Evaluated = tuple[str, Ruling]  # what was measured, and what follows from it
+Evaluated = tuple[str, Ruling]  # the measurement in words, and the ruling
 Evaluation = Callable[[Results], Evaluated]
 
 
 @dataclasses.dataclass(frozen=True)
 class Claim:
-    """One claim of the paper; called with the results it gives the verdict."""
+    """One claim of the paper; calling it with the results gives the verdict."""
 
     topic: Topic
     claim: str
@@ -61,7 +61,7 @@ class Claim:
 
 
 def claims_about(topic: Topic) -> Callable[[str, str], Callable[[Evaluation], Claim]]:
-    """A decorator ``claim(text, place)`` that makes a claim of the function that evaluates it."""
+    """A decorator ``claim(text, place)`` that turns an evaluation function into a claim."""
     return lambda text, place: lambda evaluate: Claim(topic, text, place, evaluate)
 
 
@@ -87,14 +87,14 @@ class Both(Generic[T]):
     euler: T
     bounded: T
 
-    def told(self, write: Callable[[T], str]) -> str:
+    def text(self, write: Callable[[T], str]) -> str:
         return (
             f"with explicit Euler {write(self.euler)}; with exact integration and K_s bounded "
             f"{write(self.bounded)}"
         )
 
     def pair(self, write: Callable[[T], str]) -> str:
-        """In the same order, where it has been said which is which."""
+        """Both values in this order, for a sentence that has named the settings."""
         return f"{write(self.euler)} and {write(self.bounded)}"
 
     def ruling(self, good: Callable[[T], bool]) -> Ruling:

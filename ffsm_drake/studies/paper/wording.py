@@ -18,7 +18,7 @@ DISTURBANCE_NAMES = {
 
 
 def scientific(value: float, digits: int = 3) -> str:
-    """Such as 1.70×10⁻⁴; infinity, which stands for a diverged run, becomes words."""
+    """A number such as 1.70×10⁻⁴; infinity, for a diverged run, becomes words."""
     if not math.isfinite(value):
         return "diverged"
     if value == 0.0:
@@ -33,27 +33,27 @@ def fixed(value: float, digits: int = 3) -> str:
 
 
 def percent(share: float) -> str:
-    """Such as 25 % or 0.3 %."""
+    """A percentage such as 25 % or 0.3 %."""
     return f"{fixed(100.0 * share, 2)} %" if math.isfinite(share) else "diverged"
 
 
 def times(value: float) -> str:
-    """Such as 0.984 or 1.016; of numbers far from one, three digits."""
+    """A ratio such as 0.984 or 1.016; three digits if it is far from one."""
     return f"{value:.3f}" if 0.1 <= value < 10.0 else fixed(value)
 
 
 def span(values: Iterable[float], digits: int = 3) -> str:
-    """'smallest to largest', or the one value that all of them show."""
+    """'smallest to largest', or a single value if they round to the same text."""
     return between(values, lambda value: fixed(value, digits))
 
 
 def times_span(values: Iterable[float]) -> str:
-    """As ``span``, of ratios."""
+    """As ``span``, for ratios."""
     return between(values, times)
 
 
 def between(values: Iterable[float], write: Callable[[float], str]) -> str:
-    """'smallest to largest' in the words of ``write``."""
+    """'smallest to largest', formatted by ``write``."""
     everything = list(values)
     finite = sorted(value for value in everything if math.isfinite(value))
     if not finite:
@@ -64,12 +64,12 @@ def between(values: Iterable[float], write: Callable[[float], str]) -> str:
 
 
 def itae_of(run: Run) -> str:
-    """The run's ITAE, or when it diverged."""
+    """The run's ITAE, or its time of divergence."""
     return scientific(run.itae) if run.outcome.completed else ending(run)
 
 
 def ending(run: Run) -> str:
-    """Such as 'diverged at 5.3 s'."""
+    """An ending such as 'diverged at 5.3 s'."""
     return f"{run.outcome.status} at {run.outcome.time:.1f} s"
 
 
@@ -93,7 +93,7 @@ def fate(run: Run) -> str:
 
 
 def signed(share: float) -> str:
-    """Such as +1.2 %."""
+    """A signed percentage such as +1.2 %."""
     if not math.isfinite(share):
         return "divergence"
     return f"{100.0 * share:+.1f} %" if abs(share) >= 5e-4 else "less than 0.1 %"

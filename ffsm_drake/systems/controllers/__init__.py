@@ -46,16 +46,16 @@ __all__ = [
     "make_law",
 ]
 
-PAPER_LAWS = ("tdc", "asmc", "aismc", "tde_aismc")  # what the paper compares
+PAPER_LAWS = ("tdc", "asmc", "aismc", "tde_aismc")  # the paper's comparison
 
 
 def controller_names() -> tuple[str, ...]:
-    """Every controller that can be named without a module: shipped, then installed."""
+    """Every controller with a name of its own: shipped, then installed."""
     return block_names("controller")
 
 
 def controller_setup(scenario: Scenario, nominal: PlantModel) -> BlockSetup:
-    """What the scenario's controller is built from; its model is that of the driven coordinates."""
+    """Setup of the scenario's controller; its model is that of the driven coordinates."""
     name, nominal = controller_key(scenario.controller), driven_model(nominal)
     return BlockSetup(
         name=name, scenario=scenario, nominal=nominal, settings=scenario.controllers.get(name, {})
@@ -65,13 +65,13 @@ def controller_setup(scenario: Scenario, nominal: PlantModel) -> BlockSetup:
 def make_controller(
     scenario: Scenario, nominal: PlantModel, factory: Factory | None = None
 ) -> System:
-    """The scenario's controller, a system of that name (its part after the colon).
+    """The scenario's controller, a system with its name (the part after the colon).
 
     Args:
       scenario: names the controller and its gains.
       nominal: the plant with the nominal payload; the controller's own.
-      factory: builds it in place of the one that the scenario names: BlockSetup -> control law or
-        Drake system. Its name is the controller's.
+      factory: replaces the scenario's choice: BlockSetup -> control law or Drake system. The
+        system keeps the scenario's name.
 
     Raises:
       ScenarioError: an unknown controller or gain, gains of unknown or missing coordinates.
@@ -100,15 +100,12 @@ def make_controller(
 
 
 def make_law(scenario: Scenario, nominal: PlantModel) -> Any:
-    """The control law of the scenario's controller alone, such as a TimeDelayControl; errors as
-    ``make_controller``.
-    """
+    """The scenario's control law alone, such as TimeDelayControl; errors as ``make_controller``."""
     return _make(controller_setup(scenario, nominal), None)
 
 
 def gain_vectors(scenario: Scenario, coordinates: Coordinates) -> dict[str, Any]:
-    """The gains of the scenario's controller as its law gets them, by name: (nv), or a number; see
-    ``gain_values``.
+    """Gains of the scenario's controller, by name: vectors (nv) or numbers; see ``gain_values``.
 
     Empty for a controller that declares none. Raises ScenarioError and BlockError as
     ``make_controller`` does.
@@ -122,16 +119,12 @@ def gain_vectors(scenario: Scenario, coordinates: Coordinates) -> dict[str, Any]
 
 
 def declared_gains(scenario: Scenario) -> dict[str, Gain]:
-    """The gains that the scenario's controller declares, by name; empty for one that declares
-    none.
-    """
+    """Declared gains of the scenario's controller, by name; empty if it declares none."""
     return gains_of(_factory(scenario))
 
 
 def complete_gains(scenario: Scenario) -> Scenario:
-    """The scenario with all gains of its controller written out, those that it leaves to their
-    defaults too.
-    """
+    """The scenario with all gains of its controller written out, including defaults."""
     declared, key = declared_gains(scenario), controller_key(scenario.controller)
     if not declared:
         return scenario
@@ -144,9 +137,7 @@ def complete_gains(scenario: Scenario) -> Scenario:
 
 
 def gains_schema() -> dict[str, Any]:
-    """JSON Schema of the gains of every controller that can be named without a module, by
-    controller.
-    """
+    """JSON Schema of the gains of every shipped or installed controller, by controller."""
     number = {"type": "number"}
     by_name = {"type": "object", "additionalProperties": number}
     schema = {}
@@ -169,15 +160,13 @@ def gains_schema() -> dict[str, Any]:
 
 
 def _check_other_gains(scenario: Scenario, coordinates: Coordinates) -> None:
-    """Raise ScenarioError for a wrong gain of a controller that is not the scenario's own, or a
-    misspelt controller.
-    """
+    """Raise ScenarioError for a wrong gain of another controller, or a misspelt controller."""
     names, own = controller_names(), controller_key(scenario.controller)
     for key, given in scenario.controllers.items():
         if key in names and key != own:
             gain_values(find_factory("controller", key), given, coordinates, name=key)
         elif key != own and (remedy := did_you_mean(key, [*names, own])):
-            # any other may be a user's
+            # others may be a user's
             raise ScenarioError(f"controllers.{key}", f"unknown controller{remedy}")
 
 

@@ -1,6 +1,4 @@
-"""Computed torque: feedback linearization with the nominal model, a baseline without estimate or
-adaptation.
-"""
+"""Computed torque, a baseline without estimate or adaptation: feedback linearization."""
 
 import dataclasses
 

@@ -6,11 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-# A filter needs some noise on every measurement: in units of acceleration at least this share of
-# the larger of the other measurement's and the walk's, below which the Riccati equation has no
-# solution in double precision.
+# Least noise of a measurement, in units of acceleration, as a fraction of the larger of the other
+# measurement's and the walk's: below it double precision cannot solve the Riccati equation.
 SMALLEST_RATIO = 1e-7
-# Of the work on the gains of late and slow sensors, roughly multiplications: seconds.
+# Largest work on the gains of late and slow sensors, in multiplications, roughly: seconds.
 _LARGEST = 3e8
 
 
@@ -28,8 +27,7 @@ def kalman_gain(
     from scipy.linalg import solve_discrete_are
 
     step = sample_time
-    # In units of acceleration ([L^2, L, 1]) every entry is of order one; in SI units the equation
-    # is badly scaled.
+    # In units of acceleration ([L^2, L, 1]) every entry is of order one; SI units scale badly.
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
     output = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     sigma = np.array([position_noise / step**2, velocity_noise / step])
@@ -57,7 +55,7 @@ def coupled_gain(
     """Stationary gain (3 n, 2 n) of a CoupledEstimator.
 
     Args:
-      inverse_mass_matrix: the part of Hhat^-1 that is the coupled coordinates' (n, n).
+      inverse_mass_matrix: block (n, n) of Hhat^-1 for the coupled coordinates.
       position_noise, velocity_noise: standard deviations of the measured e and e' (n).
       walk: intensity of the force's random walk (n), N m or N per sqrt(s).
       sample_time: L, s.
@@ -98,18 +96,16 @@ def late_gains(axis: LateAxis, *, sample_time: float) -> np.ndarray:
     """Gains (4, 4 + sum of the delays, 2) of one coordinate of a LateKalmanEstimator, on [e, e', d,
     b, past].
 
-    One gain for each kind of sample (nothing, velocity, position, both new): where the stationary
-    filter's gain differs between samples of one kind, the mean over the common period of the
-    sensors.
-
-    Raises LinAlgError where that filter is not stable.
+    One gain per kind of sample (nothing, velocity, position, both new). If the stationary filter's
+    gain differs between samples of one kind, it is the mean over the sensors' common period.
+    Raises LinAlgError if that filter is unstable.
     """
     step, (lag_e, lag_v) = sample_time, axis.delay
     common = min(axis.delay)
     extra = lag_e - common, lag_v - common  # one of them is 0
     size = 4 + sum(extra)
-    # In units of acceleration, as in ``kalman_gain``. The measurements' common delay is a matter of
-    # prediction alone: the filter runs where the younger one is of the present.
+    # In units of acceleration, as in ``kalman_gain``. The measurements' common delay needs only
+    # prediction: the filter runs at the time of the younger measurement.
     core = np.array(
         [[1.0, 1.0, 0.5, 0.0], [0.0, 1.0, 1.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
     )
@@ -189,14 +185,14 @@ def late_gains(axis: LateAxis, *, sample_time: float) -> np.ndarray:
 
 
 class _Riccati(NamedTuple):
-    """The map P -> h + a P (1 + g P)^-1 a^T of a covariance, and how two of them are one."""
+    """The map P -> h + a P (1 + g P)^-1 a^T of a covariance; maps compose."""
 
     a: np.ndarray
     g: np.ndarray
     h: np.ndarray
 
     def then(self, other: "_Riccati") -> "_Riccati":
-        """First this map, then the other."""
+        """The composition: this map, then the other."""
         inverse = np.linalg.inv(np.eye(len(self.a)) + self.h @ other.g)
         g = self.g + self.a.T @ other.g @ inverse @ self.a
         h = other.h + other.a @ inverse @ self.h @ other.a.T

@@ -18,30 +18,29 @@ _KEY = "command_filter"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FilteredLaw(ControlLaw):
-    """A law whose force passes through filters; the law hears of what acted by ``applied_force`` as
-    ever.
+    """A law whose force passes through filters; the law still receives ``applied_force``.
 
     The low-pass is y_k = y_{k-1} + a (x_k - y_{k-1}). The notch is the bilinear transform, exact at
     its frequency, of (s^2 + w^2) / (s^2 + b w s + w^2), b being its width.
     """
 
     law: ControlLaw
-    share: np.ndarray  # (nv) a; 1: no low-pass
-    numerator: np.ndarray  # (3, nv) of the notch in powers of 1/z; (1, 0, 0): none
-    denominator: np.ndarray  # (2, nv) its coefficients of 1/z and 1/z^2
+    share: np.ndarray  # (nv) a of the low-pass; 1: none
+    numerator: np.ndarray  # (3, nv) the notch's coefficients of powers of 1/z; (1, 0, 0): no notch
+    denominator: np.ndarray  # (2, nv) the notch's coefficients of 1/z and 1/z^2
 
     @property
     def tracks_frame(self) -> bool:  # type: ignore[override]
-        """As the law says."""
+        """True if the wrapped law tracks a frame."""
         return self.law.tracks_frame
 
     def initial_state(self) -> State:
-        """The law's, and that of filters at rest."""
+        """The law's state, and that of filters at rest."""
         zeros = np.zeros_like(self.share)
         return {**self.law.initial_state(), **dict.fromkeys(_MEMORY, zeros)}
 
     def held(self) -> Mapping[str, float | None]:
-        """As the law says."""
+        """See ControlLaw; the wrapped law's memory only."""
         return self.law.held()
 
     @property
@@ -72,7 +71,7 @@ class FilteredLaw(ControlLaw):
         return filtered, {**memory, **dict(zip(_MEMORY, filters, strict=True))}
 
     def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
-        """See ControlLaw: the filters go on."""
+        """See ControlLaw: the filters continue."""
         law = before.law if isinstance(before, FilteredLaw) else before
         own = {name: state[name] for name in _MEMORY}
         return {
@@ -89,9 +88,9 @@ _MEMORY = ("low_passed_force", "notch_first", "notch_second")
 def make_filtered(
     law: ControlLaw, settings: CommandFilter, coordinates: Coordinates, *, sample_time: float
 ) -> ControlLaw:
-    """A law with the filters of a scenario; itself without any.
+    """A law with the filters of a scenario, if it has any; else the law itself.
 
-    Raises ScenarioError: an unknown coordinate, or a frequency beyond half the control rate.
+    Raises ScenarioError: an unknown coordinate, or a frequency above half the control rate.
     """
     cut, center, width = (
         coordinates.vector(getattr(settings, name), key=f"{_KEY}.{name}", default=0.0)

@@ -37,11 +37,9 @@ if TYPE_CHECKING:
 State = Mapping[str, np.ndarray]
 
 
-# made in every control update: a frozen dataclass takes five times as long
+# a NamedTuple, as it is made in every control update: a frozen dataclass takes five times as long
 class Sample(NamedTuple):
-    """What a law sees at t_k. All axes are the world's; v = [w_WB, v_WB, joint rates]; rad, m, s, N
-    m, N.
-    """
+    """Inputs of a law at t_k; world axes, v = [w_WB, v_WB, joint rates]; rad, m, s, N m, N."""
 
     q: np.ndarray  # (..., nq) measured configuration
     v: np.ndarray  # (..., nv) measured velocity
@@ -49,15 +47,14 @@ class Sample(NamedTuple):
     v_d: np.ndarray  # (..., nv)
     a_d: np.ndarray  # (..., nv)
     e: np.ndarray  # (..., nv) q_d - q, the base's attitude as a rotation vector
-    # (..., nv) rate of e: v_d - v but for the attitude, see coordinates.error_rate
+    # (..., nv) rate of e: v_d - v except for the attitude, see coordinates.error_rate
     e_dot: np.ndarray
-    applied_force: np.ndarray  # (..., nv) what acted over the last period; zero at the first sample
-    is_first: bool  # whether there was no sample before, or a grasp since
-    # (..., 2 nv) whether this sample brings a new measurement of each position, then of each
-    # velocity; None: of all
+    applied_force: np.ndarray  # (..., nv) force over the last period; zero at the first sample
+    is_first: bool  # no sample before, or a grasp since
+    # (..., 2 nv) mask of new measurements: of each position, then of each velocity; None: all new
     is_new: np.ndarray | None = None
-    # (..., 19) [quaternion (w, x, y, z) of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF] of the frame F
-    # of ``reference.frame``, wanted; None: there is none, or the law tracks no frame
+    # (..., 19) desired [quaternion (w, x, y, z) of R_WF; p_WF; w_WF; v_WF; alpha_WF; a_WF] of the
+    # frame F of ``reference.frame``; None: there is none, or the law tracks no frame
     desired_frame: np.ndarray | None = None
 
 
@@ -65,11 +62,11 @@ class Sample(NamedTuple):
 class Gain(Setting):
     """The declaration of one gain: a setting of a law."""
 
-    # by coordinate or group; a number: for all; None: no bound
+    # by coordinate or group, or one number for all; None: no bound
     default: float | PerCoordinate | None
     scalar: bool  # one number for all coordinates
-    bound: bool  # an upper bound, which null takes away
-    feedback: bool  # acts on the error; otherwise on how the law adapts
+    bound: bool  # an upper bound; null means unbounded
+    feedback: bool  # acts on the error; otherwise on the adaptation
 
 
 def gain(
@@ -110,12 +107,12 @@ class ReachingGain:
 
     @property
     def is_adapted(self) -> bool:
-        """Whether K_s is part of the law's memory, as ``reaching_gain``."""
+        """True if K_s is part of the law's memory, as ``reaching_gain``."""
         return self.rate is not None
 
     @property
     def changes(self) -> bool:
-        """Whether adaptation can take K_s anywhere."""
+        """True if adaptation can change K_s."""
         return not np.array_equal(self.largest, self.start)
 
 
@@ -125,7 +122,7 @@ class ControlLaw(abc.ABC):
     Arrays have the shape (..., nv): one run, or several at once.
     """
 
-    # Whether it tracks a frame: it gets ``desired_frame`` then, and is judged by the frame's pose.
+    # True if it tracks a frame: it gets ``desired_frame``, and is evaluated by the frame's pose.
     tracks_frame: ClassVar[bool] = False
 
     def initial_state(self) -> State:
@@ -133,10 +130,10 @@ class ControlLaw(abc.ABC):
         return {}
 
     def held(self) -> Mapping[str, float | None]:
-        """What of the memory a linearisation holds: at the number given, None: as it is.
+        """Memory that a linearisation holds constant: at the given number, or as it is (None).
 
-        Gains under adaptation, which change slowly beside the loop, and with 0 the gain of a sign
-        term, which has no derivative.
+        These are adapted gains, which are slow compared with the loop, and, at 0, the gain of a
+        sign term, which has no derivative.
         """
         return {}
 
@@ -161,40 +158,39 @@ class ControlLaw(abc.ABC):
         """One control sample.
 
         Args:
-          sample: what was measured and what is wanted.
+          sample: measurement and reference.
           state: the memory at this sample, by name; must not be changed in place.
 
         Returns: the generalized force tau (..., nv; N m and N), held until the next sample, and the
-        memory by then.
+        memory for that.
         """
 
     def resume(self, state: State, before: "ControlLaw", reference: np.ndarray) -> State:
-        """The memory with which this law goes on where another has come to, after the grasp of a
-        target; as it was.
+        """Memory with which this law takes over from another at the grasp of a target.
 
-        The next sample is a first one: velocities and reference have jumped since the last.
+        By default it is unchanged. The next sample is a first one: velocities and reference have
+        jumped.
 
         Args:
           state: the other's memory, by name.
-          before: the other, of the same gains, with the model without the target.
-          reference: [q_d; v_d] (nq + nv) at the grasp, the velocity that after it.
+          before: the other law, with the same gains and a model without the target.
+          reference: [q_d; v_d] (nq + nv) at the grasp, with the velocity after it.
         """
         return state
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "ControlLaw":
-        """The law for a scenario: gains by the names of its fields, besides ``model`` and
-        ``sample_time``.
+        """The law for a scenario; its fields are gains, ``model`` and ``sample_time``.
 
         Raises:
           ScenarioError: a gain of unknown or missing coordinates, or out of its range.
-          BlockError: a field that is none of these, or no ``step``.
+          BlockError: another field without a default, or no ``step``.
         """
         return cls(**field_values(cls, setup))
 
 
 def gains_of(kind: Any) -> dict[str, Gain]:
-    """The gains that a law declares, by name."""
+    """Declared gains of a law, by name."""
     return {name: item for name, item in settings_of(kind).items() if isinstance(item, Gain)}
 
 
@@ -230,13 +226,13 @@ def field_values(kind: type, setup: BlockSetup, **given: Any) -> dict[str, Any]:
 def gain_values(
     kind: Any, given: Mapping[str, Any], coordinates: Coordinates, *, name: str
 ) -> dict[str, np.ndarray | float]:
-    """Every gain that a law declares: the value that is given, else the default.
+    """Every declared gain of a law: the given value, else the default.
 
     Args:
       kind: the law's class.
-      given: as a scenario gives them: gain -> by coordinate, or null.
-      coordinates: of the spacecraft.
-      name: the controller's, for errors.
+      given: gains of a scenario: name -> values by coordinate, or null.
+      coordinates: the spacecraft's.
+        name: the controller's, for errors.
 
     Returns: vectors (nv), numbers for scalar ones; infinity stands for no bound.
 
@@ -278,15 +274,12 @@ def _value(declared: Gain, given: Any, coordinates: Coordinates, *, key: str) ->
 
 
 def complete_gain(declared: Gain, given: Any = _DEFAULT) -> PerCoordinate | None:
-    """A gain by name of coordinate or group: what is given, and the default where it says nothing;
-    None: no bound.
-    """
+    """A gain by coordinate or group name: given values, completed by defaults; None: no bound."""
     value = declared.default if given is _DEFAULT else given
     if value is None:
         return None
     values = _by_name(value)
-    # A value for all outdoes the defaults of groups, and a bound that is given is all there is of
-    # it.
+    # A value for ``all`` overrides the defaults of groups; a given bound replaces all defaults.
     if "all" in values or set(GROUPS) <= set(values) or declared.default is None or declared.bound:
         return values
     return {**_by_name(declared.default), **values}

@@ -1,6 +1,4 @@
-"""PD+: a model-based baseline of Paden and Panja (1988), without any estimate of what the model
-lacks.
-"""
+"""PD+: the model-based baseline of Paden and Panja (1988), without an estimate of model errors."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""The one system around every control law: sampled, held, all memory in the context."""
+"""The system around every control law: sampled, held, all memory in the context."""
 
 from collections.abc import Mapping
 
@@ -12,7 +12,7 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 
-# What of a law's memory is an output, and recorded: (nv) each, and one number.
+# Memory of a law that becomes an output and is recorded: (nv) each, and one number.
 OPTIONAL_OUTPUTS = ("sliding_variable", "reaching_gain", "switching_gain")
 SMALLEST = "smallest_singular_value"
 _ONE = np.ones(1)
@@ -21,22 +21,22 @@ _ONE = np.ones(1)
 class SampledController(LeafSystem):
     """A control law, evaluated once per control period.
 
-    Of undriven coordinates the law sees no error, and commands no force.
+    The law sees no error of undriven coordinates, and commands no force on them.
 
     Inputs:
       estimated_state: measured [q; v] (nq + nv).
       desired_state: [q_d; v_d] (nq + nv).
       desired_acceleration: (nv).
-      applied_force: optional (nv), the force that acted over the last period (saturated,
-        quantised); without it the commanded force is taken to have acted.
+      applied_force: optional (nv), the force over the last period (saturated, quantised); the
+        default is the commanded force.
       measurement_is_new: optional (nq + nv), 1 where the sample brings a new measurement; without
         it all are new.
-      desired_frame: of a law that tracks a frame, optional (19), see ``Sample.desired_frame``.
+      desired_frame: optional (19), for a law that tracks a frame; see ``Sample.desired_frame``.
     Outputs, read from the state so that no integrator stage runs Python:
       generalized_force: tau (nv), held over the period: base torque and force in world axes, joint
         torques.
-      sliding_variable, reaching_gain, switching_gain: where the law's memory has them, (nv).
-      smallest_singular_value: where the law's memory has it, (1).
+      sliding_variable, reaching_gain, switching_gain: (nv), if the law's memory has them.
+      smallest_singular_value: (1), if the law's memory has it.
     Discrete state, updated every ``sample_time``:
       generalized_force (nv), has_previous (1; 0 before the first update), then the law's memory by
       name.
@@ -89,7 +89,7 @@ class SampledController(LeafSystem):
         untie(self)
 
     def state(self, context: Context, name: str) -> np.ndarray:
-        """A copy of one piece of the discrete state; the names are those of the class docstring."""
+        """A copy of one piece of the discrete state, by its name in the class docstring."""
         index = {
             "generalized_force": self._force,
             "has_previous": self._has_previous,
@@ -98,7 +98,7 @@ class SampledController(LeafSystem):
         return np.array(context.get_discrete_state(index).value())
 
     def remember_velocity(self, context: Context, velocity: np.ndarray) -> None:
-        """Set what the memory holds of the velocity (nv) a sample ago, wanted or measured."""
+        """Set the memory of the previous sample's velocity (nv), desired or measured."""
         for name in ("delayed_desired_velocity", "delayed_velocity"):
             if name in self._memory:
                 context.SetDiscreteState(self._memory[name], velocity)
@@ -110,14 +110,13 @@ class SampledController(LeafSystem):
         context_before: Context,
         reference: np.ndarray,
     ) -> None:
-        """Go on where another controller has come to, as at the first sample: velocities and
-        reference have jumped.
+        """Take over from another controller; the next sample is a first one, as velocities jump.
 
         Args:
-          context: of this controller.
-          before: the other, of the same law for another payload.
-          context_before: of that.
-          reference: [q_d; v_d] (nq + nv) at the instant of going on.
+          context: this controller's context.
+          before: the other controller, with the same law for another payload.
+          context_before: the other controller's context.
+          reference: [q_d; v_d] (nq + nv) at that instant.
         """
         memory = {name: before.state(context_before, name) for name in self._memory}
         memory = dict(self.law.resume(memory, before.law, reference))
@@ -140,7 +139,7 @@ class SampledController(LeafSystem):
         estimated = self._estimated_state.Eval(context)
         desired = self._desired_state.Eval(context)
         split = self._num_positions
-        # As coordinates.position_error and error_rate, in one step.
+        # coordinates.position_error and error_rate, in one step.
         difference = desired - estimated
         e, e_dot = difference[1:split], difference[split:]
         e[:3] = rotation = rotation_error(desired[:4], estimated[:4])
@@ -163,7 +162,7 @@ class SampledController(LeafSystem):
             if self._applied_force.HasValue(context)
             else value(self._force),
             is_first,
-            # The quaternion has one entry more than the rotation.
+            # The quaternion has one entry more than the rotation vector.
             self._is_new.Eval(context)[1:] != 0.0 if self._is_new.HasValue(context) else None,
             None
             if self._desired_frame is None or not self._desired_frame.HasValue(context)
@@ -172,10 +171,10 @@ class SampledController(LeafSystem):
         state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
         if is_first:
             for values in state.values():
-                values.setflags(write=False)  # a law that writes into them is told so once
+                values.setflags(write=False)  # a law that writes into them fails once
         try:
             returned = self.law.step(sample, state)
-        except (SystemExit, GeneratorExit) as error:  # would end the process as if all were well
+        except (SystemExit, GeneratorExit) as error:  # would end the process without an error
             what = "called sys.exit" if isinstance(error, SystemExit) else "raised GeneratorExit"
             raise BlockError(
                 f"{self.get_name()}: step {what} at t = {context.get_time():.2f} s; raise an "
@@ -183,7 +182,7 @@ class SampledController(LeafSystem):
             ) from error
         if is_first:
             self._check(returned)
-            discrete_values.set_value(self._has_previous, _ONE)  # unset, a value stays what it was
+            discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
         force, memory = returned
         if self._undriven is not None:
             force = np.array(force)
@@ -193,7 +192,7 @@ class SampledController(LeafSystem):
             discrete_values.set_value(index, memory[name])
 
     def _check(self, returned: object) -> None:
-        """Raise BlockError unless the law returned what it must; once, as shapes do not change."""
+        """Raise BlockError if the law's result is invalid; once, as shapes do not change."""
         name = self.get_name()
         if not (
             isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping)

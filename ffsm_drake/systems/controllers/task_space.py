@@ -1,4 +1,4 @@
-"""Task space: what a frame does when the driven coordinates move, for laws that track its pose.
+"""Task space: the motion of a frame with the driven coordinates, for laws that track its pose.
 
 With J* the generalized Jacobian, H* and C* of the driven coordinates a (``docs/free_floating.md``),
 the frame's twist and acceleration are
@@ -6,17 +6,17 @@ the frame's twist and acceleration are
     V = J* v_a + V_0,     A = J* dv_a/dt + A_0,     H* dv_a/dt + C* = tau_a,
 
 all of them of the nominal plant at the measured state; where every coordinate is driven J* is J, H*
-is H. The joints serve the frame. A driven base follows its plan, and the joints as far as the frame
-leaves them free: of a motion z of all driven coordinates that follows the plan, and what the frame
-should do,
+is H. The joints serve the frame. A driven base follows its plan, and so do the joints in the
+frame's null space: from a motion z of all driven coordinates that follows the plan, and the frame's
+desired motion,
 
     v_a = z + [0; J+ (V - V_0 - J* z)],     dv_a/dt = z + [0; J+ (A - A_0 - J* z)],
 
 J+ being the pseudoinverse of the joints' columns of J*, damped as in ``resolved_motion``: along
-each singular direction 1/s, and s (2 d^2 - s^2) / d^4 where s < d. So no twist takes rates of more
-than 1.09/d of it, and at a singularity the lost direction takes none. The inverse of least kinetic
-energy (Khatib 1987, doi:10.1109/JRA.1987.1087068) has no such bound, and turns light wrists where
-it need not.
+each singular direction 1/s, and s (2 d^2 - s^2) / d^4 where s < d. So a twist takes rates of at
+most 1.09/d times its size, and at a singularity the lost direction takes none. The inverse of least
+kinetic energy (Khatib 1987, doi:10.1109/JRA.1987.1087068) has no such bound, and turns light wrists
+needlessly.
 """
 
 import abc
@@ -40,29 +40,29 @@ from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.resolved_motion import damped_inverse
 from ffsm_drake.systems.setup import BlockSetup
 
-# of the largest singular value: below, a direction that the arm does not have at all
+# fraction of the largest singular value below which a direction counts as missing in the arm
 _ROUNDING = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class TaskSpace:
-    """A frame, the rows of its twist that count, and what is driven."""
+    """A frame, the controlled rows of its twist, and the driven coordinates."""
 
     model: PlantModel  # whole, with the nominal payload
     frame: Frame
-    rows: slice  # of [w; v]: m of them
+    rows: slice  # m rows of [w; v]
     driven: np.ndarray  # (na) indices of v, the joints last
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
-        """Of ``reference.frame``; without one, or with none of its rows prescribed, the whole pose
-        of the end effector.
+        """The task of ``reference.frame``; default: the end effector's pose.
 
-        Raises ModelError: there is no such frame.
+        The default applies without a frame, or without prescribed rows. Raises ModelError: there is
+        no such frame.
         """
         goal, given = setup.scenario.reference.frame, setup.nominal
         task = "pose" if goal is None or goal.task == "none" else goal.task
-        # Not that of the driven coordinates alone, which a law gets otherwise.
+        # The whole model, not the reduced one that laws get otherwise.
         model = PlantModel(plant=given.plant, context=given.context, coordinates=given.coordinates)
         frame = goal_frame(setup.scenario, model.plant)
         return cls(model=model, frame=frame, rows=TASK_ROWS[task], driven=given.coordinates.driven)
@@ -77,7 +77,7 @@ class TaskSpace:
         )
         jacobian = model.calc_jacobian(q, self.frame)
         desired = sample.desired_frame
-        if desired is None:  # the frame goes where the planned motion of the coordinates takes it
+        if desired is None:  # the frame follows the planned motion of the coordinates
             desired = model.calc_frame_motion(sample.q_d, sample.v_d, sample.a_d, self.frame)
         twist = jacobian.dot(sample.v)
         e = position_error(desired[:7], model.calc_frame_pose(q, self.frame))
@@ -113,7 +113,7 @@ class TaskPoint:
     whole_jacobian: np.ndarray  # J (m, nv)
     jacobian: np.ndarray  # J* (m, na)
     damping: float
-    # (m) of the pose: rotation vector from R_WF to its reference, rad; then of the position, m
+    # (m) pose error: rotation vector from R_WF to its reference, rad; then position, m
     e: np.ndarray
     e_dot: np.ndarray  # (m) its rate
     twist: np.ndarray  # V (m), measured
@@ -150,22 +150,21 @@ class TaskPoint:
 
     @functools.cached_property
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of the joints' columns of J*, u s v^T: u (m, k), s (k), v^T (k, nj)."""
+        """SVD u s v^T of the joints' columns of J*: u (m, k), s (k), v^T (k, nj)."""
         base = int(np.count_nonzero(self.task_space.driven < NUM_BASE_VELOCITIES))
         return np.linalg.svd(self.jacobian[:, base:], full_matrices=False)
 
     @property
     def smallest_singular_value(self) -> float:
-        """Of the joints' columns of J*, rad counted as m, among directions in which they move the
-        frame at all.
+        """Smallest singular value of the joints' columns of J*, rad counted as m.
+
+        Directions in which the joints cannot move the frame do not count.
         """
         sizes = self._directions[1]
         return float(sizes[sizes > _ROUNDING * sizes[0]][-1]) if sizes[0] > 0.0 else 0.0
 
     def served(self, z: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """z + [0; J+ (wanted - J* z)] (na): a motion z (na) with joints that do what is wanted of
-        the frame (m).
-        """
+        """z + [0; J+ (wanted - J* z)] (na): motion z (na) corrected for the frame's motion (m)."""
         left, sizes, right = self._directions
         lacking = left.T.dot(wanted - self.jacobian.dot(z))
         result = z.copy()
@@ -220,9 +219,7 @@ class TaskSpaceLaw(ControlLaw):
 
     @abc.abstractmethod
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
-        """tau_a (na) at one sample, N m and N, and the law's own memory; see
-        ``ControlLaw.step``.
-        """
+        """tau_a (na) at one sample, N m and N, and the law's memory; see ``ControlLaw.step``."""
 
     def _one_by_one(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         forces, memories = list[np.ndarray](), list[State]()
@@ -244,9 +241,7 @@ class TaskSpaceLaw(ControlLaw):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AccelerationLaw(TaskSpaceLaw):
-    """Base of the laws that command accelerations, with gains for the frame and for what follows
-    the plan.
-    """
+    """Base of the laws that command accelerations, with gains for the frame and for the plan."""
 
     k_p_rotation: float
     k_p_position: float
@@ -267,24 +262,23 @@ class AccelerationLaw(TaskSpaceLaw):
 
     @functools.cached_property
     def k_p(self) -> np.ndarray:
-        """By row of the task (m)."""
+        """K_p by row of the task (m)."""
         return self.task_space.by_row(self.k_p_rotation, self.k_p_position)
 
     @functools.cached_property
     def k_d(self) -> np.ndarray:
-        """By row of the task (m)."""
+        """K_d by row of the task (m)."""
         return self.task_space.by_row(self.k_d_rotation, self.k_d_position)
 
     def feedback(self, wanted: np.ndarray) -> np.ndarray:
-        """The acceleration (m) that a frame's error asks for, as large as is allowed."""
+        """Feedback acceleration (m) for a frame's error, within its limit."""
         return limited(wanted, np.full(wanted.size, self.acceleration_limit))
 
     def limited(self, e: np.ndarray) -> np.ndarray:
-        """The frame's error (m), such that the speed that takes it back is limited: K_p e is as
-        large as K_d times it.
+        """The frame's error (m), shortened so that its correction keeps the speed limit.
 
-        At a singularity an error stays that no rate takes away, and the larger it is the faster
-        joints go to and fro.
+        At that limit K_p e is K_d times the speed. At a singularity no rate can remove an error,
+        and joints oscillate faster the larger it is.
         """
         return limited(e, self.speed_limit * self.k_d / np.maximum(self.k_p, 1e-12))
 
@@ -295,9 +289,7 @@ class AccelerationLaw(TaskSpaceLaw):
 
 
 def limited(vector: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """A vector (m) of a frame whose rotation and position are no larger than a limit each, given by
-    row (m).
-    """
+    """A frame's vector (m), rotation and position each shortened to a limit given by row (m)."""
     parts, limits = vector.reshape(-1, 3), limit.reshape(-1, 3)[:, :1]
     sizes = np.sqrt((parts * parts).sum(axis=1, keepdims=True))
     return (parts * (limits / np.maximum(sizes, limits))).ravel()

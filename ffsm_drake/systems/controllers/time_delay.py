@@ -1,7 +1,7 @@
 """Time-delay control: a control law made of a nominal model, an estimator and injected dynamics.
 
 The plant is q'' = N + Hhat^-1 tau with everything unknown in N (equation (2)). One sample ago N was
-q''(t-L) - Hhat^-1 tau(t-L) (equation (5)), and taking that for the present N gives
+q''(t-L) - Hhat^-1 tau(t-L) (equation (5)), and using that for the present N gives
 
     tau_k = tau_{k-1} - Hhat q''_{k-1} + Hhat u_k,      q''_{k-1} = (qdot_k - qdot_{k-1}) / L,
 
@@ -30,9 +30,7 @@ from ffsm_drake.systems.setup import BlockSetup
 
 
 class InjectedDynamics(abc.ABC):
-    """Base of the laws that run on time-delay estimation; a subclass is a frozen dataclass with a
-    ``step``.
-    """
+    """Base of laws with time-delay estimation; a subclass is a frozen dataclass with a ``step``."""
 
     # Whether it treats every coordinate by itself and is linear while ``held`` is held:
     # ``ffsm stability`` then gives limits by coordinate.
@@ -43,7 +41,7 @@ class InjectedDynamics(abc.ABC):
         return {}
 
     def held(self) -> Mapping[str, float | None]:
-        """What of the memory a linearisation holds; see ControlLaw."""
+        """Memory that a linearisation holds constant; see ControlLaw."""
         return {}
 
     @property
@@ -71,12 +69,12 @@ class InjectedDynamics(abc.ABC):
     chooses_k_s: ClassVar[bool] = False
 
     def resume(self, state: State, ratio: np.ndarray) -> State:
-        """What changes of the memory at the grasp of a target, by name.
+        """Changed entries of the memory at the grasp of a target, by name.
 
         Args:
-          state: the memory up to then.
-          ratio: Hhat^-1 Hhat (nv, nv) of after and before: the acceleration that the same force
-            gives now.
+          state: the memory before the grasp. ratio: Hhat^-1 after the grasp times Hhat before (nv,
+          nv): converts an acceleration to that
+            of the same force.
         """
         return {}
 
@@ -108,8 +106,9 @@ class InjectedDynamics(abc.ABC):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TimeDelayControl(ControlLaw):
-    """tau = base force + Hhat (u - base acceleration): the estimate gives the pair, the injected
-    dynamics u.
+    """tau = base force + Hhat (u - base acceleration), u being the injected dynamics.
+
+    The estimator gives base force and base acceleration.
     """
 
     model: PlantModel
@@ -138,7 +137,7 @@ class TimeDelayControl(ControlLaw):
         return self.dynamics.switching_gain_after(s, g)
 
     def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
-        """See ControlLaw: what stands for an acceleration goes on as the force that it took."""
+        """See ControlLaw: accelerations in the memory continue as the forces that they took."""
         if not isinstance(before, TimeDelayControl):
             return state
         q = reference[: (reference.size + 1) // 2]
@@ -147,7 +146,7 @@ class TimeDelayControl(ControlLaw):
         return {**state, **changed, **self.dynamics.resume(state, ratio)}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        mass_matrix = self.model.calc_mass_matrix(sample.q)  # which refuses what is not finite
+        mass_matrix = self.model.calc_mass_matrix(sample.q)  # raises unless finite
         if mass_matrix.shape != (*sample.v.shape, sample.v.shape[-1]):
             raise BlockError(
                 f"the model's mass matrix has the shape {mass_matrix.shape}; it must be "
@@ -178,9 +177,7 @@ def time_delay_force(
 
 
 def matrix_vector(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """The product of matrices (..., n, n) and vectors (..., n); each of several has the bits it has
-    alone.
-    """
+    """Products of matrices (..., n, n) and vectors (..., n), each bit for bit as if alone."""
     if vector.ndim == 1:
-        return matrix.dot(vector)  # on so few numbers faster than @
+        return matrix.dot(vector)  # faster than @ on few numbers
     return np.stack([matrix_vector(one, of) for one, of in zip(matrix, vector, strict=True)])

@@ -1,3 +1,1 @@
-"""The paper's four control laws, and two published ways to detumble: TVLQR about the plan, torque
-against H.
-"""
+"""Control laws: the paper's four, task-space laws, and two published ways to detumble."""

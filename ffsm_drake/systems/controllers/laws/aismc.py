@@ -11,7 +11,7 @@ import numpy as np
 from ffsm_drake.systems.controllers.law import ReachingGain, State, gain
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
-_SMALLEST_SCALE = 1e-9  # 1/s^3, of K_s K_P where it is divided by
+_SMALLEST_SCALE = 1e-9  # 1/s^3, least K_s K_P to divide by
 
 
 def reaching_gain_rate(
@@ -27,9 +27,9 @@ class Aismc(InjectedDynamics):
     """u = a_d + K_D e' + K_P e + K_s s with s = e' + K_D e + K_P int e (equation (20)). Gains are
     diagonals (nv).
 
-    The surface is the one that (7) needs; (3) prints it with the factors of e and e' exchanged. The
-    published K_s of 80 without a bound adapts itself out of the sampled loop's stability on an
-    exact plant, hence the defaults of K_s.
+    The surface is the one that (7) needs; (3) prints it with the factors of e and e' exchanged. On
+    an exact plant the published K_s of 80, without a bound, adapts until the sampled loop is
+    unstable, hence the defaults of K_s.
     """
 
     by_axis: ClassVar[bool] = True
@@ -84,7 +84,7 @@ class Aismc(InjectedDynamics):
         return {**gains, "k_s_initial": k_s, "k_s_max": k_s}
 
     def resume(self, state: State, ratio: np.ndarray) -> State:
-        """See InjectedDynamics. K_s K_P times the integral goes on as a force."""
+        """See InjectedDynamics. K_s K_P times the integral continues as a force."""
         scale = np.maximum(state["reaching_gain"] * self.k_p, _SMALLEST_SCALE)
         return {"integral_error": ratio @ (scale * state["integral_error"]) / scale}
 

@@ -9,8 +9,7 @@ import numpy as np
 from ffsm_drake.systems.controllers.law import ReachingGain, State, gain
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
-# Floor of b|s| where (19) divides by it: the gain is clipped at zero long before the quotient
-# matters.
+# Least b|s| to divide by in (19): the gain is clipped at zero long before it matters.
 _SMALLEST_SCALED_S = 1e-12
 
 
@@ -90,7 +89,7 @@ class Asmc(InjectedDynamics):
         return {"k_d": omega, "k_s": omega}
 
     def resume(self, state: State, ratio: np.ndarray) -> State:
-        """See InjectedDynamics. G goes on as a bound of forces."""
+        """See InjectedDynamics. G continues as a bound on forces."""
         return {"switching_gain": np.abs(ratio) @ state["switching_gain"]}
 
     def step(

@@ -1,5 +1,4 @@
-"""Resolved motion rate control with the generalized Jacobian: the frame's twist as joint rates, and
-a loop on those.
+"""Resolved motion rate control with the generalized Jacobian, and a loop on the joint rates.
 
 Whitney 1969, doi:10.1109/TMMS.1969.299896; with J* Umetani and Yoshida 1989, doi:10.1109/70.34766.
 """

@@ -1,5 +1,4 @@
-"""Computed torque in task space: the frame's pose error becomes a double integrator, with J* and
-H*.
+"""Computed torque in task space, with J* and H*: the pose error becomes a double integrator.
 
 Khatib 1987, doi:10.1109/JRA.1987.1087068; free floating Papadopoulos and Dubowsky 1991,
 doi:10.1109/70.105384.

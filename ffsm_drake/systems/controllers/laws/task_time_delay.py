@@ -1,10 +1,10 @@
-"""Time-delay control in task space: the estimators of time-delay control, on the frame's pose.
+"""Time-delay control in task space, with the estimators acting on the frame's pose.
 
 The frame obeys A = N + Lambda^-1 F with Lambda = (J* H*^-1 J*^T)^-1, the task's mass matrix, and F
-the force on the frame; everything unknown is in N, and C* and A_0 too. All that an estimate takes
-of both is what the force gives the frame, Lambda^-1 F = J* H*^-1 tau_a: so that is the force of the
-sample that the estimators see, of the m rows of the task, and its mass matrix 1. Nothing is
-inverted that a singularity makes singular.
+the force on the frame; N holds everything unknown, and C* and A_0 too. An estimate needs only the
+frame's acceleration from the force, Lambda^-1 F = J* H*^-1 tau_a. So the estimators get this (m
+rows of the task) as the force, with a unit mass matrix, and no matrix is inverted that becomes
+singular at a singularity.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from ffsm_drake.systems.controllers.task_space import AccelerationLaw, TaskPoint
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 from ffsm_drake.systems.setup import BlockSetup
 
-_PREFIX = "frame_"  # of the memory: what is of the frame, not of the coordinates
+_PREFIX = "frame_"  # prefix of the memory that belongs to the frame
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -29,10 +29,10 @@ class TaskTimeDelay(AccelerationLaw):
     """tau_a = H* (z + [0; J+ (f - J* H*^-1 C* - J* z)]) + C* with f = base force + u - base
     acceleration.
 
-    f is what tau_a should give the frame, u that of TDC, z the acceleration of the plan.
+    f is the frame's acceleration from tau_a, u that of TDC, z the acceleration of the plan.
     """
 
-    estimator: Estimator  # of m coordinates
+    estimator: Estimator  # for m coordinates
     k_p_rotation: float = gain(
         100.0, "1/s^2", "gain K_P on the frame's attitude error", scalar=True
     )
@@ -44,7 +44,7 @@ class TaskTimeDelay(AccelerationLaw):
 
     @property
     def dynamics(self) -> InjectedDynamics:
-        """What is injected, of vectors (m): TDC's; a subclass may inject others."""
+        """Injected dynamics of vectors (m): TDC's; a subclass may choose others."""
         return Tdc(k_d=self.k_d, k_p=self.k_p)
 
     def initial_state(self) -> State:

@@ -11,7 +11,7 @@ import numpy as np
 from ffsm_drake.systems.controllers.law import ReachingGain, State, gain
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
-_SMALLEST_SCALE = 1e-9  # 1/s^3, of K_s K_P where it is divided by
+_SMALLEST_SCALE = 1e-9  # 1/s^3, least K_s K_P to divide by
 
 
 def reaching_gain_rate(
@@ -25,8 +25,9 @@ def reaching_gain_rate(
 def switching_gain_rate(
     s: np.ndarray, g: np.ndarray, *, phi: np.ndarray, epsilon: float
 ) -> np.ndarray:
-    """dG/dt (..., nv) of equation (10): grows while ||s||_inf > epsilon, shrinks below; leaves zero
-    at phi epsilon.
+    """dG/dt (..., nv) of equation (10): positive while ||s||_inf > epsilon, else negative.
+
+    At G = 0 it is phi epsilon.
     """
     magnitude = np.abs(s)
     sigma = np.sign(np.maximum.reduce(magnitude, axis=-1, keepdims=True) - epsilon)
@@ -38,8 +39,8 @@ class TdeAismc(InjectedDynamics):
     """u = a_d + K_D e' + K_P e + K_s s + G sgn s with s = e' + K_D e + K_P int e (equation (6)).
 
     Gains are diagonals (nv). The surface is the one that (7) needs; (3) prints it with the factors
-    of e and e' exchanged. The published K_s of 80 without a bound adapts itself out of the sampled
-    loop's stability on an exact plant, hence the defaults of K_s.
+    of e and e' exchanged. On an exact plant the published K_s of 80, without a bound, adapts until
+    the sampled loop is unstable, hence the defaults of K_s.
     """
 
     by_axis: ClassVar[bool] = True
@@ -116,9 +117,7 @@ class TdeAismc(InjectedDynamics):
         return np.minimum(np.maximum(g + self.sample_time * rate, 0.0), self.g_max)
 
     def resume(self, state: State, ratio: np.ndarray) -> State:
-        """See InjectedDynamics. K_s K_P times the integral goes on as a force, G as a bound of
-        forces.
-        """
+        """See InjectedDynamics. K_s K_P times the integral continues as a force, G as its bound."""
         scale = np.maximum(state["reaching_gain"] * self.k_p, _SMALLEST_SCALE)
         return {
             "integral_error": ratio @ (scale * state["integral_error"]) / scale,

@@ -1,10 +1,9 @@
-"""Torque against H: base torque of full size against the stack's angular momentum, a baseline
-without a plan.
+"""Torque against H: full base torque against the stack's angular momentum, without a plan.
 
-Base torque alone takes the angular momentum H about the centre of mass out in no less than |H| /
-tau_max, and in just that time when it points against H all the while (Aghili, "Optimal control of a
-space manipulator for detumbling of a target satellite", ICRA 2009). The joints hold the arm where
-it was; the base is where that leaves it.
+Base torque alone needs at least |H| / tau_max to remove the angular momentum H about the centre of
+mass, and exactly that if it always points against H (Aghili, "Optimal control of a space
+manipulator for detumbling of a target satellite", ICRA 2009). The joints hold the arm's posture;
+the base's pose is not controlled.
 """
 
 import dataclasses
@@ -19,8 +18,9 @@ from ffsm_drake.systems.controllers.time_delay import matrix_vector
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TorqueAgainstMomentum(ControlLaw):
-    """Base torque -tau_max H / |H|, proportional to H at the end; base force zero; joints held by
-    computed torque.
+    """Base torque -tau_max H / |H|, proportional to H at the end; computed torque for the joints.
+
+    The base force is zero.
     """
 
     model: PlantModel
@@ -49,7 +49,7 @@ class TorqueAgainstMomentum(ControlLaw):
         )
         on_base = np.concatenate([-self.torque / size * momentum, np.zeros_like(momentum)], axis=-1)
         wanted = self.k_p * (held - joints) - self.k_d * sample.v[..., arm]
-        # H [a; wanted] + C = [on_base; tau], for a and tau.
+        # Solves H [a; wanted] + C = [on_base; tau] for a and tau.
         rest = on_base - C[..., base] - matrix_vector(H[..., base, arm], wanted)
         a = np.linalg.solve(H[..., base, base], rest[..., None])[..., 0]
         tau = (
@@ -63,9 +63,8 @@ class TorqueAgainstMomentum(ControlLaw):
 def angular_momentum(mass_matrix: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Angular momentum (..., 3) of all bodies about their centre of mass, world axes, N m s.
 
-    The mass matrix holds all of it: H v begins with the momentum about the base's origin, and
-    H[3:6, :3] is minus the mass times the cross product by the way c from there to the centre of
-    mass.
+    The mass matrix suffices: H v begins with the momentum about the base's origin, and H[3:6, :3]
+    is minus the mass times the cross-product matrix of c, from there to the centre of mass.
     """
     momentum = matrix_vector(mass_matrix, v)
     c = np.stack([mass_matrix[..., 4, 2], mass_matrix[..., 5, 0], mass_matrix[..., 3, 1]], axis=-1)

@@ -1,5 +1,4 @@
-"""TVLQR: a time-varying linear-quadratic regulator about the planned motion, a baseline without any
-estimate.
+"""TVLQR, a baseline without estimate: time-varying linear-quadratic regulator about the plan.
 
 About the plan the error e = q_d - q and its rate obey, to first order in both, with W = [w_d]x on
 the base's rotation,
@@ -7,8 +6,8 @@ the base's rotation,
     e'' = (A_q - A_v W + W') e + (A_v + W) e' - H^-1 u,      tau = tau_d + u,
 
 where tau_d is the inverse dynamics of the plan, and A_q, A_v are derivatives of the acceleration at
-constant force, all of the nominal plant. The gains are those of the discrete Riccati equation, from
-the end of the plan backwards, where it is stationary.
+constant force, all of the nominal plant. The gains solve the discrete Riccati equation backwards
+from its stationary solution at the end of the plan.
 """
 
 import dataclasses
@@ -29,16 +28,17 @@ from ffsm_drake.systems.controllers.time_delay import matrix_vector
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.setup import BlockSetup
 
-_STEP = 1e-6  # of the differences: rad, m, and per s
-_INSTANTS = 101  # of the plan that are linearised; between them the matrices are interpolated
-_SETTLED = 5.0  # s; in which the Riccati equation becomes stationary
-_UNKNOWN: np.ndarray = np.zeros((1, 0, 0))  # of a law that was not made for a plan
+_STEP = 1e-6  # step of finite differences: rad, m, and per s
+_INSTANTS = 101  # instants of the plan with a linearisation; the matrices are interpolated between
+_SETTLED = 5.0  # s until the Riccati equation is stationary
+_UNKNOWN: np.ndarray = np.zeros((1, 0, 0))  # gains of a law without a plan
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Tvlqr(ControlLaw):
-    """tau = tau_d + K_k [e; e']; the cost is the sum of the squares of e, e' and tau - tau_d, each
-    over its size.
+    """tau = tau_d + K_k [e; e'].
+
+    The cost is the sum of squares of e, e' and tau - tau_d, each divided by its size.
     """
 
     model: PlantModel
@@ -55,10 +55,10 @@ class Tvlqr(ControlLaw):
     )
     gains: np.ndarray = dataclasses.field(
         default_factory=lambda: _UNKNOWN
-    )  # K_k (samples, nv, 2 nv), the last for good
+    )  # K_k (samples, nv, 2 nv); the last one stays
 
     def initial_state(self) -> State:
-        return {"samples": np.zeros(1)}  # that have passed
+        return {"samples": np.zeros(1)}  # number of samples so far
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         k = np.minimum(state["samples"][..., 0].astype(int), len(self.gains) - 1)
@@ -71,9 +71,7 @@ class Tvlqr(ControlLaw):
 
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> "Tvlqr":
-        """See ControlLaw. Raises ScenarioError also where the planned motion is a user-supplied
-        block's.
-        """
+        """See ControlLaw. Raises ScenarioError also if the reference is a user-supplied block."""
         if setup.scenario.blocks.reference is not None:
             raise ScenarioError(
                 "controller",
@@ -85,11 +83,11 @@ class Tvlqr(ControlLaw):
         return dataclasses.replace(law, gains=gains)
 
 
-@memoized(maxsize=4)  # a run, its prediction and its stability ask for the same
+@memoized(maxsize=4)  # used by a run, its prediction and its stability
 def _gains_of(
     scenario: Scenario, settings: Mapping[str, Any], files: tuple[Path, ...]
 ) -> np.ndarray:
-    """K_k (samples, nv, 2 nv) up to the end of the planned motion, which is made from ``files``."""
+    """K_k (samples, nv, 2 nv) until the end of the planned motion, which depends on ``files``."""
     model = driven_model(make_nominal_plant(scenario))
     setup = BlockSetup(
         name=scenario.controller, scenario=scenario, nominal=model, settings=settings
@@ -108,7 +106,7 @@ def _gains_of(
     effort = np.diag(law.force_size**-2.0)
     gains = np.empty((last + 1, nv, 2 * nv))
     cost = weight
-    # The first of these are at the end of the plan, until nothing changes any more.
+    # The first ones are at the end of the plan, until they are stationary.
     for k in (*[last] * round(_SETTLED / period), *range(last, -1, -1)):
         place = k * (_INSTANTS - 1) / last
         i = min(int(place), _INSTANTS - 2)
@@ -126,9 +124,7 @@ def _gains_of(
 def linearized(
     model: PlantModel, q: np.ndarray, v: np.ndarray, a: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A (2 nv, 2 nv) and B (2 nv, nv) of [e; e']' = A [e; e'] + B u about a motion; see the
-    module.
-    """
+    """A (2 nv, 2 nv) and B (2 nv, nv) of [e; e']' = A [e; e'] + B u about a motion."""
     nv = v.size
     mass_matrix, force = model.calc_mass_matrix(q), model.calc_inverse_dynamics(q, v, a)
     by_q, by_v = np.zeros((nv, nv)), np.zeros((nv, nv))
@@ -147,9 +143,7 @@ def linearized(
 
 
 def moved(q: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """q (nq) with its attitude turned by a small rotation vector change[:3], world axes, and the
-    rest moved.
-    """
+    """q (nq) changed by a small rotation vector change[:3], world axes, and by change[3:]."""
     w, x, y, z = q[:4]
     a, b, c = 0.5 * change[:3]
     turn = np.array(
@@ -165,12 +159,12 @@ def moved(q: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 
 def cross_matrix(vector: np.ndarray) -> np.ndarray:
-    """The matrix (3, 3) of the cross product vector x."""
+    """The matrix (3, 3) of the cross product with a vector, vector x (.)."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def discretized(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Over a period with the input held, to second order."""
+    """A and B over a period with the input held, to second order."""
     half = 0.5 * period * a
     return np.eye(len(a)) + period * (a + half @ a), period * (b + half @ b)
