@@ -10,7 +10,6 @@ of merit, and what the stability analysis puts in its place. In a scenario:
 
 import dataclasses
 import math
-import sys
 
 import numpy as np
 from pydrake.systems.framework import LeafSystem
@@ -96,11 +95,12 @@ class Coils(LeafSystem):
 
 
 def main():
-    scenario = ffsm_drake.load_scenario("flight_sensors", ["controller=tdc", "duration=5"])
-    record = ffsm_drake.simulate(scenario, blocks={"actuation": Magnetorquers(largest_dipole=80.0)})
+    block = '{system: "own_actuator:Magnetorquers", settings: {largest_dipole: 80}}'
+    overrides = ["controller=tdc", "duration=5", f"blocks.actuation={block}"]
+    record = ffsm_drake.simulate(ffsm_drake.load_scenario("flight_sensors", overrides))
     print(results_table([record]))
-    return 0
+    ffsm_drake.write_outputs([record], "out/own_actuator")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -194,7 +194,7 @@ def make_blocks(
             if made is None and name not in choices and name not in given:
                 continue  # an ideal actuator
         check_ports(made, kind_of(name), nominal.coordinates, place=place)
-        if name != "controller":  # it has its own plant
+        if name != "controller":  # whose name is its own
             made.set_name(own.name if own.name not in _TAKEN else name.replace(".", "_"))
             if part is not None:
                 placed[name] = place_part(part, own, made, name=name, block=name)

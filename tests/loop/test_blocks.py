@@ -175,8 +175,10 @@ def test_it_repeats_from_its_record_in_another_folder_bit_for_bit(lab):
     manifest = (lab / "out/mine/manifest.json").read_text()
     assert str(lab) not in manifest
     blocks = json.loads(manifest)["blocks"]
-    assert blocks["sensing"]["system"] == "lab_blocks:Vicon"
-    assert (lab / "out/mine" / blocks["sensing"]["file"]).samefile(lab / "modules/lab_blocks.py")
+    assert blocks["sensing.own"]["system"] == "lab_blocks:Vicon"
+    assert (lab / "out/mine" / blocks["sensing.own"]["file"]).samefile(
+        lab / "modules/lab_blocks.py"
+    )
     assert blocks["forces.disturbance"] == {"system": "scenario: disturbance"}
     moved = lab / "moved"
     moved.mkdir()
@@ -235,7 +237,8 @@ def test_it_goes_through_a_campaign(lab):
     again = CliRunner().invoke(main, [*rerun, "--out", str(lab / "rerun"), "--no-recording"])
     assert again.exit_code == 0, again.output
     assert (
-        RunRecord.load(lab / "rerun/Springs").scenario.blocks.sensing.system == "lab_blocks:Vicon"
+        RunRecord.load(lab / "rerun/Springs").scenario.blocks.sensing["own"].system
+        == "lab_blocks:Vicon"
     )
 
 
