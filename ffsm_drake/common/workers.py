@@ -236,9 +236,10 @@ def map_tasks(
     """``function(task)`` for every task, in order; the results do not depend on the workers.
 
     Args:
-      function: importable by its name. workers: number of processes. One is this process; more are
-      spawned, so a script must call this under
-        ``if __name__ == "__main__":``.
+      function: importable by its name.
+      tasks: its arguments.
+      workers: number of processes. One is this process; more are spawned, so a script must call
+        this under ``if __name__ == "__main__":``.
       progress: called after every task with (tasks done, tasks in all, the task as text).
 
     Raises:

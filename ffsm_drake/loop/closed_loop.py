@@ -1,12 +1,11 @@
 """The closed loop: the blocks and the plant, wired into one Diagram.
 
-               +-----------+                                          forces (summed)
-    reference->|           |   commanded   +-----------+   applied          |
-               | controller|-------------->| actuation |-----------------> (+) --> plant --+-->
-               state
-     estimated>|           |     force     +-----------+    force                          |
-               +-----------+                                                               |
-         ^------------------------------- sensing <----------------------------------------+
+               +------------+                                     forces (summed)
+    reference->|            |  commanded  +-----------+  applied    |
+               | controller |------------>| actuation |----------->(+)--> plant --+--> state
+     estimated>|            |    force    +-----------+   force                   |
+               +------------+                                                     |
+         ^---------------------------- sensing <----------------------------------+
 
 ``loop.blocks`` defines each block's ports and the systems that fill it.
 """
@@ -219,12 +218,11 @@ def add_closed_loop(
 
     Args:
       builder: the diagram's builder.
-        scenario: the scenario to build. blocks: block -> factory (BlockSetup -> Drake system) that
-        replaces the scenario's choice, such
-          as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
-        plant: the plant, if the diagram has it already (``add_combined_plant``, to show it);
-        otherwise
-          one without geometry is added.
+      scenario: the scenario to build.
+      blocks: block -> factory (BlockSetup -> Drake system) that replaces the scenario's choice,
+        such as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
+      plant: the plant, if the diagram has it already (``add_combined_plant``, to show it);
+        otherwise one without geometry is added.
 
     Raises:
       ModelError: the model does not load.
@@ -243,92 +241,39 @@ def add_closed_loop(
         builder.AddSystem(system)
     controller, reference = parts["controller"], parts["reference"]
     stages = [system for name, system in parts.items() if kind_of(name) == "sensing"]
-    actuation = parts.get("actuation")
 
     states = {"state": (plant, "state")}
     if hidden.names:
         states = _add_states(builder, plant, hidden)
     state = states["state"][0].GetOutputPort(states["state"][1])
-    measured = state
-    for stage in stages:
-        builder.Connect(measured, stage.GetInputPort("state"))
-        if stage.HasInputPort("true_state"):
-            builder.Connect(state, stage.GetInputPort("true_state"))
-        measured = stage.GetOutputPort("estimated_state")
-    sensing = stages[-1]
+    measured = _measure(builder, state, stages, controller)
     # The measurement of the controller's last sample, for the record.
     measurement = ZeroOrderHold(scenario.sample_time, 2 * len(coordinates.names) + 1)
     builder.AddNamedSystem("measurement", measurement)
     builder.Connect(measured, measurement.get_input_port())
-    builder.Connect(measured, controller.GetInputPort("estimated_state"))
-    new = "measurement_is_new"  # of the last stage that says so
-    timed = [stage for stage in stages if stage.HasOutputPort(new)]
-    if timed and controller.HasInputPort(new):
-        builder.Connect(timed[-1].GetOutputPort(new), controller.GetInputPort(new))
     for name in ("desired_state", "desired_acceleration"):
         builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
     if reference.HasOutputPort("desired_frame") and controller.HasInputPort("desired_frame"):
         builder.Connect(
             reference.GetOutputPort("desired_frame"), controller.GetInputPort("desired_frame")
         )
-    applied = (controller, "generalized_force")
-    if actuation is not None:
-        builder.Connect(
-            controller.GetOutputPort("generalized_force"), actuation.GetInputPort("commanded_force")
-        )
-        if actuation.HasInputPort("state"):
-            builder.Connect(state, actuation.GetInputPort("state"))
-        applied = (actuation, "applied_force")
-    if coordinates.undriven:  # no force acts there, whatever is commanded
-        only_driven = builder.AddNamedSystem(
-            "driven_force", Gain(coordinates.is_driven.astype(float))
-        )
-        builder.Connect(applied[0].GetOutputPort(applied[1]), only_driven.get_input_port())
-        applied = (only_driven, only_driven.get_output_port().get_name())
-    if controller.HasInputPort("applied_force"):
-        builder.Connect(
-            applied[0].GetOutputPort(applied[1]), controller.GetInputPort("applied_force")
-        )
+    applied = _actuate(builder, state, controller, parts.get("actuation"), coordinates)
 
-    # External forces act on the plant beside the control: H q'' + C = tau + tau_d.
     forces = {name: system for name, system in parts.items() if kind_of(name) == "forces"}
-    for system in forces.values():
-        for name, (source, port) in states.items():
-            if system.HasInputPort(name):
-                builder.Connect(source.GetOutputPort(port), system.GetInputPort(name))
-    acting = {name: (system, "generalized_force") for name, system in forces.items()}
+    on_hidden = [system for system in forces.values() if system.HasOutputPort("hidden_force")]
     recorded = {
         name: (system, "next_generalized_force")
         if system.HasOutputPort("next_generalized_force")
         else (system, "generalized_force")
         for name, system in forces.items()
     }
-    if actuation is not None:
-        acting |= {name: (actuation, name) for name in BESIDES if actuation.HasOutputPort(name)}
-    total = _sum(builder, "total_force", [applied, *acting.values()])
-    acts = total[0].GetOutputPort(total[1])
-    if hidden.names:
-        on_known = builder.AddNamedSystem(
-            "known_force", MatrixGain(np.eye(plant.num_velocities())[:, hidden.known])
-        )
-        builder.Connect(acts, on_known.get_input_port())
-        acts = on_known.get_output_port()
-    on_hidden = [system for system in forces.values() if system.HasOutputPort("hidden_force")]
-    if on_hidden:
-        total = _sum(
-            builder, "total_hidden_force", [(system, "hidden_force") for system in on_hidden]
-        )
-        gain = builder.AddNamedSystem(
-            "hidden_force", MatrixGain(np.eye(plant.num_velocities())[:, hidden.hidden])
-        )
-        builder.Connect(total[0].GetOutputPort(total[1]), gain.get_input_port())
-        whole = _sum(builder, "whole_force", [(on_known, "y0"), (gain, "y0")])
-        acts = whole[0].GetOutputPort(whole[1])
+    besides = _besides(parts.get("actuation"))
+    acts = _add_forces(builder, plant, hidden, states, [applied], forces, besides, on_hidden)
     builder.Connect(acts, plant.get_applied_generalized_force_input_port())
 
     sources = {
         **states,
-        "estimated_state": (sensing, "estimated_state"),
+        "estimated_state": (stages[-1], "estimated_state"),
         "measurement": (measurement, measurement.get_output_port().get_name()),
         "desired_state": (reference, "desired_state"),
         "desired_acceleration": (reference, "desired_acceleration"),
@@ -374,6 +319,102 @@ def build_closed_loop(builder: DiagramBuilder, loop: ClosedLoop) -> ClosedLoop:
     diagram = builder.Build()
     diagram.set_name("closed_loop")
     return dataclasses.replace(loop, diagram=diagram)
+
+
+def _measure(
+    builder: DiagramBuilder, state: OutputPort, stages: list[System], controller: System
+) -> OutputPort:
+    """Wire the stages of sensing in a row, up to the controller; what the last one gives."""
+    measured = state
+    for stage in stages:
+        builder.Connect(measured, stage.GetInputPort("state"))
+        if stage.HasInputPort("true_state"):
+            builder.Connect(state, stage.GetInputPort("true_state"))
+        measured = stage.GetOutputPort("estimated_state")
+    builder.Connect(measured, controller.GetInputPort("estimated_state"))
+    new = "measurement_is_new"  # of the last stage that says so
+    timed = [stage for stage in stages if stage.HasOutputPort(new)]
+    if timed and controller.HasInputPort(new):
+        builder.Connect(timed[-1].GetOutputPort(new), controller.GetInputPort(new))
+    return measured
+
+
+def _actuate(
+    builder: DiagramBuilder,
+    state: OutputPort,
+    controller: System,
+    actuation: System | None,
+    coordinates: Coordinates,
+) -> tuple[System, str]:
+    """Wire the actuators behind the controller, which hears of the force that they apply; that
+    force.
+    """
+    applied = (controller, "generalized_force")
+    if actuation is not None:
+        commanded = controller.GetOutputPort("generalized_force")
+        builder.Connect(commanded, actuation.GetInputPort("commanded_force"))
+        if actuation.HasInputPort("state"):
+            builder.Connect(state, actuation.GetInputPort("state"))
+        applied = (actuation, "applied_force")
+    if coordinates.undriven:  # no force acts there, whatever is commanded
+        driven = Gain(coordinates.is_driven.astype(float))
+        builder.AddNamedSystem("driven_force", driven)
+        builder.Connect(applied[0].GetOutputPort(applied[1]), driven.get_input_port())
+        applied = (driven, driven.get_output_port().get_name())
+    if controller.HasInputPort("applied_force"):
+        port = applied[0].GetOutputPort(applied[1])
+        builder.Connect(port, controller.GetInputPort("applied_force"))
+    return applied
+
+
+def _besides(actuation: System | None) -> list[tuple[System, str]]:
+    """The ports of actuators that act on the plant beside the applied force."""
+    if actuation is None:
+        return []
+    return [(actuation, name) for name in BESIDES if actuation.HasOutputPort(name)]
+
+
+def _add_forces(
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    hidden: HiddenCoordinates,
+    states: Mapping[str, tuple[System, str]],
+    control: list[tuple[System, str]],
+    forces: Mapping[str, System],
+    besides: list[tuple[System, str]],
+    on_hidden: list[System],
+) -> OutputPort:
+    """The sum of all forces on the plant, along its own v: H q'' + C = tau + tau_d.
+
+    Args:
+      builder: the diagram's builder.
+      plant: the true one.
+      hidden: its hidden coordinates.
+      states: name -> port of the states that forces may read.
+      control: the applied force.
+      forces: the external forces, by block.
+      besides: further forces of the actuators.
+      on_hidden: those of the forces that act on hidden coordinates too.
+    """
+    for system in forces.values():
+        for name, (source, port) in states.items():
+            if system.HasInputPort(name):
+                builder.Connect(source.GetOutputPort(port), system.GetInputPort(name))
+    external = [(system, "generalized_force") for system in forces.values()]
+    total = _sum(builder, "total_force", [*control, *external, *besides])
+    acts = total[0].GetOutputPort(total[1])
+    if not hidden.names:
+        return acts
+    every = np.eye(plant.num_velocities())
+    on_known = builder.AddNamedSystem("known_force", MatrixGain(every[:, hidden.known]))
+    builder.Connect(acts, on_known.get_input_port())
+    if not on_hidden:
+        return on_known.get_output_port()
+    total = _sum(builder, "total_hidden_force", [(system, "hidden_force") for system in on_hidden])
+    gain = builder.AddNamedSystem("hidden_force", MatrixGain(every[:, hidden.hidden]))
+    builder.Connect(total[0].GetOutputPort(total[1]), gain.get_input_port())
+    whole = _sum(builder, "whole_force", [(on_known, "y0"), (gain, "y0")])
+    return whole[0].GetOutputPort(whole[1])
 
 
 def _sources_of_parts(

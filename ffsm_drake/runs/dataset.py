@@ -22,125 +22,48 @@ from ffsm_drake.spacecraft.plant import find_body, find_frame
 from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.part import ROLES, STORED_MOMENTUM, PlacedPart, values_of, with_role
 
+_UNIT, _FORCE = "rad (rotations) or m (translations)", "N m (rotations) or N (translations)"
+# Of every record: name -> dimension beside time, meaning, units; the last three of some laws.
+_VARIABLES = {
+    "position": ("position_name", "generalized positions q", f"1 (quaternion), {_UNIT}"),
+    "velocity": ("coordinate", "generalized velocities v", f"{_UNIT} per s"),
+    "measured_position": ("position_name", "q as the controller reads it", f"1, {_UNIT}"),
+    "measured_velocity": ("coordinate", "v as the controller reads it", f"{_UNIT} per s"),
+    "desired_position": ("position_name", "reference q_d", f"1 (quaternion), {_UNIT}"),
+    "desired_velocity": ("coordinate", "reference v_d", f"{_UNIT} per s"),
+    "desired_acceleration": ("coordinate", "reference acceleration", f"{_UNIT} per s^2"),
+    "error": ("coordinate", "true tracking error e = q_d - q (rotation vector in world)", _UNIT),
+    "error_rate": ("coordinate", "true error rate", f"{_UNIT} per s"),
+    "generalized_force": ("coordinate", "control tau, held from this sample to the next", _FORCE),
+    "applied_force": ("coordinate", "what the actuators make of tau, held likewise", _FORCE),
+    "disturbance_force": ("coordinate", "external forces tau_d at this instant, summed", _FORCE),
+    "end_effector_position": ("axis", "end effector in the world frame", "m"),
+    "desired_end_effector_position": ("axis", "its reference", "m"),
+    "base_rpy": ("axis", "roll, pitch, yaw of the base", "rad"),
+    "desired_base_rpy": ("axis", "their reference", "rad"),
+    "linear_momentum": ("axis", "total linear momentum", "N s"),
+    "angular_momentum": ("axis", "total angular momentum about the world's origin", "N m s"),
+    "kinetic_energy": ("", "total kinetic energy", "J"),
+    "sliding_variable": ("coordinate", "sliding variable s of this sample", _UNIT),
+    "reaching_gain": ("coordinate", "K_s used by this sample, 1/s", "1/s"),
+    "switching_gain": ("coordinate", "G used by this sample", _UNIT),
+}
+
 
 def make_table(log: RunLog) -> Table:
     """The labelled time series of a run: its log and, for what follows from the state, the true
     plant.
     """
-    scenario, coordinates, series = log.scenario, log.coordinates, log.series
-    num_positions = len(coordinates.position_names)
-    position, velocity = np.split(series["state"], [num_positions], axis=1)
-    desired_position, desired_velocity = np.split(series["desired_state"], [num_positions], axis=1)
-    measured_position, measured_velocity = np.split(series["measurement"], [num_positions], axis=1)
+    scenario, coordinates = log.scenario, log.coordinates
     model = make_flexible_plant(scenario)
-    states = model.hidden.whole(series["state"], series.get("hidden_state"))
-    if log.grasp is None:
-        momentum, energy = _momentum_and_energy(model, states)
-    else:
-        momentum, energy = _through_the_grasp(log, log.grasp, model, states)
-    end_effector = _end_effector(model, scenario, states[:, : model.plant.num_positions()])
-    desired_end_effector = _end_effector(
-        model, scenario, np.array([model.hidden.whole_positions(q) for q in desired_position])
-    )
-    unit = "rad (rotations) or m (translations)"
-    force = "N m (rotations) or N (translations)"
-    by_coordinate, by_position, by_axis = (
-        ("time", "coordinate"),
-        ("time", "position_name"),
-        ("time", "axis"),
-    )
-    variables = {
-        "position": (by_position, position, "generalized positions q", f"1 (quaternion), {unit}"),
-        "velocity": (by_coordinate, velocity, "generalized velocities v", f"{unit} per s"),
-        "measured_position": (
-            by_position,
-            measured_position,
-            "q as the controller reads it",
-            f"1, {unit}",
-        ),
-        "measured_velocity": (
-            by_coordinate,
-            measured_velocity,
-            "v as the controller reads it",
-            f"{unit} per s",
-        ),
-        "desired_position": (
-            by_position,
-            desired_position,
-            "reference q_d",
-            f"1 (quaternion), {unit}",
-        ),
-        "desired_velocity": (by_coordinate, desired_velocity, "reference v_d", f"{unit} per s"),
-        "desired_acceleration": (
-            by_coordinate,
-            series["desired_acceleration"],
-            "reference acceleration",
-            f"{unit} per s^2",
-        ),
-        "error": (
-            by_coordinate,
-            log.error,
-            "true tracking error e = q_d - q (rotation vector in world)",
-            unit,
-        ),
-        "error_rate": (
-            by_coordinate,
-            np.array(list(map(error_rate, log.error, desired_velocity, velocity))),
-            "true error rate",
-            f"{unit} per s",
-        ),
-        "generalized_force": (
-            by_coordinate,
-            series["generalized_force"],
-            "control tau, held from this sample to the next",
-            force,
-        ),
-        "applied_force": (
-            by_coordinate,
-            series["applied_force"],
-            "what the actuators make of tau, held likewise",
-            force,
-        ),
-        "disturbance_force": (
-            by_coordinate,
-            series["disturbance_force"],
-            "external forces tau_d at this instant, summed",
-            force,
-        ),
-        "end_effector_position": (by_axis, end_effector, "end effector in the world frame", "m"),
-        "desired_end_effector_position": (by_axis, desired_end_effector, "its reference", "m"),
-        "base_rpy": (by_axis, _base_rpy(position), "roll, pitch, yaw of the base", "rad"),
-        "desired_base_rpy": (by_axis, _base_rpy(desired_position), "their reference", "rad"),
-        "linear_momentum": (by_axis, momentum[:, 3:], "total linear momentum", "N s"),
-        "angular_momentum": (
-            by_axis,
-            momentum[:, :3],
-            "total angular momentum about the world's origin",
-            "N m s",
-        ),
-        "kinetic_energy": (("time",), energy, "total kinetic energy", "J"),
-    }
-    for name, meaning in (
-        ("sliding_variable", "sliding variable s of this sample"),
-        ("reaching_gain", "K_s used by this sample, 1/s"),
-        ("switching_gain", "G used by this sample"),
-    ):
-        if name in series:
-            variables[name] = (
-                by_coordinate,
-                series[name],
-                meaning,
-                "1/s" if name == "reaching_gain" else unit,
-            )
-    for name in series:
+    states = model.hidden.whole(log.series["state"], log.series.get("hidden_state"))
+    values = _values(log, model, states)
+    meanings = {name: row for name, row in _VARIABLES.items() if name in values}
+    for name in values:
         # several external forces act, and disturbance_force is their sum
         if name.startswith("force_"):
-            variables[name] = (
-                by_coordinate,
-                series[name],
-                f"external force '{name[6:]}' at this instant",
-                force,
-            )
+            meaning = f"external force '{name[6:]}' at this instant"
+            meanings[name] = ("coordinate", meaning, _FORCE)
     table = Table(
         attrs={
             "title": scenario.description,
@@ -150,8 +73,12 @@ def make_table(log: RunLog) -> Table:
         },
     )
     table = table.assign({
-        name: (dims, values, {"long_name": meaning, "units": units})
-        for name, (dims, values, meaning, units) in variables.items()
+        name: (
+            ("time", along) if along else ("time",),
+            values[name],
+            {"long_name": meaning, "units": units},
+        )
+        for name, (along, meaning, units) in meanings.items()
     })  # fmt: skip
     table = table.assign_coords({
         "time": ("time", log.time, {"long_name": "control sample t_k", "units": "s"}),
@@ -170,6 +97,46 @@ def make_table(log: RunLog) -> Table:
     for part in log.parts.values():
         table = _with_part(table, log, part)
     return _with_roles(table, log)
+
+
+def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.ndarray]:
+    """The variables of ``_VARIABLES`` that a run has, and each external force where several act.
+
+    Args:
+      log: of the run.
+      model: the true plant.
+      states: its own [q; v] at the samples (n, its size).
+    """
+    scenario, series = log.scenario, log.series
+    num_positions = len(log.coordinates.position_names)
+    found: dict[str, np.ndarray] = {}
+    for prefix, name in (
+        ("", "state"),
+        ("measured_", "measurement"),
+        ("desired_", "desired_state"),
+    ):
+        parts = np.split(series[name], [num_positions], axis=1)
+        found[f"{prefix}position"], found[f"{prefix}velocity"] = parts
+    rates = map(error_rate, log.error, found["desired_velocity"], found["velocity"])
+    found |= {"error": log.error, "error_rate": np.array(list(rates))}
+    own = {name: series[name] for name in series if name in _VARIABLES or name[:6] == "force_"}
+    if log.grasp is None:
+        momentum, energy = _momentum_and_energy(model, states)
+    else:
+        momentum, energy = _through_the_grasp(log, log.grasp, model, states)
+    desired = np.array([model.hidden.whole_positions(q) for q in found["desired_position"]])
+    num_positions = model.plant.num_positions()
+    return {
+        **found,
+        **own,
+        "end_effector_position": _end_effector(model, scenario, states[:, :num_positions]),
+        "desired_end_effector_position": _end_effector(model, scenario, desired),
+        "base_rpy": _base_rpy(found["position"]),
+        "desired_base_rpy": _base_rpy(found["desired_position"]),
+        "linear_momentum": momentum[:, 3:],
+        "angular_momentum": momentum[:, :3],
+        "kinetic_energy": energy,
+    }
 
 
 def _with_part(table: Table, log: RunLog, part: PlacedPart) -> Table:

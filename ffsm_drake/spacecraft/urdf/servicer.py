@@ -69,7 +69,7 @@ def read_urdf(path: Path, *, tip: str | None = None, bus: Bus | None = None) -> 
 
     Raises:
       ModelError: the file is not a URDF of a free base with single-degree joints and physical
-      masses.
+        masses.
     """
     try:
         root, header = parse(path)

@@ -232,7 +232,7 @@ def gain_values(
       kind: the law's class.
       given: gains of a scenario: name -> values by coordinate, or null.
       coordinates: the spacecraft's.
-        name: the controller's, for errors.
+      name: the controller's, for errors.
 
     Returns: vectors (nv), numbers for scalar ones; infinity stands for no bound.
 

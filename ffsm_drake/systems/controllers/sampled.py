@@ -39,7 +39,7 @@ class SampledController(LeafSystem):
       smallest_singular_value: (1), if the law's memory has it.
     Discrete state, updated every ``sample_time``:
       generalized_force (nv), has_previous (1; 0 before the first update), then the law's memory by
-      name.
+        name.
     """
 
     def __init__(

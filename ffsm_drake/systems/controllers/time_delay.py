@@ -72,9 +72,9 @@ class InjectedDynamics(abc.ABC):
         """Changed entries of the memory at the grasp of a target, by name.
 
         Args:
-          state: the memory before the grasp. ratio: Hhat^-1 after the grasp times Hhat before (nv,
-          nv): converts an acceleration to that
-            of the same force.
+          state: the memory before the grasp.
+          ratio: Hhat^-1 after the grasp times Hhat before (nv, nv): converts an acceleration to
+            that of the same force.
         """
         return {}
 
