@@ -1,6 +1,7 @@
 """The command ``ffsm``, which is ``python -m ffsm_drake``."""
 
-import _signal  # type: ignore[import-not-found]  # what ``signal`` is made of; built in, so that no time passes
+# The built-in module under ``signal``, so that no time passes.
+import _signal  # type: ignore[import-not-found]
 import os
 
 # before the next import: Ctrl-C may fall into any of them

@@ -81,7 +81,8 @@ class _ForgivingStream:
 def forgiving_stderr() -> None:
     """Keep going when standard error is closed, or its disk is full."""
     if sys.stderr is None:  # closed
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 (for the process's life)
+        # for the process's life
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = cast("TextIO", _ForgivingStream(sys.stderr))
 
 

@@ -12,6 +12,7 @@ gravity.
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from pydrake.math import RotationMatrix
@@ -120,7 +121,9 @@ class InverseDynamics:
         return sum(link.mass for link in self._links)
 
     @staticmethod
-    def _joint(joint: Joint, link_of: dict, frames: list, context: object) -> dict:  # type: ignore[type-arg]
+    def _joint(
+        joint: Joint, link_of: dict[Any, int], frames: list[Any], context: object
+    ) -> dict[str, Any]:
         parent = link_of[joint.parent_body().index()]
         place = joint.frame_on_parent().CalcPose(context, frames[parent])
         slides = joint.type_name() == "prismatic"

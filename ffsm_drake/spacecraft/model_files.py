@@ -15,7 +15,8 @@ _MAX_SIZE = 500_000_000  # bytes
 _MAX_READ = 5_000_000  # characters searched for names of further files
 # A file name in XML, JSON or YAML, or at the end of a line of a Wavefront file.
 _NAMES = re.compile(
-    r"""\b(?:filename|file|uri|url)["']?\s*[=:]\s*(?:"([^"\n]*)"|'([^'\n]*)'|([^\s"'<>,}]+))|<uri>\s*([^<\s]+)"""
+    r"""\b(?:filename|file|uri|url)["']?\s*[=:]\s*(?:"([^"\n]*)"|'([^'\n]*)'|([^\s"'<>,}]+))"""
+    r"""|<uri>\s*([^<\s]+)"""
     r"""|^\s*(?:mtllib|map_\w+|bump|disp|refl|norm)\s.*?(\S+)\s*$""",
     re.MULTILINE,
 )

@@ -108,10 +108,11 @@ def load_plan(address: str, coordinates: Coordinates) -> Plan:
         missing = [name for name in _KEYS if name not in data]
         if missing:
             raise ValueError(f"lacks {', '.join(missing)}")
+        w, x, y, z = map(float, data["first_attitude"])
         plan = Plan(
             duration=float(data["duration"]),
             settle=float(data["settle"]),
-            first_attitude=tuple(float(part) for part in data["first_attitude"]),  # type: ignore[arg-type]
+            first_attitude=(w, x, y, z),
             coordinates=tuple(map(str, data["coordinates"])),
             control_points=np.array(data["control_points"], dtype=float),
         )

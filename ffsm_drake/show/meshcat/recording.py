@@ -40,7 +40,8 @@ _CAPTION = """<style>
 """
 _SWATCH = (
     "<span "
-    'style="display:inline-block;width:12px;height:12px;background:{color};margin-right:6px"></span>'
+    'style="display:inline-block;width:12px;height:12px;background:{color};margin-right:6px">'
+    "</span>"
 )
 
 
