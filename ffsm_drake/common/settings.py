@@ -139,7 +139,8 @@ def join(path: str, key: Any) -> str:
 
 def _parts(value: Any, key: str) -> Iterator[tuple[str, Any]]:
     """Key and object of everything with settings in a value, outermost first."""
-    if names := settings_of(type(value)):
+    names = settings_of(type(value))
+    if names or hasattr(value, "check"):
         yield key, value
         value = {name: getattr(value, name) for name in names}
     for name, item in value.items() if isinstance(value, Mapping) else ():

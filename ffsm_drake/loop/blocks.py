@@ -16,7 +16,7 @@ from typing import Any
 
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
+from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario import Block, Scenario, build_settings
 from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates
@@ -239,13 +239,22 @@ def part_of(name: str, scenario: Scenario, given: Any = None) -> Part | None:
     choice, key = block_choices(scenario).get(name), f"blocks.{name}.settings"
     if given is None and choice is not None:
         given = block_factory(name, scenario)
-    if isinstance(given, type) and issubclass(given, Part):
-        settings = {} if choice is None else choice.settings
-        given = build_settings(given, settings, key)
-    if not isinstance(given, Part):
+    kind = given if isinstance(given, type) else type(given)
+    if not issubclass(kind, Part):
         return None
-    require_valid(given, key, scenario)
-    return given
+    try:
+        if given is kind:
+            given = build_settings(kind, {} if choice is None else choice.settings, key)
+        require_valid(given, key, scenario)
+    except FfsmError:
+        raise
+    except Exception as error:  # a user's class may raise anything
+        raise BlockError(
+            f"blocks.{name} '{kind.__name__}' cannot be built: {type(error).__name__}: "
+            f"{one_line(error)}"
+        ) from error
+    part: Part = given
+    return part
 
 
 def parts_of(scenario: Scenario, given: Mapping[str, Any] | None = None) -> dict[str, Part]:

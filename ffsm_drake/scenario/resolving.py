@@ -83,7 +83,12 @@ def build_settings(cls: Any, data: Any, key: str, scenario: Any = None) -> Any:
     Raises:
       ScenarioError: an unknown key, a wrong type, or a value out of its range.
     """
-    built = build(cls, resolve(cls, as_dict(cls()), data, key))
+    if schema_fields(cls) is None:  # a class without settings
+        for name in data:
+            raise _unknown_key(key, name, ())
+        built = cls()
+    else:
+        built = build(cls, resolve(cls, as_dict(cls()), data, key))
     require_valid(built, key, scenario)
     return built
 
@@ -243,7 +248,7 @@ def _unknown_key(path: str, key: Any, fields: Iterable[str]) -> ScenarioError:
     valid = list(fields)
     return ScenarioError(
         join(path, key if isinstance(key, str) else shown(key)),
-        f"unknown key; valid here: {', '.join(valid)}{did_you_mean(key, valid)}",
+        f"unknown key; valid here: {', '.join(valid) or 'none'}{did_you_mean(key, valid)}",
     )
 
 

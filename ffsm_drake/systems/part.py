@@ -229,8 +229,11 @@ class Part:
         yield from ()
 
     def build(self, setup: BlockSetup) -> System:
-        """The system with the block's ports, and one output port for each signal that has one."""
-        raise NotImplementedError
+        """The system with the block's ports, and one output port for each signal that has one.
+
+        Parts of the scenario's own sections have none: their block is built from the section.
+        """
+        raise NotImplementedError(f"{type(self).__name__} needs a method build(setup)")
 
     def __call__(self, setup: BlockSetup) -> System:
         """As ``build``: a part is the factory of its block."""

@@ -410,3 +410,53 @@ def test_all_that_a_part_can_say_of_itself(tmp_path):
         '<td class="text">left</td><td>1.000</td>',
     ):
         assert text in page
+
+
+PLAIN = """import dataclasses
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import PassThrough
+from ffsm_drake import Part
+
+class Plain(Part):
+    def build(self, setup):
+        builder = DiagramBuilder()
+        stage = builder.AddSystem(PassThrough(2 * len(setup.coordinates.names) + 1))
+        builder.ExportInput(stage.get_input_port(), "state")
+        builder.ExportOutput(stage.get_output_port(), "estimated_state")
+        return builder.Build()
+
+class Forgetful(Part):
+    pass
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Wanting(Part):
+    needed: float
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Raising(Part):
+    def check(self, key, scenario):
+        raise OSError("no table")
+"""
+
+
+@pytest.mark.parametrize(
+    ("block", "words"),
+    [
+        ("plain:Forgetful", "NotImplementedError: Forgetful needs a method build(setup)"),
+        ("plain:Wanting", "'Wanting' cannot be built: TypeError: "),
+        ("plain:Raising", "'Raising' cannot be built: OSError: no table"),
+        ("{system: 'plain:Plain', settings: {a: 1}}", "settings.a: unknown key; valid here: none"),
+    ],
+)
+def test_parts_without_settings_work_and_unsound_ones_get_one_line(block, words, tmp_path):
+    (tmp_path / "plain.py").write_text(PLAIN)
+    common = [*SCENARIO[1], f"python_path=['{tmp_path}']"]
+    try:
+        good = load_scenario(SCENARIO[0], [*common, "blocks.sensing='plain:Plain'"])
+        assert simulate(good, check_stability=False).outcome.completed
+        with pytest.raises((BlockError, ScenarioError)) as raised:
+            simulate(load_scenario(SCENARIO[0], [*common, f"blocks.sensing={block}"]))
+    finally:
+        sys.modules.pop("plain", None)
+    assert words in str(raised.value)
+    assert "\n" not in str(raised.value)
