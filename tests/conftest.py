@@ -3,6 +3,8 @@
 import functools
 import gc
 import os
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +13,8 @@ from ffsm_drake.common.workers import ONE_THREAD
 os.environ.update(ONE_THREAD)  # read when NumPy loads, below; the test processes fill the machine
 
 from ffsm_drake import RunRecord, load_scenario, simulate
+
+EXAMPLES = str(Path(__file__).parents[1] / "examples")
 
 
 def pytest_configure(config):
@@ -66,6 +70,17 @@ def rough_pictures(monkeypatch):
         save(figure, path, **{**options, "dpi": 20, "bbox_inches": None})
 
     monkeypatch.setattr(Figure, "savefig", roughly)
+
+
+@pytest.fixture(autouse=True)
+def no_user_module_stays(tmp_path_factory):
+    """A test's own modules are unloaded after it: the next test may use their names."""
+    before = set(sys.modules)
+    yield
+    folders = (str(tmp_path_factory.getbasetemp()), EXAMPLES)
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", None)).startswith(folders):
+            del sys.modules[name]
 
 
 @pytest.fixture(scope="session")

@@ -168,17 +168,13 @@ def test_python_examples_run(page, tmp_path, monkeypatch):
         assert module not in sys.modules
         text = "\n\n".join(block for name, block in found if name and name[1] == module)
         (tmp_path / f"{module}.py").write_text(text)
-    try:
-        for module in map(importlib.import_module, modules):
-            for test in [item for name, item in vars(module).items() if name.startswith("test_")]:
-                test()
-        namespace = {"__name__": page.stem}
-        for name, block in found:
-            if not name:
-                exec(compile(block, page.name, "exec"), namespace)
-    finally:
-        for module in modules:
-            sys.modules.pop(module, None)
+    for module in map(importlib.import_module, modules):
+        for test in [item for name, item in vars(module).items() if name.startswith("test_")]:
+            test()
+    namespace = {"__name__": page.stem}
+    for name, block in found:
+        if not name:
+            exec(compile(block, page.name, "exec"), namespace)
 
 
 @pytest.mark.parametrize(

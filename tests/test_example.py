@@ -148,10 +148,7 @@ def test_the_other_examples(name, tmp_path, monkeypatch):
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(EXAMPLES)
-    try:
-        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
-    finally:
-        sys.modules.pop(Path(name).stem, None)  # which a scenario may have imported
+    runpy.run_path(str(EXAMPLES / name), run_name="__main__")
     (report,) = Path("out").rglob("report.html")
     assert "Accuracy, ITAE" in report.read_text()
 

@@ -130,8 +130,7 @@ def lab(tmp_path, monkeypatch):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.chdir(elsewhere)
-    yield tmp_path
-    sys.modules.pop("lab_blocks", None)
+    return tmp_path
 
 
 @pytest.mark.smoke

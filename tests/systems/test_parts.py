@@ -4,7 +4,6 @@ import dataclasses
 import json
 import shlex
 import sqlite3
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -46,8 +45,7 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "own_actuator.py").write_text((EXAMPLES / "own_actuator.py").read_text())
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    yield tmp_path
-    sys.modules.pop("own_actuator", None)
+    return tmp_path
 
 
 def ffsm(command, code=0):
@@ -451,12 +449,9 @@ class Raising(Part):
 def test_parts_without_settings_work_and_unsound_ones_get_one_line(block, words, tmp_path):
     (tmp_path / "plain.py").write_text(PLAIN)
     common = [*SCENARIO[1], f"python_path=['{tmp_path}']"]
-    try:
-        good = load_scenario(SCENARIO[0], [*common, "blocks.sensing='plain:Plain'"])
-        assert simulate(good, check_stability=False).outcome.completed
-        with pytest.raises((BlockError, ScenarioError)) as raised:
-            simulate(load_scenario(SCENARIO[0], [*common, f"blocks.sensing={block}"]))
-    finally:
-        sys.modules.pop("plain", None)
+    good = load_scenario(SCENARIO[0], [*common, "blocks.sensing='plain:Plain'"])
+    assert simulate(good, check_stability=False).outcome.completed
+    with pytest.raises((BlockError, ScenarioError)) as raised:
+        simulate(load_scenario(SCENARIO[0], [*common, f"blocks.sensing={block}"]))
     assert words in str(raised.value)
     assert "\n" not in str(raised.value)

@@ -311,8 +311,7 @@ def module(tmp_path, monkeypatch):
     (tmp_path / "users_own.py").write_text(MODULE)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    yield tmp_path
-    sys.modules.pop("users_own", None)
+    return tmp_path
 
 
 def test_from_the_command_line(module):
