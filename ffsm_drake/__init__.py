@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from ffsm_drake.control_design.stability import stability
     from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, make_closed_loop
     from ffsm_drake.preflight.simulate import compare, simulate
-    from ffsm_drake.runs.record import Outcome, RunRecord
-    from ffsm_drake.runs.rollout import Rollout, RunLog
+    from ffsm_drake.runs.log import Outcome, RunLog
+    from ffsm_drake.runs.record import RunRecord
+    from ffsm_drake.runs.rollout import Rollout
     from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
@@ -43,8 +44,9 @@ _HOMES = {
     "control_design.gains": ("design",),
     "control_design.stability": ("stability",),
     "loop.closed_loop": ("ClosedLoop", "add_closed_loop", "make_closed_loop"),
-    "runs.record": ("Outcome", "RunRecord"),
-    "runs.rollout": ("Rollout", "RunLog"),
+    "runs.log": ("Outcome", "RunLog"),
+    "runs.record": ("RunRecord",),
+    "runs.rollout": ("Rollout",),
     "preflight.simulate": ("compare", "simulate"),
     "scenario": ("Scenario", "load_scenario", "override_scenario"),
     "show.outputs": ("write_outputs",),

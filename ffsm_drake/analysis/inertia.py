@@ -4,8 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from ffsm_drake.analysis.estimation import mass_matrices
-from ffsm_drake.analysis.evidence import Evidence
+from ffsm_drake.analysis.evidence import Evidence, mass_matrices
 from ffsm_drake.analysis.findings import Finding, finding, not_applicable
 from ffsm_drake.control_design.stability.mass_ratios import inertia_ratios
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from ffsm_drake.analysis.estimation import start_up_time
-from ffsm_drake.analysis.evidence import Evidence, largest, ratio, rms
+from ffsm_drake.analysis.evidence import Evidence, largest, ratio, rms, start_up_time
 from ffsm_drake.analysis.findings import Finding, Numbers, finding, not_applicable
 from ffsm_drake.systems.controllers import PAPER_LAWS
 

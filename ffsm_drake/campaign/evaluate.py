@@ -23,9 +23,10 @@ from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of, section_parts
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.limits import CLEARANCE, limits_left
+from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import base_drift
 from ffsm_drake.runs.record import software_versions
-from ffsm_drake.runs.rollout import Rollout, RunLog
+from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Actuation, Scenario, scenario_from_dict
 from ffsm_drake.spacecraft.coordinates import GROUPS

@@ -14,8 +14,9 @@ from ffsm_drake.loop.blocks import block_choices, block_sources
 from ffsm_drake.preflight.remarks import LimitWarning, plan_remarks
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.dataset import make_table
+from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord, software_versions
-from ffsm_drake.runs.rollout import Rollout, RunLog, user_supplied
+from ffsm_drake.runs.rollout import Rollout, user_supplied
 from ffsm_drake.scenario import Block, Scenario, as_dict
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.part import Part

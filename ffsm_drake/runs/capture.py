@@ -10,7 +10,6 @@ meets it: what the arm misses it by is part of the payload from then on.
 import dataclasses
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -21,10 +20,10 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
 from ffsm_drake.loop.closed_loop import ClosedLoop
-from ffsm_drake.runs.rollout import Leg, Rollout, RunLog
+from ffsm_drake.runs.log import GraspLog, RunLog
+from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.spacecraft.capture import Contact, contact_at, planned_contact, target_body
-from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_frame
@@ -33,92 +32,6 @@ from ffsm_drake.systems.part import STORED_MOMENTUM
 from ffsm_drake.systems.registry import Factory
 
 NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, before the grasp
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class GraspLog:
-    """What happened at the grasp, and the target before it; world axes, SI units."""
-
-    sample: int  # index of the first sample of the run at which the target is held
-    contact: Contact | None  # None: the run ended before
-    # the target's, in the frame P of the payload body where the model welds it
-    payload: MassProperties
-    # (sample, 13) [quaternion, p_WP; w_WP, v_WP] of the target at the samples before
-    target: np.ndarray
-    # (6) where P was at the grasp, from where the model welds it: rotation vector, position
-    offset: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    # (6) of the target from the end effector, at its origin: angular velocity, velocity
-    mismatch: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    # (3) momentum of what turns in the base, world axes, N m s: no torque acts on it about its axes
-    # at the grasp
-    stored: np.ndarray | None = None
-
-    def ledger(self, time: float, coordinates: Coordinates) -> dict[str, Any] | None:
-        """The grasp in plain numbers, where there was one; ``time`` (s) is that of the sample."""
-        if self.contact is None:
-            return None
-        contact, grasp, hidden = self.contact, self.contact.grasp, self.contact.hidden
-        brakes = {
-            name: float(impulse)
-            for name, impulse in zip(
-                coordinates.names, hidden.known_velocities(grasp.brake_impulse), strict=True
-            )
-            if impulse != 0.0
-        }
-        sides = {
-            "before": (
-                contact.momentum_before,
-                contact.spin_before,
-                grasp.energy_before,
-                contact.velocity,
-            ),
-            "after": (
-                contact.momentum_after,
-                contact.spin_after,
-                grasp.energy_after,
-                grasp.velocity,
-            ),
-        }
-        stored = np.zeros(3) if self.stored is None else self.stored
-        compliant = contact.compliant
-        found = {} if compliant is None else {
-            "peak_force": compliant.peak_force,  # N
-            "peak_torque": compliant.peak_torque,  # N m
-            "peak_stretch": compliant.peak_stretch,  # m
-            "time": compliant.time,  # s
-        }  # fmt: skip
-        return {
-            "time": time,
-            "impulse": contact.impulse[3:].tolist(),  # on the target, N s
-            "angular_impulse": contact.impulse[:3].tolist(),  # about the end effector, N m s
-            "brake_impulse": brakes,  # by joint, N m s or N s
-            **{
-                side: {
-                    "linear_momentum": momentum[3:].tolist(),  # N s
-                    # about the world's origin, N m s
-                    "angular_momentum": (momentum[:3] + stored).tolist(),
-                    "spin": (spin + stored).tolist(),  # about the centre of mass, N m s
-                    "kinetic_energy": energy,  # J
-                    "velocity": dict(
-                        zip(
-                            coordinates.names,
-                            hidden.known_velocities(velocity).tolist(),
-                            strict=True,
-                        )
-                    ),
-                }
-                for side, (momentum, spin, energy, velocity) in sides.items()
-            },
-            # of what turns in the base, N m s
-            **({} if self.stored is None else {"stored_momentum": stored.tolist()}),
-            "compliant": found,
-            "miss": {
-                "position": float(np.linalg.norm(self.offset[3:])),  # m
-                "angle": float(np.linalg.norm(self.offset[:3])),  # rad
-                "velocity": float(np.linalg.norm(self.mismatch[3:])),  # m/s
-                "angular_velocity": float(np.linalg.norm(self.mismatch[:3])),  # rad/s
-            },
-        }
 
 
 class CaptureRollout:

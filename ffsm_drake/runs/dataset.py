@@ -9,8 +9,8 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import BlockError
-from ffsm_drake.runs.capture import NOTHING, GraspLog
-from ffsm_drake.runs.rollout import RunLog
+from ffsm_drake.runs.capture import NOTHING
+from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.table import Table
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS, frame_rows
 from ffsm_drake.scenario import Scenario

@@ -20,8 +20,8 @@ from ffsm_drake.spacecraft.plant import make_plant, model_files
 from ffsm_drake.systems.actuation.limits import force_limits
 
 if TYPE_CHECKING:
+    from ffsm_drake.runs.log import RunLog
     from ffsm_drake.runs.record import RunRecord
-    from ffsm_drake.runs.rollout import RunLog
 
 SLACK = 1e-9  # relative; a plan may end at a limit
 CLEARANCE = "clearance"  # among the limits that a run leaves

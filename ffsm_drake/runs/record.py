@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import check_regular, published
+from ffsm_drake.runs.log import Outcome
 from ffsm_drake.runs.metrics import compute_metrics
 from ffsm_drake.runs.table import Table
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario, scenario_from_dict
@@ -73,20 +74,6 @@ _STATUSES = ("completed", "diverged", "interrupted")
 
 class StaleReportWarning(UserWarning):
     """A report beside a record shows another run."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """How a run ended."""
-
-    status: str  # "completed", "diverged" or "interrupted"
-    time: float  # s, end of the record
-    message: str  # one line
-    coordinate: str = ""  # the coordinate that diverged
-
-    @property
-    def completed(self) -> bool:
-        return self.status == "completed"
 
 
 class _Dataset:

@@ -1,15 +1,11 @@
-"""Rollout: a closed loop that is built once and run many times; RunLog: the time series of a
-run.
-"""
+"""Rollout: a closed loop that is built once and run many times."""
 
 import contextlib
 import dataclasses
-import functools
-import itertools
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer
@@ -30,29 +26,15 @@ from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.loop.blocks import block_choices
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
-from ffsm_drake.runs.metrics import tracking_metrics
+from ffsm_drake.runs.log import Outcome, RunLog
 from ffsm_drake.runs.monitor import Monitor
-from ffsm_drake.runs.record import Outcome
-from ffsm_drake.runs.tracking import Tracked, frame_error, frame_rows, tracked
 from ffsm_drake.scenario import Scenario, scenario_to_dict
-from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates, position_errors
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
 from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.part import (
-    Figure,
-    PartRecord,
-    Parts,
-    figures_of,
-    recorded,
     signals_of,
-    values_of,
-    with_role,
 )
 from ffsm_drake.systems.registry import Factory, is_shipped
-
-if TYPE_CHECKING:
-    from ffsm_drake.runs.capture import GraspLog
 
 # A logger sees the state before the update of its instant. So at t_k these still show sample k - 1
 # ...
@@ -65,132 +47,6 @@ _HELD = (
 )
 # Besides the payload's true mass properties, what can change without a new build.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class RunLog:
-    """The aligned time series of a run; of derived quantities, only the error.
-
-    ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, the controller's
-    optional outputs and, where there are hidden coordinates, ``hidden_state``, each (n, its width):
-    a signal of sample k is the one that sample k used or produced.
-    """
-
-    scenario: Scenario
-    outcome: Outcome
-    coordinates: Coordinates
-    time: np.ndarray  # (n,), control samples t_k, s
-    series: Mapping[str, np.ndarray]
-    wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
-    hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)
-    grasp: "GraspLog | None" = None  # of a run with a capture, unless it ended before
-    parts: Parts = dataclasses.field(default_factory=dict)  # with signals and figures of their own
-    # whether the controller does, and coordinates only as far as that leaves them free
-    tracks_frame: bool = False
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        """A signal at the samples (n, its width), or (n) where it is a single number."""
-        values = self.series.get(name)
-        signal = next((each for each in signals_of(self.parts) if each.name == name), None)
-        if signal is not None and signal.of is not None:
-            values = values_of(signal, self)
-        if values is None:
-            raise KeyError(f"no signal '{name}'; there are: {', '.join(self.series)}")
-        alone = values.ndim == 2 and values.shape[1] == 1
-        return values[:, 0] if alone and not (signal and signal.components) else values
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.series or any(each.name == name for each in signals_of(self.parts))
-
-    @functools.cached_property
-    def model(self) -> PlantModel:
-        """The true plant, with hidden coordinates."""
-        return make_flexible_plant(self.scenario)
-
-    @functools.cached_property
-    def part_figures(self) -> dict[str, list[Figure]]:
-        """What the metrics of the parts came to, by part. Raises BlockError where one fails."""
-        return {name: list(figures_of(part, self)) for name, part in self.parts.items()}
-
-    @property
-    def figures(self) -> tuple[Figure, ...]:
-        """All of them."""
-        return tuple(itertools.chain(*self.part_figures.values()))
-
-    @property
-    def part_records(self) -> tuple[PartRecord, ...]:
-        """What a record keeps of the parts."""
-        return tuple(
-            recorded(self.parts[name], figures) for name, figures in self.part_figures.items()
-        )
-
-    def with_role(self, role: str) -> np.ndarray | None:
-        """The sum of the signals with a role (n, 3); None where there are none."""
-        names = with_role(self.parts, role)
-        return sum(self[name] for name in names) if names else None  # type: ignore[return-value]
-
-    @property
-    def generalized_force(self) -> np.ndarray:
-        """Control tau (n, nv), held from each sample to the next, N m or N."""
-        return self.series["generalized_force"]
-
-    @functools.cached_property
-    def error(self) -> np.ndarray:
-        """True tracking error e = q_d - q (n, nv), base rotation as a rotation vector in the world
-        frame.
-        """
-        num_positions = len(self.coordinates.position_names)
-        return position_errors(
-            self.series["desired_state"][:, :num_positions], self.series["state"][:, :num_positions]
-        )
-
-    @functools.cached_property
-    def frame_error(self) -> np.ndarray | None:
-        """True pose error (n, 6; rotation vector, position; world) of the frame; None where none
-        has a reference.
-        """
-        desired = self.series.get("desired_frame")
-        if desired is None and not self.tracks_frame:
-            return None
-        model, num_positions = self.model, len(self.coordinates.position_names)
-        q = self.hidden.whole(self.series["state"], self.series.get("hidden_state"))[
-            :, : model.plant.num_positions()
-        ]
-        q_d = self.series["desired_state"][:, :num_positions]
-        if self.hidden.names:
-            q_d = np.array([self.hidden.whole_positions(each) for each in q_d])
-        return frame_error(self.scenario, model, q, q_d=q_d, desired=desired)
-
-    @property
-    def frame_tracked(self) -> np.ndarray:
-        """Which entries of ``frame_error`` the controller is after (6)."""
-        return frame_rows(self.scenario) & self.tracks_frame
-
-    @functools.cached_property
-    def tracked(self) -> Tracked:
-        """The errors that count."""
-        coordinates = self.coordinates
-        return tracked(
-            error=self.error,
-            names=coordinates.names,
-            groups=coordinates.group_of,
-            units=coordinates.units,
-            driven=coordinates.is_driven,
-            frame=self.frame_error,
-            rows=self.frame_tracked,
-        )
-
-    @functools.cached_property
-    def metrics(self) -> dict[str, Any]:
-        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.tracking_metrics``."""
-        return tracking_metrics(
-            time=self.time,
-            error=self.error,
-            effort=self.generalized_force,
-            period=self.scenario.sample_time,
-            group=self.coordinates.group_of,
-            counted=self.tracked.error,
-        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

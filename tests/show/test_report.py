@@ -19,7 +19,7 @@ import pytest
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
 from ffsm_drake.common.numbers import number
-from ffsm_drake.runs.record import Outcome
+from ffsm_drake.runs.log import Outcome
 from ffsm_drake.scenario import scenario_from_dict, scenario_from_yaml, scenario_to_dict
 from ffsm_drake.show.curves import thinned
 from ffsm_drake.show.report import write_report

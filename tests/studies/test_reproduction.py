@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, simulate
-from ffsm_drake.runs.record import Outcome
+from ffsm_drake.runs.log import Outcome
 from ffsm_drake.show import block_diagram
 from ffsm_drake.studies.paper import (
     PARTS,

@@ -1,0 +1,252 @@
+"""The log of a run: its outcome, its time series and, with a capture, its grasp."""
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.runs.metrics import tracking_metrics
+from ffsm_drake.runs.tracking import Tracked, frame_error, frame_rows, tracked
+from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.spacecraft.capture import Contact
+from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates, position_errors
+from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
+from ffsm_drake.systems.part import (
+    Figure,
+    PartRecord,
+    Parts,
+    figures_of,
+    recorded,
+    signals_of,
+    values_of,
+    with_role,
+)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a run ended."""
+
+    status: str  # "completed", "diverged" or "interrupted"
+    time: float  # s, end of the record
+    message: str  # one line
+    coordinate: str = ""  # the coordinate that diverged
+
+    @property
+    def completed(self) -> bool:
+        return self.status == "completed"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class GraspLog:
+    """What happened at the grasp, and the target before it; world axes, SI units."""
+
+    sample: int  # index of the first sample of the run at which the target is held
+    contact: Contact | None  # None: the run ended before
+    # the target's, in the frame P of the payload body where the model welds it
+    payload: MassProperties
+    # (sample, 13) [quaternion, p_WP; w_WP, v_WP] of the target at the samples before
+    target: np.ndarray
+    # (6) where P was at the grasp, from where the model welds it: rotation vector, position
+    offset: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
+    # (6) of the target from the end effector, at its origin: angular velocity, velocity
+    mismatch: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
+    # (3) momentum of what turns in the base, world axes, N m s: no torque acts on it about its axes
+    # at the grasp
+    stored: np.ndarray | None = None
+
+    def ledger(self, time: float, coordinates: Coordinates) -> dict[str, Any] | None:
+        """The grasp in plain numbers, where there was one; ``time`` (s) is that of the sample."""
+        if self.contact is None:
+            return None
+        contact, grasp, hidden = self.contact, self.contact.grasp, self.contact.hidden
+        brakes = {
+            name: float(impulse)
+            for name, impulse in zip(
+                coordinates.names, hidden.known_velocities(grasp.brake_impulse), strict=True
+            )
+            if impulse != 0.0
+        }
+        sides = {
+            "before": (
+                contact.momentum_before,
+                contact.spin_before,
+                grasp.energy_before,
+                contact.velocity,
+            ),
+            "after": (
+                contact.momentum_after,
+                contact.spin_after,
+                grasp.energy_after,
+                grasp.velocity,
+            ),
+        }
+        stored = np.zeros(3) if self.stored is None else self.stored
+        compliant = contact.compliant
+        found = {} if compliant is None else {
+            "peak_force": compliant.peak_force,  # N
+            "peak_torque": compliant.peak_torque,  # N m
+            "peak_stretch": compliant.peak_stretch,  # m
+            "time": compliant.time,  # s
+        }  # fmt: skip
+        return {
+            "time": time,
+            "impulse": contact.impulse[3:].tolist(),  # on the target, N s
+            "angular_impulse": contact.impulse[:3].tolist(),  # about the end effector, N m s
+            "brake_impulse": brakes,  # by joint, N m s or N s
+            **{
+                side: {
+                    "linear_momentum": momentum[3:].tolist(),  # N s
+                    # about the world's origin, N m s
+                    "angular_momentum": (momentum[:3] + stored).tolist(),
+                    "spin": (spin + stored).tolist(),  # about the centre of mass, N m s
+                    "kinetic_energy": energy,  # J
+                    "velocity": dict(
+                        zip(
+                            coordinates.names,
+                            hidden.known_velocities(velocity).tolist(),
+                            strict=True,
+                        )
+                    ),
+                }
+                for side, (momentum, spin, energy, velocity) in sides.items()
+            },
+            # of what turns in the base, N m s
+            **({} if self.stored is None else {"stored_momentum": stored.tolist()}),
+            "compliant": found,
+            "miss": {
+                "position": float(np.linalg.norm(self.offset[3:])),  # m
+                "angle": float(np.linalg.norm(self.offset[:3])),  # rad
+                "velocity": float(np.linalg.norm(self.mismatch[3:])),  # m/s
+                "angular_velocity": float(np.linalg.norm(self.mismatch[:3])),  # rad/s
+            },
+        }
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class RunLog:
+    """The aligned time series of a run; of derived quantities, only the error.
+
+    ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, the controller's
+    optional outputs and, where there are hidden coordinates, ``hidden_state``, each (n, its width):
+    a signal of sample k is the one that sample k used or produced.
+    """
+
+    scenario: Scenario
+    outcome: Outcome
+    coordinates: Coordinates
+    time: np.ndarray  # (n,), control samples t_k, s
+    series: Mapping[str, np.ndarray]
+    wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
+    hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)
+    grasp: GraspLog | None = None  # of a run with a capture, unless it ended before
+    parts: Parts = dataclasses.field(default_factory=dict)  # with signals and figures of their own
+    # whether the controller does, and coordinates only as far as that leaves them free
+    tracks_frame: bool = False
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """A signal at the samples (n, its width), or (n) where it is a single number."""
+        values = self.series.get(name)
+        signal = next((each for each in signals_of(self.parts) if each.name == name), None)
+        if signal is not None and signal.of is not None:
+            values = values_of(signal, self)
+        if values is None:
+            raise KeyError(f"no signal '{name}'; there are: {', '.join(self.series)}")
+        alone = values.ndim == 2 and values.shape[1] == 1
+        return values[:, 0] if alone and not (signal and signal.components) else values
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.series or any(each.name == name for each in signals_of(self.parts))
+
+    @functools.cached_property
+    def model(self) -> PlantModel:
+        """The true plant, with hidden coordinates."""
+        return make_flexible_plant(self.scenario)
+
+    @functools.cached_property
+    def part_figures(self) -> dict[str, list[Figure]]:
+        """What the metrics of the parts came to, by part. Raises BlockError where one fails."""
+        return {name: list(figures_of(part, self)) for name, part in self.parts.items()}
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """All of them."""
+        return tuple(itertools.chain(*self.part_figures.values()))
+
+    @property
+    def part_records(self) -> tuple[PartRecord, ...]:
+        """What a record keeps of the parts."""
+        return tuple(
+            recorded(self.parts[name], figures) for name, figures in self.part_figures.items()
+        )
+
+    def with_role(self, role: str) -> np.ndarray | None:
+        """The sum of the signals with a role (n, 3); None where there are none."""
+        names = with_role(self.parts, role)
+        return sum(self[name] for name in names) if names else None  # type: ignore[return-value]
+
+    @property
+    def generalized_force(self) -> np.ndarray:
+        """Control tau (n, nv), held from each sample to the next, N m or N."""
+        return self.series["generalized_force"]
+
+    @functools.cached_property
+    def error(self) -> np.ndarray:
+        """True tracking error e = q_d - q (n, nv), base rotation as a rotation vector in the world
+        frame.
+        """
+        num_positions = len(self.coordinates.position_names)
+        return position_errors(
+            self.series["desired_state"][:, :num_positions], self.series["state"][:, :num_positions]
+        )
+
+    @functools.cached_property
+    def frame_error(self) -> np.ndarray | None:
+        """True pose error (n, 6; rotation vector, position; world) of the frame; None where none
+        has a reference.
+        """
+        desired = self.series.get("desired_frame")
+        if desired is None and not self.tracks_frame:
+            return None
+        model, num_positions = self.model, len(self.coordinates.position_names)
+        q = self.hidden.whole(self.series["state"], self.series.get("hidden_state"))[
+            :, : model.plant.num_positions()
+        ]
+        q_d = self.series["desired_state"][:, :num_positions]
+        if self.hidden.names:
+            q_d = np.array([self.hidden.whole_positions(each) for each in q_d])
+        return frame_error(self.scenario, model, q, q_d=q_d, desired=desired)
+
+    @property
+    def frame_tracked(self) -> np.ndarray:
+        """Which entries of ``frame_error`` the controller is after (6)."""
+        return frame_rows(self.scenario) & self.tracks_frame
+
+    @functools.cached_property
+    def tracked(self) -> Tracked:
+        """The errors that count."""
+        coordinates = self.coordinates
+        return tracked(
+            error=self.error,
+            names=coordinates.names,
+            groups=coordinates.group_of,
+            units=coordinates.units,
+            driven=coordinates.is_driven,
+            frame=self.frame_error,
+            rows=self.frame_tracked,
+        )
+
+    @functools.cached_property
+    def metrics(self) -> dict[str, Any]:
+        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.tracking_metrics``."""
+        return tracking_metrics(
+            time=self.time,
+            error=self.error,
+            effort=self.generalized_force,
+            period=self.scenario.sample_time,
+            group=self.coordinates.group_of,
+            counted=self.tracked.error,
+        )
