@@ -23,8 +23,9 @@ from ffsm_drake.control_design.stability.mass_ratios import PlannedInertia
 from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.scenario import Scenario, from_grasp
+from ffsm_drake.spacecraft.limits import FORCE, tightest
 from ffsm_drake.spacecraft.nominal import make_true_plant
-from ffsm_drake.systems.actuation.limits import force_limits
+from ffsm_drake.systems.limits import limits_of
 from ffsm_drake.systems.reference import timed
 
 _ANSWER = 1.0  # s; in which the loop answers to a wrong velocity at the start
@@ -79,8 +80,8 @@ def predicted_load(linearizer: Linearizer) -> float:
     begin = answer * scenario.sample_time
     times = np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
     _, ideal = perfect_tracking(scenario, times)
-    limits = force_limits(scenario, make_true_plant(scenario).plant)
-    share = np.abs(np.concatenate([force, ideal])) / limits
+    limit = tightest(limits_of(scenario, make_true_plant(scenario).plant), FORCE)
+    share = np.abs(np.concatenate([force, ideal])) / limit.upper
     return float(np.nan_to_num(share, nan=np.inf).max())
 
 

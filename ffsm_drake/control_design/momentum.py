@@ -28,11 +28,11 @@ from ffsm_drake.spacecraft.coordinates import (
     position_errors,
 )
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
-from ffsm_drake.spacecraft.joint_limits import joint_limits, rate_limits
+from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
-from ffsm_drake.systems.actuation.limits import force_limits
 from ffsm_drake.systems.actuation.wheels import WheelSet
+from ffsm_drake.systems.limits import joint_limits, limits_of
 from ffsm_drake.systems.reference import make_motion
 
 LONGEST = 1000.0  # s that are looked at
@@ -133,7 +133,7 @@ def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
         on_wheels = _wheel_budget(wheels, q, angular - spin, angular)
         if on_wheels.share > 1.0:
             turning = (1.0 - on_wheels.capacity / float(np.linalg.norm(angular))) * angular
-    limits = force_limits(scenario, model.plant)
+    limits = tightest(limits_of(scenario, model.plant), FORCE).upper
     least = {
         group: float((np.abs(momentum) / limits[model.coordinates.groups[group]]).max())
         for group, momentum in (("base_rotation", angular), ("base_position", linear))
@@ -215,7 +215,8 @@ def _arm_budget(
     """Turn the joints from a posture (nq) on so that they hold all of an angular momentum (3), as
     long as they can.
     """
-    limits, rate = joint_limits(scenario.model, model.plant), rate_limits(scenario, model.plant)
+    limits = joint_limits(scenario, model.plant)
+    (_, rate), (lower, upper) = (tightest(limits, each).joints for each in (RATE, POSITION))
     capacity = _most(free_floating(model, q), angular, rate)
     try:
         clearance = Clearance(scenario.model) if scenario.clearance > 0.0 else None
@@ -226,7 +227,7 @@ def _arm_budget(
 
     def found(q: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
         """Rates in a configuration, and the room of the joints there."""
-        room = np.stack([limits.upper - q[arm], q[arm] - limits.lower])
+        room = np.stack([upper - q[arm], q[arm] - lower])
         return _evenest(
             free_floating(model, q), angular, np.where(np.isfinite(room), room, _TURN), most
         ), room
@@ -240,7 +241,7 @@ def _arm_budget(
         first = int(np.argmin(own))
         if own[first] < _OVER:
             time += max(float(own[first]), 0.0)
-            ended_by = f"{limits.names[first]} reaches its limit"
+            ended_by = f"{model.coordinates.joints[first]} reaches its limit"
             break
         if (
             clearance is not None

@@ -4,6 +4,7 @@ its model.
 Nothing enforces the URDF's limits; ``actuation.limit`` is what saturates the force.
 """
 
+import dataclasses
 import functools
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,21 +17,15 @@ from ffsm_drake.control_design.momentum import momentum_budget, storage_remark
 from ffsm_drake.runs.capture import NOTHING, target_path
 from ffsm_drake.runs.limits import (
     INSTANTS,
-    SLACK,
     Closest,
     clearance_remarks,
     closest_of,
-    position_remarks,
-    size_remarks,
+    remarks_on,
 )
 from ffsm_drake.scenario import Scenario, planned_part
 from ffsm_drake.spacecraft.capture import planned_contact, velocity_at_start
-from ffsm_drake.spacecraft.coordinates import (
-    NUM_BASE_POSITIONS,
-    NUM_BASE_VELOCITIES,
-    position_error,
-)
-from ffsm_drake.spacecraft.joint_limits import JointLimits, joint_limits
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
+from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
@@ -40,7 +35,7 @@ from ffsm_drake.spacecraft.nominal import (
 )
 from ffsm_drake.spacecraft.plant import configuration, files_read, find_body
 from ffsm_drake.systems.actuation.drives import DriveSet
-from ffsm_drake.systems.actuation.limits import base_limits
+from ffsm_drake.systems.limits import actuation_limit, joint_limits
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
 
@@ -69,15 +64,15 @@ def plan_remarks(scenario: Scenario) -> list[str]:
       ModelError, ScenarioError: the model or a posture cannot be used.
     """
     model = make_true_plant(scenario)
-    limits = joint_limits(scenario.model, model.plant)
+    limits = joint_limits(scenario, model.plant)
     remarks = [
         *_cut_short(scenario),
         *_overridden_mass(scenario, model.plant),
         *_coarse_steps(scenario),
     ]
     for name, posture in scenario.postures.items():
-        q = configuration(model.plant, posture, key=name)[NUM_BASE_POSITIONS:]
-        remarks += position_remarks(limits, q[None], f"{name}.joints", _no_time)
+        held = {POSITION: configuration(model.plant, posture, key=name)[None, 1:]}
+        remarks += remarks_on(limits, held, lambda _: "", who=(f"{name}.joints", ""))
     if scenario.blocks.reference is not None:
         return remarks
     motion = make_motion(scenario, model.coordinates)
@@ -86,20 +81,12 @@ def plan_remarks(scenario: Scenario) -> list[str]:
         lambda: plan_clearance(scenario), scenario.clearance, "the planned motion"
     )
     remarks += _momentum(scenario)
-    limit, limited_by = np.full(len(model.coordinates.names), np.inf), "actuation.limit"
-    if scenario.blocks.actuation is None:
-        limit = model.coordinates.vector(
-            scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
-        )
-        base = base_limits(scenario)
-        limited_by += base.named
-        limit[:NUM_BASE_VELOCITIES] = np.minimum(
-            limit[:NUM_BASE_VELOCITIES], np.repeat([base.torque, base.force], 3)
-        )
     drives = None
     if scenario.drives is not None:
         drives = DriveSet(scenario.drives, scenario.actuation.limit, model.coordinates)
-    part = functools.partial(_motion_remarks, model, motion, limits, limit, limited_by, drives)
+    if scenario.blocks.actuation is None:
+        limits.append(actuation_limit(scenario, model.coordinates))
+    part = functools.partial(_motion_remarks, model, motion, limits, drives)
     remarks += part(begin=motion.begin, end=min(motion.end, scenario.duration))
     if motion.begin > 0.0:
         set_payload(model.plant, model.context, body=scenario.payload.body, properties=NOTHING)
@@ -109,55 +96,44 @@ def plan_remarks(scenario: Scenario) -> list[str]:
 
 def _motion_remarks(
     model: PlantModel,
-    motion: PlannedMotion,
-    limits: JointLimits,
-    limit: np.ndarray,
-    limited_by: str,
+    plan: PlannedMotion,
+    limits: list[Limit],
     drives: DriveSet | None,
     *,
     begin: float,
     end: float,
 ) -> Iterator[str]:
-    """Where a planned motion, or following it with the model's payload, is beyond the joints'
-    limits or a force's.
+    """The rates and forces beyond their limits in a planned motion, tracked perfectly with the
+    model's payload; positions are those of the postures.
     """
     times = np.linspace(begin, end, _POSTURES)
+    names = plan.coordinates
     q, v, a = np.split(
-        motion.rows(times), np.cumsum([len(motion.coordinates.position_names), limit.size]), axis=1
+        plan.rows(times), np.cumsum([len(names.position_names), len(names.names)]), axis=1
+    )
+    motion = {RATE: v}
+    if np.isfinite(tightest(limits, FORCE).upper).any():
+        motion[FORCE] = model.calc_tracking_force(q, v, a)
+        if drives is not None:
+            motion[FORCE][:, NUM_BASE_VELOCITIES:] -= drives.friction(v[:, NUM_BASE_VELOCITIES:])
+            limits = [*limits[:-1], _at_rate(limits[-1], drives, v, motion[FORCE])]
+    yield from remarks_on(
+        limits,
+        motion,
+        lambda sample: f" at t = {times[sample]:.3g} s",
+        who=("the planned motion", "tracking the planned motion perfectly takes"),
     )
 
-    def at(sample: int) -> str:
-        return f" at t = {times[sample]:.3g} s"
 
-    yield from size_remarks(
-        limits, v[:, NUM_BASE_VELOCITIES:], limits.velocity, "the planned motion", "/s", at
-    )
-    if not np.isfinite(np.r_[limits.effort, limit]).any():
-        return
-    force, tracking = (
-        model.calc_tracking_force(q, v, a),
-        ("tracking the planned motion perfectly takes"),
-    )
-    most, what = np.tile(limit, (len(times), 1)), limited_by
-    if drives is not None:
-        joints = slice(NUM_BASE_VELOCITIES, None)
-        force[:, joints] -= drives.friction(v[:, joints])
-        forward = force[:, joints] * v[:, joints] > 0.0
-        most[:, joints] = np.where(forward, drives.available(v[:, joints]), most[:, joints])
-        what += " or what drives give at their rate" if drives.has_rate_limit else ""
-    yield from size_remarks(
-        limits, force[:, NUM_BASE_VELOCITIES:], limits.effort, tracking, " force", at
-    )
-    parts = []
-    for i, name in enumerate(motion.coordinates.names):
-        worst = int(np.argmax(np.abs(force[:, i]) / np.maximum(most[:, i], 1e-12)))
-        if abs(force[worst, i]) > most[worst, i] * (1.0 + SLACK):
-            unit = {"rad": "N m", "m": "N"}[motion.coordinates.units[i]]
-            parts.append(
-                f"{name} {abs(force[worst, i]):.4g} {unit}{at(worst)} (limit {most[worst, i]:.4g})"
-            )
-    if parts:
-        yield f"{tracking}: beyond {what}: {', '.join(parts)}"
+def _at_rate(limit: Limit, drives: DriveSet, v: np.ndarray, force: np.ndarray) -> Limit:
+    """The actuators' limit of force where drives give less at velocities v (n, nv), with the
+    motion.
+    """
+    most, joints = np.tile(limit.upper, (len(v), 1)), slice(NUM_BASE_VELOCITIES, None)
+    forward = force[:, joints] * v[:, joints] > 0.0
+    most[:, joints] = np.where(forward, drives.available(v[:, joints]), most[:, joints])
+    further = " or what drives give at their rate" if drives.has_rate_limit else ""
+    return dataclasses.replace(limit, source=limit.source + further, upper=most, lower=-most)
 
 
 def plan_clearance(scenario: Scenario) -> list[Closest]:
@@ -293,7 +269,3 @@ def _overridden_mass(scenario: Scenario, plant: MultibodyPlant) -> Iterator[str]
             "URDF gives "
             f"{scenario.payload.body}"
         )
-
-
-def _no_time(sample: int) -> str:
-    return ""

@@ -1,34 +1,31 @@
-"""Limits of the joints, as the URDF gives them, against a run. Nothing enforces them.
+"""The limits that a run exceeds.
 
-``actuation.limit`` is what saturates the force; ``saturation`` says how often it did.
+Nothing enforces those of the joints; ``actuation.limit`` saturates the force, and ``saturation``
+says how often.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.joint_limits import JointLimits, joint_limits, rate_limits
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
 from ffsm_drake.spacecraft.plant import make_plant, model_files
-from ffsm_drake.systems.actuation.limits import force_limits
+from ffsm_drake.systems.limits import joint_limits, limits_of
 
-if TYPE_CHECKING:
-    from ffsm_drake.runs.log import RunLog
-    from ffsm_drake.runs.record import RunRecord
-
-SLACK = 1e-9  # relative; a plan may end at a limit
 CLEARANCE = "clearance"  # among the limits that a run leaves
 INSTANTS = 51  # in which clearance is looked at along a plan; twice as many along a run
 
 
-def run_remarks(record: "RunRecord") -> list[str]:
+def run_remarks(record: RunRecord) -> list[str]:
     """Where a run left the limits of its model, and where its force saturated; a line each.
 
     Raises:
@@ -37,16 +34,17 @@ def run_remarks(record: "RunRecord") -> list[str]:
     data, time = record.dataset, record.dataset["time"].values
     if time.size == 0:
         return []
-    limits = joint_limits(record.scenario.model, make_plant(record.scenario.model))
 
     def at(sample: int) -> str:
         return f" at t = {time[sample]:.2f} s"
 
-    q = data["position"].values[:, NUM_BASE_POSITIONS:]
-    v, tau = (data[name].values[:, NUM_BASE_VELOCITIES:] for name in ("velocity", "applied_force"))
-    remarks = list(position_remarks(limits, q, "the run", at))
-    remarks += size_remarks(limits, v, limits.velocity, "the run", "/s", at)
-    remarks += size_remarks(limits, tau, limits.effort, "the run applies", " force", at)
+    motion = {
+        POSITION: data["position"].values[:, 1:],
+        RATE: data["velocity"].values,
+        FORCE: data["applied_force"].values,
+    }
+    limits = joint_limits(record.scenario, make_plant(record.scenario.model))
+    remarks = list(remarks_on(limits, motion, at, who=("the run", "the run applies")))
     remarks += clearance_remarks(
         lambda: run_clearance(record), record.scenario.clearance, "the run"
     )
@@ -74,7 +72,7 @@ class Closest:
         )
 
 
-def run_clearance(record: "RunRecord") -> list[Closest]:
+def run_clearance(record: RunRecord) -> list[Closest]:
     """As ``plan_clearance``, of a run, looked at in a hundred samples of each of its phases.
 
     Raises ModelError: as ``plan_clearance``.
@@ -149,7 +147,7 @@ def clearance_remarks(
         yield f"{what}: {pair} {state} at t = {closest.time:.3g} s (clearance {threshold:g} m)"
 
 
-def saturation(record: "RunRecord") -> dict[str, float]:
+def saturation(record: RunRecord) -> dict[str, float]:
     """Share of the samples in which what was commanded of a coordinate was beyond
     ``actuation.limit``, where any.
     """
@@ -160,95 +158,71 @@ def saturation(record: "RunRecord") -> dict[str, float]:
         or scenario.blocks.actuation is not None
     ):
         return {}
-    names, groups = (data[name].values.astype(str).tolist() for name in ("coordinate", "group"))
-    given = scenario.actuation.limit
-    limit = np.array(
-        [
-            given.get(n, given.get(g, given.get("all", np.inf)))
-            for n, g in zip(names, groups, strict=True)
-        ]
+    names, units = (data[name].values.astype(str).tolist() for name in ("coordinate", "unit"))
+    coordinates = Coordinates(
+        joints=tuple(names[NUM_BASE_VELOCITIES:]), joint_units=tuple(units[NUM_BASE_VELOCITIES:])
     )
+    limit = coordinates.vector(scenario.actuation.limit, key="actuation.limit", default=np.inf)
     shares = (np.abs(data["generalized_force"].values) > limit).mean(axis=0)
     return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0.0}
 
 
-def limits_left(log: "RunLog") -> dict[str, float]:
-    """When a run first left each of its limits, s: forces commanded, velocities and positions of
-    joints, clearance.
+def limits_left(log: RunLog) -> dict[str, float]:
+    """When a run first exceeded each of its limits, s: commanded forces, rates and positions of
+    the coordinates, limits of parts, clearance.
 
-    Of a run with a capture clearance is looked at from the grasp on, as in ``run_clearance``.
+    In a run with a capture, clearance is evaluated from the grasp on, as in ``run_clearance``.
     """
-    scenario, coordinates = log.scenario, log.coordinates
-    clearance = _shapes(scenario)
-    plant = clearance.plant
-    joints, state = joint_limits(scenario.model, plant), log.series["state"]
-    nq = len(coordinates.position_names)
-    q, v = state[:, NUM_BASE_POSITIONS:nq], state[:, nq + NUM_BASE_VELOCITIES :]
-    reach = 1.0 + SLACK
-    with np.errstate(invalid="ignore"):
-        beyond = {
-            "force on": (
-                coordinates.names,
-                np.abs(log.generalized_force) > reach * force_limits(scenario, plant),
-            ),
-            "velocity of": (joints.names, np.abs(v) > reach * rate_limits(scenario, plant)),
-            "position of": (joints.names, (q > joints.upper + SLACK) | (q < joints.lower - SLACK)),
-        }
-    found = {
-        f"{what} {name}": float(log.time[np.argmax(left)])
-        for what, (names, columns) in beyond.items()
-        for name, left in zip(names, columns.T, strict=True)
-        if left.any()
-    }
+    clearance = _shapes(log.scenario)
+    parts = [placed.part for placed in log.parts.values()]
+    limits = limits_of(log.scenario, clearance.plant, parts)
+    q, v = np.split(log.series["state"], [len(log.coordinates.position_names)], axis=1)
+    motion = {FORCE: log.generalized_force, RATE: v, POSITION: q[:, 1:]}
+    found = {}
+    for limit in (
+        *(tightest(limits, quantity) for quantity in motion),
+        *(limit for limit in limits if limit.quantity not in motion and limit.quantity in log),
+    ):
+        values = motion[limit.quantity] if limit.quantity in motion else log[limit.quantity]
+        left = limit.used(values.reshape(len(values), -1)) > 1.0 + SLACK
+        what = {FORCE: "force on", RATE: "velocity of"}.get(limit.quantity, f"{limit.quantity} of")
+        for i in np.flatnonzero(left.any(axis=0)):
+            found[f"{what} {limit.names[i]}"] = float(log.time[np.argmax(left[:, i])])
+    time = _first_too_near(log, clearance, q)
+    return found if time is None else found | {CLEARANCE: time}
+
+
+def _first_too_near(log: RunLog, clearance: Clearance, q: np.ndarray) -> float | None:
+    """When parts in configurations (n, nq) first came nearer to each other than the scenario's
+    clearance, s.
+    """
     first = 0 if log.grasp is None else log.grasp.sample
-    if clearance.pairs and log.time.size > first:
-        for sample in np.unique(
-            np.linspace(first, log.time.size - 1, INSTANTS).round().astype(int)
-        ):
-            if np.isfinite(state[sample]).all() and (
-                clearance.nearest(state[sample, :nq]).distance < scenario.clearance
-            ):
-                return found | {CLEARANCE: float(log.time[sample])}
-    return found
+    if not clearance.pairs or log.time.size <= first:
+        return None
+    for sample in np.unique(np.linspace(first, log.time.size - 1, INSTANTS).round().astype(int)):
+        near = np.isfinite(log.series["state"][sample]).all() and (
+            clearance.nearest(q[sample]).distance < log.scenario.clearance
+        )
+        if near:
+            return float(log.time[sample])
+    return None
 
 
-def position_remarks(
-    limits: JointLimits, q: np.ndarray, what: str, at: Callable[[int], str]
-) -> Iterator[str]:
-    """A line with the joints whose positions (n, joints) leave their limits."""
-    reach = np.where(np.isfinite(limits.upper - limits.lower), limits.upper - limits.lower, 1.0)
-    with np.errstate(invalid="ignore"):
-        excess = np.fmax(q - limits.upper, limits.lower - q)
-    parts = []
-    for i, name in enumerate(limits.names):
-        worst = int(np.argmax(np.where(np.isfinite(excess[:, i]), excess[:, i], -np.inf)))
-        if excess[worst, i] > SLACK * max(reach[i], 1.0):
-            span = f"{limits.lower[i]:.4g} to {limits.upper[i]:.4g} {limits.units[i]}"
-            parts.append(f"{name} {q[worst, i]:.4g}{at(worst)} (limits {span})")
-    if parts:
-        yield f"{what}: outside the URDF's position limits: {', '.join(parts)}"
-
-
-def size_remarks(
-    limits: JointLimits,
-    values: np.ndarray,
-    largest: np.ndarray,
-    what: str,
-    kind: str,
+def remarks_on(
+    limits: Iterable[Limit],
+    motion: Mapping[str, np.ndarray],
     at: Callable[[int], str],
+    *,
+    who: tuple[str, str],
 ) -> Iterator[str]:
-    """A line with the joints whose values (n, joints) are larger than their limit."""
-    parts = []
-    for i, name in enumerate(limits.names):
-        size = np.nan_to_num(np.abs(values[:, i]), nan=0.0)
-        worst = int(np.argmax(size))
-        if size[worst] > largest[i] * (1.0 + SLACK):
-            unit = (
-                {"rad": "N m", "m": "N"}[limits.units[i]]
-                if kind == " force"
-                else f"{limits.units[i]}{kind}"
-            )
-            parts.append(f"{name} {size[worst]:.4g} {unit}{at(worst)} (limit {largest[i]:.4g})")
-    if parts:
-        named = "effort" if kind == " force" else "velocity"
-        yield f"{what}: beyond the URDF's {named} limits: {', '.join(parts)}"
+    """A line for each limit that a motion exceeds.
+
+    Args:
+      limits: those of quantities that are not in the motion are skipped.
+      motion: values (samples, nv) by quantity.
+      at: sample -> words for its time.
+      who: what exceeds positions and rates, and what exceeds forces, in words.
+    """
+    for limit in limits:
+        if limit.quantity in motion:
+            yield from limit.remark(motion[limit.quantity], who[limit.quantity == FORCE], at)

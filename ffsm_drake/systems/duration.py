@@ -8,10 +8,9 @@ import numpy as np
 
 from ffsm_drake.common.errors import LimitError, ScenarioError
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.joint_limits import joint_limits, rate_limits
+from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.actuation.limits import force_limits
+from ffsm_drake.systems.limits import limits_of
 
 if TYPE_CHECKING:
     from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -42,16 +41,16 @@ def shortest_duration(
     """
     key, free = "reference.duration", 1.0 - scenario.reference.reserve
     model = make_nominal_plant(scenario)
-    coordinates, joints = model.coordinates, joint_limits(scenario.model, model.plant)
-    force, rate = force_limits(scenario, model.plant), rate_limits(scenario, model.plant)
-    if not np.isfinite(np.concatenate([force, rate])).any():
+    coordinates, limits = model.coordinates, limits_of(scenario, model.plant)
+    force, rate, position = (tightest(limits, each) for each in (FORCE, RATE, POSITION))
+    if not np.isfinite(np.concatenate([force.upper, rate.upper])).any():
         raise ScenarioError(
             key,
             "auto needs a limit of force or velocity: give actuation.limit, thrusters, or a "
             "number of seconds",
         )
-    names = [f"force on {name}" for name in coordinates.names]
-    names += [f"{what} of {name}" for what in ("velocity", "position") for name in joints.names]
+    named = ("force on", "velocity of", "position of")
+    names = [f"{what} {name}" for what in named for name in coordinates.names]
 
     def worst(duration: float) -> tuple[float, str]:
         """The largest fraction of a limit that is used, and the name of that limit."""
@@ -60,11 +59,10 @@ def shortest_duration(
         times = np.linspace(motion.begin, motion.end, instants)
         nq, nv = len(coordinates.position_names), len(coordinates.names)
         q, v, a = np.split(motion.rows(times), [nq, nq + nv], axis=1)
-        arm = q[:, NUM_BASE_POSITIONS:]
         shares = [
-            np.abs(model.calc_tracking_force(q, v, a)) / (free * force),
-            np.abs(v[:, NUM_BASE_VELOCITIES:]) / (free * rate),
-            1.0 + np.fmax(arm - joints.upper, joints.lower - arm),
+            np.abs(model.calc_tracking_force(q, v, a)) / (free * force.upper),
+            np.abs(v) / (free * rate.upper),
+            position.used(q[:, 1:]),
         ]
         largest = np.concatenate([share.max(axis=0) for share in shares])
         index = int(np.argmax(largest))

@@ -19,6 +19,7 @@ from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates
+from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -266,6 +267,12 @@ class Part:
         the directions (n, 3; base's axes), those that it gives; None of others.
         """
         return None
+
+    def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
+        """Limits of the coordinates' rates, forces or positions, or of its own signals, that a
+        plan, a run or a campaign is held against.
+        """
+        return ()
 
     def linear(self) -> "Part":
         """What the linearisation wires in its place: without limits, which have no derivative."""

@@ -9,8 +9,8 @@ from ffsm_drake import load_scenario, simulate
 from ffsm_drake.control_design.stability import stability, stability_warning
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.rehearsal import rehearse
-from ffsm_drake.spacecraft.plant import make_plant
-from ffsm_drake.systems.actuation.limits import base_limits, force_limits
+from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
+from ffsm_drake.systems.limits import actuation_limit, base_limits
 from ffsm_drake.systems.reference import timed
 
 
@@ -121,7 +121,7 @@ def test_a_stop_of_any_duration_keeps_what_the_wheels_give():
         )
         scenario = dataclasses.replace(scenario, actuation=actuation)
         found.append(timed(scenario).reference.duration)
-        force = force_limits(scenario, make_plant(scenario.model))
+        force = actuation_limit(scenario, coordinates_of(make_plant(scenario.model))).upper
         assert force[:6] == pytest.approx([4.0 / 3.0 * torque] * 3 + [10.0] * 3)
     assert found[0] > 1.2 * found[1]
 

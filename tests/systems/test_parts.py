@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import PassThrough
 
 from ffsm_drake import (
     BlockError,
@@ -25,13 +26,16 @@ from ffsm_drake import (
 )
 from ffsm_drake.cli import main
 from ffsm_drake.common.numbers import NONE
+from ffsm_drake.runs.limits import limits_left
 from ffsm_drake.runs.metrics import momentum_residual
+from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report import write_report
 from ffsm_drake.show.report.comparison import rankings, table
 from ffsm_drake.show.report.part_panels import part_views
 from ffsm_drake.show.report.results import results_of
 from ffsm_drake.show.tables import results_table
+from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.systems.part import Constant, by_key
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -455,3 +459,32 @@ def test_parts_without_settings_work_and_unsound_ones_get_one_line(block, words,
         simulate(load_scenario(SCENARIO[0], [*common, f"blocks.sensing={block}"]))
     assert words in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Bounded(Part):
+    """Passes the force on; its signal is the time, which has a limit."""
+
+    def build(self, setup):
+        builder = DiagramBuilder()
+        passed = builder.AddSystem(PassThrough(len(setup.coordinates.names)))
+        builder.ExportInput(passed.get_input_port(), "commanded_force")
+        builder.ExportOutput(passed.get_output_port(), "applied_force")
+        return builder.Build()
+
+    def signals(self, setup):
+        return [Signal(name="ramp", unit="1", meaning="time", of=lambda run: run.time)]
+
+    def limits(self, coordinates):
+        return [
+            Limit(
+                quantity="ramp", source="Bounded", names=("ramp",), units=("1",),
+                upper=np.array([0.1]), lower=np.array([-np.inf]),
+            )
+        ]  # fmt: skip
+
+
+def test_a_run_knows_when_it_exceeds_the_limit_of_a_part():
+    scenario = load_scenario("flight_sensors", ["controller=tdc", "duration=0.3"])
+    left = limits_left(Rollout(scenario, blocks={"actuation": Bounded()}).run())
+    assert left == {"ramp of ramp": pytest.approx(0.1 + scenario.sample_time)}

@@ -7,9 +7,9 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.joint_limits import joint_limits, rate_limits
+from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.actuation.limits import force_limits
+from ffsm_drake.systems.limits import limits_of
 
 _ACCURACY = 1e-3  # m; of Drake's distances between cylinders
 # relative; by which a solved plan may pass a limit between the instants that the solver looks at
@@ -79,14 +79,13 @@ def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:
                 )
         return np.where(coordinates.is_driven, found, np.inf)
 
-    urdf = joint_limits(scenario.model, model.plant)
-    base = np.full(NUM_BASE_VELOCITIES, np.inf)
-    rate = np.r_[base, rate_limits(scenario, model.plant)]
+    limits = limits_of(scenario, model.plant)
+    force, rate, position = (tightest(limits, each) for each in (FORCE, RATE, POSITION))
     return MotionLimits(
-        force=np.where(coordinates.is_driven, force_limits(scenario, model.plant), np.inf),
-        rate=np.minimum(vector(planning.velocity_limit, "planning.velocity_limit"), rate),
-        lower=np.r_[-base, urdf.lower],
-        upper=np.r_[base, urdf.upper],
+        force=np.where(coordinates.is_driven, force.upper, np.inf),
+        rate=np.minimum(vector(planning.velocity_limit, "planning.velocity_limit"), rate.upper),
+        lower=position.lower,
+        upper=position.upper,
         impulse=vector(planning.impulse_limit, "planning.impulse_limit"),
     )
 

@@ -26,8 +26,8 @@ from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.actuation import make_actuation, make_base_actuators
 from ffsm_drake.systems.actuation.base import attitude_ahead
-from ffsm_drake.systems.actuation.limits import base_limits
 from ffsm_drake.systems.controllers.law import ControlLaw
+from ffsm_drake.systems.limits import base_limits
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.systems.setup import BlockSetup

@@ -33,6 +33,7 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.numbers import percent
 from ffsm_drake.scenario import Drives, PerCoordinate, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.limits import RATE, Limit
 from ffsm_drake.systems.part import (
     INTERNAL_WORK,
     Constant,
@@ -300,6 +301,11 @@ class JointDrives(Part):
                 ("knee", "1", "share of that where its force begins to fall", drives.knee, 0.0),
             )
         ]
+
+    def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
+        """Rates of the joints."""
+        rate = _with_base(self._drives(coordinates).rate_limit, np.inf)
+        return [Limit.either_way(RATE, f"{_KEY}.rate_limit", coordinates, rate)]
 
     def metrics(self) -> Sequence[Metric]:
         """By joint, the first two for joints with such a limit, and what friction took out; the

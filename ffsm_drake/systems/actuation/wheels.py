@@ -21,6 +21,7 @@ from ffsm_drake.common.numbers import percent
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.scenario import Scenario, Wheels
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
+from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.systems.part import (
     INTERNAL_TORQUE,
     STEPS,
@@ -313,6 +314,10 @@ class ReactionWheels(Part):
             )
         ]
 
+    def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
+        """Speed of each wheel, torque of its motor."""
+        return self._limit("speed", "rad/s"), self._limit("torque", "N m")
+
     def metrics(self) -> Sequence[Metric]:
         """Peaks by wheel; shares of limits; shares of the samples."""
 
@@ -337,7 +342,7 @@ class ReactionWheels(Part):
                 label="Speed, of a wheel's limit",
                 column="wheel_speed_used",
                 heading="wheel's speed [of its limit]",
-                of=lambda run: (np.abs(run["wheel_speed"]) / self._of_each("speed_limit")).max(),
+                of=lambda run: self._limit("speed", "rad/s").used(run["wheel_speed"]).max(),
             ),
             share(
                 key="wheels.torque_used",
@@ -410,9 +415,15 @@ class ReactionWheels(Part):
     def _of_each(self, name: str) -> np.ndarray:
         return np.array([getattr(unit, name) for unit in self.settings.units.values()], dtype=float)
 
+    def _limit(self, name: str, unit: str) -> Limit:
+        largest, names = self._of_each(f"{name}_limit"), tuple(self.settings.units)
+        return Limit(
+            quantity=f"wheel_{name}", source=f"actuation.wheels: {name}_limit", names=names,
+            units=(unit,) * len(names), upper=largest, lower=-largest,
+        )  # fmt: skip
+
     def _torque_used(self, run: View) -> np.ndarray:
-        used: np.ndarray = np.abs(run["wheel_torque"]) / self._of_each("torque_limit")
-        return used
+        return self._limit("torque", "N m").used(run["wheel_torque"])
 
     def _speed(self, run: View) -> np.ndarray:
         """Speeds (n, wheels) in the base, rad/s."""

@@ -1,0 +1,123 @@
+"""A limit, the share of it that a motion uses, and the limits that the URDFs give."""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from xml.etree import ElementTree
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+
+from ffsm_drake.common.errors import ModelError
+from ffsm_drake.scenario import Model
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.plant import coordinates_of, urdfs_of
+from ffsm_drake.spacecraft.urdf.elements import read_joint
+
+SLACK = 1e-9  # relative; a plan may end at a limit
+POSITION, RATE, FORCE = "position", "rate", "force"  # the quantities of coordinates
+_UNITS: dict[str, dict[str, str]] = {
+    POSITION: {},
+    RATE: {"rad": "rad/s", "m": "m/s"},
+    FORCE: {"rad": "N m", "m": "N"},
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Limit:
+    """Bounds of one quantity of some components, and who sets them."""
+
+    quantity: str  # POSITION, RATE or FORCE of all coordinates, or a signal of a part
+    source: str  # in words, or the key of a setting
+    names: tuple[str, ...]  # of the components (n)
+    units: tuple[str, ...]  # of the quantity
+    upper: np.ndarray  # (n); (samples, n) where it depends on the motion; infinite: none
+    lower: np.ndarray
+
+    @classmethod
+    def either_way(
+        cls, quantity: str, source: str, coordinates: Coordinates, size: np.ndarray
+    ) -> "Limit":
+        """The same in both directions, for all coordinates (nv)."""
+        units = tuple(_UNITS[quantity].get(unit, unit) for unit in coordinates.units)
+        return cls(
+            quantity=quantity, source=source, names=coordinates.names, units=units,
+            upper=size, lower=-size,
+        )  # fmt: skip
+
+    @property
+    def joints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the joints alone, of a limit of coordinates."""
+        return self.lower[NUM_BASE_VELOCITIES:], self.upper[NUM_BASE_VELOCITIES:]
+
+    def used(self, values: np.ndarray) -> np.ndarray:
+        """The used share of values (samples, n): 1 at a bound, more beyond it; -inf for NaN.
+
+        Its unit is half the distance of the bounds, or 1 where only one is finite.
+        """
+        half = 0.5 * (self.upper - self.lower)
+        with np.errstate(invalid="ignore"):
+            beyond = np.fmax(values - self.upper, self.lower - values)
+            share = 1.0 + beyond / np.where(np.isfinite(half), np.maximum(half, 1e-12), 1.0)
+        return np.where(np.isnan(share), -np.inf, share)
+
+    def remark(self, values: np.ndarray, what: str, at: Callable[[int], str]) -> Iterator[str]:
+        """A line with the components that values (samples, n) take beyond their bounds."""
+        used, parts = self.used(values), []
+        lower, upper = (np.broadcast_to(each, used.shape) for each in (self.lower, self.upper))
+        for i in np.flatnonzero((used > 1.0 + SLACK).any(axis=0)):
+            k, unit = int(np.argmax(used[:, i])), self.units[i]
+            value, least, most = values[k, i], lower[k, i], upper[k, i]
+            parts.append(
+                f"{self.names[i]} {abs(value):.4g} {unit}{at(k)} (limit {most:.4g})"
+                if least == -most and self.quantity != POSITION
+                else f"{self.names[i]} {value:.4g}{at(k)} (limits {least:.4g} to {most:.4g} {unit})"
+            )
+        if parts:
+            side = "outside" if self.quantity == POSITION else "beyond"
+            yield f"{what}: {side} {self.source}: {', '.join(parts)}"
+
+
+def tightest(limits: Sequence[Limit], quantity: str) -> Limit:
+    """All limits of one quantity of the coordinates as one."""
+    own = [limit for limit in limits if limit.quantity == quantity]
+    return dataclasses.replace(
+        own[0],
+        upper=np.minimum.reduce([limit.upper for limit in own]),
+        lower=np.maximum.reduce([limit.lower for limit in own]),
+    )
+
+
+def urdf_limits(model: Model, plant: MultibodyPlant) -> list[Limit]:
+    """Positions, rates and forces of a model's joints; a zero velocity or effort means unknown.
+
+    Drake drops effort limits of joints without a transmission, so all are read from the URDFs.
+
+    Raises:
+      ModelError: a URDF cannot be read.
+    """
+    coordinates = coordinates_of(plant)
+    lower, upper, velocity, effort = np.full((4, len(coordinates.names)), np.inf)
+    lower *= -1.0
+    for path in urdfs_of(model):
+        try:
+            elements = list(ElementTree.parse(path).getroot().iter("joint"))
+        except (OSError, ElementTree.ParseError):
+            # Drake could read it, so the fault is unusual
+            continue
+        for element in elements:
+            if element.get("name") not in coordinates.joints or element.find("limit") is None:
+                continue
+            try:
+                joint = read_joint(element)
+            except ModelError as error:
+                raise ModelError(f"model: {path}: {error}") from None
+            i = NUM_BASE_VELOCITIES + coordinates.joints.index(element.get("name", ""))
+            lower[i], upper[i] = joint.lower, joint.upper
+            velocity[i], effort[i] = joint.velocity, joint.effort
+    both_ways = Limit.either_way
+    position = both_ways(POSITION, "the URDF's position limits", coordinates, upper)
+    return [
+        dataclasses.replace(position, lower=lower),
+        both_ways(RATE, "the URDF's velocity limits", coordinates, velocity),
+        both_ways(FORCE, "the URDF's effort limits", coordinates, effort),
+    ]

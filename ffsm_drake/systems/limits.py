@@ -1,0 +1,93 @@
+"""The limits of a scenario: of its URDFs, of ``actuation.limit``, and of its actuators."""
+
+import dataclasses
+import itertools
+from collections.abc import Iterable
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.limits import FORCE, Limit, urdf_limits
+from ffsm_drake.spacecraft.plant import coordinates_of
+from ffsm_drake.systems.actuation import SECTIONS
+from ffsm_drake.systems.part import Part
+
+# Axes, edges and corners of a cube.
+_DIRECTIONS = np.array(
+    [each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)]
+)
+_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1)[:, None]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BaseLimits:
+    """The largest torque (N m) and force (N) that a base's actuators give alone; infinite where
+    they are ideal.
+    """
+
+    torque: float  # in any direction
+    most_torque: float  # in the best
+    force: float
+    most_force: float
+    named: str  # what gives it beside actuation.limit, in words
+
+
+def base_limits(scenario: Scenario) -> BaseLimits:
+    """What the actuators of a scenario give; ScenarioError as for ``make_actuation``."""
+    torque = force = np.full(len(_DIRECTIONS), np.inf)
+    names = []
+    for part in _actuators(scenario):
+        most = part.most(scenario, _DIRECTIONS)
+        if most is not None:  # the torque of the last one counts
+            torque, force = most.get("torque", torque), most.get("force", force)
+            names.append(part.title.lower())
+    return BaseLimits(
+        torque=float(torque.min()),
+        most_torque=float(torque.max()),
+        force=float(force.min()),
+        most_force=float(force.max()),
+        named=f" or what {' and '.join(names)} give" if names else "",
+    )
+
+
+def limits_of(
+    scenario: Scenario, plant: MultibodyPlant, parts: Iterable[Part] | None = None
+) -> list[Limit]:
+    """The limits of a scenario, each by who sets it; ``tightest`` joins those of a quantity.
+
+    ``parts`` default to the scenario's own actuators.
+
+    Raises ScenarioError, ModelError: a limit names an unknown coordinate, or a URDF cannot be
+    read.
+    """
+    force = actuation_limit(scenario, coordinates_of(plant))
+    return [*joint_limits(scenario, plant, parts), force]
+
+
+def joint_limits(
+    scenario: Scenario, plant: MultibodyPlant, parts: Iterable[Part] | None = None
+) -> list[Limit]:
+    """``limits_of`` without the force that actuators give: limits that nothing enforces."""
+    coordinates = coordinates_of(plant)
+    given = _actuators(scenario) if parts is None else parts
+    own = (limit for part in given for limit in part.limits(coordinates))
+    return [*urdf_limits(scenario.model, plant), *own]
+
+
+def actuation_limit(scenario: Scenario, coordinates: Coordinates) -> Limit:
+    """The largest forces that ``actuation.limit`` leaves and the base's actuators give in any
+    direction; errors as for ``limits_of``.
+    """
+    key, base = "actuation.limit", base_limits(scenario)
+    force = coordinates.vector(scenario.actuation.limit or {}, key=key, default=np.inf)
+    force[:6] = np.minimum(force[:6], np.repeat([base.torque, base.force], 3))
+    return Limit.either_way(FORCE, key + base.named, coordinates, force)
+
+
+def _actuators(scenario: Scenario) -> list[Part]:
+    """The scenario's own; none where a user-supplied block replaces them."""
+    if scenario.blocks.actuation is not None:
+        return []
+    return [part for of in SECTIONS.values() if (part := of(scenario)) is not None]
