@@ -21,7 +21,7 @@ from ffsm_drake.scenario import Flexible, Model, schema, thruster_layouts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.flexible import add_flexible, set_flexible
 from ffsm_drake.spacecraft.mass_properties import set_wheels
-from ffsm_drake.spacecraft.plant import hidden_of
+from ffsm_drake.spacecraft.plant import split_of
 from ffsm_drake.systems.actuation import make_actuation
 from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.part import pulses_of
@@ -137,7 +137,7 @@ def simulate(
     add_flexible(plant, model)
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
     plant.Finalize()
-    coordinates, hidden = Coordinates((), ()), hidden_of(plant)
+    coordinates, hidden = Coordinates((), ()), split_of(plant)
     known = builder.AddSystem(MatrixGain(hidden.known_part(np.eye(plant.num_multibody_states())).T))
     builder.Connect(plant.get_state_output_port(), known.get_input_port())
     actuators = builder.AddSystem(make_actuation(actuation, coordinates, sample_time=period))

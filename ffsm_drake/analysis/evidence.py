@@ -196,7 +196,7 @@ class Evidence:
 
 
 def mass_matrices(model: PlantModel, positions: np.ndarray) -> np.ndarray:
-    """Mass matrices (n, nv, nv), apparent with hidden coordinates, at configurations (n, nq)."""
+    """Mass matrices (n, nv, nv), apparent with flexible parts, at configurations (n, nq)."""
     size = len(model.coordinates.names)
     return np.array([model.calc_apparent_mass_matrix(q) for q in positions]).reshape(-1, size, size)
 

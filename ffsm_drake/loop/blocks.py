@@ -19,7 +19,7 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario import Block, Scenario, build_settings
-from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.actuation import SECTIONS, make_actuation
@@ -145,7 +145,7 @@ def make_blocks(
     scenario: Scenario,
     nominal: PlantModel,
     factories: Mapping[str, Factory] | None = None,
-    hidden: HiddenCoordinates | None = None,
+    split: StateSplit | None = None,
 ) -> tuple[dict[str, System], dict[str, PlacedPart]]:
     """All blocks by name, checked, and the parts that fill blocks; no ``actuation`` if it is ideal.
 
@@ -153,7 +153,7 @@ def make_blocks(
       scenario: names the systems that fill the blocks.
       nominal: the plant with the nominal payload; the controller's own.
       factories: block -> factory in place of what the scenario names; "forces.<name>" for a force.
-      hidden: hidden coordinates of the true plant.
+      split: known and hidden coordinates of the true plant.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate; an unknown block or name.
@@ -188,7 +188,7 @@ def make_blocks(
                 scenario=scenario,
                 nominal=nominal,
                 settings=choice.settings,
-                hidden=hidden or HiddenCoordinates(),
+                split=split or StateSplit(),
             )
             made = call_factory(part or factory or block_factory(name, scenario), own, place=place)
             if made is None and name not in choices and name not in given:

@@ -31,14 +31,14 @@ from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.loop.blocks import BESIDES, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, HiddenCoordinates
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
     change_payload,
     make_nominal_plant,
     set_true_masses,
 )
-from ffsm_drake.spacecraft.plant import configuration, coordinates_of, hidden_of, make_plant
+from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant, split_of
 from ffsm_drake.systems.actuation.drives import DriveSet
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST
 from ffsm_drake.systems.controllers.sampled import SampledController
@@ -69,7 +69,7 @@ class ClosedLoop:
     scenario: Scenario
     plant: MultibodyPlant  # the true one, with hidden coordinates
     coordinates: Coordinates
-    hidden: HiddenCoordinates
+    split: StateSplit
     # "reference", "sensing", "controller", "forces.disturbance", other forces; "actuation" unless
     # it is ideal
     blocks: Mapping[str, System]
@@ -106,7 +106,7 @@ class ClosedLoop:
         velocity = self.coordinates.vector(
             scenario.initial_velocity, key="initial_velocity", default=0.0
         )
-        state = self.hidden.whole(np.concatenate([position, velocity]))
+        state = self.split.whole(np.concatenate([position, velocity]))
         if scenario.capture is not None:
             contact = planned_contact(scenario, self.model(context))
             state[self.plant.num_positions() :] += contact.grasp.velocity
@@ -118,7 +118,7 @@ class ClosedLoop:
             plant=self.plant,
             context=plant_context,
             coordinates=self.coordinates,
-            hidden=self.hidden,
+            split=self.split,
         )
 
     def _check_friction(self, context: Context) -> None:
@@ -133,11 +133,10 @@ class ClosedLoop:
         drives = DriveSet(scenario.drives, scenario.actuation.limit, self.coordinates)
         if not drives.has_friction:
             return
-        joints = np.arange(NUM_BASE_VELOCITIES, len(self.coordinates.names))
-        if self.hidden.names:
-            joints = self.hidden.known[joints]
+        whole = np.arange(self.plant.num_velocities())
+        joints = self.split.known_velocities(whole)[NUM_BASE_VELOCITIES:]
         for name, posture in scenario.postures.items():
-            q = self.hidden.whole_positions(configuration(self.plant, posture, key=name))
+            q = self.split.whole_positions(configuration(self.plant, posture, key=name))
             mobility = np.linalg.inv(self.model(context).calc_mass_matrix(q))[
                 np.ix_(joints, joints)
             ]
@@ -165,14 +164,14 @@ class ClosedLoop:
 
     def set_state(self, root_context: Context, state: np.ndarray) -> None:
         """Set the plant to a known state [q; v], and reset the blocks, without history, to it."""
-        self.set_whole_state(root_context, self.hidden.whole(state))
+        self.set_whole_state(root_context, self.split.whole(state))
 
     def set_whole_state(self, root_context: Context, state: np.ndarray) -> None:
         """As ``set_state``, for the plant's own [q; v], which includes the hidden state."""
         self.plant.SetPositionsAndVelocities(
             self.plant.GetMyMutableContextFromRoot(root_context), state
         )
-        self.set_blocks(root_context, self.hidden.known_part(state))
+        self.set_blocks(root_context, self.split.known_part(state))
 
     def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
         """Reset the blocks, without history, to a known state [q; v]."""
@@ -231,20 +230,20 @@ def add_closed_loop(
     """
     if plant is None:
         plant = builder.AddNamedSystem("plant", make_plant(scenario.model, flexible=True))
-    coordinates, hidden = coordinates_of(plant, undriven=scenario.undriven), hidden_of(plant)
+    coordinates, split = coordinates_of(plant, undriven=scenario.undriven), split_of(plant)
     for name, posture in scenario.postures.items():
         configuration(plant, posture, key=name)
     for name in ("initial_velocity", "tolerance"):
         coordinates.check_names(getattr(scenario, name), key=name)
-    parts, placed = make_blocks(scenario, make_nominal_plant(scenario), blocks, hidden)
+    parts, placed = make_blocks(scenario, make_nominal_plant(scenario), blocks, split)
     for system in parts.values():
         builder.AddSystem(system)
     controller, reference = parts["controller"], parts["reference"]
     stages = [system for name, system in parts.items() if kind_of(name) == "sensing"]
 
     states = {"state": (plant, "state")}
-    if hidden.names:
-        states = _add_states(builder, plant, hidden)
+    if split.names:
+        states = _add_states(builder, plant, split)
     state = states["state"][0].GetOutputPort(states["state"][1])
     measured = _measure(builder, state, stages, controller)
     # The measurement of the controller's last sample, for the record.
@@ -268,7 +267,7 @@ def add_closed_loop(
         for name, system in forces.items()
     }
     besides = _besides(parts.get("actuation"))
-    acts = _add_forces(builder, plant, hidden, states, [applied], forces, besides, on_hidden)
+    acts = _add_forces(builder, plant, split, states, [applied], forces, besides, on_hidden)
     builder.Connect(acts, plant.get_applied_generalized_force_input_port())
 
     sources = {
@@ -296,7 +295,7 @@ def add_closed_loop(
         scenario=scenario,
         plant=plant,
         coordinates=coordinates,
-        hidden=hidden,
+        split=split,
         blocks=parts,
         sources=sources,
     )
@@ -377,7 +376,7 @@ def _besides(actuation: System | None) -> list[tuple[System, str]]:
 def _add_forces(
     builder: DiagramBuilder,
     plant: MultibodyPlant,
-    hidden: HiddenCoordinates,
+    split: StateSplit,
     states: Mapping[str, tuple[System, str]],
     control: list[tuple[System, str]],
     forces: Mapping[str, System],
@@ -389,7 +388,7 @@ def _add_forces(
     Args:
       builder: the diagram's builder.
       plant: the true one.
-      hidden: its hidden coordinates.
+      split: its hidden coordinates.
       states: name -> port of the states that forces may read.
       control: the applied force.
       forces: the external forces, by block.
@@ -403,15 +402,15 @@ def _add_forces(
     external = [(system, "generalized_force") for system in forces.values()]
     total = _sum(builder, "total_force", [*control, *external, *besides])
     acts = total[0].GetOutputPort(total[1])
-    if not hidden.names:
+    if not split.names:
         return acts
     every = np.eye(plant.num_velocities())
-    on_known = builder.AddNamedSystem("known_force", MatrixGain(every[:, hidden.known]))
+    on_known = builder.AddNamedSystem("known_force", MatrixGain(every[:, split.known]))
     builder.Connect(acts, on_known.get_input_port())
     if not on_hidden:
         return on_known.get_output_port()
     total = _sum(builder, "total_hidden_force", [(system, "hidden_force") for system in on_hidden])
-    gain = builder.AddNamedSystem("hidden_force", MatrixGain(every[:, hidden.hidden]))
+    gain = builder.AddNamedSystem("hidden_force", MatrixGain(every[:, split.hidden]))
     builder.Connect(total[0].GetOutputPort(total[1]), gain.get_input_port())
     whole = _sum(builder, "whole_force", [(on_known, "y0"), (gain, "y0")])
     return whole[0].GetOutputPort(whole[1])
@@ -445,7 +444,7 @@ def _sources_of_parts(
 
 
 def _add_states(
-    builder: DiagramBuilder, plant: MultibodyPlant, hidden: HiddenCoordinates
+    builder: DiagramBuilder, plant: MultibodyPlant, split: StateSplit
 ) -> dict[str, tuple[System, str]]:
     """The known and the hidden state, taken from the plant's."""
     params = SelectorParams()
@@ -460,7 +459,7 @@ def _add_states(
                 for i in entries
             ],
         )
-        for name, entries in (("state", hidden.known_state), ("hidden_state", hidden.hidden_state))
+        for name, entries in (("state", split.known_state), ("hidden_state", split.hidden_state))
     ]
     selector = builder.AddNamedSystem("states", Selector(params))
     builder.Connect(plant.get_state_output_port(), selector.get_input_port())

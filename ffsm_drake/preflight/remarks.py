@@ -222,7 +222,7 @@ def _cut_short(scenario: Scenario) -> Iterator[str]:
 
 
 def _coarse_steps(scenario: Scenario) -> Iterator[str]:
-    """Whether the integrator's steps damp or excite a hidden mode by more than a fifth of its own
+    """Whether the integrator's steps damp or excite a flexible mode by more than a fifth of its own
     damping.
 
     A fixed step h changes the amplitude of w by a factor 1 -+ (w h)^n / m: it adds the damping
@@ -236,9 +236,9 @@ def _coarse_steps(scenario: Scenario) -> Iterator[str]:
     ):
         return
     model = make_flexible_plant(scenario)
-    mode = model.hidden_modes(
-        configuration(model.plant, scenario.initial_posture, key="initial_posture")
-    )[-1]
+    mode = model.modes(configuration(model.plant, scenario.initial_posture, key="initial_posture"))[
+        -1
+    ]
     power, divisor = _STEP_ERRORS[config.integration_scheme]
     w, step = 2.0 * np.pi * mode.frequency, min(config.max_step_size, scenario.sample_time)
     added, own = (w * step) ** power / divisor, max(mode.damping_ratio, _LEAST_DAMPING)
@@ -246,7 +246,7 @@ def _coarse_steps(scenario: Scenario) -> Iterator[str]:
         finer = float(f"{(0.1 * own * divisor) ** (1.0 / power) / w:.1g}")
         yield (
             f"simulator_config.max_step_size: steps of {step:g} s change the damping of the "
-            "hidden mode at "
+            "flexible mode at "
             f"{mode.frequency:.3g} Hz by {added:.2g}, its own is {mode.damping_ratio:.2g}; take "
             f"{finer:g} s or less"
         )

@@ -56,7 +56,7 @@ def make_table(log: RunLog) -> Table:
     """
     scenario, coordinates = log.scenario, log.coordinates
     model = make_flexible_plant(scenario)
-    states = model.hidden.whole(log.series["state"], log.series.get("hidden_state"))
+    states = log.whole_states
     values = _values(log, model, states)
     meanings = {name: row for name, row in _VARIABLES.items() if name in values}
     for name in values:
@@ -124,7 +124,7 @@ def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.
         momentum, energy = _momentum_and_energy(model, states)
     else:
         momentum, energy = _through_the_grasp(log, log.grasp, model, states)
-    desired = np.array([model.hidden.whole_positions(q) for q in found["desired_position"]])
+    desired = log.split.whole_positions(found["desired_position"])
     num_positions = model.plant.num_positions()
     return {
         **found,

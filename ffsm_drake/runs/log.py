@@ -12,7 +12,7 @@ from ffsm_drake.runs.metrics import tracking_metrics
 from ffsm_drake.runs.tracking import Tracked, frame_error, frame_rows, tracked
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import Contact
-from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates, position_errors
+from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_errors
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.systems.part import (
     Figure,
@@ -62,12 +62,14 @@ class GraspLog:
         """The grasp in plain numbers, where there was one; ``time`` (s) is that of the sample."""
         if self.contact is None:
             return None
-        contact, grasp, hidden = self.contact, self.contact.grasp, self.contact.hidden
+        contact, grasp, known = (
+            self.contact,
+            self.contact.grasp,
+            self.contact.split.known_velocities,
+        )
         brakes = {
             name: float(impulse)
-            for name, impulse in zip(
-                coordinates.names, hidden.known_velocities(grasp.brake_impulse), strict=True
-            )
+            for name, impulse in zip(coordinates.names, known(grasp.brake_impulse), strict=True)
             if impulse != 0.0
         }
         sides = {
@@ -107,7 +109,7 @@ class GraspLog:
                     "velocity": dict(
                         zip(
                             coordinates.names,
-                            hidden.known_velocities(velocity).tolist(),
+                            known(velocity).tolist(),
                             strict=True,
                         )
                     ),
@@ -131,7 +133,7 @@ class RunLog:
     """The aligned time series of a run; of derived quantities, only the error.
 
     ``series`` holds, by name, ``closed_loop.SIGNALS`` without ``estimated_state``, the controller's
-    optional outputs and, where there are hidden coordinates, ``hidden_state``, each (n, its width):
+    optional outputs and, with flexible parts, ``hidden_state``, each (n, its width):
     a signal of sample k is the one that sample k used or produced.
     """
 
@@ -141,7 +143,7 @@ class RunLog:
     time: np.ndarray  # (n,), control samples t_k, s
     series: Mapping[str, np.ndarray]
     wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
-    hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)
+    split: StateSplit = dataclasses.field(default_factory=StateSplit)
     grasp: GraspLog | None = None  # of a run with a capture, unless it ended before
     parts: Parts = dataclasses.field(default_factory=dict)  # with signals and figures of their own
     # whether the controller does, and coordinates only as far as that leaves them free
@@ -161,9 +163,14 @@ class RunLog:
     def __contains__(self, name: str) -> bool:
         return name in self.series or any(each.name == name for each in signals_of(self.parts))
 
+    @property
+    def whole_states(self) -> np.ndarray:
+        """[q; v] of the true plant (n, its size)."""
+        return self.split.whole(self.series["state"], self.series.get("hidden_state"))
+
     @functools.cached_property
     def model(self) -> PlantModel:
-        """The true plant, with hidden coordinates."""
+        """The true plant, flexible parts included."""
         return make_flexible_plant(self.scenario)
 
     @functools.cached_property
@@ -212,12 +219,8 @@ class RunLog:
         if desired is None and not self.tracks_frame:
             return None
         model, num_positions = self.model, len(self.coordinates.position_names)
-        q = self.hidden.whole(self.series["state"], self.series.get("hidden_state"))[
-            :, : model.plant.num_positions()
-        ]
-        q_d = self.series["desired_state"][:, :num_positions]
-        if self.hidden.names:
-            q_d = np.array([self.hidden.whole_positions(each) for each in q_d])
+        q = self.whole_states[:, : model.plant.num_positions()]
+        q_d = self.split.whole_positions(self.series["desired_state"][:, :num_positions])
         return frame_error(self.scenario, model, q, q_d=q_d, desired=desired)
 
     @property

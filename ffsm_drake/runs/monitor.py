@@ -51,7 +51,7 @@ class Monitor:
         """
         plant = self.loop.plant  # whose state is not all of the diagram's
         whole = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(context))
-        state = self.loop.hidden.known_part(whole)
+        state = self.loop.split.known_part(whole)
         if self.bounds(state):
             return True
         velocity = state[self._first_velocity :]

@@ -187,7 +187,7 @@ class Rollout:
             scenario=scenario,
             outcome=outcome,
             coordinates=loop.coordinates,
-            hidden=loop.hidden,
+            split=loop.split,
             tracks_frame=loop.tracks_frame,
             parts=loop.parts,
             time=times,

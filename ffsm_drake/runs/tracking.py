@@ -56,7 +56,7 @@ def frame_error(
 
     Args:
       scenario: whose frame it is.
-      model: the plant with its hidden coordinates.
+      model: the true plant, flexible parts included.
       q: its configurations (n, nq).
       q_d: planned ones (n, nq), by which the frame is judged where there is nothing else.
       desired: rows of FramePath (n, 19); None: no path is prescribed.

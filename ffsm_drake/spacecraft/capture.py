@@ -7,7 +7,7 @@ from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Capture, Scenario
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, HiddenCoordinates
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, StateSplit
 from ffsm_drake.spacecraft.grasp import (
     CompliantGrasp,
     Grasp,
@@ -23,7 +23,7 @@ from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
 class Contact:
     """A grasp, with the motion before and after it; world axes, SI units.
 
-    q and v are the plant's own and include its hidden coordinates.
+    q and v are the plant's own and include its flexible parts.
     """
 
     q: np.ndarray  # (nq)
@@ -38,7 +38,7 @@ class Contact:
     spin_before: np.ndarray  # (3) angular momentum of both about their centre of mass, N m s
     spin_after: np.ndarray
     compliant: CompliantGrasp | None  # with a compliance of the gripper
-    hidden: HiddenCoordinates
+    split: StateSplit
 
 
 def target_body(scenario: Scenario, model: PlantModel) -> RigidBody:
@@ -68,7 +68,7 @@ def target_twist(
     """[w_WP; v_WP] (6) of the target's frame P just before the grasp in a known configuration q,
     world axes.
     """
-    model.plant.SetPositions(model.context, model.hidden.whole_positions(q))
+    model.plant.SetPositions(model.context, model.split.whole_positions(q))
     body = target_body(scenario, model)
     R_WP = body.EvalPoseInWorld(model.context).rotation().matrix()
     turn = R_WP if capture.axes == "target" else np.eye(3)
@@ -102,8 +102,7 @@ def servicer_velocity(
     jacobian = plant.CalcJacobianSpatialVelocity(
         context, JacobianWrtVariable.kV, effector, np.zeros(3), world, world
     )
-    if model.hidden.names:
-        jacobian = jacobian[:, model.hidden.known]
+    jacobian = model.split.known_velocities(jacobian)
     moving = slice(NUM_BASE_VELOCITIES if capture.servicer == "track_joints" else 0, None)
     weight = np.array([capture.tracking_length] * 3 + [1.0] * 3)
     scaled = weight[:, None] * jacobian[:, moving] / cost[moving]
@@ -122,7 +121,7 @@ def contact_at(
     """The grasp of the target by a servicer in configuration q (nq) with velocity v (nv), the
     joints free or braked.
 
-    q and v are the plant's own; its hidden coordinates are free.
+    q and v are the plant's own; its flexible parts are free.
 
     Args:
       scenario: one with a capture.
@@ -140,8 +139,8 @@ def contact_at(
         context, JacobianWrtVariable.kV, body.body_frame(), origin, world, world
     )
     target_inertia = inertia.CopyToFullMatrix6()
-    known = model.hidden.known.tolist() if model.hidden.names else range(velocity.size)
-    braked = known[NUM_BASE_VELOCITIES:] if capture.joints == "braked" else ()
+    known = model.split.known_velocities(np.arange(velocity.size))
+    braked = known[NUM_BASE_VELOCITIES:].tolist() if capture.joints == "braked" else ()
     grasp = plastic_grasp(
         mass_matrix=mass_matrix,
         jacobian=jacobian,
@@ -180,7 +179,7 @@ def contact_at(
         spin_before=shift_moment(grasp.momentum_before, p_WC - p_WB)[:3],
         spin_after=shift_moment(grasp.momentum_after, p_WC - p_WB)[:3],
         compliant=compliant,
-        hidden=model.hidden,
+        split=model.split,
     )
 
 
@@ -211,7 +210,7 @@ def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
     return contact_at(
         scenario,
         model,
-        q=model.hidden.whole_positions(q),
-        velocity=model.hidden.whole_velocities(servicer_velocity(scenario, capture, model, q)),
+        q=model.split.whole_positions(q),
+        velocity=model.split.whole_velocities(servicer_velocity(scenario, capture, model, q)),
         target_velocity=target_twist(scenario, capture, model, q),
     )

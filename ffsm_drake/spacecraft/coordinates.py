@@ -138,15 +138,15 @@ class Coordinates:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class HiddenCoordinates:
-    """Coordinates of the true plant that are hidden from the controller.
+class StateSplit:
+    """The known state [q; v] and the hidden state [q_h; v_h] as parts of the true plant's state.
 
-    The plant's own [q; v] holds both kinds; the known state [q; v] and the hidden state [q_h; v_h]
-    are its parts.
+    Hidden from the controller are the coordinates of flexible parts; without any, the whole state
+    is known. Shapes: (..., size of the state).
     """
 
-    names: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()  # "rad" or "m", one per coordinate
+    names: tuple[str, ...] = ()  # of the hidden coordinates
+    units: tuple[str, ...] = ()  # "rad" or "m", one per hidden coordinate
     # Indices in the plant's [q; v] of the entries of the known and of the hidden state.
     known_state: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
     hidden_state: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
@@ -155,7 +155,7 @@ class HiddenCoordinates:
     hidden: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
 
     def whole(self, state: np.ndarray, hidden_state: np.ndarray | None = None) -> np.ndarray:
-        """The plant's [q; v] from known and hidden states (..., sizes); hidden default: zero."""
+        """The plant's [q; v] from known and hidden states; hidden default: zero."""
         if not self.names:
             return state
         result = np.zeros((*state.shape[:-1], self.known_state.size + self.hidden_state.size))
@@ -168,10 +168,9 @@ class HiddenCoordinates:
         """The plant's q from known and hidden positions; hidden default: zero."""
         if not self.names:
             return q
-        at_rest = None if hidden is None else np.concatenate([hidden, np.zeros(hidden.size)])
-        return self.whole(np.concatenate([q, np.zeros(q.size - 1)]), at_rest)[
-            : q.size + len(self.names)
-        ]
+        known = np.concatenate([q, np.zeros_like(q[..., 1:])], axis=-1)
+        at_rest = None if hidden is None else np.concatenate([hidden, np.zeros_like(hidden)])
+        return self.whole(known, at_rest)[..., : q.shape[-1] + len(self.names)]
 
     def whole_velocities(self, v: np.ndarray) -> np.ndarray:
         """The plant's v from known velocities (nv); the hidden ones are zero."""
@@ -182,16 +181,22 @@ class HiddenCoordinates:
         return result
 
     def known_part(self, state: np.ndarray) -> np.ndarray:
-        """The known state in the plant's [q; v] (..., its size)."""
+        """The known state in the plant's [q; v]."""
         return state[..., self.known_state] if self.names else state
 
     def hidden_part(self, state: np.ndarray) -> np.ndarray:
-        """The hidden state in the plant's [q; v] (..., its size)."""
+        """The hidden state in the plant's [q; v]."""
         return state[..., self.hidden_state]
 
     def known_velocities(self, v: np.ndarray) -> np.ndarray:
-        """The known part of a vector along the plant's v."""
-        return v[self.known] if self.names else v
+        """The known part of vectors along the plant's v."""
+        return v[..., self.known] if self.names else v
+
+    def whole_names(self, known: tuple[str, ...]) -> tuple[str, ...]:
+        """Names of the plant's v from those of the known velocities."""
+        places = [*self.known.tolist(), *self.hidden.tolist()]
+        named = dict(zip(places or range(len(known)), (*known, *self.names), strict=True))
+        return tuple(named[i] for i in sorted(named))
 
 
 def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:

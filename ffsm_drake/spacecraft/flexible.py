@@ -35,6 +35,7 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import ModelError, did_you_mean
 from ffsm_drake.scenario import Flexible, Model
+from ffsm_drake.spacecraft.coordinates import StateSplit
 
 # Names of the joints of hidden coordinates begin with it.
 HIDDEN = "flexible."
@@ -202,16 +203,11 @@ def take_masses(plant: MultibodyPlant, context: Context, model: Model, *, body: 
         ) from error
 
 
-def apparent_mass_matrix(
-    mass_matrix: np.ndarray, known: np.ndarray, hidden: np.ndarray
-) -> np.ndarray:
-    """H_aa - H_au H_uu^-1 H_ua: what the known coordinates weigh before a spring has had time to
-    act.
-
-    Args:
-      mass_matrix: H (..., n, n) of the plant with hidden coordinates.
-      known, hidden: which of its coordinates are a and u.
+def apparent_mass_matrix(mass_matrix: np.ndarray, split: StateSplit) -> np.ndarray:
+    """Apparent mass matrix of the known coordinates (a) at high frequency, before the springs of
+    hidden ones (u) act: H_aa - H_au H_uu^-1 H_ua, from H (..., n, n).
     """
+    known, hidden = split.known, split.hidden
     known_rows, hidden_rows = mass_matrix[..., known, :], mass_matrix[..., hidden, :]
     across = hidden_rows[..., known]
     return known_rows[..., known] - np.swapaxes(across, -1, -2) @ np.linalg.solve(
@@ -220,7 +216,7 @@ def apparent_mass_matrix(
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class HiddenMode:
+class VibrationMode:
     """A mode of vibration of the hidden coordinates, near one posture at rest, without damping."""
 
     frequency: float  # Hz; of the free spacecraft
@@ -232,14 +228,13 @@ class HiddenMode:
     share: np.ndarray
 
 
-def hidden_modes(
-    plant: MultibodyPlant, context: Context, known: np.ndarray, hidden: np.ndarray
-) -> list[HiddenMode]:
+def modes_of(plant: MultibodyPlant, context: Context, split: StateSplit) -> list[VibrationMode]:
     """The modes of vibration in a plant's present configuration, the slowest first.
 
-    They solve (H_uu - H_ua H_aa^-1 H_au) q_u'' + K q_u = 0. Args: which of the plant's v are known
-    (a) and hidden (u).
+    They solve (H_uu - H_ua H_aa^-1 H_au) q_u'' + K q_u = 0, of known (a) and hidden (u)
+    coordinates.
     """
+    known, hidden = split.known, split.hidden
     mass_matrix = plant.CalcMassMatrix(context)
     own, across = mass_matrix[np.ix_(hidden, hidden)], mass_matrix[np.ix_(known, hidden)]
     free = own - across.T @ np.linalg.solve(mass_matrix[np.ix_(known, known)], across)
@@ -261,7 +256,7 @@ def hidden_modes(
         energy, w = float(shape**2 @ stiffness), 1.0 / math.sqrt(value)
         held = float(shape @ own @ shape)
         modes.append(
-            HiddenMode(
+            VibrationMode(
                 frequency=w / (2.0 * math.pi),
                 clamped_frequency=math.sqrt(energy / held) / (2.0 * math.pi),
                 damping_ratio=float(shape**2 @ damping) * w / (2.0 * energy),

@@ -20,7 +20,6 @@ import numpy as np
 from pydrake.multibody.tree import Frame
 
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.flexible import apparent_mass_matrix
 from ffsm_drake.spacecraft.nominal import PlantModel
 
 _RANK = 1e-9  # ratio of singular values: above rounding errors, below that of any arm
@@ -199,12 +198,10 @@ def free_floating(
 
     Raises:
       ScenarioError: a name is unknown.
-      ValueError: the plant has hidden coordinates, or q is not finite.
+      ValueError: the plant has flexible parts, or q is not finite.
     """
-    if model.hidden.names:
-        raise ValueError(
-            "the plant has hidden coordinates, which springs move too; use one without"
-        )
+    if model.split.names:
+        raise ValueError("the plant has flexible parts, which springs move too; use one without")
     return FreeFloating(
         mass_matrix=model.calc_mass_matrix(q),
         base_position=q[..., _POSITION],
@@ -229,10 +226,7 @@ class ReducedModel(PlantModel):
 
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """As PlantModel: H* of the apparent mass matrix."""
-        whole = PlantModel.calc_mass_matrix(self, self.hidden.whole_positions(q))
-        if self.hidden.names:
-            whole = apparent_mass_matrix(whole, self.hidden.known, self.hidden.hidden)
-        return self._reduced(whole)
+        return self._reduced(super().calc_apparent_mass_matrix(q))
 
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """C* and zeros (..., nv), N m and N, for velocities v (..., nv)."""
@@ -264,7 +258,7 @@ def driven_model(model: PlantModel) -> PlantModel:
     if not model.coordinates.undriven:
         return model
     return ReducedModel(
-        plant=model.plant, context=model.context, coordinates=model.coordinates, hidden=model.hidden
+        plant=model.plant, context=model.context, coordinates=model.coordinates, split=model.split
     )
 
 

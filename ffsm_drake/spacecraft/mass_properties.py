@@ -13,7 +13,7 @@ from ffsm_drake.spacecraft.plant import (
     cause_of,
     coordinates_of,
     find_body,
-    hidden_of,
+    split_of,
 )
 
 _SINGULAR = 1e-12  # ratio of the mass matrix's eigenvalues: above rounding, below any spacecraft's
@@ -117,12 +117,8 @@ def set_payload(
             f"payload: Drake refuses the mass properties: {cause_of(error)}"
         ) from error
     if not eigenvalues[0] > _SINGULAR * eigenvalues[-1]:
-        coordinates, hidden = coordinates_of(plant), hidden_of(plant)
-        names = np.empty(len(directions), dtype=object)
-        names[hidden.known if hidden.names else slice(None)], names[hidden.hidden] = (
-            coordinates.names,
-            hidden.names,
-        )
+        coordinates = coordinates_of(plant)
+        names = split_of(plant).whole_names(coordinates.names)
         weakest = names[int(np.argmax(np.abs(directions[:, 0])))]
         what = f"joint '{weakest}'" if weakest in coordinates.joints else weakest
         raise ModelError(

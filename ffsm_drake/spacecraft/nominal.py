@@ -9,16 +9,16 @@ from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.systems.framework import Context
 
 from ffsm_drake.scenario import MassProperties, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.flexible import (
-    HiddenMode,
+    VibrationMode,
     apparent_mass_matrix,
-    hidden_modes,
+    modes_of,
     set_flexible,
     take_masses,
 )
 from ffsm_drake.spacecraft.mass_properties import set_masses, set_payload
-from ffsm_drake.spacecraft.plant import coordinates_of, find_frame, hidden_of, make_plant
+from ffsm_drake.spacecraft.plant import coordinates_of, find_frame, make_plant, split_of
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -31,8 +31,8 @@ class PlantModel:
     plant: MultibodyPlant
     context: Context
     coordinates: Coordinates
-    # of ``make_flexible_plant`` only
-    hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)
+    # not trivial with ``make_flexible_plant`` only
+    split: StateSplit = dataclasses.field(default_factory=StateSplit)
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """The mass matrix H (..., nv, nv) in configurations q (..., nq)."""
@@ -44,20 +44,18 @@ class PlantModel:
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """Apparent mass matrix (nv, nv) of the known coordinates at high frequency, at q (nq).
 
-        Without hidden coordinates it is H itself; see ``flexible.apparent_mass_matrix``. Hidden
-        coordinates are zero.
+        Without flexible parts it is H itself; see ``flexible.apparent_mass_matrix``. Deflections
+        are zero.
         """
-        mass_matrix = self.calc_mass_matrix(self.hidden.whole_positions(q))
-        if not self.hidden.names:
-            return mass_matrix
-        return apparent_mass_matrix(mass_matrix, self.hidden.known, self.hidden.hidden)
+        mass_matrix = PlantModel.calc_mass_matrix(self, self.split.whole_positions(q))
+        return apparent_mass_matrix(mass_matrix, self.split) if self.split.names else mass_matrix
 
-    def hidden_modes(self, q: np.ndarray) -> list[HiddenMode]:
+    def modes(self, q: np.ndarray) -> list[VibrationMode]:
         """Modes of vibration at rest in configuration q (nq), slowest first."""
-        if not self.hidden.names:
+        if not self.split.names:
             return []
-        self._set_positions(self.hidden.whole_positions(q))
-        return hidden_modes(self.plant, self.context, self.hidden.known, self.hidden.hidden)
+        self._set_positions(self.split.whole_positions(q))
+        return modes_of(self.plant, self.context, self.split)
 
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The Coriolis and centrifugal term C (..., nv) of H dv/dt + C = tau + tau_d, N m and N."""
@@ -179,9 +177,9 @@ def make_true_plant(scenario: Scenario) -> PlantModel:
 
 
 def make_flexible_plant(scenario: Scenario) -> PlantModel:
-    """The true plant, with the hidden coordinates of ``model.flexible``, if any.
+    """The true plant, with the flexible parts of ``model.flexible``, if any.
 
-    Its q and v hold known and hidden coordinates (``PlantModel.hidden``).
+    Its q and v hold those of flexible parts too (``PlantModel.split``).
     """
     plant = make_plant(scenario.model, flexible=True)
     context = plant.CreateDefaultContext()
@@ -190,12 +188,12 @@ def make_flexible_plant(scenario: Scenario) -> PlantModel:
         plant=plant,
         context=context,
         coordinates=coordinates_of(plant, undriven=scenario.undriven),
-        hidden=hidden_of(plant),
+        split=split_of(plant),
     )
 
 
 def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario) -> None:
-    """Give a plant with hidden coordinates its true masses and springs, in a new
+    """Give a plant with flexible parts its true masses and springs, in a new
     context.
     """
     set_masses(plant, context, scenario, scenario.payload.truth)

@@ -24,7 +24,7 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
     NUM_BASE_VELOCITIES,
     Coordinates,
-    HiddenCoordinates,
+    StateSplit,
 )
 from ffsm_drake.spacecraft.flexible import HIDDEN, add_flexible, lock_joints
 from ffsm_drake.spacecraft.model_files import DRAWABLE, check_collada, files_of
@@ -344,20 +344,20 @@ def coordinates_of(plant: MultibodyPlant, *, undriven: tuple[str, ...] = ()) -> 
     return Coordinates(tuple(names), units, undriven)
 
 
-def hidden_of(plant: MultibodyPlant) -> HiddenCoordinates:
+def split_of(plant: MultibodyPlant) -> StateSplit:
     """The hidden coordinates of a plant; empty if it was made without them."""
     joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
     moving = [joint for joint in joints if joint.num_velocities() == 1]
     moving.sort(key=lambda joint: joint.velocity_start())
     hidden = [joint for joint in moving if joint.name().startswith(HIDDEN)]
     if not hidden:
-        return HiddenCoordinates()
+        return StateSplit()
     known = [joint for joint in moving if joint not in hidden]
     nq = plant.num_positions()
     base_q, base_v = list(range(NUM_BASE_POSITIONS)), list(range(NUM_BASE_VELOCITIES))
     known_v = [*base_v, *(joint.velocity_start() for joint in known)]
     hidden_v = [joint.velocity_start() for joint in hidden]
-    return HiddenCoordinates(
+    return StateSplit(
         names=tuple(joint.name().removeprefix(HIDDEN) for joint in hidden),
         units=tuple("m" if joint.type_name() == "prismatic" else "rad" for joint in hidden),
         known_state=np.array(

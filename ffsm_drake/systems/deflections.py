@@ -45,7 +45,7 @@ class Deflections(Part):
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Positions, rates, forces; the energy of springs, and what dampers took."""
-        hidden = setup.hidden
+        hidden = setup.split
         along = functools.partial(Signal, components=hidden.names, dimension="hidden_coordinate")
         units = dict(zip(hidden.names, hidden.units, strict=True))
         return (
@@ -99,7 +99,7 @@ class Deflections(Part):
                 unit="",
                 meaning="unit of the deflection",
                 dimension="hidden_coordinate",
-                values=setup.hidden.units,
+                values=setup.split.units,
             )
         ]
 
@@ -223,7 +223,7 @@ def _by_name(
     run: View,
 ) -> dict[str, float | None]:
     """A figure of the coordinates with a unit."""
-    deflection, hidden = when(run), run.hidden
+    deflection, hidden = when(run), run.split
     values = [None] * len(hidden.names) if deflection is None else of(deflection).tolist()
     named = zip(hidden.names, hidden.units, values, strict=True)
     return {name: value for name, other, value in named if other == unit}
@@ -242,7 +242,7 @@ def _largest(
 def _elastic_energy(run: View) -> np.ndarray:
     """J (n)."""
     model = run.model
-    states = run.hidden.whole(run["state"], run["hidden_state"])
+    states = run.split.whole(run["state"], run["hidden_state"])
     elastic = np.full(len(states), np.nan)
     for i, state in enumerate(states):
         if np.isfinite(state).all():  # not of a diverged run's last; Drake ends the process on it
@@ -256,7 +256,7 @@ def _damping_loss(run: View) -> np.ndarray:
     from how far it went.
     """
     plant, context = run.model.plant, run.model.context
-    states = run.hidden.whole(run["state"], run["hidden_state"])
+    states = run.split.whole(run["state"], run["hidden_state"])
     joints = [
         joint
         for joint in map(plant.get_joint, plant.GetJointIndices())

@@ -132,7 +132,7 @@ class EnvironmentForce(LeafSystem):
         self._model, self._scenario = model, scenario
         self._force = OrbitalForce(settings, model)
         self._held_payload = np.zeros(10)
-        whole, hidden = model.plant.num_velocities(), len(model.hidden.names)
+        whole, hidden = model.plant.num_velocities(), len(model.split.names)
         self._state = self.DeclareVectorInputPort(
             "state", model.plant.num_multibody_states() - 2 * hidden
         )
@@ -176,7 +176,7 @@ class EnvironmentForce(LeafSystem):
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """Begin at a known state [q; v] (nq + nv) of the plant."""
-        force = self._calc(context, self._model.hidden.whole(state))
+        force = self._calc(context, self._model.split.whole(state))
         known, hidden = self._split(force)
         for group, part in (
             (self._acting, known),
@@ -186,7 +186,7 @@ class EnvironmentForce(LeafSystem):
             context.SetDiscreteState(group, part)
 
     def _split(self, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        hidden = self._model.hidden
+        hidden = self._model.split
         return hidden.known_velocities(force), force[hidden.hidden]
 
     def _calc(self, context: Context, state: np.ndarray) -> np.ndarray:
@@ -201,7 +201,7 @@ class EnvironmentForce(LeafSystem):
     def _calc_whole(self, context: Context, output: BasicVector) -> None:
         deflected = None if self._hidden_state is None else self._hidden_state.Eval(context)
         output.SetFromVector(
-            self._calc(context, self._model.hidden.whole(self._state.Eval(context), deflected))
+            self._calc(context, self._model.split.whole(self._state.Eval(context), deflected))
         )
 
     def _calc_known(self, context: Context, output: BasicVector) -> None:

@@ -18,7 +18,7 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.setup import BlockSetup
@@ -51,12 +51,12 @@ class View(Protocol):
         """Names of the generalized velocities."""
 
     @property
-    def hidden(self) -> HiddenCoordinates:
-        """Those that no controller knows of."""
+    def split(self) -> StateSplit:
+        """The known and the other coordinates of the true plant."""
 
     @property
     def model(self) -> PlantModel:
-        """The true plant, with hidden coordinates."""
+        """The true plant, flexible parts included."""
 
     def __contains__(self, name: str) -> bool:
         """Whether there is a signal of that name."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates, HiddenCoordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 
 
@@ -32,7 +32,7 @@ class BlockSetup:
     nominal: PlantModel  # the plant with the nominal payload
     settings: Mapping[str, Any]  # as the scenario gives them to this block
     # of the world around it, which no controller knows
-    hidden: HiddenCoordinates = dataclasses.field(default_factory=HiddenCoordinates)
+    split: StateSplit = dataclasses.field(default_factory=StateSplit)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "settings", _Settings(self.settings))

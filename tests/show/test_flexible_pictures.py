@@ -19,7 +19,7 @@ from ffsm_drake.show.report.part_panels import part_sections, part_views
 from ffsm_drake.show.report.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
-from ffsm_drake.spacecraft.plant import hidden_of
+from ffsm_drake.spacecraft.plant import split_of
 
 OVERRIDES = (
     "controller=tdc",
@@ -85,7 +85,7 @@ def test_the_largest_deflection_is_drawn_below_ten_degrees(record):
     plant = make_flexible_plant(record.scenario).plant
     for peak in (1e-6, 3e-5, 0.01, 0.08, 0.5):
         one = scaled(record, port=peak, starboard_1=1e-9, starboard_2=1e-9)
-        factor = Deflections(one.dataset, one.scenario.model, plant, hidden_of(plant)).factors.get(
+        factor = Deflections(one.dataset, one.scenario.model, plant, split_of(plant)).factors.get(
             "panel", 1
         )
         assert factor == 1 or factor * peak <= np.deg2rad(10.0)

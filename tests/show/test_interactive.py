@@ -546,7 +546,7 @@ def test_the_command_line_only_watches(run, tmp_path, monkeypatch):
 
 
 def test_controls_are_served_where_no_other_page_can_know():
-    first, second = (urlsplit(start_meshcat(hidden=True).web_url()) for _ in range(2))
+    first, second = (urlsplit(start_meshcat(private=True).web_url()) for _ in range(2))
     for address in (first, second):
         assert address.hostname.startswith("127.")
     assert first.hostname != second.hostname

@@ -21,11 +21,11 @@ from ffsm_drake.scenario import Flexible, Model, Scenario, load_scenario
 from ffsm_drake.spacecraft.flexible import (
     add_flexible,
     cantilever_modes,
-    hidden_modes,
+    modes_of,
     set_flexible,
 )
 from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_true_plant
-from ffsm_drake.spacecraft.plant import configuration, hidden_of
+from ffsm_drake.spacecraft.plant import configuration, split_of
 
 HUB_MASS, HUB_INERTIA, ARM = 400.0, 266.0, 1.0  # kg, kg m^2 about x, hinges at y = +-ARM
 MASS, LENGTH, FREQUENCY = 6.0, 3.0, 0.25
@@ -70,9 +70,8 @@ def free_hub(
     return plant, context
 
 
-def modes_of(plant: MultibodyPlant, context: Context):
-    hidden = hidden_of(plant)
-    return hidden_modes(plant, context, hidden.known, hidden.hidden)
+def vibrations(plant: MultibodyPlant, context: Context):
+    return modes_of(plant, context, split_of(plant))
 
 
 def test_two_panels_on_a_free_hub_vibrate_as_the_closed_form_says():
@@ -83,7 +82,7 @@ def test_two_panels_on_a_free_hub_vibrate_as_the_closed_form_says():
     # all.
     along = math.sqrt(2.0 * k / (2.0 * hinge - (MASS * LENGTH) ** 2 / HUB_MASS)) / (2.0 * math.pi)
     about = math.sqrt(2.0 * k / (2.0 * hinge - (2.0 * arm) ** 2 / HUB_INERTIA)) / (2.0 * math.pi)
-    found = modes_of(plant, context)
+    found = vibrations(plant, context)
     assert_allclose([mode.frequency for mode in found], [along, about], rtol=1e-10)
     assert_allclose([mode.clamped_frequency for mode in found], FREQUENCY, rtol=1e-10)
     # What the hub's turning would be without what the springs hold: the mode carries that share of
@@ -110,7 +109,7 @@ def test_two_panels_on_a_free_hub_vibrate_as_the_closed_form_says():
 @pytest.mark.smoke
 def test_held_fast_the_lowest_frequency_is_the_given_one(part):
     plant, context = free_hub(1e9, 1e9, part=part)
-    found = sorted(mode.frequency for mode in modes_of(plant, context))
+    found = sorted(mode.frequency for mode in vibrations(plant, context))
     assert found[0] == pytest.approx(FREQUENCY, rel=1e-6)
     if part.kind == "beam":
         assert_allclose(found, part.frequencies, rtol=1e-6)
@@ -184,8 +183,8 @@ def test_locked_it_is_the_spacecraft_that_the_controller_knows(with_all):
     whole, locked = make_flexible_plant(with_all), make_true_plant(with_all)
     q = configuration(locked.plant, with_all.initial_posture, key="initial_posture")
     v = np.linspace(-0.3, 0.4, 11)
-    known = whole.hidden.known
-    assert sorted(whole.hidden.names) == [
+    known = whole.split.known
+    assert sorted(whole.split.names) == [
         "boom_1",
         "boom_2",
         "elbow",
@@ -194,16 +193,16 @@ def test_locked_it_is_the_spacecraft_that_the_controller_knows(with_all):
         "starboard",
         "tank",
     ]
-    mass_matrix = whole.calc_mass_matrix(whole.hidden.whole_positions(q))
+    mass_matrix = whole.calc_mass_matrix(whole.split.whole_positions(q))
     assert_allclose(
         mass_matrix[np.ix_(known, known)], locked.calc_mass_matrix(q), rtol=1e-12, atol=1e-10
     )
-    bias = whole.calc_bias(whole.hidden.whole_positions(q), whole.hidden.whole_velocities(v))
+    bias = whole.calc_bias(whole.split.whole_positions(q), whole.split.whole_velocities(v))
     assert_allclose(bias[known], locked.calc_bias(q, v), rtol=1e-10, atol=1e-10)
     # The apparent mass is that of no spring: a force on the known coordinates alone, the others
     # free.
     force = np.linspace(1.0, 2.0, 11)
-    acceleration = np.linalg.solve(mass_matrix, whole.hidden.whole_velocities(force))
+    acceleration = np.linalg.solve(mass_matrix, whole.split.whole_velocities(force))
     assert_allclose(whole.calc_apparent_mass_matrix(q) @ acceleration[known], force, rtol=1e-10)
     assert_allclose(
         locked.calc_apparent_mass_matrix(q), locked.calc_mass_matrix(q), rtol=0.0, atol=0.0

@@ -25,7 +25,7 @@ class Run(dict):
         desired = np.concatenate([np.ones((len(time), 1)), velocity], axis=1)
         super().__init__(desired_state=desired, hidden_state=hidden)
         self.time, self.coordinates = time, types.SimpleNamespace(position_names=("q",))
-        self.hidden = types.SimpleNamespace(names=("port", "slosh"), units=("rad", "m"))
+        self.split = types.SimpleNamespace(names=("port", "slosh"), units=("rad", "m"))
 
 
 def figures(duration):

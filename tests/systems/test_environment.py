@@ -359,13 +359,13 @@ def test_hidden_coordinates_are_pulled_at_and_the_balances_close(run):
     known = np.concatenate([data["position"], data["velocity"]], axis=1)
     hidden = np.concatenate([data["hidden_position"], data["hidden_velocity"]], axis=1)
     row = 77
-    q = model.hidden.whole(known, hidden)[row, : model.plant.num_positions()]
+    q = model.split.whole(known, hidden)[row, : model.plant.num_positions()]
     expected = OrbitalForce(scenario.environment, model).calc(q, float(data["time"][row]))
     np.testing.assert_allclose(
-        data["force_environment"].values[row], expected[model.hidden.known], rtol=0, atol=1e-12
+        data["force_environment"].values[row], expected[model.split.known], rtol=0, atol=1e-12
     )
     np.testing.assert_allclose(
-        data["hidden_force"].values[row], expected[model.hidden.hidden], rtol=0, atol=1e-12
+        data["hidden_force"].values[row], expected[model.split.hidden], rtol=0, atol=1e-12
     )
     work = 0.01 * (data["hidden_force"] * data["hidden_velocity"]).sum("hidden_coordinate").cumsum(
         "time"

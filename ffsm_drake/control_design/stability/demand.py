@@ -49,7 +49,7 @@ def perfect_tracking(
     scenario: Scenario, times: np.ndarray, *, friction: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """-N = Hhat^-1 tau - a_d (equation (2)) and tau under perfect tracking with the true payload,
-    what is hidden locked.
+    flexible parts locked.
 
     Args: times (n,), s; whether the friction of drives acts.
     Returns: both (n, nv), rad/s^2 or m/s^2, and N m or N.

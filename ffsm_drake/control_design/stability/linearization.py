@@ -121,7 +121,7 @@ class Linearizer:
             leave_out=lambda system, group: system is controller and group in held,
         )
         # of the plant's part of x
-        self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.hidden.names))
+        self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.split.names))
         groups: Mapping[str, int] = getattr(controller, "memory_groups", dict)()
         self._parts_of_memory = {
             name: slice(self._width + part.start, self._width + part.stop)
@@ -181,7 +181,7 @@ class Linearizer:
             time=index * period,
             sample_time=period,
             samples=samples,
-            hidden=self.loop.hidden.names,
+            hidden=self.loop.split.names,
             tracks_frame=self.loop.tracks_frame,
             memory=self._parts_of_memory,
             noise={
@@ -371,19 +371,19 @@ class Linearizer:
 
     def _known_state(self, plant_context: Context | None = None) -> np.ndarray:
         """[q; v] of the plant without what is hidden."""
-        return self.loop.hidden.known_part(
+        return self.loop.split.known_part(
             self._plant.GetPositionsAndVelocities(plant_context or self._plant_context)
         ).copy()
 
     def _plant_state(self) -> np.ndarray:
         """[q; v] of the plant, then its hidden state."""
         whole = self._plant.GetPositionsAndVelocities(self._plant_context)
-        return np.concatenate([self._known_state(), self.loop.hidden.hidden_part(whole)])
+        return np.concatenate([self._known_state(), self.loop.split.hidden_part(whole)])
 
     def _set_plant_state(self, state: np.ndarray) -> None:
         known, hidden = np.split(state, [2 * len(self.loop.coordinates.names) + 1])
         self._plant.SetPositionsAndVelocities(
-            self._plant_context, self.loop.hidden.whole(known, hidden)
+            self._plant_context, self.loop.split.whole(known, hidden)
         )
 
     def _moved(self, state: np.ndarray, change: np.ndarray) -> np.ndarray:
@@ -410,7 +410,7 @@ class Linearizer:
 
         Where a frame is tracked, their place is the state's own.
         """
-        coordinates, hidden = self.loop.coordinates, self.loop.hidden
+        coordinates, hidden = self.loop.coordinates, self.loop.split
         nq, model = len(coordinates.position_names), self.loop.model(self._plant_context)
         # of the base, which comes first in every state
         undriven = np.flatnonzero(~coordinates.is_driven)

@@ -26,7 +26,7 @@ from ffsm_drake.control_design.stability.one_axis import (
 from ffsm_drake.control_design.stability.rehearsal import Rehearsal, rehearse
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.flexible import HiddenMode
+from ffsm_drake.spacecraft.flexible import VibrationMode
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 _GROWN = 1.5  # times that errors grow, from which on it is said
@@ -86,9 +86,10 @@ class Margins:
     loops_expected: tuple[LinearLoop, ...]  # the same with every K_s at its largest expected value
     # spectral radius at the worst of these with every K_s at its bound; NaN without bounds
     radius_at_bounds: float
-    hidden_modes: tuple[HiddenMode, ...]  # at the start of the motion; none where nothing is hidden
+    # at the start of the motion; none without flexible parts
+    hidden_modes: tuple[VibrationMode, ...]
     hidden: tuple[str, ...]  # names of the hidden coordinates
-    # smallest and largest eta along the motion with what is hidden locked
+    # smallest and largest eta along the motion with flexible parts locked
     locked_eta: tuple[float, float]
     # None for a law that is not one by axis, and where something delays
     axes: AxisMargins | None
@@ -220,7 +221,7 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
     true, motion = inertia.true, inertia.motion
     times = np.linspace(motion.begin, motion.end, postures)
     eta = locked = np.array([inertia.ratios(time) for time in times])
-    if true.hidden.names:
+    if true.split.names:
         locked = np.array([inertia.ratios(time, locked=True) for time in times])
     instants = [motion.part(share) for share in POSTURES]
     with Linearizer(scenario) as linearizer:
@@ -245,8 +246,8 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
         loops=loops,
         loops_expected=expected,
         radius_at_bounds=at_bounds,
-        hidden_modes=tuple(true.hidden_modes(motion.evaluate(motion.begin)[0])),
-        hidden=true.hidden.names,
+        hidden_modes=tuple(true.modes(motion.evaluate(motion.begin)[0])),
+        hidden=true.split.names,
         locked_eta=(float(locked.min()), float(locked.max())),
         axes=axes,
         rehearsal=rehearsal,

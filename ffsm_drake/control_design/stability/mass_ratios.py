@@ -37,8 +37,8 @@ class PlannedInertia:
 
     @functools.cached_property
     def locked(self) -> PlantModel:
-        """The true plant with what is hidden locked."""
-        names = self.true.hidden.names
+        """The true plant with its flexible parts locked."""
+        names = self.true.split.names
         return driven_model(make_true_plant(self._scenario)) if names else self.true
 
     def at(self, time: float, *, locked: bool = False) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.scenario import Model
 from ffsm_drake.show.meshcat.arrows import magnification
-from ffsm_drake.spacecraft.coordinates import HiddenCoordinates
+from ffsm_drake.spacecraft.coordinates import StateSplit
 from ffsm_drake.spacecraft.flexible import HIDDEN, labels_of
 from ffsm_drake.spacecraft.plant import find_frame
 
@@ -27,7 +27,7 @@ class Deflections:
     """
 
     def __init__(
-        self, dataset: "xr.Dataset", model: Model, plant: MultibodyPlant, hidden: HiddenCoordinates
+        self, dataset: "xr.Dataset", model: Model, plant: MultibodyPlant, hidden: StateSplit
     ) -> None:
         """Args: a run's dataset; its model, and the plant shown with its hidden coordinates."""
         self.factors: dict[str, int] = {}  # by kind; those above 1

@@ -125,7 +125,7 @@ def run_interactive(
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
     """
-    meshcat = start_meshcat(hidden=True) if meshcat is None else meshcat
+    meshcat = start_meshcat(private=True) if meshcat is None else meshcat
     operator = _Operator(scenario, meshcat, tell=tell, wait=wait)
     if open_browser:
         webbrowser.open(operator.meshcat.web_url())

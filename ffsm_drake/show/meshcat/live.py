@@ -36,7 +36,7 @@ class LiveReplay:
     ) -> None:
         """Set the scene and add the controls. Arguments and errors as ``recording_html``."""
         check_speed(speed)
-        self.meshcat = start_meshcat(hidden=True) if meshcat is None else meshcat
+        self.meshcat = start_meshcat(private=True) if meshcat is None else meshcat
         self._view = ReplayView(self.meshcat, record, ghost=ghost, path=path, forces=forces)
         self._controls = Controls(self.meshcat)
         self._controls.add_button(PLAY, keycode="Space")

@@ -52,7 +52,7 @@ class ReplayView:
             meshcat, record.scenario, frames_per_second=frames_per_second
         )
         self.deflections = Deflections(
-            dataset, record.scenario.model, self.spacecraft.plant, self.spacecraft.hidden
+            dataset, record.scenario.model, self.spacecraft.plant, self.spacecraft.split
         )
         if path and count > 1:
             every = max(1, count // _PATH_VERTICES)

@@ -35,7 +35,7 @@ from ffsm_drake.spacecraft.plant import (
     configuration,
     coordinates_of,
     find_body,
-    hidden_of,
+    split_of,
 )
 from ffsm_drake.systems.reference import make_motion
 
@@ -43,7 +43,7 @@ from ffsm_drake.systems.reference import make_motion
 _VIEW = np.array([0.5843, -0.7176, 0.3793])
 # Meshcat's vertical half angle is 37.5 degrees; this leaves a margin
 _TANGENT = 0.85 * math.tan(math.radians(37.5))
-_HIDDEN_TRIES = 4
+_PRIVATE_TRIES = 4
 _TO_TARGET = (
     "quintic",
     "target_posture",
@@ -64,17 +64,17 @@ def quiet_drake() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def start_meshcat(*, hidden: bool = False) -> Meshcat:
+def start_meshcat(*, private: bool = False) -> Meshcat:
     """A Meshcat server for this machine only: 127.0.0.1, with a port from 7000 on.
 
     Drake's server accepts messages from every page of this machine's browsers, whatever its
-    origin. One with controls is ``hidden``: it listens on a random loopback address, 127.x.y.z (if
+    origin. One with controls is ``private``: it listens on a random loopback address, 127.x.y.z (if
     the system has more than 127.0.0.1), and a random port, which other pages cannot guess. Raises
     FfsmError if no port is free.
     """
     params = MeshcatParams()
     params.show_stats_plot = False
-    for _ in range(_HIDDEN_TRIES if hidden else 0):
+    for _ in range(_PRIVATE_TRIES if private else 0):
         params.host = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
         params.port = 10_000 + secrets.randbelow(50_000)
         with suppress(RuntimeError):
@@ -122,7 +122,7 @@ def _show_target_posture(
     MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
-    q = hidden_of(plant).whole_positions(_last_configuration(scenario, plant))
+    q = split_of(plant).whole_positions(_last_configuration(scenario, plant))
     plant.SetPositions(plant.GetMyMutableContextFromRoot(context), q)
     diagram.ForcedPublish(context)
 
@@ -159,7 +159,7 @@ def camera_pose(
             if last
             else configuration(plant, posture, key=name)
         )
-        plant.SetPositions(context, hidden_of(plant).whole_positions(q))
+        plant.SetPositions(context, split_of(plant).whole_positions(q))
         # not the world
         points += [
             _outline(plant, context, inspector, BodyIndex(k)) for k in range(1, plant.num_bodies())
@@ -215,7 +215,7 @@ class SpacecraftView:
         """
         builder = DiagramBuilder()
         self.plant = add_combined_plant(builder, scenario.model, flexible=True)
-        self.hidden = hidden_of(self.plant)
+        self.split = split_of(self.plant)
         self.scene_graph = builder.GetSubsystemByName("scene_graph")
         params = MeshcatVisualizerParams()
         params.publish_period = 1.0 / frames_per_second
@@ -238,12 +238,12 @@ class SpacecraftView:
     def show(
         self, q: np.ndarray, *, deflection: np.ndarray | None = None, time: float = 0.0
     ) -> None:
-        """Show configuration q (nq), with hidden coordinates, if any, at rest or at ``deflection``.
+        """Show configuration q (nq), flexible parts, if any, at rest or at ``deflection``.
 
         ``time`` (s) is its place in an animation being recorded.
         """
         self._context.SetTime(time)
-        self.plant.SetPositions(self._plant_context, self.hidden.whole_positions(q, deflection))
+        self.plant.SetPositions(self._plant_context, self.split.whole_positions(q, deflection))
         self._diagram.ForcedPublish(self._context)
 
     def place(
