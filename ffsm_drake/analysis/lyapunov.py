@@ -72,10 +72,8 @@ def ultimate_bound(
 def findings(run: Evidence) -> list[Finding]:
     """Findings of Section 3.2, for a run with s, K_s, G and a law with constants of (9), (10)."""
     keys = ("lyapunov_derivative", "ultimate_bound", "lemma_1_premise", "lemma_1_conclusion")
-    recorded, constants = (
-        {"sliding_variable", "reaching_gain", "switching_gain"},
-        {"alpha", "beta", "phi", "epsilon"},
-    )
+    recorded = {"sliding_variable", "reaching_gain", "switching_gain"}
+    constants = {"alpha", "beta", "phi", "epsilon"}
     if not (recorded <= {*run.data} and constants <= {*run.constants}):
         reason = (
             "the proof covers gains that adapt by (9) and (10); those of "
@@ -84,70 +82,81 @@ def findings(run: Evidence) -> list[Finding]:
         return not_applicable(reason, *keys)
     if run.too_short:
         return not_applicable(run.too_short, *keys)
-    s, k_s, bound = run.values("sliding_variable"), run.gains[0], float(run.bound.max())
-    alpha, beta, phi, epsilon = (
-        run.constants[name] for name in ("alpha", "beta", "phi", "epsilon")
+    bound = float(run.bound.max())
+    return [
+        _derivative(run, bound), _ultimate_bound(run, bound),
+        _premise(run, bound), _conclusion(run, bound),
+    ]  # fmt: skip
+
+
+def _ultimate_bound(run: Evidence, bound: float) -> Finding:
+    alpha, beta, phi, epsilon = _constants(run)
+    limit = ultimate_bound(bound=bound, alpha=alpha, beta=beta, phi=phi, epsilon=epsilon)
+    largest = float(np.linalg.norm(run.values("sliding_variable"), axis=1).max())
+    return finding(
+        "ultimate_bound",
+        "||s||_2 reaches {largest_norm:.3g}; (16) gives {ultimate_bound:.3g} for N* = {bound:.3g}.",
+        {
+            "bound": bound,
+            "ultimate_bound": limit,
+            "largest_norm": largest,
+            "ratio": ratio(largest, limit),
+        },
+        holds=largest <= limit,
     )
-    peak = np.abs(s).max(axis=1)  # ||s||_inf
+
+
+def _premise(run: Evidence, bound: float) -> Finding:
+    peak = np.abs(run.values("sliding_variable")).max(axis=1)  # ||s||_inf
+    beta = run.constants["beta"]
     scaled = beta.max() * peak
     run.add(scaled_sliding_variable=scaled)
-    limit = {
-        "bound": bound,
-        "ultimate_bound": ultimate_bound(
-            bound=bound, alpha=alpha, beta=beta, phi=phi, epsilon=float(epsilon)
-        ),
-        "largest_norm": float(np.linalg.norm(s, axis=1).max()),
-    }
-    limit["ratio"] = ratio(limit["largest_norm"], limit["ultimate_bound"])
-    premise = {
-        "largest": float(scaled.max()),
-        "largest_of_smallest_beta": float(beta.min() * peak.max()),
-        "bound": bound,
-        "ratio": ratio(float(scaled.max()), bound),
-        "share_of_samples": float(np.mean(scaled < bound)),
-    }
-    conclusion = {
-        "smallest_k_s": float(k_s.min()),
-        "largest_k_s": float(k_s.max()),
-        "largest_initial_k_s": float(k_s[0].max()),
-        "bound": bound,
-        "ratio": ratio(float(k_s.max()), bound),
-        "share_of_gains": float(np.mean(k_s < bound)),
-    }
-    return [
-        _derivative(run, bound),
-        finding(
-            "ultimate_bound",
-            "||s||_2 reaches {largest_norm:.3g}; (16) gives {ultimate_bound:.3g} for N* = "
-            "{bound:.3g}.",
-            limit,
-            holds=limit["largest_norm"] <= limit["ultimate_bound"],
-        ),
-        finding(
-            "lemma_1_premise",
-            "The largest beta_i ||s||_inf is {largest:.3g}, {ratio:.2g} times N* = {bound:.3g}; "
-            "all beta_i satisfy the "
-            "premise in {share_of_samples:.3g} of the samples.",
-            premise,
-            holds=premise["largest"] < bound,
-        ),
-        finding(
-            "lemma_1_conclusion",
-            "K_si lies in [{smallest_k_s:.4g}, {largest_k_s:.4g}] 1/s, up to {ratio:.2g} times N* "
-            "= {bound:.3g}.",
-            conclusion,
-            holds=conclusion["largest_k_s"] < bound,
-        ),
-    ]
+    largest = float(scaled.max())
+    return finding(
+        "lemma_1_premise",
+        "The largest beta_i ||s||_inf is {largest:.3g}, {ratio:.2g} times N* = {bound:.3g}; "
+        "all beta_i satisfy the premise in {share_of_samples:.3g} of the samples.",
+        {
+            "largest": largest,
+            "largest_of_smallest_beta": float(beta.min() * peak.max()),
+            "bound": bound,
+            "ratio": ratio(largest, bound),
+            "share_of_samples": float(np.mean(scaled < bound)),
+        },
+        holds=largest < bound,
+    )
+
+
+def _conclusion(run: Evidence, bound: float) -> Finding:
+    k_s = run.gains[0]
+    largest = float(k_s.max())
+    return finding(
+        "lemma_1_conclusion",
+        "K_si lies in [{smallest_k_s:.4g}, {largest_k_s:.4g}] 1/s, up to {ratio:.2g} times N* "
+        "= {bound:.3g}.",
+        {
+            "smallest_k_s": float(k_s.min()),
+            "largest_k_s": largest,
+            "largest_initial_k_s": float(k_s[0].max()),
+            "bound": bound,
+            "ratio": ratio(largest, bound),
+            "share_of_gains": float(np.mean(k_s < bound)),
+        },
+        holds=largest < bound,
+    )
+
+
+def _constants(run: Evidence) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """alpha, beta, phi (nv) and epsilon of the law."""
+    alpha, beta, phi = (run.constants[name] for name in ("alpha", "beta", "phi"))
+    return alpha, beta, phi, float(run.constants["epsilon"])
 
 
 def _derivative(run: Evidence, bound: float) -> Finding:
     s, (k_s, g) = run.values("sliding_variable"), run.gains
-    alpha, beta, phi, epsilon = (
-        run.constants[name] for name in ("alpha", "beta", "phi", "epsilon")
-    )
+    alpha, beta, phi, epsilon = _constants(run)
     v = lyapunov(s=s, k_s=k_s, g=g, alpha=alpha, phi=phi, bound=bound, period=run.period)
-    exceeding = outside(s, k_s, beta=beta, epsilon=float(epsilon))
+    exceeding = outside(s, k_s, beta=beta, epsilon=epsilon)
     parts = {"s": v.rate_of_s, "K_s": v.rate_of_k_s, "G": v.rate_of_g}
     run.add(lyapunov=v.value, lyapunov_rate=v.rate, outside=exceeding.sum(axis=1))
     run.add(**{f"lyapunov_rate_of_{name.lower()}": part for name, part in parts.items()})
@@ -156,7 +165,7 @@ def _derivative(run: Evidence, bound: float) -> Finding:
     driver = max(parts, key=lambda name: parts[name][rising].sum()) if rising.any() else "none"
     numbers: Numbers = {
         "bound": bound,
-        "epsilon": float(epsilon),
+        "epsilon": epsilon,
         "samples": float(rising.size),
         "outside_any": float(left.sum()),
         "outside_all": float(wholly.sum()),

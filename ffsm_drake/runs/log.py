@@ -62,69 +62,62 @@ class GraspLog:
         """The grasp in plain numbers, where there was one; ``time`` (s) is that of the sample."""
         if self.contact is None:
             return None
-        contact, grasp, known = (
-            self.contact,
-            self.contact.grasp,
-            self.contact.split.known_velocities,
-        )
-        brakes = {
-            name: float(impulse)
-            for name, impulse in zip(coordinates.names, known(grasp.brake_impulse), strict=True)
-            if impulse != 0.0
-        }
-        sides = {
-            "before": (
-                contact.momentum_before,
-                contact.spin_before,
-                grasp.energy_before,
-                contact.velocity,
-            ),
-            "after": (
-                contact.momentum_after,
-                contact.spin_after,
-                grasp.energy_after,
-                grasp.velocity,
-            ),
-        }
-        stored = np.zeros(3) if self.stored is None else self.stored
-        compliant = contact.compliant
-        found = {} if compliant is None else {
-            "peak_force": compliant.peak_force,  # N
-            "peak_torque": compliant.peak_torque,  # N m
-            "peak_stretch": compliant.peak_stretch,  # m
-            "time": compliant.time,  # s
-        }  # fmt: skip
+        contact, grasp, compliant = self.contact, self.contact.grasp, self.contact.compliant
+        known = contact.split.known_velocities
+        named = zip(coordinates.names, known(grasp.brake_impulse).tolist(), strict=True)
         return {
             "time": time,
             "impulse": contact.impulse[3:].tolist(),  # on the target, N s
             "angular_impulse": contact.impulse[:3].tolist(),  # about the end effector, N m s
-            "brake_impulse": brakes,  # by joint, N m s or N s
-            **{
-                side: {
-                    "linear_momentum": momentum[3:].tolist(),  # N s
-                    # about the world's origin, N m s
-                    "angular_momentum": (momentum[:3] + stored).tolist(),
-                    "spin": (spin + stored).tolist(),  # about the centre of mass, N m s
-                    "kinetic_energy": energy,  # J
-                    "velocity": dict(
-                        zip(
-                            coordinates.names,
-                            known(velocity).tolist(),
-                            strict=True,
-                        )
-                    ),
-                }
-                for side, (momentum, spin, energy, velocity) in sides.items()
+            # by joint, N m s or N s
+            "brake_impulse": {name: impulse for name, impulse in named if impulse != 0.0},
+            "before": self._side(
+                coordinates,
+                momentum=contact.momentum_before,
+                spin=contact.spin_before,
+                energy=grasp.energy_before,
+                velocity=known(contact.velocity),
+            ),
+            "after": self._side(
+                coordinates,
+                momentum=contact.momentum_after,
+                spin=contact.spin_after,
+                energy=grasp.energy_after,
+                velocity=known(grasp.velocity),
+            ),
+            # of the actuators in the base, N m s
+            **({} if self.stored is None else {"stored_momentum": self.stored.tolist()}),
+            "compliant": {} if compliant is None else {
+                "peak_force": compliant.peak_force,  # N
+                "peak_torque": compliant.peak_torque,  # N m
+                "peak_stretch": compliant.peak_stretch,  # m
+                "time": compliant.time,  # s
             },
-            # of what turns in the base, N m s
-            **({} if self.stored is None else {"stored_momentum": stored.tolist()}),
-            "compliant": found,
             "miss": {
                 "position": float(np.linalg.norm(self.offset[3:])),  # m
                 "angle": float(np.linalg.norm(self.offset[:3])),  # rad
                 "velocity": float(np.linalg.norm(self.mismatch[3:])),  # m/s
                 "angular_velocity": float(np.linalg.norm(self.mismatch[:3])),  # rad/s
             },
+        }  # fmt: skip
+
+    def _side(
+        self,
+        coordinates: Coordinates,
+        *,
+        momentum: np.ndarray,
+        spin: np.ndarray,
+        energy: float,
+        velocity: np.ndarray,
+    ) -> dict[str, Any]:
+        """Servicer and target together, and the servicer's velocity, on one side of the grasp."""
+        stored = np.zeros(3) if self.stored is None else self.stored
+        return {
+            "linear_momentum": momentum[3:].tolist(),  # N s
+            "angular_momentum": (momentum[:3] + stored).tolist(),  # about the origin, N m s
+            "spin": (spin + stored).tolist(),  # about the centre of mass, N m s
+            "kinetic_energy": energy,  # J
+            "velocity": dict(zip(coordinates.names, velocity.tolist(), strict=True)),
         }
 
 

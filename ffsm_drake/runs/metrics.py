@@ -21,6 +21,14 @@ if TYPE_CHECKING:
 _Some = TypeVar("_Some", bound="Labelled")
 # Twelve times the rate at the first and the second of five samples, per period, by all five.
 _RATE = np.array([[-25.0, 48.0, -36.0, 16.0, -3.0], [-3.0, -10.0, 18.0, -6.0, 1.0]])
+_IN_BALANCE = (
+    "position",
+    "velocity",
+    "applied_force",
+    "disturbance_force",
+    "linear_momentum",
+    "angular_momentum",
+)
 
 
 def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
@@ -195,58 +203,56 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
     residual is small against every force's impulse. It ends before the first sample that is not
     finite, the last of some diverged runs.
     """
-    used = (
-        "position",
-        "velocity",
-        "applied_force",
-        "disturbance_force",
-        "linear_momentum",
-        "angular_momentum",
-    )
-    finite = np.logical_and.reduce([np.isfinite(dataset[name].values).all(axis=1) for name in used])
-    dataset = dataset.isel(
-        time=slice(0, dataset.sizes["time"] if finite.all() else max(1, int(np.argmin(finite))))
-    )
-    time = dataset["time"].values
-    names = {part: [f"base_{part}_{axis}" for axis in "xyz"] for part in ("rotation", "position")}
-    change = {
-        "linear": dataset["linear_momentum"].values - dataset["linear_momentum"].values[0],
-        "angular": dataset["angular_momentum"].values - dataset["angular_momentum"].values[0],
-    }
-    if time.size < len(_RATE[0]):  # too short for the rates, and no impulse to speak of
+    dataset = _finite_start(dataset, _IN_BALANCE)
+    linear, angular = (dataset[f"{name}_momentum"].values for name in ("linear", "angular"))
+    change = {"linear": linear - linear[0], "angular": angular - angular[0]}
+    period = np.diff(dataset["time"].values)[:, None]
+    if len(period) < len(_RATE[0]) - 1:  # too short for the rates: the impulses are negligible
         return change
-    axes = dataset["coordinate"].values.astype(str).tolist()
-    columns = {part: [axes.index(name) for name in those] for part, those in names.items()}
-
-    def of_base(name: str, part: str) -> np.ndarray:
-        values: np.ndarray = dataset[name].values[:, columns[part]]
-        return values
-
-    held, held_torque = (of_base("applied_force", part)[:-1] for part in ("position", "rotation"))
+    position = _of_base(dataset, "position", "position", along="position_name")
+    velocity = _of_base(dataset, "velocity", "position")
+    held, held_torque = (
+        _of_base(dataset, "applied_force", part)[:-1] for part in ("position", "rotation")
+    )
     for name in with_role(dataset, INTERNAL_TORQUE):  # which is not external
         held_torque = held_torque - dataset[name].values[:-1]
     smooth, smooth_torque = (
-        of_base("disturbance_force", part) for part in ("position", "rotation")
+        _of_base(dataset, "disturbance_force", part) for part in ("position", "rotation")
     )
-    place = dataset["position_name"].values.astype(str).tolist()
-    position = dataset["position"].values[:, [place.index(name) for name in names["position"]]]
-    period = np.diff(time)[:, None]
-
-    def impulse(of_held: np.ndarray, of_smooth: np.ndarray) -> np.ndarray:
-        accumulated = np.cumsum(
-            of_held + _integrals(of_smooth, _rates(of_smooth, period), period), axis=0
-        )
-        return np.vstack([np.zeros(3), accumulated])
-
-    path = _integrals(position, of_base("velocity", "position"), period)
+    path = _integrals(position, velocity, period)
     return {
-        "linear": change["linear"] - impulse(held * period, smooth),
+        "linear": change["linear"] - _impulse(held * period, smooth, period),
         "angular": change["angular"]
-        - impulse(
+        - _impulse(
             held_torque * period + np.cross(path, held),
             smooth_torque + np.cross(position, smooth),
+            period,
         ),
     }
+
+
+def _finite_start(dataset: "Labelled", names: Sequence[str]) -> "Labelled":
+    """The samples before the first with a number that is not finite; at least one."""
+    finite = np.logical_and.reduce(
+        [np.isfinite(dataset[name].values).all(axis=1) for name in names]
+    )
+    count = finite.size if finite.all() else max(1, int(np.argmin(finite)))
+    return dataset.isel(time=slice(0, count))
+
+
+def _of_base(dataset: "Labelled", name: str, part: str, *, along: str = "coordinate") -> np.ndarray:
+    """A variable of the base's rotation or position (n, 3)."""
+    names = dataset[along].values.astype(str).tolist()
+    values: np.ndarray = dataset[name].values
+    return values[:, [names.index(f"base_{part}_{axis}") for axis in "xyz"]]
+
+
+def _impulse(held: np.ndarray, smooth: np.ndarray, period: np.ndarray) -> np.ndarray:
+    """Impulse since the start (n, 3), of impulses in each period (n - 1, 3) and smooth forces
+    (n, 3).
+    """
+    each = held + _integrals(smooth, _rates(smooth, period), period)
+    return np.vstack([np.zeros(3), np.cumsum(each, axis=0)])
 
 
 def _integrals(values: np.ndarray, rates: np.ndarray, period: np.ndarray) -> np.ndarray:

@@ -201,86 +201,89 @@ class RunRecord:
         Raises:
           RecordError: a file is missing or cannot be used.
         """
-        import xarray as xr
-
         directory = Path(directory)
-        path = directory / MANIFEST_FILE
-        try:
-            manifest = _read_json(path)
-            if not isinstance(manifest, dict):
-                raise RecordError(
-                    f"is not a run's manifest: must be an object, not {type(manifest).__name__}"
-                )
-            if manifest["format"] != FORMAT:
-                raise RecordError(
-                    f"format {manifest['format']!r:.40} is not the supported {FORMAT}; run it again"
-                )
-            scenario = scenario_from_dict(manifest["scenario"], source=str(path))
-            outcome = _checked_outcome(manifest["outcome"])
-            wall_time = {
-                name: float(manifest["wall_time"][name])
-                for name in ("build", "advance_to", "total")
-            }
-            software = {str(name): str(text) for name, text in dict(manifest["software"]).items()}
-            blocks = {
-                str(name): {str(key): str(text) for key, text in dict(source).items()}
-                for name, source in dict(manifest["blocks"]).items()
-            }
-            parts = tuple(map(PartRecord.from_dict, manifest.get("parts", ())))
-            grasp = manifest.get("grasp")
-            if not isinstance(grasp, dict | None):
-                raise TypeError("grasp must be an object")
-        except FfsmError as error:
-            raise RecordError(f"{path}: {one_line(error).removeprefix(f'{path}: ')}") from error
-        except OSError as error:
-            raise RecordError(
-                f"{path}: cannot be read: {one_line(error)}; give the folder of a run"
-            ) from error
-        except KeyError as error:
-            raise RecordError(
-                f"{path}: is not a run's manifest: lacks {one_line(error)}"
-            ) from error
-        except (ValueError, TypeError, RecursionError) as error:
-            raise RecordError(
-                f"{path}: is not a run's manifest: {type(error).__name__} {one_line(error)}"
-            ) from error
+        identifier, fields = _read_manifest(directory / MANIFEST_FILE)
         path = directory / DATASET_FILE
-        try:
-            check_regular(path, limit=_MAX_RECORD)
-            with xr.open_dataset(path, engine="netcdf4") as stored:
-                if stored.nbytes > _MAX_PER_SAMPLE * (scenario.num_control_periods + 1):
-                    raise OSError(
-                        f"holds {stored.nbytes:.3g} bytes, more than a run of its scenario"
-                    )
-                dataset = stored.load()
-            digest = _digest(path)
-        except FileNotFoundError as error:
-            raise RecordError(f"{path}: cannot be read: no such file; run it again") from error
-        except Exception as error:  # xarray and HDF5 raise many types for a damaged file
-            raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
-        _check_dataset(dataset, path)
-        if manifest.get(IDENTIFIER) != digest:
+        dataset, digest = _read_dataset(path, fields["scenario"])
+        if identifier != digest:
             raise RecordError(
                 f"{path}: is not the record that {MANIFEST_FILE} goes with, or was "
                 "changed; run it again"
             )
         _check_metrics(directory / METRICS_FILE, digest)
         _check_reports(directory, digest)
-        for source in blocks.values():
+        for source in fields["blocks"].values():
             if "file" in source:
                 source["file"] = str((directory / source["file"]).resolve())
-        record = cls(
-            scenario=scenario,
-            outcome=outcome,
-            dataset=dataset,
-            wall_time=wall_time,
-            software=software,
-            blocks=blocks,
-            grasp=grasp,
-            parts=parts,
-        )
+        record = cls(dataset=dataset, **fields)
         object.__setattr__(record, "identifier", digest)
         return record
+
+
+def _read_manifest(path: Path) -> tuple[str | None, dict[str, Any]]:
+    """The identifier of the dataset beside a manifest, and the record's other fields. Raises
+    RecordError.
+    """
+    try:
+        manifest = _read_json(path)
+        if not isinstance(manifest, dict):
+            raise RecordError(
+                f"is not a run's manifest: must be an object, not {type(manifest).__name__}"
+            )
+        if manifest["format"] != FORMAT:
+            raise RecordError(
+                f"format {manifest['format']!r:.40} is not the supported {FORMAT}; run it again"
+            )
+        grasp, times = manifest.get("grasp"), manifest["wall_time"]
+        if not isinstance(grasp, dict | None):
+            raise TypeError("grasp must be an object")
+        fields = {
+            "scenario": scenario_from_dict(manifest["scenario"], source=str(path)),
+            "outcome": _checked_outcome(manifest["outcome"]),
+            "wall_time": {name: float(times[name]) for name in ("build", "advance_to", "total")},
+            "software": _texts(manifest["software"]),
+            "blocks": {
+                str(name): _texts(source) for name, source in dict(manifest["blocks"]).items()
+            },
+            "parts": tuple(map(PartRecord.from_dict, manifest.get("parts", ()))),
+            "grasp": grasp,
+        }
+    except FfsmError as error:
+        raise RecordError(f"{path}: {one_line(error).removeprefix(f'{path}: ')}") from error
+    except OSError as error:
+        raise RecordError(
+            f"{path}: cannot be read: {one_line(error)}; give the folder of a run"
+        ) from error
+    except KeyError as error:
+        raise RecordError(f"{path}: is not a run's manifest: lacks {one_line(error)}") from error
+    except (ValueError, TypeError, RecursionError) as error:
+        raise RecordError(
+            f"{path}: is not a run's manifest: {type(error).__name__} {one_line(error)}"
+        ) from error
+    return manifest.get(IDENTIFIER), fields
+
+
+def _texts(given: Any) -> dict[str, str]:
+    return {str(name): str(text) for name, text in dict(given).items()}
+
+
+def _read_dataset(path: Path, scenario: Scenario) -> tuple["xr.Dataset", str]:
+    """The dataset of a run and the SHA-256 of its file. Raises RecordError."""
+    import xarray as xr
+
+    try:
+        check_regular(path, limit=_MAX_RECORD)
+        with xr.open_dataset(path, engine="netcdf4") as stored:
+            if stored.nbytes > _MAX_PER_SAMPLE * (scenario.num_control_periods + 1):
+                raise OSError(f"holds {stored.nbytes:.3g} bytes, more than a run of its scenario")
+            dataset = stored.load()
+        digest = _digest(path)
+    except FileNotFoundError as error:
+        raise RecordError(f"{path}: cannot be read: no such file; run it again") from error
+    except Exception as error:  # xarray and HDF5 raise many types for a damaged file
+        raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
+    _check_dataset(dataset, path)
+    return dataset, digest
 
 
 def _checked_outcome(data: Any) -> Outcome:

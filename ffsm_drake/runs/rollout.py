@@ -163,29 +163,18 @@ class Rollout:
         # afterwards whether a monitor would have stopped the run; if so, it is run again with the
         # monitor.
         watched = not self._checked_in_log
-        interrupted, advance_time = self._advance(monitor, leg, watched=watched)
-        times, series = self._read_log(unfinished=interrupted or leg.last is not None)
-        if not (watched or interrupted) and (
-            monitor.message or not monitor.bounds(series["state"])
-        ):
-            monitor.forget()
-            interrupted, more_time = self._advance(monitor, leg, watched=True)
+        advance_time = 0.0
+        for with_monitor in (watched, True):
+            interrupted, more_time = self._advance(monitor, leg, watched=with_monitor)
             advance_time += more_time
             times, series = self._read_log(unfinished=interrupted or leg.last is not None)
-        last = float(times[-1])
-        if monitor.coordinate:
-            outcome = Outcome(
-                status="diverged", time=last, coordinate=monitor.coordinate, message=monitor.message
-            )
-        elif interrupted:
-            outcome = Outcome(
-                status="interrupted", time=last, message=f"interrupted at t = {last:.2f} s"
-            )
-        else:
-            outcome = Outcome(status="completed", time=last, message=f"completed {last:g} s")
+            bounded = not monitor.message and monitor.bounds(series["state"])
+            if with_monitor or interrupted or bounded:
+                break
+            monitor.forget()
         return RunLog(
             scenario=scenario,
-            outcome=outcome,
+            outcome=_outcome(monitor, float(times[-1]), interrupted=interrupted),
             coordinates=loop.coordinates,
             split=loop.split,
             tracks_frame=loop.tracks_frame,
@@ -295,6 +284,17 @@ class Rollout:
             else:
                 series[name] = rows[part].T.copy()
         return times, series
+
+
+def _outcome(monitor: Monitor, time: float, *, interrupted: bool) -> Outcome:
+    """The outcome of a run whose log ends at a time, s."""
+    if monitor.coordinate:
+        return Outcome(
+            status="diverged", time=time, coordinate=monitor.coordinate, message=monitor.message
+        )
+    if interrupted:
+        return Outcome(status="interrupted", time=time, message=f"interrupted at t = {time:.2f} s")
+    return Outcome(status="completed", time=time, message=f"completed {time:g} s")
 
 
 def _show_apart(builder: DiagramBuilder, loop: ClosedLoop, target: np.ndarray) -> None:
