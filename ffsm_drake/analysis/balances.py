@@ -63,8 +63,7 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
         energy = energy + dataset[name].values
     if "hidden_force" in dataset:
         pull, path = dataset["hidden_force"].values, dataset["hidden_position"].values
-        work = (0.5 * (pull[1:] + pull[:-1]) * np.diff(path, axis=0)).sum(axis=1)
-        energy = energy - np.concatenate([np.zeros(1), np.cumsum(work)])
+        energy = energy - _since_start(0.5 * (pull[1:] + pull[:-1]) * np.diff(path, axis=0))
     mean = held + 0.5 * (smooth[1:] + smooth[:-1])
     # Linear tau_d and v correlate within the period, which the product of means misses; the mean of
     # tau_d is off by L^2/12 times its second derivative, here from neighbouring samples.
@@ -72,10 +71,6 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
     if len(smooth) >= 3:
         slope = np.gradient(smooth, axis=0)
         mean = mean - np.diff(slope, axis=0) / 12.0
-
-    def since_start(work: np.ndarray) -> np.ndarray:
-        return np.concatenate([np.zeros(1), np.cumsum(work.sum(axis=1))])
-
     friction = np.zeros(len(energy))
     for name in with_role(dataset, INTERNAL_WORK):
         work = dataset[name].values.reshape(len(energy), -1).sum(axis=1)
@@ -84,10 +79,15 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
     moved = displacements(dataset["position"].values)
     middle = 0.5 * period * (velocity[1:] + velocity[:-1])
     return {
-        "residual": energy - energy[0] - since_start(mean * moved + correlation),
-        "trapezoid": energy - energy[0] - since_start(mean * middle + correlation),
-        "absolute_work": np.concatenate([np.zeros(1), np.cumsum(np.abs(held * moved).sum(axis=1))]),
+        "residual": energy - energy[0] - _since_start(mean * moved + correlation),
+        "trapezoid": energy - energy[0] - _since_start(mean * middle + correlation),
+        "absolute_work": _since_start(np.abs(held * moved)),
     }
+
+
+def _since_start(work: np.ndarray) -> np.ndarray:
+    """Work since the start (n), J, from the work in each period, by coordinate (n - 1, k)."""
+    return np.concatenate([np.zeros(1), np.cumsum(work.sum(axis=1))])
 
 
 def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:

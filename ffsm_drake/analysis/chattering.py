@@ -5,7 +5,7 @@ Forces are arrays (n, nv), N m or N, one row per sample.
 
 import numpy as np
 
-from ffsm_drake.analysis.evidence import Evidence, ratio
+from ffsm_drake.analysis.evidence import Evidence, ratio, ratios
 from ffsm_drake.analysis.findings import Finding, finding, not_applicable
 
 SEGMENT = 256  # samples of one segment of the smoothed spectrum
@@ -93,9 +93,7 @@ def findings(run: Evidence) -> list[Finding]:
         "split_frequency": split,
         "sampling_frequency": 1.0 / period,
         "effort_share": ratio(float(high.sum()), float(np.square(tau).sum(axis=1).mean())),
-        **run.named(
-            "share", np.array([ratio(*pair) for pair in zip(high, low + high, strict=True)])
-        ),
+        **run.named("share", ratios(high, low + high)),
         **run.named("rms", np.sqrt(high)),
         **run.named("reversals_per_second", turns),
         **run.named("total_variation", variation),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ffsm_drake.analysis.evidence import Evidence, start_up_time
+from ffsm_drake.analysis.evidence import Evidence
 from ffsm_drake.analysis.findings import Finding, finding, not_applicable
 
 
@@ -14,7 +14,7 @@ def findings(run: Evidence) -> list[Finding]:
     run.add(tde_error=run.tde_error, tde_error_bound=run.bound, tde_error_bound_late=run.late_bound)
     worst = int(run.bound.argmax())
     numbers: dict[str, float | str] = {
-        "start_up_time": start_up_time(run.period),
+        "start_up_time": run.start_up_time,
         "worst_coordinate": run.coordinates.names[worst],
         "time_of_bound": float(run.time[np.abs(run.tde_error[:, worst]).argmax()]),
     }

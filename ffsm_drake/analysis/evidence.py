@@ -74,12 +74,16 @@ class Evidence:
         self.nominal = driven_model(make_nominal_plant(self.scenario))
         self.true = driven_model(make_flexible_plant(self.scenario))
         self.coordinates = self.nominal.coordinates
-        self.after_start_up = self.time >= start_up_time(self.period) - 1e-9
+        # Duration of the start-up transient, s: at the first sample the controller has no past, so
+        # Nhat is 0 whatever N is. With the published gains this excites a pole of about -0.74 per
+        # sample at the slowest, which decays to 5 % within ten samples.
+        self.start_up_time = max(0.1, 10.0 * self.period)
+        self.after_start_up = self.time >= self.start_up_time - 1e-9
         self.series: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
         self.attributes: dict[str, str | float] = {
             **record.dataset.attrs,
             "outcome": record.outcome.message,
-            "start_up_time": start_up_time(self.period),
+            "start_up_time": self.start_up_time,
         }
         self.axes: dict[str, np.ndarray] = {"time": self.time, "period": self.time[:-1]}
 
@@ -232,16 +236,6 @@ def estimation_error(*, velocity: np.ndarray, commanded: np.ndarray, period: flo
     return np.diff(velocity, axis=0) / period - commanded[:-1]
 
 
-def start_up_time(period: float) -> float:
-    """Duration of the start-up transient, s: 0.1 s or ten samples, whichever is longer.
-
-    At the first sample the controller has no past, so Nhat is 0 whatever N is. With the published
-    gains this excites a pole of about -0.74 per sample at the slowest, which decays to 5 % within
-    ten samples.
-    """
-    return max(0.1, 10.0 * period)
-
-
 def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
     """The samples before the first non-finite value, which ends the record of a diverged run."""
     finite = np.ones(dataset.sizes["time"], dtype=bool)
@@ -257,9 +251,12 @@ def largest(values: np.ndarray) -> np.ndarray:
 
 def ratio(part: float, whole: float) -> float:
     """part / whole; if whole is 0, then 0 for a part of 0, else infinite."""
-    if whole != 0.0:
-        return part / whole
-    return 0.0 if part == 0.0 else np.inf
+    return float(ratios(np.array(part), np.array(whole)))
+
+
+def ratios(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """``ratio`` of each pair."""
+    return np.divide(part, whole, out=np.where(part == 0.0, 0.0, np.inf), where=whole != 0.0)
 
 
 def rms(values: np.ndarray) -> float:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ffsm_drake.analysis.evidence import Evidence, largest, ratio, rms, start_up_time
+from ffsm_drake.analysis.evidence import Evidence, largest, ratio, ratios, rms
 from ffsm_drake.analysis.findings import Finding, Numbers, finding, not_applicable
 from ffsm_drake.systems.controllers import PAPER_LAWS
 
@@ -34,10 +34,7 @@ def direct_bound(
     """
     excess = np.maximum(bound - g_min, 0.0)
     # Without K_s, |s| is bounded only if N*_i <= G_i.
-    steady = np.divide(
-        excess, k_s_min, out=np.where(excess > 0.0, np.inf, 0.0), where=k_s_min > 0.0
-    )
-    return np.maximum(np.abs(first), steady)
+    return np.maximum(np.abs(first), ratios(excess, k_s_min))
 
 
 def findings(run: Evidence) -> list[Finding]:
@@ -67,7 +64,7 @@ def findings(run: Evidence) -> list[Finding]:
 def _reaching_law(run: Evidence, remainder: np.ndarray) -> Finding:
     late = run.after_start_up[:-1]
     numbers = {
-        "start_up_time": start_up_time(run.period),
+        "start_up_time": run.start_up_time,
         "remainder": float(largest(remainder).max()),
         "remainder_late": float(largest(remainder[late]).max()),
         "rms_ratio": ratio(rms(remainder), rms(run.tde_error)),
@@ -96,10 +93,7 @@ def _direct_bound(run: Evidence, remainder: np.ndarray) -> Finding:
         bound = direct_bound(
             first=s[part][0], bound=largest(disturbance[part[:-1]]), k_s_min=k_s_min, g_min=g_min
         )
-        reached = largest(s[part])
-        return bound, np.divide(
-            reached, bound, out=np.where(reached > 0.0, np.inf, 0.0), where=bound > 0.0
-        )
+        return bound, ratios(largest(s[part]), bound)
 
     whole = np.ones_like(late)
     bound, times = evaluate(run.tde_error, whole)
@@ -107,7 +101,7 @@ def _direct_bound(run: Evidence, remainder: np.ndarray) -> Finding:
     _, full_times = evaluate(run.tde_error - remainder, whole)
     run.add(direct_bound=bound)
     numbers: Numbers = {
-        "start_up_time": start_up_time(run.period),
+        "start_up_time": run.start_up_time,
         "coordinates": float(times.size),
         "coordinates_within": float(np.count_nonzero(times <= 1.0)),
         "worst_ratio": float(times.max()),

@@ -11,7 +11,7 @@ from pydrake.math import RotationMatrix
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.runs.capture import NOTHING
 from ffsm_drake.runs.log import GraspLog, RunLog
-from ffsm_drake.runs.table import Table
+from ffsm_drake.runs.table import EFFORT, VARIABLES, Table
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS, frame_rows
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate
@@ -22,33 +22,6 @@ from ffsm_drake.spacecraft.plant import find_body, find_frame
 from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.part import ROLES, STORED_MOMENTUM, PlacedPart, values_of, with_role
 
-_UNIT, _FORCE = "rad (rotations) or m (translations)", "N m (rotations) or N (translations)"
-# Of every record: name -> dimension beside time, meaning, units; the last three of some laws.
-_VARIABLES = {
-    "position": ("position_name", "generalized positions q", f"1 (quaternion), {_UNIT}"),
-    "velocity": ("coordinate", "generalized velocities v", f"{_UNIT} per s"),
-    "measured_position": ("position_name", "q as the controller reads it", f"1, {_UNIT}"),
-    "measured_velocity": ("coordinate", "v as the controller reads it", f"{_UNIT} per s"),
-    "desired_position": ("position_name", "reference q_d", f"1 (quaternion), {_UNIT}"),
-    "desired_velocity": ("coordinate", "reference v_d", f"{_UNIT} per s"),
-    "desired_acceleration": ("coordinate", "reference acceleration", f"{_UNIT} per s^2"),
-    "error": ("coordinate", "true tracking error e = q_d - q (rotation vector in world)", _UNIT),
-    "error_rate": ("coordinate", "true error rate", f"{_UNIT} per s"),
-    "generalized_force": ("coordinate", "control tau, held from this sample to the next", _FORCE),
-    "applied_force": ("coordinate", "what the actuators make of tau, held likewise", _FORCE),
-    "disturbance_force": ("coordinate", "external forces tau_d at this instant, summed", _FORCE),
-    "end_effector_position": ("axis", "end effector in the world frame", "m"),
-    "desired_end_effector_position": ("axis", "its reference", "m"),
-    "base_rpy": ("axis", "roll, pitch, yaw of the base", "rad"),
-    "desired_base_rpy": ("axis", "their reference", "rad"),
-    "linear_momentum": ("axis", "total linear momentum", "N s"),
-    "angular_momentum": ("axis", "total angular momentum about the world's origin", "N m s"),
-    "kinetic_energy": ("", "total kinetic energy", "J"),
-    "sliding_variable": ("coordinate", "sliding variable s of this sample", _UNIT),
-    "reaching_gain": ("coordinate", "K_s used by this sample, 1/s", "1/s"),
-    "switching_gain": ("coordinate", "G used by this sample", _UNIT),
-}
-
 
 def make_table(log: RunLog) -> Table:
     """The labelled time series of a run: its log and, for what follows from the state, the true
@@ -58,12 +31,12 @@ def make_table(log: RunLog) -> Table:
     model = make_flexible_plant(scenario)
     states = log.whole_states
     values = _values(log, model, states)
-    meanings = {name: row for name, row in _VARIABLES.items() if name in values}
+    meanings = {name: row for name, row in VARIABLES.items() if name in values}
     for name in values:
         # several external forces act, and disturbance_force is their sum
         if name.startswith("force_"):
             meaning = f"external force '{name[6:]}' at this instant"
-            meanings[name] = ("coordinate", meaning, _FORCE)
+            meanings[name] = ("coordinate", meaning, EFFORT)
     table = Table(
         attrs={
             "title": scenario.description,
@@ -100,7 +73,7 @@ def make_table(log: RunLog) -> Table:
 
 
 def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.ndarray]:
-    """The variables of ``_VARIABLES`` that a run has, and each external force where several act.
+    """The variables of ``VARIABLES`` that a run has, and each external force where several act.
 
     Args:
       log: of the run.
@@ -119,7 +92,7 @@ def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.
         found[f"{prefix}position"], found[f"{prefix}velocity"] = parts
     rates = map(error_rate, log.error, found["desired_velocity"], found["velocity"])
     found |= {"error": log.error, "error_rate": np.array(list(rates))}
-    own = {name: series[name] for name in series if name in _VARIABLES or name[:6] == "force_"}
+    own = {name: series[name] for name in series if name in VARIABLES or name[:6] == "force_"}
     if log.grasp is None:
         momentum, energy = _momentum_and_energy(model, states)
     else:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from ffsm_drake.runs.table import with_role
-from ffsm_drake.runs.tracking import frame_metrics, tracked_of
+from ffsm_drake.runs.table import driven_of, with_role
+from ffsm_drake.runs.tracking import frame_metrics, largest_and_final, tracked_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, position_errors
 from ffsm_drake.systems.part import INTERNAL_TORQUE
 
@@ -46,14 +46,7 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
         those of ``tracking.frame_metrics``, and where the controller tracks it
         ``smallest_singular_value``, the smallest of the run.
     """
-    tracking = tracking_metrics(
-        time=dataset["time"].values,
-        error=dataset["error"].values,
-        effort=dataset["generalized_force"].values,
-        period=float(dataset.attrs["sample_time"]),
-        group=dataset["group"].values.tolist(),
-        counted=tracked_of(dataset).error,
-    )
+    tracking = _tracking(dataset)
     phases = phases_of(dataset)
     residuals = [momentum_residual(part) for part in phases.values()] or [
         momentum_residual(dataset)
@@ -63,17 +56,7 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
         for name in residuals[0]
     }
     if phases:
-        tracking["phases"] = {
-            name: tracking_metrics(
-                time=part["time"].values - part["time"].values[0],
-                error=part["error"].values,
-                effort=part["generalized_force"].values,
-                period=float(part.attrs["sample_time"]),
-                group=part["group"].values.tolist(),
-                counted=tracked_of(part).error,
-            )
-            for name, part in phases.items()
-        }
+        tracking["phases"] = {name: _tracking(part) for name, part in phases.items()}
     for name, figures in (
         ("drift", drift_metrics(dataset)),
         ("frame", frame_figures(dataset)),
@@ -81,6 +64,18 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
         if figures:
             tracking[name] = figures
     return tracking | {"momentum_residual": sizes}
+
+
+def _tracking(dataset: "Labelled") -> dict[str, Any]:
+    time = dataset["time"].values
+    return tracking_metrics(
+        time=time - time[0],
+        error=dataset["error"].values,
+        effort=dataset["generalized_force"].values,
+        period=float(dataset.attrs["sample_time"]),
+        group=dataset["group"].values.tolist(),
+        counted=tracked_of(dataset).error,
+    )
 
 
 def frame_figures(dataset: "Labelled") -> dict[str, Any]:
@@ -95,12 +90,6 @@ def frame_figures(dataset: "Labelled") -> dict[str, Any]:
     if "smallest_singular_value" in dataset:
         figures["smallest_singular_value"] = float(dataset["smallest_singular_value"].values.min())
     return figures
-
-
-def driven_of(dataset: "Labelled") -> np.ndarray:
-    """Whether actuators move each coordinate (nv)."""
-    everything: np.ndarray = np.ones(dataset.sizes["coordinate"], dtype=bool)
-    return dataset["driven"].values.astype(bool) if "driven" in dataset.coords else everything
 
 
 def drift_metrics(dataset: "Labelled") -> dict[str, dict[str, float]]:
@@ -119,13 +108,7 @@ def base_drift(positions: np.ndarray, undriven: Sequence[str]) -> dict[str, dict
     base = positions[:, :NUM_BASE_POSITIONS]
     moved = position_errors(base, np.broadcast_to(base[0], base.shape))
     parts = {"base_rotation": moved[:, :3], "base_position": moved[:, 3:]}
-    sizes = {
-        group: np.linalg.norm(part, axis=1) for group, part in parts.items() if group in undriven
-    }
-    return {
-        "largest": {group: float(size.max()) for group, size in sizes.items()},
-        "final": {group: float(size[-1]) for group, size in sizes.items()},
-    }
+    return largest_and_final({name: part for name, part in parts.items() if name in undriven})
 
 
 def phases_of(dataset: _Some) -> dict[str, _Some]:

@@ -17,7 +17,7 @@ from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import check_regular, published
 from ffsm_drake.runs.log import Outcome
 from ffsm_drake.runs.metrics import compute_metrics
-from ffsm_drake.runs.table import Table
+from ffsm_drake.runs.table import OF_LAWS, VARIABLES, Table
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario, scenario_from_dict
 from ffsm_drake.systems.part import Figure, PartRecord, nested
 
@@ -41,33 +41,6 @@ OUTPUTS = (
     REPORT_FILE, "recording.html", "analysis.json", "analysis.png",
     *(f"{name}.png" for name in ("trajectories", "errors", "efforts", "gains")),
 )  # fmt: skip
-_BY_COORDINATE, _BY_POSITION, _BY_AXIS = (
-    ("time", "coordinate"),
-    ("time", "position_name"),
-    ("time", "axis"),
-)
-# What every record holds, by dimension; sliding variable and gains are added where there are any.
-VARIABLES = {
-    "position": _BY_POSITION,
-    "velocity": _BY_COORDINATE,
-    "measured_position": _BY_POSITION,
-    "measured_velocity": _BY_COORDINATE,
-    "desired_position": _BY_POSITION,
-    "desired_velocity": _BY_COORDINATE,
-    "desired_acceleration": _BY_COORDINATE,
-    "error": _BY_COORDINATE,
-    "error_rate": _BY_COORDINATE,
-    "generalized_force": _BY_COORDINATE,
-    "applied_force": _BY_COORDINATE,
-    "disturbance_force": _BY_COORDINATE,
-    "end_effector_position": _BY_AXIS,
-    "desired_end_effector_position": _BY_AXIS,
-    "base_rpy": _BY_AXIS,
-    "desired_base_rpy": _BY_AXIS,
-    "linear_momentum": _BY_AXIS,
-    "angular_momentum": _BY_AXIS,
-    "kinetic_energy": ("time",),
-}
 _COORDINATES = ("time", "coordinate", "position_name", "axis", "group", "unit")
 _STATUSES = ("completed", "diverged", "interrupted")
 
@@ -351,7 +324,8 @@ def _check_reports(directory: Path, digest: str) -> None:
 
 def _check_dataset(dataset: "xr.Dataset", path: Path) -> None:
     """Raise RecordError unless a dataset holds what every record does."""
-    missing = [name for name in (*_COORDINATES, *VARIABLES) if name not in dataset.variables]
+    required = [name for name in VARIABLES if name not in OF_LAWS]
+    missing = [name for name in (*_COORDINATES, *required) if name not in dataset.variables]
     if missing:
         raise RecordError(
             f"{path}: lacks {', '.join(missing)}; it comes from another version or "
@@ -359,7 +333,9 @@ def _check_dataset(dataset: "xr.Dataset", path: Path) -> None:
         )
     if "sample_time" not in dataset.attrs:
         raise RecordError(f"{path}: lacks the attribute sample_time; run it again")
-    for name, dims in VARIABLES.items():
+    for name in required:
+        along, *_ = VARIABLES[name]
+        dims = ("time", along) if along else ("time",)
         if dataset[name].dims != dims or dataset[name].dtype.kind not in "fiu":
             raise RecordError(
                 f"{path}: {name} must hold numbers along {', '.join(dims)}; run it again"

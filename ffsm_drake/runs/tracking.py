@@ -1,10 +1,12 @@
 """What counts of a run: the errors of what its controller tracks, and the pose error of a frame."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ffsm_drake.runs.table import driven_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, position_errors
 from ffsm_drake.spacecraft.free_floating import TASK_ROWS
@@ -118,13 +120,12 @@ def tracked_of(dataset: "Labelled") -> Tracked:
     names, groups, units = (
         tuple(map(str, dataset[name].values)) for name in ("coordinate", "group", "unit")
     )
-    everything: np.ndarray = np.ones(len(names), dtype=bool)
     return tracked(
         error=dataset["error"].values,
         names=names,
         groups=groups,
         units=units,
-        driven=dataset["driven"].values.astype(bool) if "driven" in dataset.coords else everything,
+        driven=driven_of(dataset),
         frame=dataset["frame_error"].values if has_frame else None,
         rows=dataset["frame_tracked"].values.astype(bool) if has_frame else np.zeros(6, dtype=bool),
     )
@@ -137,11 +138,14 @@ def frame_metrics(error: np.ndarray, rows: np.ndarray) -> dict[str, dict[str, fl
     Of what is prescribed, which ``rows`` (6) says.
     """
     parts = {"rotation": slice(0, 3), "position": slice(3, 6)}
-    sizes = {
-        name: np.linalg.norm(error[:, part], axis=1)
-        for name, part in parts.items()
-        if rows[part].any()
-    }
+    return largest_and_final(
+        {name: error[:, part] for name, part in parts.items() if rows[part].any()}
+    )
+
+
+def largest_and_final(parts: Mapping[str, np.ndarray]) -> dict[str, dict[str, float]]:
+    """``largest`` and ``final`` norm of vectors (n, 3), by name."""
+    sizes = {name: np.linalg.norm(part, axis=1) for name, part in parts.items()}
     return {
         "largest": {name: float(size.max()) for name, size in sizes.items()},
         "final": {name: float(size[-1]) for name, size in sizes.items()},

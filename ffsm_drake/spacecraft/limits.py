@@ -34,14 +34,19 @@ class Limit:
     lower: np.ndarray
 
     @classmethod
-    def either_way(
-        cls, quantity: str, source: str, coordinates: Coordinates, size: np.ndarray
+    def of_coordinates(
+        cls,
+        quantity: str,
+        source: str,
+        coordinates: Coordinates,
+        upper: np.ndarray,
+        lower: np.ndarray | None = None,
     ) -> "Limit":
-        """The same in both directions, for all coordinates (nv)."""
+        """A limit of all coordinates (nv); ``lower`` defaults to -``upper``."""
         units = tuple(_UNITS[quantity].get(unit, unit) for unit in coordinates.units)
         return cls(
             quantity=quantity, source=source, names=coordinates.names, units=units,
-            upper=size, lower=-size,
+            upper=upper, lower=-upper if lower is None else lower,
         )  # fmt: skip
 
     @property
@@ -114,10 +119,9 @@ def urdf_limits(model: Model, plant: MultibodyPlant) -> list[Limit]:
             i = NUM_BASE_VELOCITIES + coordinates.joints.index(element.get("name", ""))
             lower[i], upper[i] = joint.lower, joint.upper
             velocity[i], effort[i] = joint.velocity, joint.effort
-    both_ways = Limit.either_way
-    position = both_ways(POSITION, "the URDF's position limits", coordinates, upper)
+    limit = Limit.of_coordinates
     return [
-        dataclasses.replace(position, lower=lower),
-        both_ways(RATE, "the URDF's velocity limits", coordinates, velocity),
-        both_ways(FORCE, "the URDF's effort limits", coordinates, effort),
+        limit(POSITION, "the URDF's position limits", coordinates, upper, lower),
+        limit(RATE, "the URDF's velocity limits", coordinates, velocity),
+        limit(FORCE, "the URDF's effort limits", coordinates, effort),
     ]

@@ -83,7 +83,7 @@ def actuation_limit(scenario: Scenario, coordinates: Coordinates) -> Limit:
     key, base = "actuation.limit", base_limits(scenario)
     force = coordinates.vector(scenario.actuation.limit or {}, key=key, default=np.inf)
     force[:6] = np.minimum(force[:6], np.repeat([base.torque, base.force], 3))
-    return Limit.either_way(FORCE, key + base.named, coordinates, force)
+    return Limit.of_coordinates(FORCE, key + base.named, coordinates, force)
 
 
 def _actuators(scenario: Scenario) -> list[Part]:

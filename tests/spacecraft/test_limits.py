@@ -1,7 +1,5 @@
 """A limit: the share of it that values use, and what is said where they exceed it."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -15,9 +13,9 @@ ONE = Coordinates(joints=("a",), joint_units=("m",))
 
 
 def limit(quantity, lower, upper):
-    largest = np.r_[np.full(6, np.inf), upper]
-    made = Limit.either_way(quantity, "somebody's limits", ONE, largest)
-    return dataclasses.replace(made, lower=np.r_[np.full(6, -np.inf), lower])
+    base = np.full(6, np.inf)
+    bounds = np.r_[base, upper], np.r_[-base, lower]
+    return Limit.of_coordinates(quantity, "somebody's limits", ONE, *bounds)
 
 
 def values(*of_joint):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.runs.metrics import driven_of
+from ffsm_drake.runs.table import driven_of
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.show.curves import completed_range, moving_rms
 from ffsm_drake.show.panels import Panel, Thinning, Trace, View, curve, escape, figure, time_panel

@@ -305,7 +305,7 @@ class JointDrives(Part):
     def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
         """Rates of the joints."""
         rate = _with_base(self._drives(coordinates).rate_limit, np.inf)
-        return [Limit.either_way(RATE, f"{_KEY}.rate_limit", coordinates, rate)]
+        return [Limit.of_coordinates(RATE, f"{_KEY}.rate_limit", coordinates, rate)]
 
     def metrics(self) -> Sequence[Metric]:
         """By joint, the first two for joints with such a limit, and what friction took out; the
