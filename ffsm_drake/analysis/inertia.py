@@ -22,7 +22,7 @@ class InertiaMatch:
 
     @property
     def norm_in_h(self) -> np.ndarray:
-        """The same norm in the metric of H, dimensionless (n).
+        """The norm of (8) in the metric of H, dimensionless (n).
 
         sup |(E - H^-1 Hhat) x|_H / |x|_H = max |1 - eta|.
         """

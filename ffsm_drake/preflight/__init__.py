@@ -1,3 +1,1 @@
-"""A run with the check before it: what is said of a scenario, and the verbs simulate and
-compare.
-"""
+"""Remarks on a scenario before it runs, and the verbs ``simulate`` and ``compare``."""

@@ -1,5 +1,4 @@
-"""What is said of a scenario before it runs: where its postures and its plan leave the limits of
-its model.
+"""Remarks on a scenario before it runs: limits that its postures and its plan exceed.
 
 Nothing enforces the URDF's limits; ``actuation.limit`` is what saturates the force.
 """
@@ -39,11 +38,10 @@ from ffsm_drake.systems.limits import actuation_limit, joint_limits
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
 
-_POSTURES = 201  # at which the plan is looked at
+_POSTURES = 201  # of the plan that are evaluated
 _SAME_MASS = 1e-3  # relative
 _SAME_START = 1e-6  # rad, m, and per second
-# Of an integrator with fixed steps: the power of w h in the damping ratio that it adds or takes,
-# and its divisor.
+# Integrator with fixed steps -> power of w h in its numerical damping ratio, and divisor.
 _STEP_ERRORS = {"explicit_euler": (1, 2.0), "runge_kutta2": (3, 8.0), "runge_kutta3": (3, 24.0)}
 _LEAST_DAMPING = 1e-4
 
@@ -53,12 +51,11 @@ class LimitWarning(UserWarning):
 
 
 def plan_remarks(scenario: Scenario) -> list[str]:
-    """What in a scenario leaves the limits of its model, or takes the place of its values; a line
-    each.
+    """A line for each limit that a scenario exceeds, or value of its model that it overrides.
 
-    Looks at the postures and, unless a user-supplied block replaces it, at the planned motion:
-    positions, rates, and the force that perfect tracking takes with the true payload, disturbances
-    aside.
+    Evaluates the postures and, unless a user-supplied block replaces it, the planned motion:
+    clearance, rates, and the force for perfect tracking with the true payload, without
+    disturbances.
 
     Raises:
       ModelError, ScenarioError: the model or a posture cannot be used.
@@ -137,8 +134,8 @@ def _at_rate(limit: Limit, drives: DriveSet, v: np.ndarray, force: np.ndarray) -
 
 
 def plan_clearance(scenario: Scenario) -> list[Closest]:
-    """Where the planned motion brings parts nearest to each other, before a grasp and with the
-    target held.
+    """The smallest distance of parts in the planned motion, before a grasp and with the target
+    held.
 
     Empty for a user-supplied motion, or if no parts can meet.
 
@@ -151,7 +148,7 @@ def plan_clearance(scenario: Scenario) -> list[Closest]:
 
 @memoized(maxsize=64)  # a run, its report and the next run of the same plan ask for the same
 def _plan_clearance_of(scenario: Scenario, files: tuple[Path, ...]) -> list[Closest]:
-    """Of a scenario whose model and plan are made from ``files``."""
+    """``plan_clearance`` of a scenario; ``files`` are part of the key."""
     model = make_nominal_plant(scenario)
     motion = make_motion(scenario, model.coordinates)
     found: list[Closest] = []
@@ -169,8 +166,8 @@ def _positions_of(motion: PlannedMotion, times: np.ndarray) -> np.ndarray:
 
 
 def _momentum(scenario: Scenario) -> Iterator[str]:
-    """Says so when what a grasp leaves cannot be stored, or an accepted drift does not last for the
-    run.
+    """A line if the momentum after a grasp cannot be stored, and for each accepted drift that is
+    exceeded during the run.
     """
     budget = momentum_budget(scenario) if scenario.undriven else None
     if budget is None:
@@ -188,7 +185,7 @@ def _momentum(scenario: Scenario) -> Iterator[str]:
 def _starts_elsewhere(
     scenario: Scenario, motion: PlannedMotion, plant: MultibodyPlant
 ) -> Iterator[str]:
-    """Says so when a plan was made for another posture or velocity than the run starts with."""
+    """A line if a plan starts at another posture or velocity than the run."""
     if scenario.reference.kind != "optimal":
         return
     q_d, v_d, _ = motion.evaluate(motion.begin)
@@ -209,9 +206,7 @@ def _starts_elsewhere(
 
 
 def _cut_short(scenario: Scenario) -> Iterator[str]:
-    """Says so when a run ends before its duration, which is not a whole number of control
-    samples.
-    """
+    """A line if the duration is not a whole number of control samples: the run ends before it."""
     end = scenario.num_control_periods * scenario.sample_time
     if end < scenario.duration * (1.0 - SLACK):
         yield (
@@ -222,8 +217,7 @@ def _cut_short(scenario: Scenario) -> Iterator[str]:
 
 
 def _coarse_steps(scenario: Scenario) -> Iterator[str]:
-    """Whether the integrator's steps damp or excite a flexible mode by more than a fifth of its own
-    damping.
+    """A line if the integrator's steps change the damping of a flexible mode by more than a fifth.
 
     A fixed step h changes the amplitude of w by a factor 1 -+ (w h)^n / m: it adds the damping
     ratio (w h)^(n-1) / m.
@@ -253,8 +247,8 @@ def _coarse_steps(scenario: Scenario) -> Iterator[str]:
 
 
 def _overridden_mass(scenario: Scenario, plant: MultibodyPlant) -> Iterator[str]:
-    """Says so when the target's URDF, if it is not the shipped one, has another mass than the
-    scenario gives it.
+    """A line if the mass in the scenario differs from that of the target's URDF, unless this is
+    the shipped one.
     """
     model = scenario.model
     source = model.debris if model.servicer is not None else model.directives or ""

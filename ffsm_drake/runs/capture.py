@@ -1,10 +1,10 @@
-"""Runs with a capture: the servicer without the target up to the grasp, then both as one, with the
-same controller.
+"""Runs with a capture: the servicer alone up to the grasp, then with the target, with one
+controller.
 
-Each side of the grasp is a closed loop of its own, with its own nominal model. At the grasp
-sensors, actuators and forces go on as they are, the controller as its law says
-(``ControlLaw.resume``), and the servicer's velocity jumps. The target is held where the gripper
-meets it: what the arm misses it by is part of the payload from then on.
+Each side of the grasp is a closed loop with its own nominal model. At the grasp the states of
+sensors, actuators and forces are kept, the law resumes (``ControlLaw.resume``), and the servicer's
+velocity jumps. The target is held where the gripper meets it: the position error of the arm becomes
+part of the payload's mass properties.
 """
 
 import dataclasses
@@ -68,8 +68,8 @@ class CaptureRollout:
                 rollout.release()
 
     def accepts(self, scenario: Scenario) -> bool:
-        """As ``Rollout.accepts``; how the target moves where it is grasped follows from its centre
-        of mass.
+        """As ``Rollout.accepts``; the payload's true centre of mass must be the same too, since the
+        target's motion depends on it.
         """
         centers = [
             each.payload.truth.center_of_mass for each in (scenario, self._stop.loop.scenario)
@@ -88,9 +88,7 @@ class CaptureRollout:
         *,
         progress: Callable[[float, float], None] | None = None,
     ) -> RunLog:
-        """As ``Rollout.run``; the log goes through the grasp, whose sample it shows with the
-        velocity after it.
-        """
+        """As ``Rollout.run``; at the sample of the grasp the log holds the velocity after it."""
         start = time.perf_counter()
         chosen = scenario or self._stop.loop.scenario
         if self._approach is None:
@@ -180,16 +178,16 @@ class _Handover:
         loop.set_state(root_context, np.concatenate([position, velocity]))
 
     def ungrasped(self, samples: int) -> GraspLog:
-        """Of a run that ended after so many samples, before the grasp."""
+        """Log of a run that ended before the grasp, after a number of samples."""
         payload = self._scenario.payload.truth
         return GraspLog(sample=samples, contact=None, payload=payload, target=self._path[:samples])
 
     def keep(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Keep the loop before the grasp as it stands there."""
+        """Keep the loop before the grasp, and its context at the grasp."""
         self._before, self._context_before = loop, root_context
 
     def grasp(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Grasp the target, and go on from where the loop before has come to."""
+        """Grasp the target; the run continues from the state after the grasp."""
         scenario, plant = self._scenario, loop.plant
         context = plant.GetMyMutableContextFromRoot(root_context)
         state = self._before.plant.GetPositionsAndVelocities(
@@ -225,9 +223,7 @@ class _Handover:
 def target_path(
     scenario: Scenario, model: PlantModel, planned: Contact
 ) -> tuple[RigidTransform, np.ndarray]:
-    """X_WP of the target where it is to be met, and its motion up to there, at the samples before;
-    see ``coast``.
-    """
+    """X_WP of the target at the planned grasp, and its motion before, as ``coast`` returns it."""
     model.plant.SetPositions(model.context, planned.q)
     X_WP = RigidTransform(target_body(scenario, model).EvalPoseInWorld(model.context))
     samples = round(scenario.grasp_time / scenario.sample_time)
@@ -245,11 +241,10 @@ def coast(
     samples: int,
     sample_time: float,
 ) -> np.ndarray:
-    """The motion (samples, 13; quaternion, p_WP, w_WP, v_WP) that brings a free target to a pose
-    with a velocity.
+    """The motion (samples, 13; quaternion, p_WP, w_WP, v_WP) of a free target before a given pose
+    and velocity.
 
-    It is found backwards, from the pose with the velocity reversed: without forces time has no
-    direction.
+    Free motion is reversible: it is simulated from that pose with the velocity reversed.
 
     Args:
       properties: the target's, in its frame P.
@@ -296,9 +291,7 @@ def _stored(log: RunLog) -> np.ndarray | None:
 
 
 def _without_target(scenario: Scenario) -> Scenario:
-    """The scenario with nothing in the gripper, of which only the part before the grasp means
-    anything.
-    """
+    """The scenario with an empty gripper, valid up to the grasp."""
     some = 1.0 + make_impulses(scenario.reference.shaper).length  # s
     capture = (
         None if scenario.capture is None else dataclasses.replace(scenario.capture, compliance=None)

@@ -1,5 +1,5 @@
-"""The labelled time series of a run: its log and, for what follows from the state, the true
-plant.
+"""The labelled time series of a run: the signals of its log, and quantities that the true plant
+gives for its states.
 """
 
 import dataclasses
@@ -12,7 +12,7 @@ from ffsm_drake.common.errors import BlockError
 from ffsm_drake.runs.capture import NOTHING
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.table import EFFORT, VARIABLES, Table
-from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS, frame_rows
+from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS, frame_poses, frame_rows
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.grasp import shift_moment
@@ -24,9 +24,7 @@ from ffsm_drake.systems.part import ROLES, STORED_MOMENTUM, PlacedPart, values_o
 
 
 def make_table(log: RunLog) -> Table:
-    """The labelled time series of a run: its log and, for what follows from the state, the true
-    plant.
-    """
+    """The labelled time series of a run."""
     scenario, coordinates = log.scenario, log.coordinates
     model = make_flexible_plant(scenario)
     states = log.whole_states
@@ -76,9 +74,9 @@ def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.
     """The variables of ``VARIABLES`` that a run has, and each external force where several act.
 
     Args:
-      log: of the run.
+      log: the run.
       model: the true plant.
-      states: its own [q; v] at the samples (n, its size).
+      states: its [q; v] at the samples (n, its size).
     """
     scenario, series = log.scenario, log.series
     num_positions = len(log.coordinates.position_names)
@@ -98,12 +96,13 @@ def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.
     else:
         momentum, energy = _through_the_grasp(log, log.grasp, model, states)
     desired = log.split.whole_positions(found["desired_position"])
-    num_positions = model.plant.num_positions()
+    q = states[:, : model.plant.num_positions()]
+    frame = find_frame(model.plant, scenario.model.end_effector, key="model.end_effector")
     return {
         **found,
         **own,
-        "end_effector_position": _end_effector(model, scenario, states[:, :num_positions]),
-        "desired_end_effector_position": _end_effector(model, scenario, desired),
+        "end_effector_position": frame_poses(model, q, frame)[:, 4:],
+        "desired_end_effector_position": frame_poses(model, desired, frame)[:, 4:],
         "base_rpy": _base_rpy(found["position"]),
         "desired_base_rpy": _base_rpy(found["desired_position"]),
         "linear_momentum": momentum[:, 3:],
@@ -113,7 +112,7 @@ def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.
 
 
 def _with_part(table: Table, log: RunLog, part: PlacedPart) -> Table:
-    """The table with the signals of a part. Raises BlockError for one that has a name taken."""
+    """The table with the signals of a part. Raises BlockError where a name is taken."""
     for signal in part.signals:
         place = f"blocks.{part.name}: signal '{signal.name}'"
         if signal.name in table:
@@ -139,8 +138,8 @@ def _with_part(table: Table, log: RunLog, part: PlacedPart) -> Table:
 
 
 def _with_roles(table: Table, log: RunLog) -> Table:
-    """The table that knows which signals of parts count in the balances of momentum and energy;
-    ``angular_momentum`` becomes that of everything.
+    """The table with the roles of the parts' signals in the balances of momentum and energy as
+    attributes; ``angular_momentum`` includes the momentum that parts store.
     """
     roles = {role: " ".join(with_role(log.parts, role)) for role in ROLES}
     table = dataclasses.replace(
@@ -194,7 +193,7 @@ def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndar
 def _through_the_grasp(
     log: RunLog, grasp: GraspLog, model: PlantModel, states: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As ``_momentum_and_energy``, of servicer and target together, on both sides of the grasp."""
+    """Sums for servicer and target, before and after the grasp, as ``_momentum_and_energy``."""
     held = grasp.payload
     context, body = model.context, log.scenario.payload.body
     set_payload(model.plant, context, body=body, properties=NOTHING)
@@ -218,14 +217,8 @@ def _with_phases(
     """The table with the coordinate ``phase`` along time and the target's pose, held or not."""
     count = grasp.sample
     body = find_body(model.plant, scenario.payload.body, key="payload.body")
-    pose = np.empty((len(states), 7))
-    pose[:count] = grasp.target[:, :7]
-    pose[count:] = np.nan
-    for i, state in enumerate(states[count:], start=count):
-        if np.isfinite(state).all():
-            model.plant.SetPositionsAndVelocities(model.context, state)
-            X_WP = body.EvalPoseInWorld(model.context)
-            pose[i] = *X_WP.rotation().ToQuaternion().wxyz(), *X_WP.translation()
+    held = frame_poses(model, states[count:, : model.plant.num_positions()], body.body_frame())
+    pose = np.vstack([grasp.target[:, :7], held])
     # one of the two quaternions of a rotation
     pose[:, :4] *= np.sign(pose[:, :1]) + (pose[:, :1] == 0.0)
     place = {"long_name": "origin of the target's frame in the world frame", "units": "m"}
@@ -237,20 +230,6 @@ def _with_phases(
     phase = ["approach"] * count + ["stop"] * (len(states) - count)
     names = ["w", "x", "y", "z"]
     return table.assign_coords({"phase": ("time", phase), "quaternion": ("quaternion", names)})
-
-
-def _end_effector(model: PlantModel, scenario: Scenario, positions: np.ndarray) -> np.ndarray:
-    """The end effector's place in the world (n, 3) in configurations q (n, nq)."""
-    plant, context = model.plant, model.context
-    frame = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
-    places = np.empty((len(positions), 3))
-    for i, q in enumerate(positions):
-        if not np.isfinite(q).all():  # as above
-            places[i] = np.nan
-            continue
-        plant.SetPositions(context, q)
-        places[i] = frame.CalcPoseInWorld(context).translation()
-    return places
 
 
 def _base_rpy(positions: np.ndarray) -> np.ndarray:

@@ -21,12 +21,12 @@ from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, ti
 from ffsm_drake.spacecraft.plant import make_plant, model_files
 from ffsm_drake.systems.limits import joint_limits, limits_of
 
-CLEARANCE = "clearance"  # among the limits that a run leaves
-INSTANTS = 51  # in which clearance is looked at along a plan; twice as many along a run
+CLEARANCE = "clearance"  # its name among the exceeded limits
+INSTANTS = 51  # at which the clearance of a plan is evaluated; twice as many for a run
 
 
 def run_remarks(record: RunRecord) -> list[str]:
-    """Where a run left the limits of its model, and where its force saturated; a line each.
+    """A line for each kind of limit that a run exceeded, and one for saturated forces.
 
     Raises:
       ModelError: the scenario's model does not load any more.
@@ -56,7 +56,7 @@ def run_remarks(record: RunRecord) -> list[str]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Closest:
-    """Where a motion brings two parts of the spacecraft nearest to each other."""
+    """The smallest distance of two parts of the spacecraft in a motion."""
 
     first: str  # names of the bodies
     second: str
@@ -73,7 +73,7 @@ class Closest:
 
 
 def run_clearance(record: RunRecord) -> list[Closest]:
-    """As ``plan_clearance``, of a run, looked at in a hundred samples of each of its phases.
+    """The smallest distance in each phase of a run, evaluated at a hundred samples of each.
 
     Raises ModelError: as ``plan_clearance``.
     """
@@ -99,8 +99,8 @@ def run_clearance(record: RunRecord) -> list[Closest]:
 def closest_of(
     scenario: Scenario, times: np.ndarray, q: np.ndarray, *, target: np.ndarray | None = None
 ) -> Iterator[Closest]:
-    """Where configurations (n, nq) come nearest to themselves or, before a grasp, the target with
-    poses (n, 7).
+    """The smallest distance in configurations (n, nq), before a grasp with the target at poses
+    (n, 7); nothing if no parts can meet.
     """
     clearance = _shapes(scenario, apart=None if target is None else scenario.payload.body)
     if target is not None:
@@ -115,24 +115,24 @@ def closest_of(
 
 
 def _shapes(scenario: Scenario, *, apart: str | None = None) -> Clearance:
-    """The shapes of a scenario's model, where the target is held or, before a grasp, ``apart``."""
+    """The collision shapes of a scenario's model; ``apart`` names a body that is free."""
     return _loaded(scenario.model, model_files(scenario.model), apart)
 
 
 @memoized(maxsize=4)  # a campaign asks after every run, and loading takes longer than looking
 def _loaded(model: Model, files: tuple[Path, ...], apart: str | None) -> Clearance:
-    """Of a model that is made from ``files``."""
+    """The shapes of a model; ``files`` are part of the key."""
     return Clearance(model) if apart is None else ApproachClearance(model, apart)
 
 
 def clearance_remarks(
     find: Callable[[], list[Closest]], threshold: float, what: str
 ) -> Iterator[str]:
-    """Says so when parts come nearer to each other than a threshold, m."""
+    """A line for each distance below a threshold, m."""
     try:
         found = find()
     except ModelError as error:
-        yield f"clearance is not looked at: {error}"
+        yield f"clearance is not evaluated: {error}"
         return
     for closest in found:
         if closest.distance >= threshold:
@@ -148,8 +148,8 @@ def clearance_remarks(
 
 
 def saturation(record: RunRecord) -> dict[str, float]:
-    """Share of the samples in which what was commanded of a coordinate was beyond
-    ``actuation.limit``, where any.
+    """Share of the samples with a commanded force beyond ``actuation.limit``, by coordinate;
+    coordinates without are left out.
     """
     scenario, data = record.scenario, record.dataset
     if (

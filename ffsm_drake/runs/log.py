@@ -46,16 +46,15 @@ class GraspLog:
 
     sample: int  # index of the first sample of the run at which the target is held
     contact: Contact | None  # None: the run ended before
-    # the target's, in the frame P of the payload body where the model welds it
+    # true mass properties of the target in frame P, where the model welds the payload body
     payload: MassProperties
     # (sample, 13) [quaternion, p_WP; w_WP, v_WP] of the target at the samples before
     target: np.ndarray
-    # (6) where P was at the grasp, from where the model welds it: rotation vector, position
+    # (6) the target's pose error from P at the grasp: rotation vector, position
     offset: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
     # (6) of the target from the end effector, at its origin: angular velocity, velocity
     mismatch: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    # (3) momentum of what turns in the base, world axes, N m s: no torque acts on it about its axes
-    # at the grasp
+    # (3) momentum stored in the actuators, N m s; the grasp does not change it
     stored: np.ndarray | None = None
 
     def ledger(self, time: float, coordinates: Coordinates) -> dict[str, Any] | None:
@@ -139,7 +138,7 @@ class RunLog:
     split: StateSplit = dataclasses.field(default_factory=StateSplit)
     grasp: GraspLog | None = None  # of a run with a capture, unless it ended before
     parts: Parts = dataclasses.field(default_factory=dict)  # with signals and figures of their own
-    # whether the controller does, and coordinates only as far as that leaves them free
+    # whether the controller tracks a frame, and coordinates only in its null space
     tracks_frame: bool = False
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -168,17 +167,17 @@ class RunLog:
 
     @functools.cached_property
     def part_figures(self) -> dict[str, list[Figure]]:
-        """What the metrics of the parts came to, by part. Raises BlockError where one fails."""
+        """Figures of the parts' metrics, by part. Raises BlockError where one fails."""
         return {name: list(figures_of(part, self)) for name, part in self.parts.items()}
 
     @property
     def figures(self) -> tuple[Figure, ...]:
-        """All of them."""
+        """Figures of all parts."""
         return tuple(itertools.chain(*self.part_figures.values()))
 
     @property
     def part_records(self) -> tuple[PartRecord, ...]:
-        """What a record keeps of the parts."""
+        """The parts as a record stores them."""
         return tuple(
             recorded(self.parts[name], figures) for name, figures in self.part_figures.items()
         )
@@ -218,12 +217,12 @@ class RunLog:
 
     @property
     def frame_tracked(self) -> np.ndarray:
-        """Which entries of ``frame_error`` the controller is after (6)."""
+        """Mask (6) of the entries of ``frame_error`` that the controller tracks."""
         return frame_rows(self.scenario) & self.tracks_frame
 
     @functools.cached_property
     def tracked(self) -> Tracked:
-        """The errors that count."""
+        """The errors of the tracked coordinates and of a tracked frame."""
         coordinates = self.coordinates
         return tracked(
             error=self.error,

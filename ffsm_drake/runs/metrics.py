@@ -37,7 +37,7 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
     Keys: those of ``tracking_metrics``, and
       momentum_residual: largest norm, over the run or its phases, of the momentum's change minus
         the impulse of the external forces, ``linear`` (N s) and ``angular`` (N m s, about the
-        world's origin): what the integrator got wrong.
+        world's origin): the integrator's error.
       phases: of a run with a capture, by phase,
         those of ``tracking_metrics``, each with its own time.
       drift: of a run with undriven coordinates,
@@ -100,10 +100,10 @@ def drift_metrics(dataset: "Labelled") -> dict[str, dict[str, float]]:
 
 
 def base_drift(positions: np.ndarray, undriven: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Where the base goes through configurations (n, nq): ``largest`` and ``final`` distance from
-    its start.
+    """Drift of the base in configurations (n, nq): ``largest`` and ``final`` distance from its
+    start.
 
-    By group of ``undriven``: an angle, rad, and a distance, m.
+    For each group of ``undriven``: an angle, rad, or a distance, m.
     """
     base = positions[:, :NUM_BASE_POSITIONS]
     moved = position_errors(base, np.broadcast_to(base[0], base.shape))
@@ -147,8 +147,8 @@ def tracking_metrics(
       isv: sum of |tau|_2^2 L (equation (23)).
       peak_error, final_error, peak_effort: by group, the largest |e| of the run, the largest |e| of
         the last sample (rad or m), the largest |tau| (N m or N), each over the group's coordinates;
-        e of an undriven group, and of joints that serve a frame, is how far they are from where the
-        nominal payload would have taken them.
+        e of an undriven group, and of joints that serve a frame, is the distance from their motion
+        with the nominal payload.
     """
     members = {
         name: [i for i, other in enumerate(group) if other == name] for name in dict.fromkeys(group)

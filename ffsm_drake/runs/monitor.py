@@ -1,4 +1,4 @@
-"""Whether a run diverges, and its progress."""
+"""Detection of divergence during a run, and its progress."""
 
 import dataclasses
 from collections.abc import Callable
@@ -41,15 +41,15 @@ class Monitor:
             self.progress(context.get_time(), self.loop.scenario.duration)
 
     def bounds(self, states: np.ndarray) -> bool:
-        """Whether every velocity in known states [q; v] is within the bound."""
+        """True if every velocity in known states [q; v] is within the bound."""
         # false for NaN too
         return bool(np.abs(states[..., self._first_velocity :]).max() <= self._bound)
 
     def check(self, context: Context) -> bool:
-        """Whether every velocity is within the bound; otherwise ``message`` and ``coordinate`` say
-        which is not.
+        """True if every velocity is within the bound; otherwise ``message`` and ``coordinate`` are
+        set.
         """
-        plant = self.loop.plant  # whose state is not all of the diagram's
+        plant = self.loop.plant
         whole = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(context))
         state = self.loop.split.known_part(whole)
         if self.bounds(state):
@@ -68,7 +68,7 @@ class Monitor:
         return False
 
     def check_force(self, context: Context) -> bool:
-        """Whether the controller's force is finite; otherwise as ``check``."""
+        """True if the controller's force is finite; otherwise as ``check``."""
         diagram = self.loop.diagram
         force = diagram.GetOutputPort("generalized_force").Eval(context)
         if np.isfinite(force).all():

@@ -36,7 +36,7 @@ _HEAD = 100_000  # bytes of a report within which that is
 _MAX_TEXT = 10_000_000  # bytes, of manifest and metrics
 _MAX_RECORD = 100_000_000_000  # bytes
 _MAX_PER_SAMPLE = 100_000  # bytes, unpacked
-# What is made from a record and tells nothing of the next one.
+# Files made from a record, which are outdated with the next one.
 OUTPUTS = (
     REPORT_FILE, "recording.html", "analysis.json", "analysis.png",
     *(f"{name}.png" for name in ("trajectories", "errors", "efforts", "gains")),
@@ -50,9 +50,7 @@ class StaleReportWarning(UserWarning):
 
 
 class _Dataset:
-    """A field that is given as a dataset, or as a table of which one is made when it is asked
-    for.
-    """
+    """A dataset field; a table given for it is converted on first access."""
 
     def __get__(self, record: Any, owner: type) -> "xr.Dataset":
         if record is None:
@@ -92,7 +90,7 @@ class RunRecord:
 
     @property
     def figures(self) -> tuple[Figure, ...]:
-        """What the metrics of its parts came to."""
+        """Figures of the parts' metrics."""
         return tuple(figure for part in self.parts for figure in part.figures)
 
     @functools.cached_property
@@ -115,7 +113,7 @@ class RunRecord:
         """Write record.nc (netCDF-4), metrics.json and manifest.json, all or none. Returns the
         directory.
 
-        What a report or an analysis has left there of an earlier run (``OUTPUTS``) goes.
+        Removes the files that a report or an analysis of an earlier run left there (``OUTPUTS``).
 
         Raises:
           RecordError: the directory cannot be written.
@@ -180,7 +178,7 @@ class RunRecord:
         dataset, digest = _read_dataset(path, fields["scenario"])
         if identifier != digest:
             raise RecordError(
-                f"{path}: is not the record that {MANIFEST_FILE} goes with, or was "
+                f"{path}: is not the record that {MANIFEST_FILE} belongs to, or was "
                 "changed; run it again"
             )
         _check_metrics(directory / METRICS_FILE, digest)
@@ -284,7 +282,7 @@ def _read_json(path: Path) -> Any:
 
 
 def _check_metrics(path: Path, digest: str) -> None:
-    """Raise RecordError when there are metrics, but of another record."""
+    """Raise RecordError if the metrics belong to another record."""
     try:
         metrics = _read_json(path)
     except FileNotFoundError:
@@ -292,12 +290,12 @@ def _check_metrics(path: Path, digest: str) -> None:
     except (OSError, ValueError, RecursionError) as error:
         raise RecordError(f"{path}: cannot be read: {one_line(error)}; run it again") from error
     if not isinstance(metrics, dict) or metrics.get(IDENTIFIER) != digest:
-        raise RecordError(f"{path}: does not go with {DATASET_FILE} beside it; run it again")
+        raise RecordError(f"{path}: does not belong to {DATASET_FILE} beside it; run it again")
 
 
 def _check_reports(directory: Path, digest: str) -> None:
-    """Warn of a report in a run's folder, or of a comparison one above it, that shows another run
-    in its place.
+    """Warn of a report in a run's folder, or of a comparison in the folder above, that shows
+    another run of this name.
     """
     for page, folder in (
         (directory / REPORT_FILE, ""),

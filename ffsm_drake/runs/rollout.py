@@ -36,8 +36,8 @@ from ffsm_drake.systems.part import (
 )
 from ffsm_drake.systems.registry import Factory, is_shipped
 
-# A logger sees the state before the update of its instant. So at t_k these still show sample k - 1
-# ...
+# A logger sees the state before the update of its instant: at t_k these signals are those of
+# sample k - 1.
 _HELD = (
     "measurement",
     "generalized_force",
@@ -45,22 +45,21 @@ _HELD = (
     "sliding_variable",
     SMALLEST,
 )
-# Besides the payload's true mass properties, what can change without a new build.
+# Fields that can change without a new build, like the payload's true mass properties.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Leg:
-    """The part of a run that a rollout makes: the control samples between which it lies, and what
-    happens at its ends.
+    """Part of a run, from control sample ``first`` to ``last``, with callbacks at its ends.
 
-    The update of the last sample belongs to the leg that follows; without ``last`` the run ends as
-    ever.
+    The update of sample ``last`` belongs to the next leg; without ``last`` the leg runs to the
+    scenario's end.
     """
 
     first: int = 0
     last: int | None = None
-    # with the loop, initialized, and its context
+    # called with the initialized loop and its context
     begin: Callable[[ClosedLoop, Context], None] | None = None
     end: Callable[[ClosedLoop, Context], None] | None = None
 
@@ -80,9 +79,13 @@ class Rollout:
         meshcat: Meshcat | None = None,
         target: np.ndarray | None = None,
     ) -> None:
-        """Args: what to build; factories in place of its blocks, see ``add_closed_loop``; where to
-        show the motion, and how the target moves on its own there: its pose (n, 7; quaternion,
-        position) at the control samples.
+        """Build the closed loop.
+
+        Args:
+          scenario: the scenario to build.
+          blocks: factories that replace its blocks, see ``add_closed_loop``.
+          meshcat: shows the motion.
+          target: pose of a free target to show (n, 7; quaternion, position) at the control samples.
         """
         start = time.perf_counter()
         builder = DiagramBuilder()
@@ -120,11 +123,10 @@ class Rollout:
         untie(self.loop.diagram)
 
     def accepts(self, scenario: Scenario) -> bool:
-        """Whether ``run`` takes the scenario: it differs from the built one only in what a context
-        can change.
+        """True if ``run`` takes the scenario without a new build.
 
-        That is the description, the seed, the duration, the divergence speed, the initial velocity
-        and the payload's true mass properties.
+        It may differ in description, seed, duration, divergence speed, initial velocity and the
+        payload's true mass properties.
         """
         return _built_from(scenario) == self._built_for
 
@@ -143,7 +145,7 @@ class Rollout:
         Args:
           scenario: what to run; None for the built one.
           progress: called with (simulated time, duration) in s, once per simulated second.
-          leg: the part of the run to make; None for all of it.
+          leg: the part of the run; None for all of it.
 
         Raises:
           ScenarioError: the scenario needs another build.
@@ -189,8 +191,8 @@ class Rollout:
         )
 
     def check(self) -> None:
-        """Set a run up and evaluate it at its start, without a step. Raises what ``run`` would
-        raise by then.
+        """Initialize a run and evaluate its derivatives, without a step; errors as ``run`` raises
+        them at its start.
         """
         loop = self.loop
         context = loop.diagram.CreateDefaultContext()
@@ -298,7 +300,7 @@ def _outcome(monitor: Monitor, time: float, *, interrupted: bool) -> Outcome:
 
 
 def _show_apart(builder: DiagramBuilder, loop: ClosedLoop, target: np.ndarray) -> None:
-    """Show the spacecraft as it moves and the target (n, 7) on its own."""
+    """Show the spacecraft and a free target, whose poses are given (n, 7)."""
     scenario, plant = loop.scenario, loop.plant
     poses = add_pictures_apart(builder, scenario.model, scenario.payload.body)
     parts = builder.AddNamedSystem(
@@ -352,7 +354,7 @@ def _add_logger(
 
 
 def _raise_for(error: BaseException, suspects: Sequence[str], time: float) -> NoReturn:
-    """Name the user-supplied block that failed, or what Drake refused to go on with."""
+    """Raise an error that names the user-supplied block, or Drake's reason for stopping."""
     if not suspects:
         if type(error) is not RuntimeError:  # C++'s
             raise error
@@ -371,8 +373,8 @@ def _raise_for(error: BaseException, suspects: Sequence[str], time: float) -> No
 
 
 def _built_from(scenario: Scenario) -> dict[str, Any]:
-    """The part of a scenario that goes into the build, as plain data; the rest is set in a run's
-    context.
+    """The part of a scenario that the build depends on, as plain data; a run's context holds the
+    rest.
     """
     neutral = Scenario()
     return scenario_to_dict(

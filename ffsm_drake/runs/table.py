@@ -62,9 +62,7 @@ class Column(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Table:
-    """What of an ``xarray.Dataset`` a run's metrics are computed from; names and meaning as
-    there.
-    """
+    """The part of ``xarray.Dataset`` that metrics need, with the same names and meanings."""
 
     variables: Mapping[str, Column] = dataclasses.field(default_factory=dict)
     coords: Mapping[str, Column] = dataclasses.field(default_factory=dict)
@@ -110,7 +108,7 @@ class Table:
         )
 
     def to_dataset(self) -> "xr.Dataset":
-        """The same as xarray has it."""
+        """The table as an xarray Dataset."""
         import xarray as xr
 
         return xr.Dataset(self.variables, coords=self.coords, attrs=self.attrs)

@@ -1,10 +1,11 @@
-"""What counts of a run: the errors of what its controller tracks, and the pose error of a frame."""
+"""Tracked errors of a run, and the pose error of a frame."""
 
 import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pydrake.multibody.tree import Frame
 
 from ffsm_drake.runs.table import driven_of
 from ffsm_drake.scenario import Scenario
@@ -26,9 +27,7 @@ _FRAME_GROUPS = ("base_rotation",) * 3 + ("base_position",) * 3  # whose toleran
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Tracked:
-    """The errors (n, k) that count, rad and m; of each its name, the group whose tolerance it has,
-    and its unit.
-    """
+    """Tracked errors (n, k), rad and m, with name, unit, and the group whose tolerance applies."""
 
     error: np.ndarray
     names: tuple[str, ...]
@@ -37,8 +36,8 @@ class Tracked:
 
 
 def frame_rows(scenario: Scenario) -> np.ndarray:
-    """Which of FRAME_COORDINATES (6) are prescribed; of a frame that follows the plan of the
-    coordinates, all.
+    """Mask of the prescribed FRAME_COORDINATES (6); all for a frame that follows the coordinates'
+    plan.
     """
     goal, rows = scenario.reference.frame, np.zeros(6, dtype=bool)
     rows[TASK_ROWS["pose" if goal is None or goal.task == "none" else goal.task]] = True
@@ -57,22 +56,25 @@ def frame_error(
     finite.
 
     Args:
-      scenario: whose frame it is.
+      scenario: gives the frame.
       model: the true plant, flexible parts included.
       q: its configurations (n, nq).
-      q_d: planned ones (n, nq), by which the frame is judged where there is nothing else.
+      q_d: planned configurations (n, nq), which give the reference without a path.
       desired: rows of FramePath (n, 19); None: no path is prescribed.
     """
     frame = goal_frame(scenario, model.plant)
+    reference = frame_poses(model, q_d, frame) if desired is None else desired[:, :7]
+    return position_errors(reference, frame_poses(model, q, frame))
 
-    def poses(positions: np.ndarray) -> np.ndarray:
-        result = np.full((len(positions), 7), np.nan)
-        finite = np.isfinite(positions).all(axis=1)
-        if finite.any():
-            result[finite] = model.calc_frame_pose(positions[finite], frame)
-        return result
 
-    return position_errors(poses(q_d) if desired is None else desired[:, :7], poses(q))
+def frame_poses(model: PlantModel, q: np.ndarray, frame: Frame) -> np.ndarray:
+    """Poses (n, 7; quaternion, position) of a frame in configurations q (n, nq); NaN where q is not
+    finite.
+    """
+    result, finite = np.full((len(q), 7), np.nan), np.isfinite(q).all(axis=1)
+    if finite.any():
+        result[finite] = model.calc_frame_pose(q[finite], frame)
+    return result
 
 
 def tracked(
@@ -85,15 +87,14 @@ def tracked(
     frame: np.ndarray | None,
     rows: np.ndarray,
 ) -> Tracked:
-    """What counts: the driven coordinates; where a frame is tracked, in the place of the joints,
-    the frame.
+    """Tracked errors: driven coordinates; a tracked frame replaces the joints.
 
     Args:
       error: e of all coordinates (n, nv).
       names, groups, units: of each.
       driven: which are driven (nv).
       frame: the frame's pose error (n, 6); None: there is none.
-      rows: which of its entries the controller is after (6); none where it tracks coordinates.
+      rows: mask of its tracked entries (6); none where the controller tracks coordinates.
     """
     counted = driven.copy()
     if frame is None or not rows.any():
@@ -115,7 +116,7 @@ def tracked(
 
 
 def tracked_of(dataset: "Labelled") -> Tracked:
-    """What counts of a recorded run."""
+    """Tracked errors of a recorded run."""
     has_frame = "frame_error" in dataset
     names, groups, units = (
         tuple(map(str, dataset[name].values)) for name in ("coordinate", "group", "unit")
@@ -135,7 +136,7 @@ def frame_metrics(error: np.ndarray, rows: np.ndarray) -> dict[str, dict[str, fl
     """``largest`` and ``final`` size of a frame's pose error (n, 6): ``rotation`` (angle, rad),
     ``position`` (m).
 
-    Of what is prescribed, which ``rows`` (6) says.
+    Only of the prescribed entries, ``rows`` (6).
     """
     parts = {"rotation": slice(0, 3), "position": slice(3, 6)}
     return largest_and_final(

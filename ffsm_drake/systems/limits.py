@@ -23,19 +23,17 @@ _DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1)[:, None]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BaseLimits:
-    """The largest torque (N m) and force (N) that a base's actuators give alone; infinite where
-    they are ideal.
+    """The largest torque (N m) and force (N) of a base's actuators, each alone, in directions to
+    the faces, edges and corners of a cube; infinite where they are ideal.
     """
 
-    torque: float  # in any direction
-    most_torque: float  # in the best
-    force: float
-    most_force: float
-    named: str  # what gives it beside actuation.limit, in words
+    torque: np.ndarray  # by direction (n)
+    force: np.ndarray
+    named: str  # the actuators, in words that follow actuation.limit
 
 
 def base_limits(scenario: Scenario) -> BaseLimits:
-    """What the actuators of a scenario give; ScenarioError as for ``make_actuation``."""
+    """The limits of a scenario's base actuators; ScenarioError as for ``make_actuation``."""
     torque = force = np.full(len(_DIRECTIONS), np.inf)
     names = []
     for part in _actuators(scenario):
@@ -43,13 +41,8 @@ def base_limits(scenario: Scenario) -> BaseLimits:
         if most is not None:  # the torque of the last one counts
             torque, force = most.get("torque", torque), most.get("force", force)
             names.append(part.title.lower())
-    return BaseLimits(
-        torque=float(torque.min()),
-        most_torque=float(torque.max()),
-        force=float(force.min()),
-        most_force=float(force.max()),
-        named=f" or what {' and '.join(names)} give" if names else "",
-    )
+    named = f" or what {' and '.join(names)} give" if names else ""
+    return BaseLimits(torque=torque, force=force, named=named)
 
 
 def limits_of(
@@ -82,7 +75,7 @@ def actuation_limit(scenario: Scenario, coordinates: Coordinates) -> Limit:
     """
     key, base = "actuation.limit", base_limits(scenario)
     force = coordinates.vector(scenario.actuation.limit or {}, key=key, default=np.inf)
-    force[:6] = np.minimum(force[:6], np.repeat([base.torque, base.force], 3))
+    force[:6] = np.minimum(force[:6], np.repeat([base.torque.min(), base.force.min()], 3))
     return Limit.of_coordinates(FORCE, key + base.named, coordinates, force)
 
 

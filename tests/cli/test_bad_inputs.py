@@ -398,7 +398,7 @@ TABLE = [
     dataset(
         "other-record",
         lambda data: data.assign(error=2.0 * data["error"]),
-        "run/record.nc: is not the record that manifest.json goes with, or was changed",
+        "run/record.nc: is not the record that manifest.json belongs to, or was changed",
     ),
     dataset(
         "zero-samples",

@@ -259,16 +259,17 @@ class _Run:
 def _can_give(scenario: Scenario) -> Iterator[str]:
     """What the base's actuators give, a phrase each."""
 
-    def span(least: float, most: float) -> str:
+    def span(given: np.ndarray) -> str:
+        least, most = given.min(), given.max()
         return f"{least:.2g}" if most < 1.01 * least else f"{least:.2g} to {most:.2g}"
 
     limits, settings = base_limits(scenario), scenario.actuation
-    torque = f"{span(limits.torque, limits.most_torque)} N m"
+    torque = f"{span(limits.torque)} N m"
     if settings.wheels is not None:
         yield f"the wheels give {torque}, depending on the axis"
         torque = ""
     if settings.thrusters is not None:
-        given = [each for each in (torque, f"{span(limits.force, limits.most_force)} N") if each]
+        given = [each for each in (torque, f"{span(limits.force)} N") if each]
         yield f"the thrusters {' and '.join(given)}"
 
 
