@@ -44,6 +44,7 @@ from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.part import Parts
 from ffsm_drake.systems.registry import Factory
+from ffsm_drake.systems.sensing import wire_stages
 
 # Integration schemes that are stable at any step, for any friction.
 IMPLICIT_SCHEMES = ("implicit_euler", "velocity_implicit_euler", "radau1", "radau3")
@@ -324,18 +325,14 @@ def _measure(
     builder: DiagramBuilder, state: OutputPort, stages: list[System], controller: System
 ) -> OutputPort:
     """Wire the stages of sensing in a row, up to the controller; what the last one gives."""
-    measured = state
-    for stage in stages:
-        builder.Connect(measured, stage.GetInputPort("state"))
-        if stage.HasInputPort("true_state"):
-            builder.Connect(state, stage.GetInputPort("true_state"))
-        measured = stage.GetOutputPort("estimated_state")
-    builder.Connect(measured, controller.GetInputPort("estimated_state"))
-    new = "measurement_is_new"  # of the last stage that says so
-    timed = [stage for stage in stages if stage.HasOutputPort(new)]
-    if timed and controller.HasInputPort(new):
-        builder.Connect(timed[-1].GetOutputPort(new), controller.GetInputPort(new))
-    return measured
+    row = wire_stages(builder, stages)
+    for port in row.inputs:
+        builder.Connect(state, port)
+    builder.Connect(row.estimated_state, controller.GetInputPort("estimated_state"))
+    new = "measurement_is_new"
+    if row.measurement_is_new is not None and controller.HasInputPort(new):
+        builder.Connect(row.measurement_is_new, controller.GetInputPort(new))
+    return row.estimated_state
 
 
 def _actuate(

@@ -1,10 +1,13 @@
 """Sensors: from the true state to what the controller reads.
 
-Bias, white noise, noise with memory, quantisation, sampling and delay, in that order.
+Stages in a row, as user-supplied ones are: bias, white noise, noise with memory, quantisation,
+sampling with delay, in that order.
 """
 
+import dataclasses
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.common import RandomDistribution
@@ -17,15 +20,9 @@ from pydrake.systems.framework import (
     InputPort,
     LeafSystem,
     OutputPort,
+    System,
 )
-from pydrake.systems.primitives import (
-    Adder,
-    ConstantVectorSource,
-    Gain,
-    LinearSystem,
-    MatrixGain,
-    RandomSource,
-)
+from pydrake.systems.primitives import Adder, AffineSystem, Gain, LinearSystem, RandomSource
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
@@ -69,9 +66,10 @@ class Sampling(LeafSystem):
     sample p floor((k - d) / p); it is new where k - d is a multiple of p. k follows from the
     context's time: nothing counts.
 
-    Input: ``measurement`` (size).
-    Outputs: ``sampled`` (size), and ``is_new`` (size), 1 where an entry shows a measurement for the
-    first time, else 0. Discrete state, updated every control sample: for each pair (p, d) but (1,
+    Input: ``state`` (size).
+    Outputs: ``estimated_state`` (size), and, where a period is longer than a control sample,
+    ``measurement_is_new`` (size), 1 where an entry shows a measurement for the first time, else 0.
+    Discrete state, updated every control sample: for each pair (p, d) but (1,
     0), the measurements made last, newest first. The outputs are meant to be read at control
     samples, before the update.
     """
@@ -80,7 +78,7 @@ class Sampling(LeafSystem):
         """Args: of each entry, whole control samples; the control period, s."""
         super().__init__()
         self._sample_time = sample_time
-        self._input = self.DeclareVectorInputPort("measurement", period.size)
+        self._input = self.DeclareVectorInputPort("state", period.size)
         # p, d, their entries, the state's index
         self._sensors: list[tuple[int, int, np.ndarray, int]] = []
         for p, d in sorted(set(zip(period.tolist(), delay.tolist(), strict=True)) - {(1, 0)}):
@@ -90,10 +88,12 @@ class Sampling(LeafSystem):
             self._sensors.append(
                 (p, d, entries, int(self.DeclareDiscreteState(entries.size * kept)))
             )
-        self.DeclareVectorOutputPort("sampled", period.size, weak_callback(self._calc))
-        self.DeclareVectorOutputPort(
-            "is_new", period.size, weak_callback(self._calc_is_new), {self.time_ticket()}
-        )
+        self.DeclareVectorOutputPort("estimated_state", period.size, weak_callback(self._calc))
+        if (period > 1).any():
+            new = weak_callback(self._calc_is_new)
+            self.DeclareVectorOutputPort(
+                "measurement_is_new", period.size, new, {self.time_ticket()}
+            )
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
 
@@ -143,131 +143,214 @@ class Sampling(LeafSystem):
                 values.set_value(index, np.concatenate([measured[entries], kept[: -entries.size]]))
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Row:
+    """The ports of stages of sensing that are wired in a row."""
+
+    inputs: tuple[InputPort, ...]  # of the true state
+    estimated_state: OutputPort
+    measurement_is_new: OutputPort | None  # of the last stage that says so
+
+
+def wire_stages(builder: DiagramBuilder, stages: Sequence[System]) -> Row:
+    """Wire stages, which the builder holds, in a row: each reads the estimate of the one before."""
+    for before, after in itertools.pairwise(stages):
+        builder.Connect(before.GetOutputPort("estimated_state"), after.GetInputPort("state"))
+    true, new = "true_state", "measurement_is_new"
+    timed = [stage.GetOutputPort(new) for stage in stages if stage.HasOutputPort(new)]
+    others = [stage.GetInputPort(true) for stage in stages if stage.HasInputPort(true)]
+    return Row(
+        inputs=(stages[0].GetInputPort("state"), *others),
+        estimated_state=stages[-1].GetOutputPort("estimated_state"),
+        measurement_is_new=timed[-1] if timed else None,
+    )
+
+
 class Sensing(Diagram):
-    """The sensors, from ``state`` to ``estimated_state``; made by ``make_sensing``."""
+    """Stages in a row, from ``state`` to ``estimated_state``; made by ``make_sensing``."""
+
+    def __init__(self, stages: Sequence[System]) -> None:
+        super().__init__()
+        builder = DiagramBuilder()
+        for stage in stages:
+            builder.AddSystem(stage)
+        row = wire_stages(builder, stages)
+        builder.ExportInput(row.inputs[0], "state")
+        builder.ExportOutput(row.estimated_state, "estimated_state")
+        if row.measurement_is_new is not None:
+            builder.ExportOutput(row.measurement_is_new, "measurement_is_new")
+        builder.BuildInto(self)
+        self.set_name("sensing")
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """Before the start, the spacecraft was where it is now, at ``state`` [q; v]."""
-        if self.HasSubsystemNamed("sampling"):
-            sampling = self.GetSubsystemByName("sampling")
-            sampling.set_initial_state(self.GetMutableSubsystemContext(sampling, context), state)
+        for stage in self.GetSystems():
+            if hasattr(stage, "set_initial_state"):
+                stage.set_initial_state(self.GetMutableSubsystemContext(stage, context), state)
 
 
 def make_sensing(
     settings: schema.Sensing, coordinates: Coordinates, *, sample_time: float
-) -> Diagram:
+) -> Sensing:
     """A diagram from ``state`` to ``estimated_state``, both [q; v] (nq + nv).
 
     With a sensor of a longer period than the controller's there is an output ``measurement_is_new``
     (nq + nv): 1 where this control sample brings a measurement that was not there before, 0 where
     it repeats one.
 
-    White noise is one independent Gaussian sample per coordinate and control period, held in
-    between. Rotation noise of standard deviation sigma is added to the quaternion of the base as
-    sigma/2 per component: along the quaternion it changes only the norm, which no reader of the
-    state looks at; across it, it is a rotation of sigma about each axis to first order. A rotation
-    bias turns the measured attitude by a fixed rotation vector in the world frame. Correlated noise
-    is a first-order Gauss-Markov process, stationary from the start; a bias' walk starts at zero.
-
     Raises:
       ScenarioError: a value is given for an unknown coordinate, or cannot be applied to the base's
         rotation.
     """
-    groups = coordinates.groups
-    values = {
-        f"{part}_{kind}": coordinates.vector(
-            getattr(settings, f"{part}_{kind}"), key=f"sensing.{part}_{kind}", default=0.0
-        )
-        for part in ("position", "velocity")
-        for kind in ("noise", "correlated_noise", "bias", "quantization")
-    }
-    period, delay = measurement_times(settings, coordinates)
-    rotation = groups["base_rotation"]
-    for key in ("position_noise", "position_correlated_noise", "position_period", "position_delay"):
-        given = coordinates.vector(getattr(settings, key), key=f"sensing.{key}", default=0.0)
-        if len(set(given[rotation])) > 1:
+    errors = _Errors(settings, coordinates, sample_time)
+    errors.check_rotation()
+    # The white noise comes before the drift, so that its draws of a seed do not depend on it.
+    makers = (_make_bias, _make_white_noise, _make_drift, _make_quantizer, _make_sampling)
+    return Sensing([stage for make in makers if (stage := make(errors)) is not None])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Errors:
+    """The settings of the sensors, as vectors."""
+
+    settings: schema.Sensing
+    coordinates: Coordinates
+    sample_time: float
+
+    def of(self, key: str, default: float = 0.0) -> np.ndarray:
+        """A setting by coordinate (nv)."""
+        values = getattr(self.settings, key)
+        return self.coordinates.vector(values, key=f"sensing.{key}", default=default)
+
+    def pair(self, name: str, default: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Those of positions and of velocities (nv each)."""
+        return self.of(f"position_{name}", default), self.of(f"velocity_{name}", default)
+
+    def check_rotation(self) -> None:
+        """Raise ScenarioError for what cannot be applied to the base's rotation, a quaternion."""
+        rotation = self.coordinates.groups["base_rotation"]
+        for name in ("noise", "correlated_noise", "period", "delay"):
+            if len(set(self.of(f"position_{name}")[rotation])) > 1:
+                raise ScenarioError(
+                    f"sensing.position_{name}",
+                    "must be the same for the three base_rotation coordinates",
+                )
+        if self.of("position_quantization")[rotation].any():
             raise ScenarioError(
-                f"sensing.{key}", "must be the same for the three base_rotation coordinates"
+                "sensing.position_quantization",
+                "base_rotation has no scale to quantise; leave it out",
             )
-    if values["position_quantization"][rotation].any():
-        raise ScenarioError(
-            "sensing.position_quantization", "base_rotation has no scale to quantise; leave it out"
-        )
 
+
+def _of_state(position: np.ndarray, velocity: np.ndarray, *, quaternion: float = 0.0) -> np.ndarray:
+    """Values along [q; v] (nq + nv) from those of the coordinates (nv each)."""
+    return np.concatenate([np.full(4, quaternion), position[3:], velocity])
+
+
+def _deviations(position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Standard deviations along [q; v] from those of the coordinates (nv each).
+
+    Rotation noise of standard deviation sigma is added to the quaternion of the base as sigma/2 per
+    component: along the quaternion it changes only the norm, which no reader of the state looks at;
+    across it, it is a rotation of sigma about each axis to first order.
+    """
+    return _of_state(position, velocity, quaternion=0.5 * position[0])
+
+
+def _build_stage(
+    name: str, builder: DiagramBuilder, before: InputPort, after: OutputPort
+) -> Diagram:
+    """The diagram of a stage, whose state goes in and comes out at two ports."""
+    builder.ExportInput(before, "state")
+    builder.ExportOutput(after, "estimated_state")
+    stage = builder.Build()
+    stage.set_name(name)
+    return stage
+
+
+def _make_stage(name: str, system: System) -> Diagram:
+    """A system with one input and one output as a stage."""
     builder = DiagramBuilder()
-    size = 2 * len(coordinates.names) + 1
-    # The stages in their order; each has one input from the stage before, or from outside.
-    stages: list[tuple[InputPort, OutputPort]] = []
+    builder.AddNamedSystem(f"{name}_of_state", system)
+    return _build_stage(name, builder, system.get_input_port(), system.get_output_port())
 
-    def add_sum(name: str, other: OutputPort) -> None:
-        total = builder.AddNamedSystem(name, Adder(2, size))
-        builder.Connect(other, total.get_input_port(1))
-        stages.append((total.get_input_port(0), total.get_output_port()))
 
-    def add(name: str, system: LeafSystem) -> None:
-        builder.AddNamedSystem(name, system)
-        stages.append((system.get_input_port(), system.get_output_port()))
+def _make_noise(name: str, shaped_by: System, errors: _Errors) -> Diagram:
+    """A stage that adds Gaussian noise: independent samples of deviation 1, one for each control
+    period and input of the system that shapes it.
+    """
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("shaped", shaped_by)
+    size = shaped_by.get_input_port().size()
+    source = RandomSource(RandomDistribution.kGaussian, size, errors.sample_time)
+    builder.AddNamedSystem("samples", source)
+    noisy = builder.AddNamedSystem("noisy", Adder(2, shaped_by.get_output_port().size()))
+    builder.Connect(source.get_output_port(), shaped_by.get_input_port())
+    builder.Connect(shaped_by.get_output_port(), noisy.get_input_port(1))
+    return _build_stage(name, builder, noisy.get_input_port(0), noisy.get_output_port())
 
-    if values["position_bias"][rotation].any():
-        add("attitude_bias", MatrixGain(_rotate_attitude(values["position_bias"][rotation], size)))
-    bias = np.concatenate([np.zeros(4), values["position_bias"][3:], values["velocity_bias"]])
-    if bias.any():
-        add_sum(
-            "biased", builder.AddNamedSystem("bias", ConstantVectorSource(bias)).get_output_port()
-        )
-    sigma = _deviations(values["position_noise"], values["velocity_noise"])
-    white = builder.AddNamedSystem(
-        "white", RandomSource(RandomDistribution.kGaussian, size, sample_time)
+
+def _make_bias(errors: _Errors) -> Diagram | None:
+    """Constant errors; that of the attitude turns it by a rotation vector in the world frame."""
+    position, velocity = errors.pair("bias")
+    if not (position.any() or velocity.any()):
+        return None
+    bias = _of_state(position, velocity)
+    turned = np.eye(bias.size)
+    rotation = position[errors.coordinates.groups["base_rotation"]]
+    if rotation.any():
+        turned[:4, :4] = turning_matrix(rotation)
+    return _make_stage("bias", AffineSystem(D=turned, y0=bias))
+
+
+def _make_white_noise(errors: _Errors) -> Diagram:
+    """One independent Gaussian sample per coordinate and control period, held in between."""
+    return _make_noise("white_noise", Gain(_deviations(*errors.pair("noise"))), errors)
+
+
+def _make_drift(errors: _Errors) -> Diagram | None:
+    """Random walks of the velocities' bias, from zero, and correlated noise: first-order
+    Gauss-Markov processes, stationary from the start.
+    """
+    of_velocity = errors.of("velocity_bias_walk")
+    walk = _of_state(np.zeros_like(of_velocity), of_velocity)
+    correlated = _deviations(*errors.pair("correlated_noise"))
+    constant = errors.of("correlation_time", 1.0)
+    time_constant = _of_state(constant, constant, quaternion=constant[0])
+    walks, noises = np.flatnonzero(walk), np.flatnonzero(correlated)
+    if not walks.size + noises.size:
+        return None
+    period = errors.sample_time
+    kept = np.exp(-period / time_constant[noises])  # of the deviation after one sample
+    sigma = np.concatenate([np.zeros(walks.size), correlated[noises]])
+    gain = [math.sqrt(period) * walk[walks], correlated[noises] * np.sqrt(1.0 - kept**2)]
+    shown = np.eye(walk.size)[:, np.concatenate([walks, noises])]
+    drift = LinearSystem(
+        A=np.diag(np.concatenate([np.ones(walks.size), kept])),
+        B=np.diag(np.concatenate(gain)),
+        C=shown,
+        D=np.zeros_like(shown),
+        time_period=period,
     )
-    scale = builder.AddNamedSystem("standard_deviation", Gain(sigma))
-    builder.Connect(white.get_output_port(), scale.get_input_port())
-    add_sum("noisy", scale.get_output_port())
-    walk = coordinates.vector(
-        settings.velocity_bias_walk, key="sensing.velocity_bias_walk", default=0.0
-    )
-    time_constant = coordinates.vector(
-        settings.correlation_time, key="sensing.correlation_time", default=1.0
-    )
-    drift = _make_drift(
-        walk=np.concatenate([np.zeros(size - walk.size), walk]),
-        correlated=_deviations(
-            values["position_correlated_noise"], values["velocity_correlated_noise"]
-        ),
-        time_constant=np.concatenate(
-            [np.full(4, time_constant[0]), time_constant[3:], time_constant]
-        ),
-        sample_time=sample_time,
-    )
-    if drift.num_inputs() > 0:
-        # After the white noise, whose draws of a seed so stay what they are.
-        builder.AddNamedSystem("drift", drift)
-        source = RandomSource(RandomDistribution.kGaussian, drift.num_inputs(), sample_time)
-        builder.Connect(
-            builder.AddNamedSystem("drift_noise", source).get_output_port(), drift.get_input_port()
-        )
-        add_sum("drifting", drift.get_output_port())
-    resolution = np.concatenate(
-        [np.zeros(4), values["position_quantization"][3:], values["velocity_quantization"]]
-    )
-    if resolution.any():
-        add("quantizer", Quantizer(resolution))
-    if (period > 1).any() or delay.any():
-        # the quaternion has four
-        period, delay = (np.concatenate([of[:1], of]) for of in (period, delay))
-        sampling = Sampling(period, delay, sample_time=sample_time)
-        builder.AddNamedSystem("sampling", sampling)
-        stages.append((sampling.get_input_port(), sampling.GetOutputPort("sampled")))
-        if (period > 1).any():
-            builder.ExportOutput(sampling.GetOutputPort("is_new"), "measurement_is_new")
-    builder.ExportInput(stages[0][0], "state")
-    for before, after in itertools.pairwise(stages):
-        builder.Connect(before[1], after[0])
-    signal = stages[-1][1]
-    builder.ExportOutput(signal, "estimated_state")
-    diagram = Sensing()
-    builder.BuildInto(diagram)
-    diagram.set_name("sensing")
-    return diagram
+    drift.configure_random_state(np.diag(sigma**2))
+    return _make_noise("drift", drift, errors)
+
+
+def _make_quantizer(errors: _Errors) -> Diagram | None:
+    """Rounding of all but the base's rotation."""
+    resolution = _of_state(*errors.pair("quantization"))
+    return _make_stage("quantizer", Quantizer(resolution)) if resolution.any() else None
+
+
+def _make_sampling(errors: _Errors) -> Sampling | None:
+    """Longer periods and delays."""
+    times = measurement_times(errors.settings, errors.coordinates)
+    period, delay = (np.concatenate([of[:1], of]) for of in times)  # the quaternion has four
+    if not ((period > 1).any() or delay.any()):
+        return None
+    sampling = Sampling(period, delay, sample_time=errors.sample_time)
+    sampling.set_name("sampling")
+    return sampling
 
 
 def measurement_times(
@@ -278,54 +361,9 @@ def measurement_times(
 
     Raises ScenarioError for an unknown coordinate.
     """
-
-    def of(name: str, default: float) -> np.ndarray:
-        both = [
-            coordinates.vector(
-                getattr(settings, f"{part}_{name}"), key=f"sensing.{part}_{name}", default=default
-            )
-            for part in ("position", "velocity")
-        ]
-        return np.concatenate(both).astype(int)
-
-    return of("period", 1.0), settings.delay + of("delay", 0.0)
-
-
-def _deviations(position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Standard deviations of [q; v] (nq + nv) from those of the coordinates (nv each); see
-    make_sensing.
-    """
-    return np.concatenate([np.full(4, 0.5 * position[0]), position[3:], velocity])
-
-
-def _make_drift(
-    *, walk: np.ndarray, correlated: np.ndarray, time_constant: np.ndarray, sample_time: float
-) -> LinearSystem:
-    """Random walks and first-order Gauss-Markov processes, added to a vector (size), from unit
-    white noise.
-
-    Its input has one entry for each of those that are not zero: first the walks.
-    """
-    walks, noises = np.flatnonzero(walk), np.flatnonzero(correlated)
-    kept = np.exp(-sample_time / time_constant[noises])  # of the deviation after one sample
-    sigma = np.concatenate([np.zeros(walks.size), correlated[noises]])
-    gain = [math.sqrt(sample_time) * walk[walks], correlated[noises] * np.sqrt(1.0 - kept**2)]
-    shown = np.eye(walk.size)[:, np.concatenate([walks, noises])]
-    system = LinearSystem(
-        A=np.diag(np.concatenate([np.ones(walks.size), kept])),
-        B=np.diag(np.concatenate(gain)),
-        C=shown,
-        D=np.zeros_like(shown),
-        time_period=sample_time,
+    errors = _Errors(settings, coordinates, 0.0)
+    period, delay = (
+        np.concatenate(errors.pair(name, default)).astype(int)
+        for name, default in (("period", 1.0), ("delay", 0.0))
     )
-    system.configure_random_state(np.diag(sigma**2))
-    return system
-
-
-def _rotate_attitude(rotation_vector: np.ndarray, size: int) -> np.ndarray:
-    """The matrix (size, size) that turns the quaternion of [q; v] by a world-frame rotation
-    vector.
-    """
-    matrix = np.eye(size)
-    matrix[:4, :4] = turning_matrix(rotation_vector)
-    return matrix
+    return period, settings.delay + delay
