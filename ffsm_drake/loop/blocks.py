@@ -11,7 +11,7 @@ true payload's ``MassProperties`` before that and whenever they change.
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pydrake.systems.framework import System
@@ -25,8 +25,8 @@ from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.actuation import SECTIONS, make_actuation
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST, make_controller
 from ffsm_drake.systems.deflections import Deflections
-from ffsm_drake.systems.disturbance import make_disturbance
-from ffsm_drake.systems.environment import EnvironmentForce
+from ffsm_drake.systems.disturbance import HarmonicDisturbance
+from ffsm_drake.systems.environment import OrbitalEnvironment
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.part import Part, PlacedPart, place_part
 from ffsm_drake.systems.reference import make_reference
@@ -97,13 +97,15 @@ BLOCKS: dict[str, Ports] = {
         },
     ),
 }
-# The parts of the scenario's own sections, by block and section.
-_SECTION_PARTS: dict[str, Callable[[Scenario], Part | None]] = {
-    **{f"actuation.{name}": of for name, of in SECTIONS.items()},
-    "flexible": Deflections.of,
+DISTURBANCE = "forces.disturbance"
+# The parts of the scenario's own sections: forces, and what acts within another block.
+_SECTION_PARTS: dict[str, type[Part]] = {
+    **{f"actuation.{name}": kind for name, kind in SECTIONS.items()},
+    "flexible": Deflections,
+    DISTURBANCE: HarmonicDisturbance,
+    "forces.environment": OrbitalEnvironment,
 }
-DISTURBANCE, ENVIRONMENT = "forces.disturbance", "forces.environment"
-# Factories for the scenario's own sections; None for an ideal actuator.
+# Factories for the blocks of its other sections; None for an ideal actuator.
 _SECTIONS: dict[str, Factory] = {
     "reference": lambda setup: make_reference(setup.scenario, setup.coordinates),
     "sensing": lambda setup: make_sensing(
@@ -112,11 +114,7 @@ _SECTIONS: dict[str, Factory] = {
     "actuation": lambda setup: make_actuation(
         setup.scenario.actuation, setup.coordinates, sample_time=setup.sample_time
     ),
-    DISTURBANCE: lambda setup: make_disturbance(setup.scenario.disturbance, setup.coordinates),
-    ENVIRONMENT: EnvironmentForce.from_setup,
 }
-
-
 # Blocks of which there may be several.
 _SEVERAL = ("sensing.<name>", "forces.<name>")
 # Names of systems that are part of every loop.
@@ -160,6 +158,47 @@ def make_blocks(
       BlockError: a user-supplied block cannot be loaded, built or wired.
     """
     given, choices = dict(factories or {}), block_choices(scenario)
+    _check_names(given)
+    own = section_parts(scenario, given)
+    setup = BlockSetup(
+        name="",
+        scenario=scenario,
+        nominal=nominal,
+        settings={},
+        split=split or StateSplit(),
+    )
+    blocks: dict[str, System] = {}
+    placed: dict[str, PlacedPart] = {}
+    for name in _in_order((*own, *choices, *given)):
+        factory, choice = given.get(name), choices.get(name, Block())
+        if name == "controller":
+            place = f"controller '{getattr(factory, '__name__', scenario.controller)}'"
+            blocks[name] = make_controller(scenario, nominal, factory)
+            check_ports(blocks[name], name, nominal.coordinates, place=place)
+            continue
+        place = f"blocks.{name} '{getattr(factory, '__name__', choice.system)}'"
+        alone = name.rpartition(".")[2]
+        at = dataclasses.replace(setup, name=alone, settings=choice.settings)
+        factory = factory_of(name, scenario, factory)
+        made = call_factory(factory, at, place=place)
+        if made is None and name not in choices and name not in given:
+            continue  # an ideal actuator
+        check_ports(made, kind_of(name), nominal.coordinates, place=place)
+        made.set_name(alone if alone not in _TAKEN else name.replace(".", "_"))
+        if isinstance(factory, Part) and name not in own:
+            placed[name] = place_part(factory, at, made, name=name, block=name)
+        blocks[name] = made
+    shipped = {}
+    for name, part in own.items():
+        block, at = name if name in blocks else kind_of(name), dataclasses.replace(setup, name=name)
+        found = place_part(part, at, blocks.get(block), name=name, block=block)
+        if found.signals:
+            shipped[name] = found
+    return blocks, shipped | placed
+
+
+def _check_names(given: Iterable[str]) -> None:
+    """Raise ScenarioError for a name that is no block's."""
     for name in given:
         valid = [*(block for block in BLOCKS if block != "forces"), *_SEVERAL]
         several = f"{kind_of(name)}.<name>" in _SEVERAL and name.partition(".")[2].isidentifier()
@@ -168,53 +207,26 @@ def make_blocks(
                 f"blocks.{name}",
                 f"is not a block; choose {', '.join(valid)}{did_you_mean(name, valid)}",
             )
-    everything = (*_own_forces(scenario), *choices, *given)
+
+
+def _in_order(names: Iterable[str]) -> tuple[str, ...]:
+    """The blocks of a loop, with the stages and forces among some names."""
     stages, forces = (
-        dict.fromkeys(name for name in everything if name.startswith(f"{kind}."))
+        dict.fromkeys(name for name in names if name.startswith(f"{kind}."))
         for kind in ("sensing", "forces")
     )
-    blocks: dict[str, System] = {}
-    placed: dict[str, PlacedPart] = {}
-    for name in ("reference", "sensing", *stages, "controller", "actuation", *forces):
-        factory, choice = given.get(name), choices.get(name, Block())
-        if name == "controller":
-            place = f"controller '{getattr(factory, '__name__', scenario.controller)}'"
-            made = make_controller(scenario, nominal, factory)
-        else:
-            place = f"blocks.{name} '{getattr(factory, '__name__', choice.system)}'"
-            part = part_of(name, scenario, factory)
-            own = BlockSetup(
-                name=name.rpartition(".")[2],
-                scenario=scenario,
-                nominal=nominal,
-                settings=choice.settings,
-                split=split or StateSplit(),
-            )
-            made = call_factory(part or factory or block_factory(name, scenario), own, place=place)
-            if made is None and name not in choices and name not in given:
-                continue  # an ideal actuator
-        check_ports(made, kind_of(name), nominal.coordinates, place=place)
-        if name != "controller":  # whose name is its own
-            made.set_name(own.name if own.name not in _TAKEN else name.replace(".", "_"))
-            if part is not None:
-                placed[name] = place_part(part, own, made, name=name, block=name)
-        blocks[name] = made
-    shipped = {}
-    for name, part in section_parts(scenario, given).items():
-        block, setup = kind_of(name), dataclasses.replace(own, name=name, settings={})
-        shipped[name] = place_part(part, setup, blocks.get(block), name=name, block=block)
-    return blocks, shipped | placed
+    return ("reference", "sensing", *stages, "controller", "actuation", *forces)
 
 
-def section_parts(scenario: Scenario, given: Container[str] = ()) -> dict[str, Part]:
+def section_parts(scenario: Scenario, given: Iterable[str] = ()) -> dict[str, Part]:
     """The parts of the scenario's own sections, by block and section; none of a block that is
     filled otherwise, as those ``given`` are.
     """
-    choices = block_choices(scenario)
+    filled = {*block_choices(scenario), *given}
     found = {
-        name: of(scenario)
-        for name, of in _SECTION_PARTS.items()
-        if kind_of(name) not in choices and kind_of(name) not in given
+        name: kind.of(scenario)
+        for name, kind in _SECTION_PARTS.items()
+        if not filled & {name, kind_of(name)}
     }
     return {name: part for name, part in found.items() if part is not None}
 
@@ -224,97 +236,73 @@ def is_rehearsed(scenario: Scenario) -> bool:
     return any(part.rehearsed for part in section_parts(scenario).values())
 
 
-def part_of(name: str, scenario: Scenario, given: Any = None) -> Part | None:
-    """The part that fills a block, with its settings; None if it is filled by something else.
+def factory_of(name: str, scenario: Scenario, given: Any = None) -> Factory:
+    """What fills a block except the controller: a part with its settings, or another factory.
 
     Args:
       name: block name.
-      scenario: names the part.
+      scenario: names it, or has a section for it.
       given: a factory or part that replaces the scenario's choice.
 
     Raises:
-      ScenarioError: a setting is unknown, or its value is not allowed.
+      ScenarioError: an unknown name; a setting is unknown, or its value is not allowed.
       BlockError: the block's system cannot be loaded.
     """
-    choice, key = block_choices(scenario).get(name), f"blocks.{name}.settings"
+    choice, key = block_choices(scenario).get(name), f"blocks.{name}"
+    if given is None and choice is None:
+        return section_parts(scenario).get(name) or _SECTIONS[name]
     if given is None and choice is not None:
-        given = block_factory(name, scenario)
+        path = scenario.python_path
+        given = find_factory(kind_of(name), choice.system, key=key, python_path=path)
     kind = given if isinstance(given, type) else type(given)
     if not issubclass(kind, Part):
-        return None
+        found: Factory = given
+        return found
     try:
         if given is kind:
-            given = build_settings(kind, {} if choice is None else choice.settings, key)
-        require_valid(given, key, scenario)
+            settings = {} if choice is None else choice.settings
+            given = build_settings(kind, settings, f"{key}.settings")
+        require_valid(given, f"{key}.settings", scenario)
     except FfsmError:
         raise
     except Exception as error:  # a user's class may raise anything
         raise BlockError(
-            f"blocks.{name} '{kind.__name__}' cannot be built: {type(error).__name__}: "
-            f"{one_line(error)}"
+            f"{key} '{kind.__name__}' cannot be built: {type(error).__name__}: {one_line(error)}"
         ) from error
     part: Part = given
     return part
 
 
 def parts_of(scenario: Scenario, given: Mapping[str, Any] | None = None) -> dict[str, Part]:
-    """The parts of a scenario by block; arguments and errors as for ``part_of``."""
+    """The parts that fill a scenario's blocks in place of its own sections, by block; arguments and
+    errors as for ``factory_of``.
+    """
     given = given or {}
     found = {
-        name: part_of(name, scenario, given.get(name))
+        name: factory_of(name, scenario, given.get(name))
         for name in dict.fromkeys((*block_choices(scenario), *given))
         if name != "controller"
     }
-    return {name: part for name, part in found.items() if part is not None}
-
-
-def _check_initialized(system: System, *, place: str) -> None:
-    """Raise BlockError for a system whose __init__ did not call Drake's."""
-    try:
-        system.get_name()
-    except TypeError:
-        cause = "TypeError: its __init__ must call super().__init__() first"
-        raise BlockError(f"{place} cannot be built: {cause}") from None
-
-
-def _own_forces(scenario: Scenario) -> tuple[str, ...]:
-    """The forces that the scenario's own sections describe."""
-    return (DISTURBANCE,) if scenario.environment is None else (DISTURBANCE, ENVIRONMENT)
-
-
-def block_factory(name: str, scenario: Scenario) -> Factory:
-    """Factory of a block except the controller: from ``blocks``, else the scenario's section.
-
-    Raises ScenarioError and BlockError as ``make_blocks`` does.
-    """
-    choice = block_choices(scenario).get(name)
-    if choice is None:
-        return _SECTIONS[name]
-    return find_factory(
-        kind_of(name), choice.system, key=f"blocks.{name}", python_path=scenario.python_path
-    )
+    return {name: part for name, part in found.items() if isinstance(part, Part)}
 
 
 def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
     """Origin of each block: ``system``, with ``file`` and ``sha256`` if it comes from a file."""
-    names = {name: f"scenario: {name}" for name in ("reference", "sensing", "actuation")}
+    forces = [name for name in section_parts(scenario) if kind_of(name) == "forces"]
+    sections = ("reference", "sensing", "actuation", *forces)
+    names = {name: f"scenario: {name.rpartition('.')[2]}" for name in sections}
     names |= {"controller": scenario.controller}
-    names |= {name: f"scenario: {name.partition('.')[2]}" for name in _own_forces(scenario)}
     names |= {name: choice.system for name, choice in block_choices(scenario).items()}
     sources = {}
     for name, system in names.items():
         sources[name], file = {"system": system}, module_file(system)
+        if system == "scenario: reference" and scenario.reference.kind == "optimal":
+            file = resolve_package(scenario.reference.plan or "")
         if file is not None:
             sources[name] |= {
                 "file": str(file),
                 "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
             }
-    if scenario.reference.kind == "optimal" and scenario.blocks.reference is None:
-        file = resolve_package(scenario.reference.plan or "")
-        sources["reference"] |= {
-            "file": str(file),
-            "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
-        }
     return sources
 
 
@@ -331,7 +319,11 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
     if not isinstance(system, System):
         wanted = "a control law or a Drake system" if block == "controller" else "a Drake system"
         raise BlockError(f"{place} must be {wanted}, not {type(system).__name__}")
-    _check_initialized(system, place=place)
+    try:
+        system.get_name()
+    except TypeError:
+        cause = "TypeError: its __init__ must call super().__init__() first"
+        raise BlockError(f"{place} cannot be built: {cause}") from None
     size = {
         STATE: 2 * len(coordinates.names) + 1,
         VELOCITY: len(coordinates.names),

@@ -11,13 +11,13 @@
 """
 
 import dataclasses
-from collections.abc import Container, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
+from pydrake.systems.framework import Context, DiagramBuilder, InputPort, OutputPort, System
 from pydrake.systems.primitives import (
     Adder,
     Gain,
@@ -27,11 +27,11 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from ffsm_drake.common.errors import BlockError, ScenarioError
-from ffsm_drake.loop.blocks import BESIDES, kind_of, make_blocks
+from ffsm_drake.common.errors import BlockError
+from ffsm_drake.loop.blocks import BESIDES, BLOCKS, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
+from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
     change_payload,
@@ -39,15 +39,12 @@ from ffsm_drake.spacecraft.nominal import (
     set_true_masses,
 )
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant, split_of
-from ffsm_drake.systems.actuation.drives import DriveSet
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.part import Parts
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.sensing import wire_stages
 
-# Integration schemes that are stable at any step, for any friction.
-IMPLICIT_SCHEMES = ("implicit_euler", "velocity_implicit_euler", "radau1", "radau3")
 # Signals of every closed loop. Added to them: the OPTIONAL_OUTPUTS that the controller has, those
 # of the actuators, "hidden_state" with hidden coordinates, and "force_<name>" for each external
 # force if there are several.
@@ -101,7 +98,8 @@ class ClosedLoop:
         root.SetRandomContext(root_context, RandomGenerator(scenario.random_seed))
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         set_true_masses(self.plant, context, scenario)
-        self._check_friction(context)
+        for placed in self.parts.values():
+            placed.part.check_plant(scenario, self.model(context))
         self._tell_blocks(root_context, scenario.payload.truth)
         position = configuration(self.plant, scenario.initial_posture, key="initial_posture")
         velocity = self.coordinates.vector(
@@ -121,36 +119,6 @@ class ClosedLoop:
             coordinates=self.coordinates,
             split=self.split,
         )
-
-    def _check_friction(self, context: Context) -> None:
-        """Raise ScenarioError if a fixed step does not resolve a joint's friction near rest."""
-        scenario, config = self.scenario, self.scenario.simulator_config
-        if (
-            scenario.drives is None
-            or config.use_error_control
-            or config.integration_scheme in IMPLICIT_SCHEMES
-        ):
-            return
-        drives = DriveSet(scenario.drives, scenario.actuation.limit, self.coordinates)
-        if not drives.has_friction:
-            return
-        whole = np.arange(self.plant.num_velocities())
-        joints = self.split.known_velocities(whole)[NUM_BASE_VELOCITIES:]
-        for name, posture in scenario.postures.items():
-            q = self.split.whole_positions(configuration(self.plant, posture, key=name))
-            mobility = np.linalg.inv(self.model(context).calc_mass_matrix(q))[
-                np.ix_(joints, joints)
-            ]
-            constant, joint = drives.time_constant(mobility)
-            if config.max_step_size > constant:
-                raise ScenarioError(
-                    "simulator_config.max_step_size",
-                    f"{config.max_step_size:g} s does not resolve the friction of {joint}, which "
-                    "near rest has a time constant of "
-                    f"{constant:.2g} s ({name}): take at most {0.9 * constant:.2g} s, or "
-                    f"{1.1 * config.max_step_size / constant:.2g} times the "
-                    "actuation.drives.smoothing_rate",
-                )
 
     def set_payload(self, root_context: Context, properties: MassProperties) -> None:
         """Set the payload's true mass properties in the plant and in the blocks that use them."""
@@ -236,69 +204,24 @@ def add_closed_loop(
         configuration(plant, posture, key=name)
     for name in ("initial_velocity", "tolerance"):
         coordinates.check_names(getattr(scenario, name), key=name)
-    parts, placed = make_blocks(scenario, make_nominal_plant(scenario), blocks, split)
-    for system in parts.values():
+    blocks_by_name, parts = make_blocks(scenario, make_nominal_plant(scenario), blocks, split)
+    for system in blocks_by_name.values():
         builder.AddSystem(system)
-    controller, reference = parts["controller"], parts["reference"]
-    stages = [system for name, system in parts.items() if kind_of(name) == "sensing"]
-
-    states = {"state": (plant, "state")}
-    if split.names:
-        states = _add_states(builder, plant, split)
-    state = states["state"][0].GetOutputPort(states["state"][1])
-    measured = _measure(builder, state, stages, controller)
-    # The measurement of the controller's last sample, for the record.
-    measurement = ZeroOrderHold(scenario.sample_time, 2 * len(coordinates.names) + 1)
-    builder.AddNamedSystem("measurement", measurement)
-    builder.Connect(measured, measurement.get_input_port())
-    for name in ("desired_state", "desired_acceleration"):
-        builder.Connect(reference.GetOutputPort(name), controller.GetInputPort(name))
-    if reference.HasOutputPort("desired_frame") and controller.HasInputPort("desired_frame"):
-        builder.Connect(
-            reference.GetOutputPort("desired_frame"), controller.GetInputPort("desired_frame")
-        )
-    applied = _actuate(builder, state, controller, parts.get("actuation"), coordinates)
-
-    forces = {name: system for name, system in parts.items() if kind_of(name) == "forces"}
-    on_hidden = [system for system in forces.values() if system.HasOutputPort("hidden_force")]
-    recorded = {
-        name: (system, "next_generalized_force")
-        if system.HasOutputPort("next_generalized_force")
-        else (system, "generalized_force")
-        for name, system in forces.items()
-    }
-    besides = _besides(parts.get("actuation"))
-    acts = _add_forces(builder, plant, split, states, [applied], forces, besides, on_hidden)
-    builder.Connect(acts, plant.get_applied_generalized_force_input_port())
-
-    sources = {
-        **states,
-        "estimated_state": (stages[-1], "estimated_state"),
-        "measurement": (measurement, measurement.get_output_port().get_name()),
-        "desired_state": (reference, "desired_state"),
-        "desired_acceleration": (reference, "desired_acceleration"),
-        "generalized_force": (controller, "generalized_force"),
-        "applied_force": applied,
-        "disturbance_force": _sum(builder, "external_force", list(recorded.values())),
-    }
-    if on_hidden:
-        now = [(system, "next_hidden_force") for system in on_hidden]
-        sources["external_hidden_force"] = _sum(builder, "external_hidden_force", now)
-    if len(forces) > 1:
-        sources |= {f"force_{name.partition('.')[2]}": source for name, source in recorded.items()}
-    optional = (*OPTIONAL_OUTPUTS, SMALLEST)
-    sources |= {name: (controller, name) for name in optional if controller.HasOutputPort(name)}
-    if reference.HasOutputPort("desired_frame"):
-        sources["desired_frame"] = (reference, "desired_frame")
-    sources |= _sources_of_parts(builder, scenario, parts, placed, taken=sources)
+    wiring = _Wiring(builder, plant, coordinates, split, blocks_by_name, scenario.sample_time)
+    wiring.measure()
+    wiring.follow()
+    wiring.actuate()
+    wiring.act()
+    wiring.record_controller()
+    wiring.record_parts(parts)
     return ClosedLoop(
-        parts=placed,
+        parts=parts,
         scenario=scenario,
         plant=plant,
         coordinates=coordinates,
         split=split,
-        blocks=parts,
-        sources=sources,
+        blocks=blocks_by_name,
+        sources=wiring.sources,
     )
 
 
@@ -321,154 +244,182 @@ def build_closed_loop(builder: DiagramBuilder, loop: ClosedLoop) -> ClosedLoop:
     return dataclasses.replace(loop, diagram=diagram)
 
 
-def _measure(
-    builder: DiagramBuilder, state: OutputPort, stages: list[System], controller: System
-) -> OutputPort:
-    """Wire the stages of sensing in a row, up to the controller; what the last one gives."""
-    row = wire_stages(builder, stages)
-    for port in row.inputs:
-        builder.Connect(state, port)
-    builder.Connect(row.estimated_state, controller.GetInputPort("estimated_state"))
-    new = "measurement_is_new"
-    if row.measurement_is_new is not None and controller.HasInputPort(new):
-        builder.Connect(row.measurement_is_new, controller.GetInputPort(new))
-    return row.estimated_state
+Source = tuple[System, str]  # a system, and the name of its output port
 
 
-def _actuate(
-    builder: DiagramBuilder,
-    state: OutputPort,
-    controller: System,
-    actuation: System | None,
-    coordinates: Coordinates,
-) -> tuple[System, str]:
-    """Wire the actuators behind the controller, which hears of the force that they apply; that
-    force.
+class _Wiring:
+    """The connections between the blocks and the plant of a loop, in steps; ``sources`` are its
+    signals so far.
     """
-    applied = (controller, "generalized_force")
-    if actuation is not None:
-        commanded = controller.GetOutputPort("generalized_force")
-        builder.Connect(commanded, actuation.GetInputPort("commanded_force"))
-        if actuation.HasInputPort("state"):
-            builder.Connect(state, actuation.GetInputPort("state"))
-        applied = (actuation, "applied_force")
-    if coordinates.undriven:  # no force acts there, whatever is commanded
-        driven = Gain(coordinates.is_driven.astype(float))
-        builder.AddNamedSystem("driven_force", driven)
-        builder.Connect(applied[0].GetOutputPort(applied[1]), driven.get_input_port())
-        applied = (driven, driven.get_output_port().get_name())
-    if controller.HasInputPort("applied_force"):
-        port = applied[0].GetOutputPort(applied[1])
-        builder.Connect(port, controller.GetInputPort("applied_force"))
-    return applied
+
+    def __init__(
+        self,
+        builder: DiagramBuilder,
+        plant: MultibodyPlant,
+        coordinates: Coordinates,
+        split: StateSplit,
+        blocks: Mapping[str, System],
+        sample_time: float,
+    ) -> None:
+        self._builder, self._plant, self._sample_time = builder, plant, sample_time
+        self._coordinates, self._split, self._blocks = coordinates, split, blocks
+        self._controller, self._actuation = blocks["controller"], blocks.get("actuation")
+        self._forces = self._of_kind("forces")
+        self._states = self._add_states() if split.names else {"state": (plant, "state")}
+        self.sources: dict[str, Source] = dict(self._states)
+
+    def measure(self) -> None:
+        """The stages of sensing in a row, from the plant to the controller."""
+        stages = list(self._of_kind("sensing").values())
+        row = wire_stages(self._builder, stages)
+        for port in row.inputs:
+            self._connect("state", port)
+        self._builder.Connect(row.estimated_state, self._controller.GetInputPort("estimated_state"))
+        new = "measurement_is_new"
+        if row.measurement_is_new is not None and self._controller.HasInputPort(new):
+            self._builder.Connect(row.measurement_is_new, self._controller.GetInputPort(new))
+        self.sources["estimated_state"] = (stages[-1], "estimated_state")
+        # That of the controller's last sample, for the record.
+        self.sources["measurement"] = self._hold("estimated_state", "measurement")
+
+    def follow(self) -> None:
+        """The planned motion, from the reference to the controller."""
+        reference, ports = self._blocks["reference"], BLOCKS["reference"]
+        for name in (*ports.outputs, *ports.optional_outputs):
+            if reference.HasOutputPort(name):
+                self.sources[name] = (reference, name)
+                if self._controller.HasInputPort(name):
+                    self._connect(name, self._controller.GetInputPort(name))
+
+    def actuate(self) -> None:
+        """The actuators behind the controller, which hears of the force that they apply."""
+        controller, actuation, name = self._controller, self._actuation, "applied_force"
+        self.sources["generalized_force"] = applied = (controller, "generalized_force")
+        if actuation is not None:
+            self._connect("generalized_force", actuation.GetInputPort("commanded_force"))
+            self._give_states(actuation)
+            applied = (actuation, name)
+        if self._coordinates.undriven:  # no force acts there, whatever is commanded
+            driven = Gain(self._coordinates.is_driven.astype(float))
+            self._builder.AddNamedSystem("driven_force", driven)
+            self._builder.Connect(_port(applied), driven.get_input_port())
+            applied = (driven, driven.get_output_port().get_name())
+        self.sources[name] = applied
+        if controller.HasInputPort(name):
+            self._connect(name, controller.GetInputPort(name))
+
+    def act(self) -> None:
+        """All forces on the plant, along its own v: H q'' + C = tau + tau_d."""
+        forces, builder, name = self._forces, self._builder, "generalized_force"
+        for system in forces.values():
+            self._give_states(system)
+        total = [self.sources["applied_force"], *((system, name) for system in forces.values())]
+        if self._actuation is not None:
+            besides = filter(self._actuation.HasOutputPort, BESIDES)
+            total += [(self._actuation, each) for each in besides]
+        acts = self._sum("total_force", total)
+        on_hidden = [system for system in forces.values() if system.HasOutputPort("hidden_force")]
+        if self._split.names:
+            acts = self._on_whole_plant(acts, on_hidden)
+        builder.Connect(_port(acts), self._plant.get_applied_generalized_force_input_port())
+        now = {
+            each: (system, f"next_{name}" if system.HasOutputPort(f"next_{name}") else name)
+            for each, system in forces.items()
+        }
+        self.sources["disturbance_force"] = self._sum("external_force", list(now.values()))
+        if on_hidden:
+            hidden, ports = "external_hidden_force", "next_hidden_force"
+            self.sources[hidden] = self._sum(hidden, [(system, ports) for system in on_hidden])
+        if len(now) > 1:
+            self.sources |= {f"force_{each.partition('.')[2]}": now[each] for each in now}
+
+    def record_controller(self) -> None:
+        """What the controller gives for the record only."""
+        names = filter(self._controller.HasOutputPort, (*OPTIONAL_OUTPUTS, SMALLEST))
+        self.sources |= {name: (self._controller, name) for name in names}
+
+    def record_parts(self, parts: Parts) -> None:
+        """The signals of parts; those of sensing as they were at the controller's last sample."""
+        for name, part in parts.items():
+            for signal in part.signals:
+                if signal.name in self.sources:
+                    problem = f"signal '{signal.name}' has the name of another; rename it"
+                    raise BlockError(f"blocks.{name}: {problem}")
+                if signal.of is not None:
+                    continue
+                self.sources[signal.name] = (self._blocks[part.block], signal.name)
+                if kind_of(part.block) == "sensing":
+                    held = self._hold(signal.name, f"{signal.name}_at_samples")
+                    self.sources[signal.name] = held
+
+    def _of_kind(self, kind: str) -> dict[str, System]:
+        return {name: system for name, system in self._blocks.items() if kind_of(name) == kind}
+
+    def _connect(self, source: str, port: InputPort) -> None:
+        self._builder.Connect(_port(self.sources[source]), port)
+
+    def _give_states(self, system: System) -> None:
+        """The states that a system reads."""
+        for name in filter(system.HasInputPort, self._states):
+            self._connect(name, system.GetInputPort(name))
+
+    def _hold(self, source: str, name: str) -> Source:
+        """A signal as it was at the last control sample."""
+        port = _port(self.sources[source])
+        hold = self._builder.AddNamedSystem(name, ZeroOrderHold(self._sample_time, port.size()))
+        self._builder.Connect(port, hold.get_input_port())
+        return hold, hold.get_output_port().get_name()
+
+    def _on_whole_plant(self, acts: Source, on_hidden: list[System]) -> Source:
+        """A force on the known coordinates, and those of systems on hidden ones, as one."""
+        every = np.eye(self._plant.num_velocities())
+        terms = {"known_force": (acts, self._split.known)}
+        if on_hidden:
+            forces = [(system, "hidden_force") for system in on_hidden]
+            terms["hidden_force"] = (self._sum("total_hidden_force", forces), self._split.hidden)
+        placed = list[Source]()
+        for name, (force, entries) in terms.items():
+            gain = self._builder.AddNamedSystem(name, MatrixGain(every[:, entries]))
+            self._builder.Connect(_port(force), gain.get_input_port())
+            placed.append((gain, gain.get_output_port().get_name()))
+        return self._sum("whole_force", placed)
+
+    def _add_states(self) -> dict[str, Source]:
+        """The known and the hidden state, taken from the plant's."""
+        params = SelectorParams()
+        params.inputs = [
+            SelectorParams.InputPortParams(
+                name="whole_state", size=self._plant.num_multibody_states()
+            )
+        ]
+        params.outputs = [
+            SelectorParams.OutputPortParams(
+                name=name,
+                selections=[
+                    SelectorParams.OutputSelection(input_port_index=0, input_offset=int(i))
+                    for i in entries
+                ],
+            )
+            for name, entries in (
+                ("state", self._split.known_state),
+                ("hidden_state", self._split.hidden_state),
+            )
+        ]
+        selector = self._builder.AddNamedSystem("states", Selector(params))
+        self._builder.Connect(self._plant.get_state_output_port(), selector.get_input_port())
+        return {name: (selector, name) for name in ("state", "hidden_state")}
+
+    def _sum(self, name: str, terms: list[Source]) -> Source:
+        """The sum of ports; a single one is returned as it is."""
+        if len(terms) == 1:
+            return terms[0]
+        ports = list(map(_port, terms))
+        adder = self._builder.AddNamedSystem(name, Adder(len(terms), ports[0].size()))
+        for index, port in enumerate(ports):
+            self._builder.Connect(port, adder.get_input_port(index))
+        return adder, adder.get_output_port().get_name()
 
 
-def _besides(actuation: System | None) -> list[tuple[System, str]]:
-    """The ports of actuators that act on the plant beside the applied force."""
-    if actuation is None:
-        return []
-    return [(actuation, name) for name in BESIDES if actuation.HasOutputPort(name)]
-
-
-def _add_forces(
-    builder: DiagramBuilder,
-    plant: MultibodyPlant,
-    split: StateSplit,
-    states: Mapping[str, tuple[System, str]],
-    control: list[tuple[System, str]],
-    forces: Mapping[str, System],
-    besides: list[tuple[System, str]],
-    on_hidden: list[System],
-) -> OutputPort:
-    """The sum of all forces on the plant, along its own v: H q'' + C = tau + tau_d.
-
-    Args:
-      builder: the diagram's builder.
-      plant: the true one.
-      split: its hidden coordinates.
-      states: name -> port of the states that forces may read.
-      control: the applied force.
-      forces: the external forces, by block.
-      besides: further forces of the actuators.
-      on_hidden: those of the forces that act on hidden coordinates too.
-    """
-    for system in forces.values():
-        for name, (source, port) in states.items():
-            if system.HasInputPort(name):
-                builder.Connect(source.GetOutputPort(port), system.GetInputPort(name))
-    external = [(system, "generalized_force") for system in forces.values()]
-    total = _sum(builder, "total_force", [*control, *external, *besides])
-    acts = total[0].GetOutputPort(total[1])
-    if not split.names:
-        return acts
-    every = np.eye(plant.num_velocities())
-    on_known = builder.AddNamedSystem("known_force", MatrixGain(every[:, split.known]))
-    builder.Connect(acts, on_known.get_input_port())
-    if not on_hidden:
-        return on_known.get_output_port()
-    total = _sum(builder, "total_hidden_force", [(system, "hidden_force") for system in on_hidden])
-    gain = builder.AddNamedSystem("hidden_force", MatrixGain(every[:, split.hidden]))
-    builder.Connect(total[0].GetOutputPort(total[1]), gain.get_input_port())
-    whole = _sum(builder, "whole_force", [(on_known, "y0"), (gain, "y0")])
-    return whole[0].GetOutputPort(whole[1])
-
-
-def _sources_of_parts(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    systems: Mapping[str, System],
-    parts: Parts,
-    *,
-    taken: Container[str],
-) -> dict[str, tuple[System, str]]:
-    """The ports of the parts' signals; those of sensing as they were at the last sample."""
-    found: dict[str, tuple[System, str]] = {}
-    for name, part in parts.items():
-        for signal in part.signals:
-            if signal.name in taken or signal.name in found:
-                problem = f"signal '{signal.name}' has the name of another; rename it"
-                raise BlockError(f"blocks.{name}: {problem}")
-            if signal.of is not None:
-                continue
-            found[signal.name] = (systems[part.block], signal.name)
-            if kind_of(part.block) == "sensing":
-                hold = ZeroOrderHold(scenario.sample_time, signal.size)
-                builder.AddNamedSystem(f"{signal.name}_at_samples", hold)
-                port = systems[part.block].GetOutputPort(signal.name)
-                builder.Connect(port, hold.get_input_port())
-                found[signal.name] = (hold, hold.get_output_port().get_name())
-    return found
-
-
-def _add_states(
-    builder: DiagramBuilder, plant: MultibodyPlant, split: StateSplit
-) -> dict[str, tuple[System, str]]:
-    """The known and the hidden state, taken from the plant's."""
-    params = SelectorParams()
-    params.inputs = [
-        SelectorParams.InputPortParams(name="whole_state", size=plant.num_multibody_states())
-    ]
-    params.outputs = [
-        SelectorParams.OutputPortParams(
-            name=name,
-            selections=[
-                SelectorParams.OutputSelection(input_port_index=0, input_offset=int(i))
-                for i in entries
-            ],
-        )
-        for name, entries in (("state", split.known_state), ("hidden_state", split.hidden_state))
-    ]
-    selector = builder.AddNamedSystem("states", Selector(params))
-    builder.Connect(plant.get_state_output_port(), selector.get_input_port())
-    return {name: (selector, name) for name in ("state", "hidden_state")}
-
-
-def _sum(builder: DiagramBuilder, name: str, terms: list[tuple[System, str]]) -> tuple[System, str]:
-    """The sum of ports, as a system and its port's name; a single port is returned as it is."""
-    if len(terms) == 1:
-        return terms[0]
-    ports = [system.GetOutputPort(port) for system, port in terms]
-    adder = builder.AddNamedSystem(name, Adder(len(terms), ports[0].size()))
-    for index, port in enumerate(ports):
-        builder.Connect(port, adder.get_input_port(index))
-    return adder, adder.get_output_port().get_name()
+def _port(source: Source) -> OutputPort:
+    system, name = source
+    return system.GetOutputPort(name)

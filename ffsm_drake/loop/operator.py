@@ -16,7 +16,7 @@ from pydrake.systems.framework import (
 )
 
 from ffsm_drake.common.lifetime import weak_callback
-from ffsm_drake.loop.blocks import DISTURBANCE, block_choices, block_factory
+from ffsm_drake.loop.blocks import DISTURBANCE, block_choices, factory_of
 from ffsm_drake.scenario import Block
 from ffsm_drake.spacecraft.plant import find_body
 from ffsm_drake.systems.registry import call_factory
@@ -37,7 +37,7 @@ def make_operated_disturbance(
     builder = DiagramBuilder()
     choice = block_choices(setup.scenario).get(DISTURBANCE, Block())
     original = dataclasses.replace(setup, settings=choice.settings)
-    factory = block_factory(DISTURBANCE, setup.scenario)
+    factory = factory_of(DISTURBANCE, setup.scenario)
     disturbance = builder.AddSystem(call_factory(factory, original, place=f"blocks.{DISTURBANCE}"))
     operator = builder.AddNamedSystem("operator", OperatorInputs(setup, initial=initial, poll=poll))
     builder.Connect(

@@ -24,7 +24,7 @@ from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, one_l
 from ffsm_drake.common.files import same_folder
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
-from ffsm_drake.loop.blocks import block_choices
+from ffsm_drake.loop.blocks import block_choices, kind_of
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
 from ffsm_drake.runs.log import Outcome, RunLog
 from ffsm_drake.runs.monitor import Monitor
@@ -320,8 +320,8 @@ def _show_apart(builder: DiagramBuilder, loop: ClosedLoop, target: np.ndarray) -
 def user_supplied(scenario: Scenario, blocks: Mapping[str, Factory] | None = None) -> list[str]:
     """The user-supplied parts of a closed loop, in words."""
     names = {name: choice.system for name, choice in block_choices(scenario).items()}
-    if not is_shipped("controller", scenario.controller):
-        names["controller"] = scenario.controller
+    names["controller"] = scenario.controller
+    names = {name: own for name, own in names.items() if not is_shipped(kind_of(name), own)}
     names |= {
         name: getattr(factory, "__name__", type(factory).__name__)
         for name, factory in (blocks or {}).items()

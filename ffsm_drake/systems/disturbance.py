@@ -6,6 +6,18 @@ from pydrake.systems.primitives import AffineSystem, Sine
 
 from ffsm_drake.scenario import schema
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.setup import BlockSetup
+
+
+class HarmonicDisturbance(Part):
+    """The section ``disturbance`` of a scenario."""
+
+    title = "Disturbance"
+
+    def build(self, setup: BlockSetup) -> Diagram:
+        """The force."""
+        return make_disturbance(setup.scenario.disturbance, setup.coordinates)
 
 
 def make_disturbance(settings: schema.Disturbance, coordinates: Coordinates) -> Diagram:

@@ -12,8 +12,9 @@ acceleration of p in a uniform rotation at 1 rad/s about an axis u through the o
 three inverse dynamics (``PlantModel``).
 """
 
-import dataclasses
 import math
+from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -24,6 +25,8 @@ from ffsm_drake.common.lifetime import weak_callback
 from ffsm_drake.scenario import Environment, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.nominal import PlantModel, change_payload, make_flexible_plant
+from ffsm_drake.systems.actuation import own_parts
+from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup
 
 EARTH_GRAVITY = 3.986004418e14  # m^3/s^2; gravitational parameter of the Earth (EGM2008)
@@ -69,31 +72,44 @@ class OrbitalForce:
 
         Raises ValueError: q is not finite.
         """
-        settings, plant, context = self._settings, self._model.plant, self._model.context
-        H = self._model.calc_mass_matrix(q)
-        force, axes, n_squared = np.zeros(len(H)), self.axes(time), self._rate * self._rate
-        # A rotation about the origin gives gravity gradient and tide, about the centre of mass the
-        # gravity gradient.
-        both = settings.gravity_gradient and settings.tidal
-        center = np.zeros(3) if both else plant.CalcCenterOfMassPositionInWorld(context)
+        H, settings = self._model.calc_mass_matrix(q), self._settings
         if settings.gravity_gradient:
-            x, y, z = (q[4:NUM_BASE_POSITIONS] - center).tolist()
-            arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # arm x
-            across = -axes @ arm.T  # axis x arm
-            acceleration = np.zeros(3)
-            for axis, velocity, share in zip(axes, across, (2.0, -1.0, -1.0), strict=True):
-                self._velocity[:3], self._velocity[3:6] = axis, velocity
-                plant.SetVelocities(context, self._velocity)
-                force += share * plant.CalcBiasTerm(context)
-                acceleration += share * (axis * axis.dot((x, y, z)) - (x, y, z))
-            force = n_squared * (force + H[:, 3:6] @ acceleration)
+            force = self._gravity_gradient(q, H, time)
         elif settings.tidal:
-            force = n_squared * (H[:, 3:6] @ (3.0 * axes[0] * axes[0].dot(center) - center))
+            force = self._tide(H, time)
+        else:
+            force = np.zeros(len(H))
         if settings.solar_pressure is not None:
             R_WB = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4]))).matrix()
             force[:3] += np.cross(R_WB @ self._arm, self._pressure)
             force[3:6] += self._pressure
         return force
+
+    def _center_of_mass(self) -> np.ndarray:
+        """In the world frame (3), m."""
+        center: np.ndarray = self._model.plant.CalcCenterOfMassPositionInWorld(self._model.context)
+        return center
+
+    def _gravity_gradient(self, q: np.ndarray, H: np.ndarray, time: float) -> np.ndarray:
+        """About the centre of mass; with the tide about the origin, which gives both."""
+        plant, context, axes = self._model.plant, self._model.context, self.axes(time)
+        center = np.zeros(3) if self._settings.tidal else self._center_of_mass()
+        x, y, z = (q[4:NUM_BASE_POSITIONS] - center).tolist()
+        arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # arm x
+        across = -axes @ arm.T  # axis x arm
+        force, acceleration = np.zeros(len(H)), np.zeros(3)
+        for axis, velocity, share in zip(axes, across, (2.0, -1.0, -1.0), strict=True):
+            self._velocity[:3], self._velocity[3:6] = axis, velocity
+            plant.SetVelocities(context, self._velocity)
+            force += share * plant.CalcBiasTerm(context)
+            acceleration += share * (axis * axis.dot((x, y, z)) - (x, y, z))
+        return self._rate * self._rate * (force + H[:, 3:6] @ acceleration)
+
+    def _tide(self, H: np.ndarray, time: float) -> np.ndarray:
+        """On the centre of mass, as if the mass stood there."""
+        axes, center = self.axes(time), self._center_of_mass()
+        acceleration = 3.0 * axes[0] * axes[0].dot(center) - center
+        return self._rate * self._rate * (H[:, 3:6] @ acceleration)
 
 
 class EnvironmentForce(LeafSystem):
@@ -112,26 +128,14 @@ class EnvironmentForce(LeafSystem):
     sample. Parameter: the payload's mass, centre of mass and inertia (10), as ``MassProperties``.
     """
 
-    def __init__(
-        self,
-        settings: Environment,
-        model: PlantModel,
-        *,
-        sample_time: float,
-        scenario: Scenario | None = None,
-    ) -> None:
-        """Make the system.
-
-        Args:
-          settings: the environment.
-          model: a plant for the system's own use.
-          sample_time: the control period, s.
-          scenario: the scenario of the true payload, needed by ``set_payload``.
+    def __init__(self, scenario: Scenario, model: PlantModel) -> None:
+        """Args: a scenario with an environment; a plant for the system's own use, with the true
+        payload.
         """
         super().__init__()
         self._model, self._scenario = model, scenario
-        self._force = OrbitalForce(settings, model)
-        self._held_payload = np.zeros(10)
+        self._force = OrbitalForce(scenario.environment or Environment(), model)
+        self._held_payload = _packed(scenario.payload.truth)
         whole, hidden = model.plant.num_velocities(), len(model.split.names)
         self._state = self.DeclareVectorInputPort(
             "state", model.plant.num_multibody_states() - 2 * hidden
@@ -142,33 +146,21 @@ class EnvironmentForce(LeafSystem):
         self._acting = self.DeclareDiscreteState(np.zeros(whole - hidden))
         self._acting_hidden = self.DeclareDiscreteState(np.zeros(hidden))
         self._last = self.DeclareDiscreteState(np.zeros(whole))
-        truth = self._held_payload if scenario is None else _packed(scenario.payload.truth)
-        self._payload = self.DeclareNumericParameter(BasicVector(truth))
+        self._payload = self.DeclareNumericParameter(BasicVector(self._held_payload))
         depends = {self.all_input_ports_ticket(), self.time_ticket(), self.all_parameters_ticket()}
         self._instant = self.DeclareVectorOutputPort(
             "whole_force", whole, weak_callback(self._calc_whole), depends
         )
+        now = weak_callback(self._calc_now)
         self.DeclareStateOutputPort("generalized_force", self._acting)
         self.DeclareVectorOutputPort(
-            "next_generalized_force", whole - hidden, weak_callback(self._calc_known), depends
+            "next_generalized_force", whole - hidden, partial(now, 0), depends
         )
         if hidden:
             self.DeclareStateOutputPort("hidden_force", self._acting_hidden)
-            self.DeclareVectorOutputPort(
-                "next_hidden_force", hidden, weak_callback(self._calc_hidden), depends
-            )
-        self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
-
-    @classmethod
-    def from_setup(cls, setup: BlockSetup) -> "EnvironmentForce":
-        """The force of a scenario with an ``environment``."""
-        scenario = setup.scenario
-        if scenario.environment is None:
-            raise ValueError("the scenario has no environment")
-        # Gravity acts on the wheels' mass as part of the base.
-        actuation = dataclasses.replace(scenario.actuation, wheels=None)
-        model = make_flexible_plant(dataclasses.replace(scenario, actuation=actuation))
-        return cls(scenario.environment, model, sample_time=setup.sample_time, scenario=scenario)
+            self.DeclareVectorOutputPort("next_hidden_force", hidden, partial(now, 1), depends)
+        period = scenario.sample_time
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, weak_callback(self._update))
 
     def set_payload(self, context: Context, properties: MassProperties) -> None:
         """Give the payload other mass properties."""
@@ -177,13 +169,13 @@ class EnvironmentForce(LeafSystem):
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """Begin at a known state [q; v] (nq + nv) of the plant."""
         force = self._calc(context, self._model.split.whole(state))
-        known, hidden = self._split(force)
-        for group, part in (
-            (self._acting, known),
-            (self._acting_hidden, hidden),
-            (self._last, force),
-        ):
+        for group, part in self._groups(force, force):
             context.SetDiscreteState(group, part)
+
+    def _groups(self, acting: np.ndarray, last: np.ndarray) -> Iterable[tuple[int, np.ndarray]]:
+        """The values of each group of the state."""
+        groups = (self._acting, self._acting_hidden, self._last)
+        return zip(groups, (*self._split(acting), last), strict=True)
 
     def _split(self, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         hidden = self._model.split
@@ -191,7 +183,7 @@ class EnvironmentForce(LeafSystem):
 
     def _calc(self, context: Context, state: np.ndarray) -> np.ndarray:
         payload = context.get_numeric_parameter(self._payload).value()
-        if self._scenario is not None and not np.array_equal(payload, self._held_payload):
+        if not np.array_equal(payload, self._held_payload):
             mass, center, inertia = float(payload[0]), payload[1:4].tolist(), payload[4:].tolist()
             properties = MassProperties(mass=mass, center_of_mass=center, inertia=inertia)
             change_payload(self._model.plant, self._model.context, self._scenario, properties)
@@ -204,22 +196,32 @@ class EnvironmentForce(LeafSystem):
             self._calc(context, self._model.split.whole(self._state.Eval(context), deflected))
         )
 
-    def _calc_known(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._split(self._instant.Eval(context))[0])
-
-    def _calc_hidden(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._split(self._instant.Eval(context))[1])
+    def _calc_now(self, part: int, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._split(self._instant.Eval(context))[part])
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
         force = self._instant.Eval(context)
         last = context.get_discrete_state(self._last).value()
-        known, hidden = self._split(force + 0.5 * (force - last))
-        for group, part in (
-            (self._acting, known),
-            (self._acting_hidden, hidden),
-            (self._last, force),
-        ):
+        for group, part in self._groups(force + 0.5 * (force - last), force):
             values.set_value(group, part)
+
+
+class OrbitalEnvironment(Part):
+    """The section ``environment`` of a scenario."""
+
+    title = "Environment"
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "OrbitalEnvironment | None":
+        """That of a scenario."""
+        return None if scenario.environment is None else cls()
+
+    def build(self, setup: BlockSetup) -> EnvironmentForce:
+        """The force on all that has mass."""
+        locked = setup.scenario
+        for part in own_parts(locked):
+            locked = part.locked(locked)
+        return EnvironmentForce(setup.scenario, make_flexible_plant(locked))
 
 
 def _packed(properties: MassProperties) -> np.ndarray:

@@ -11,7 +11,7 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, Limit, urdf_limits
 from ffsm_drake.spacecraft.plant import coordinates_of
-from ffsm_drake.systems.actuation import SECTIONS
+from ffsm_drake.systems.actuation import own_parts
 from ffsm_drake.systems.part import Part
 
 # Axes, edges and corners of a cube.
@@ -36,7 +36,7 @@ def base_limits(scenario: Scenario) -> BaseLimits:
     """The limits of a scenario's base actuators; ScenarioError as for ``make_actuation``."""
     torque = force = np.full(len(_DIRECTIONS), np.inf)
     names = []
-    for part in _actuators(scenario):
+    for part in own_parts(scenario):
         most = part.most(scenario, _DIRECTIONS)
         if most is not None:  # the torque of the last one counts
             torque, force = most.get("torque", torque), most.get("force", force)
@@ -64,7 +64,7 @@ def joint_limits(
 ) -> list[Limit]:
     """``limits_of`` without the force that actuators give: limits that nothing enforces."""
     coordinates = coordinates_of(plant)
-    given = _actuators(scenario) if parts is None else parts
+    given = own_parts(scenario) if parts is None else parts
     own = (limit for part in given for limit in part.limits(coordinates))
     return [*urdf_limits(scenario.model, plant), *own]
 
@@ -77,10 +77,3 @@ def actuation_limit(scenario: Scenario, coordinates: Coordinates) -> Limit:
     force = coordinates.vector(scenario.actuation.limit or {}, key=key, default=np.inf)
     force[:6] = np.minimum(force[:6], np.repeat([base.torque.min(), base.force.min()], 3))
     return Limit.of_coordinates(FORCE, key + base.named, coordinates, force)
-
-
-def _actuators(scenario: Scenario) -> list[Part]:
-    """The scenario's own; none where a user-supplied block replaces them."""
-    if scenario.blocks.actuation is not None:
-        return []
-    return [part for of in SECTIONS.values() if (part := of(scenario)) is not None]

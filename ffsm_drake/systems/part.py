@@ -225,9 +225,17 @@ class Part:
     # Of the scenario's own actuators: a campaign's prediction tries the loop with its limits too.
     rehearsed: ClassVar[bool] = False
 
+    @classmethod
+    def of(cls, scenario: Scenario) -> "Part | None":
+        """That of a scenario's own section; None where the scenario has none."""
+        return cls()
+
     def check(self, key: str, scenario: Scenario) -> Iterator[tuple[str, str]]:
         """What is wrong with the settings that no single one can say: key and problem."""
         yield from ()
+
+    def check_plant(self, scenario: Scenario, model: PlantModel) -> None:
+        """Raise ScenarioError for what only the true plant's masses tell, before a run."""
 
     def build(self, setup: BlockSetup) -> System:
         """The system with the block's ports, and one output port for each signal that has one.
@@ -273,6 +281,12 @@ class Part:
         plan, a run or a campaign is held against.
         """
         return ()
+
+    def locked(self, scenario: Scenario) -> Scenario:
+        """The scenario with all that turns within the part fixed to the body that carries it, as
+        gravity acts on it.
+        """
+        return scenario
 
     def linear(self) -> "Part":
         """What the linearisation wires in its place: without limits, which have no derivative."""

@@ -117,17 +117,12 @@ def load_plan(address: str, coordinates: Coordinates) -> Plan:
             control_points=np.array(data["control_points"], dtype=float),
         )
         points = plan.control_points
-        norm = float(np.linalg.norm(plan.first_attitude))
-        sound = (
+        if not (
             points.ndim == 2
             and points.shape[0] > DEGREE
             and points.shape[1] == len(plan.coordinates)
-        )
-        if not (
-            sound
             and np.isfinite(points).all()
-            and len(plan.first_attitude) == 4
-            and abs(norm - 1.0) < 1e-6
+            and abs(float(np.linalg.norm(plan.first_attitude)) - 1.0) < 1e-6
         ):
             raise ValueError("its numbers do not form a valid plan")
         if not (0.0 < plan.duration < np.inf and 0.0 <= plan.settle < np.inf):

@@ -14,7 +14,6 @@ eigenaxis turn if v_0 is zero.
 """
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 from pydrake.math import RollPitchYaw
@@ -31,7 +30,7 @@ from ffsm_drake.common.so3 import (
 from ffsm_drake.scenario import Posture, Scenario, planned_part
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
@@ -206,22 +205,6 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
             velocity=velocity,
         )
 
-    def free(motion: PlannedMotion) -> PlannedMotion:
-        if reference.frame is not None:
-            return ResolvedMotion(
-                motion,
-                path=make_frame_path(scenario, nominal, duration=motion.end),
-                goal=reference.frame,
-                frame=goal_frame(scenario, nominal.plant),
-                model=nominal,
-                sample_time=scenario.sample_time,
-                content=_content(scenario, motion),
-            )
-        if not scenario.undriven:
-            return motion
-        content = _content(scenario, motion)
-        return FreeMotion(motion, model=nominal, sample_time=scenario.sample_time, content=content)
-
     velocity = None if contact is None else contact.grasp.velocity
     duration = reference.duration
     stop: PlannedMotion
@@ -232,19 +215,25 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
         if duration is None:
             duration = shortest_duration(
                 scenario,
-                lambda duration: free(polynomial(Blend(reference, duration), target, velocity)),
+                lambda duration: _follow(
+                    scenario, nominal, polynomial(Blend(reference, duration), target, velocity)
+                ),
                 shaped_by=make_impulses(reference.shaper).length,
             )
         stop = polynomial(Blend(reference, duration), target, velocity)
     if capture is None or contact is None or capture.approach is None:
-        return free(stop)
+        return _follow(scenario, nominal, stop)
     before = Blend(reference, capture.approach.duration, backwards=True)
     approach = polynomial(before, capture.approach.posture, -contact.velocity)
     return CaptureMotion(approach=approach, stop=stop, sample_time=scenario.sample_time)
 
 
-def _content(scenario: Scenario, motion: PlannedMotion) -> tuple[Any, ...]:
-    """All inputs of the free motion that follows from a planned one."""
+def _follow(scenario: Scenario, nominal: PlantModel, motion: PlannedMotion) -> PlannedMotion:
+    """A motion in which joints follow a prescribed frame, and undriven coordinates what
+    conservation of momentum leaves them.
+    """
+    if scenario.reference.frame is None and not scenario.undriven:
+        return motion
     plain = Scenario()
     part = dataclasses.replace(
         planned_part(scenario),
@@ -254,7 +243,19 @@ def _content(scenario: Scenario, motion: PlannedMotion) -> tuple[Any, ...]:
         clearance=plain.clearance,
         planning=plain.planning,
     )
-    return part, files_read(scenario), motion.end
+    # All inputs of what follows from the motion.
+    content, period = (part, files_read(scenario), motion.end), scenario.sample_time
+    if scenario.reference.frame is None:
+        return FreeMotion(motion, model=nominal, sample_time=period, content=content)
+    return ResolvedMotion(
+        motion,
+        path=make_frame_path(scenario, nominal, duration=motion.end),
+        goal=scenario.reference.frame,
+        frame=goal_frame(scenario, nominal.plant),
+        model=nominal,
+        sample_time=period,
+        content=content,
+    )
 
 
 def timed(scenario: Scenario) -> Scenario:

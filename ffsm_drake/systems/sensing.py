@@ -29,6 +29,7 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import turning_matrix
 from ffsm_drake.scenario import schema
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.setup import CompositeBlock
 
 
 def quantize(values: np.ndarray, resolution: np.ndarray) -> np.ndarray:
@@ -166,7 +167,7 @@ def wire_stages(builder: DiagramBuilder, stages: Sequence[System]) -> Row:
     )
 
 
-class Sensing(Diagram):
+class Sensing(CompositeBlock):
     """Stages in a row, from ``state`` to ``estimated_state``; made by ``make_sensing``."""
 
     def __init__(self, stages: Sequence[System]) -> None:
@@ -181,12 +182,6 @@ class Sensing(Diagram):
             builder.ExportOutput(row.measurement_is_new, "measurement_is_new")
         builder.BuildInto(self)
         self.set_name("sensing")
-
-    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """Before the start, the spacecraft was where it is now, at ``state`` [q; v]."""
-        for stage in self.GetSystems():
-            if hasattr(stage, "set_initial_state"):
-                stage.set_initial_state(self.GetMutableSubsystemContext(stage, context), state)
 
 
 def make_sensing(

@@ -5,6 +5,9 @@ import functools
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+from pydrake.systems.framework import Context, Diagram
+
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
@@ -17,6 +20,16 @@ class _Settings(dict[str, Any]):
         raise KeyError(
             f"no '{key}' in the scenario's settings; there are: {', '.join(self) or 'none'}"
         )
+
+
+class CompositeBlock(Diagram):
+    """A block of several systems, which are told of the initial state."""
+
+    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
+        """The spacecraft was at ``state`` [q; v] before the start."""
+        for system in self.GetSystems():
+            if hasattr(system, "set_initial_state"):
+                system.set_initial_state(self.GetMutableSubsystemContext(system, context), state)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

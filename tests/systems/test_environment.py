@@ -16,7 +16,7 @@ from ffsm_drake.analysis.balances import energy_residual
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.runs.capture import NOTHING, make_rollout
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.scenario import Approach, Environment, SolarPressure
+from ffsm_drake.scenario import Approach, Environment, Scenario, SolarPressure
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
@@ -76,7 +76,7 @@ def coast(
     model = PlantModel(
         plant=own, context=own.CreateDefaultContext(), coordinates=Coordinates((), ())
     )
-    system = EnvironmentForce(settings, model, sample_time=sample_time)
+    system = EnvironmentForce(Scenario(environment=settings, sample_time=sample_time), model)
     builder.AddSystem(system)
     builder.Connect(plant.get_state_output_port(), system.GetInputPort("state"))
     builder.Connect(

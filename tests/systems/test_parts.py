@@ -28,7 +28,7 @@ from ffsm_drake.cli import main
 from ffsm_drake.common.numbers import NONE
 from ffsm_drake.runs.limits import limits_left
 from ffsm_drake.runs.metrics import momentum_residual
-from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.rollout import Rollout, user_supplied
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report import write_report
 from ffsm_drake.show.report.comparison import rankings, table
@@ -37,6 +37,7 @@ from ffsm_drake.show.report.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.systems.part import Constant, by_key
+from ffsm_drake.systems.registry import SHIPPED
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BLOCK = 'blocks.actuation={system: "own_actuator:Magnetorquers", settings: {largest_dipole: 80}}'
@@ -115,6 +116,23 @@ def test_a_campaign_has_its_columns(folder):
     assert len(rows) == 1
     assert rows[0][0] > 0.0
     assert rows[0][1] > 0.0
+
+
+@pytest.mark.usefixtures("folder", "rough_pictures")
+def test_a_line_of_the_registry_makes_it_a_shipped_one(monkeypatch):
+    """Named alone, it is checked, linearised and warned of as the package's own."""
+    shipped = {"magnetorquers": "own_actuator:Magnetorquers"}
+    monkeypatch.setitem(SHIPPED, "actuation", shipped)
+    assert user_supplied(load_scenario(*SCENARIO)) == []
+    common = "flight_sensors --set duration=0.3 --set blocks.actuation="
+    assert "Magnetorquers: largest dipole" in ffsm(f"run {common}magnetorquers -c tdc --out out")
+    assert user_supplied(RunRecord.load(Path("out")).scenario) == []
+    assert "stable" in ffsm(f"stability {common}magnetorquers -c tdc")
+    unknown = ffsm(f"run {common}magnetorquer -c tdc", code=2)
+    assert "choose one of magnetorquers, or give module:attribute" in unknown
+    monkeypatch.delitem(SHIPPED, "actuation")
+    own = load_scenario("flight_sensors", ["blocks.actuation=own_actuator:Magnetorquers"])
+    assert user_supplied(own) == ["actuation 'own_actuator:Magnetorquers'"]
 
 
 @pytest.mark.parametrize(

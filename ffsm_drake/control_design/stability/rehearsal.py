@@ -157,7 +157,7 @@ class _Run:
         self._samples = [_from_start(loop) for loop in loops]
         nominal = driven_model(make_nominal_plant(scenario))
         self._mass = [nominal.calc_mass_matrix(motion.evaluate(time)[0]) for time in self._times]
-        self._base, _ = make_base_actuators(settings, coordinates, sample_time=scenario.sample_time)
+        self._base = make_base_actuators(settings, coordinates, sample_time=scenario.sample_time)
         ends = np.cumsum([0, *self._base.sizes.values()]).tolist()
         self._part = {
             name: slice(*pair)

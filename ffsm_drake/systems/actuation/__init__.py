@@ -3,57 +3,65 @@ wheels, thrusters.
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Mapping
 
 import numpy as np
-from pydrake.systems.framework import (
-    Context,
-    Diagram,
-    DiagramBuilder,
-    InputPort,
-    OutputPort,
-    System,
-)
-from pydrake.systems.primitives import Demultiplexer, DiscreteTimeDelay, PassThrough, Saturation
+from pydrake.systems.framework import DiagramBuilder, InputPort, System
+from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturation
 
 from ffsm_drake.scenario import schema
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.actuation.base import BaseActuators, attitude_ahead
-from ffsm_drake.systems.actuation.drives import (
-    FRICTION_FORCE,
-    FRICTION_WORK,
-    DriveSet,
-    JointDrives,
-    JointFriction,
-    RateLimit,
-)
+from ffsm_drake.systems.actuation.base import BaseActuators, BaseBlock
+from ffsm_drake.systems.actuation.drives import DriveSet, JointDrives, JointFriction, RateLimit
 from ffsm_drake.systems.actuation.thrusters import FiredThrusters, ThrusterSet
-from ffsm_drake.systems.actuation.wheels import Gyroscopic, ReactionWheels, WheelSet
+from ffsm_drake.systems.actuation.wheels import ReactionWheels, WheelSet
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.sensing import Quantizer
+from ffsm_drake.systems.setup import CompositeBlock
 
 # What the sections of ``actuation`` bring to records and pages.
-SECTIONS: dict[str, Callable[[schema.Scenario], Part | None]] = {
-    "thrusters": FiredThrusters.of,
-    "wheels": ReactionWheels.of,
-    "drives": JointDrives.of,
+SECTIONS: dict[str, type[Part]] = {
+    "thrusters": FiredThrusters,
+    "wheels": ReactionWheels,
+    "drives": JointDrives,
 }
 
 
-class Actuators(Diagram):
-    """The actuators, from ``commanded_force`` to ``applied_force``; made by ``make_actuation``."""
+def own_parts(scenario: schema.Scenario) -> list[Part]:
+    """Those of a scenario's own actuators; none where a block replaces them."""
+    if scenario.blocks.actuation is not None:
+        return []
+    return [part for kind in SECTIONS.values() if (part := kind.of(scenario)) is not None]
 
-    wheels: WheelSet | None = None
 
-    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """The wheels have their initial momentum, in a base with the attitude of ``state`` [q;
-        v].
-        """
-        if self.wheels is not None:
-            stored = self.GetSubsystemByName("gyroscopic")
-            rotation = attitude_ahead(state[:4], np.zeros(3), 0.0).reshape(3, 3)
-            momentum = rotation.dot(self.wheels.axes.dot(self.wheels.initial_momentum))
-            stored.set_momentum(self.GetMutableSubsystemContext(stored, context), momentum)
+class Actuators(CompositeBlock):
+    """Systems in a row from ``commanded_force`` to ``applied_force``, and some beside them.
+
+    The first ports of those in the row are forces; what else they and the others put out are
+    outputs, by name, and all may read ``state``.
+    """
+
+    def __init__(self, row: Mapping[str, System], beside: Mapping[str, System]) -> None:
+        super().__init__()
+        builder, chain = DiagramBuilder(), list(row.values())
+        readers = list[InputPort]()
+        for name, system in (*row.items(), *beside.items()):
+            builder.AddNamedSystem(name, system)
+            for index in range(int(name in row), system.num_output_ports()):
+                port = system.get_output_port(index)
+                builder.ExportOutput(port, port.get_name())
+            if system.HasInputPort("state"):
+                readers.append(system.GetInputPort("state"))
+        for before, after in itertools.pairwise(chain):
+            builder.Connect(before.get_output_port(0), after.get_input_port(0))
+        builder.ExportInput(chain[0].get_input_port(0), "commanded_force")
+        builder.ExportOutput(chain[-1].get_output_port(0), "applied_force")
+        for port in readers[:1]:
+            builder.ExportInput(port, "state")
+        for port in readers[1:]:
+            builder.ConnectInput("state", port)
+        builder.BuildInto(self)
+        self.set_name("actuation")
 
 
 def make_actuation(
@@ -81,109 +89,50 @@ def make_actuation(
       ScenarioError: a value is given for an unknown coordinate; thrusters or wheels cannot give
         every wrench.
     """
-    size = len(coordinates.names)
+    row, beside = _make_limits(settings, coordinates, sample_time=sample_time), dict[str, System]()
+    if settings.drives is not None:
+        drives = DriveSet(settings.drives, settings.limit, coordinates)
+        if drives.has_rate_limit:
+            row["rate_limit"] = RateLimit(drives, coordinates, sample_time=sample_time)
+        if drives.has_friction:
+            beside["friction"] = JointFriction(drives, coordinates)
+    if base is not None:
+        row["base"] = base
+    elif settings.thrusters is not None or settings.wheels is not None:
+        own = make_base_actuators(settings, coordinates, sample_time=sample_time)
+        row["base"] = BaseBlock(own, coordinates)
+    if beside and not row:
+        row["as_commanded"] = PassThrough(len(coordinates.names))
+    return Actuators(row, beside) if row else None
+
+
+def _make_limits(
+    settings: schema.Actuation, coordinates: Coordinates, *, sample_time: float
+) -> dict[str, System]:
+    """Saturation, quantisation and delay, by name; those that there are."""
     limit = coordinates.vector(settings.limit or {}, key="actuation.limit", default=np.inf)
     resolution = coordinates.vector(
         settings.quantization, key="actuation.quantization", default=0.0
     )
-    builder = DiagramBuilder()
-    chain: list[tuple[InputPort, OutputPort]] = []
-
-    def add(name: str, system: System) -> None:
-        builder.AddNamedSystem(name, system)
-        chain.append((system.get_input_port(), system.get_output_port()))
-
+    row: dict[str, System] = {}
     if np.isfinite(limit).any():
-        add("saturation", Saturation(-limit, limit))
+        row["saturation"] = Saturation(-limit, limit)
     if resolution.any():
-        add("quantizer", Quantizer(resolution))
+        row["quantizer"] = Quantizer(resolution)
     if settings.delay > 0:
         # A delay block reads its input before the controller's update of the same instant: one
         # sample late by itself.
-        add("delay", DiscreteTimeDelay(sample_time, settings.delay - 1, size))
-    diagram = Actuators()
-    needs_state: list[InputPort] = []
-    if settings.drives is not None:
-        drives = DriveSet(settings.drives, settings.limit, coordinates)
-        if drives.has_rate_limit:
-            limited = builder.AddNamedSystem(
-                "rate_limit", RateLimit(drives, coordinates, sample_time=sample_time)
-            )
-            chain.append((limited.GetInputPort("force"), limited.get_output_port()))
-            needs_state.append(limited.GetInputPort("state"))
-        if drives.has_friction:
-            friction = builder.AddNamedSystem("friction", JointFriction(drives, coordinates))
-            needs_state.append(friction.GetInputPort("state"))
-            for name in (FRICTION_FORCE, FRICTION_WORK):
-                builder.ExportOutput(friction.GetOutputPort(name), name)
-            if not chain:
-                add("as_commanded", PassThrough(size))
-    if base is not None:
-        add("base", base)
-    elif settings.thrusters is not None or settings.wheels is not None:
-        chain.append(
-            _add_base_actuators(
-                builder, diagram, needs_state, settings, coordinates, sample_time=sample_time
-            )
-        )
-    if not chain:
-        return None
-    builder.ExportInput(chain[0][0], "commanded_force")
-    for before, after in itertools.pairwise(chain):
-        builder.Connect(before[1], after[0])
-    builder.ExportOutput(chain[-1][1], "applied_force")
-    for port in needs_state[:1]:
-        builder.ExportInput(port, "state")
-    for port in needs_state[1:]:
-        builder.ConnectInput("state", port)
-    builder.BuildInto(diagram)
-    diagram.set_name("actuation")
-    return diagram
+        row["delay"] = DiscreteTimeDelay(sample_time, settings.delay - 1, limit.size)
+    return row
 
 
 def make_base_actuators(
     settings: schema.Actuation, coordinates: Coordinates, *, sample_time: float
-) -> tuple[BaseActuators, WheelSet | None]:
-    """Thrusters and wheels as one system, and the wheels; errors as for ``make_actuation``."""
+) -> BaseActuators:
+    """Thrusters and wheels as one system; errors as for ``make_actuation``."""
     thrusters, wheels = None, None
     if settings.thrusters is not None:
         thrusters = ThrusterSet(settings.thrusters, sample_time=sample_time)
     if settings.wheels is not None:
         wheels = WheelSet(settings.wheels, sample_time=sample_time, alone=thrusters is None)
-    return BaseActuators(thrusters, wheels, coordinates, sample_time=sample_time), wheels
-
-
-def _add_base_actuators(
-    builder: DiagramBuilder,
-    diagram: Actuators,
-    needs_state: list[InputPort],
-    settings: schema.Actuation,
-    coordinates: Coordinates,
-    *,
-    sample_time: float,
-) -> tuple[InputPort, OutputPort]:
-    """Thrusters and wheels with their outputs; where the commanded force goes in, and where the
-    applied comes out.
-
-    Adds to ``needs_state`` the ports that the plant's state goes into.
-    """
-    base, wheels = make_base_actuators(settings, coordinates, sample_time=sample_time)
-    builder.AddNamedSystem("base", base)
-    parts = builder.AddNamedSystem("sample", Demultiplexer(list(base.sizes.values())))
-    builder.Connect(base.GetOutputPort("sample"), parts.get_input_port())
-    outputs = {name: parts.get_output_port(index) for index, name in enumerate(base.sizes)}
-    for name, port in outputs.items():
-        if name not in ("applied_force", "memory"):
-            builder.ExportOutput(port, name)
-    needs_state.append(base.GetInputPort("state"))
-    if wheels is not None:
-        diagram.wheels = wheels
-        stored = builder.AddNamedSystem("gyroscopic", Gyroscopic(coordinates))
-        needs_state.append(stored.GetInputPort("state"))
-        builder.Connect(outputs["wheel_reaction"], stored.GetInputPort("reaction"))
-        builder.Connect(
-            stored.GetOutputPort("stored_momentum"), base.GetInputPort("stored_momentum")
-        )
-        for name in ("gyroscopic_force", "stored_momentum"):
-            builder.ExportOutput(stored.GetOutputPort(name), name)
-    return base.GetInputPort("commanded_force"), outputs["applied_force"]
+    return BaseActuators(thrusters, wheels, coordinates, sample_time=sample_time)

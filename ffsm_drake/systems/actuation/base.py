@@ -5,12 +5,20 @@ import math
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    DiscreteValues,
+    LeafSystem,
+)
+from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.actuation.thrusters import ThrusterMemory, ThrusterSet
-from ffsm_drake.systems.actuation.wheels import WheelSet
+from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
 
 # Control samples in which wheels make up for the torque of pulses that they could not counter at
 # once. What the controller asks for beyond their limits is not made up for, as it knows from
@@ -57,7 +65,7 @@ class BaseActuators(LeafSystem):
         sample_time: float,
     ) -> None:
         super().__init__()
-        self._thrusters, self._wheels, self._sample_time = thrusters, wheels, sample_time
+        self._thrusters, self.wheels, self._sample_time = thrusters, wheels, sample_time
         nv = len(coordinates.names)
         initial = list[np.ndarray]()
         self.sizes = {"applied_force": nv}
@@ -107,7 +115,7 @@ class BaseActuators(LeafSystem):
         """The output ``sample``, as a pure function of the command (nv) and of what the discrete
         state holds.
         """
-        thrusters, wheels = self._thrusters, self._wheels
+        thrusters, wheels = self._thrusters, self.wheels
         wanted = commanded[:6].reshape(2, 3).dot(rotation)  # torque, force in the base's axes
         memories = iter([memory[part] for part in self._parts])
         parts, kept = list[np.ndarray](), list[np.ndarray]()
@@ -177,15 +185,54 @@ class BaseActuators(LeafSystem):
         state, nv = self._state.Eval(context), self.sizes["applied_force"]
         quaternion, w_WB = state[:4], state[nv + 1 : nv + 4]
         values.set_value(self._rotation, attitude_ahead(quaternion, w_WB, self._sample_time / 2.0))
-        if self._wheels is not None:
+        if self.wheels is not None:
             rotation = attitude_ahead(quaternion, w_WB, 0.0).reshape(3, 3)
             kept = context.get_discrete_state().value(self._memory) if memory is None else memory
             momentum = kept[self._parts[1]]
             # The held direction of the torque, and the integrator, leave a little between the two.
-            missing = self._stored.Eval(context) - rotation.dot(self._wheels.axes.dot(momentum))
+            missing = self._stored.Eval(context) - rotation.dot(self.wheels.axes.dot(momentum))
             values.set_value(
                 self._turning, np.concatenate([w_WB.dot(rotation), missing / self._sample_time])
             )
+
+
+class BaseBlock(Diagram):
+    """Thrusters and wheels with the momentum that the wheels store.
+
+    Inputs: ``commanded_force`` (nv), and ``state`` [q; v] of the plant. Outputs: those that are
+    stacked in ``BaseActuators``, ``applied_force`` first; with wheels also those of ``Gyroscopic``.
+    """
+
+    def __init__(self, base: BaseActuators, coordinates: Coordinates) -> None:
+        super().__init__()
+        self._wheels, builder = base.wheels, DiagramBuilder()
+        builder.AddNamedSystem("actuators", base)
+        parts = builder.AddNamedSystem("sample", Demultiplexer(list(base.sizes.values())))
+        builder.Connect(base.get_output_port(), parts.get_input_port())
+        outputs = {name: parts.get_output_port(index) for index, name in enumerate(base.sizes)}
+        builder.ExportInput(base.GetInputPort("commanded_force"), "commanded_force")
+        builder.ExportInput(base.GetInputPort("state"), "state")
+        if base.wheels is not None:
+            stored = self._stored = builder.AddNamedSystem("gyroscopic", Gyroscopic(coordinates))
+            builder.ConnectInput("state", stored.GetInputPort("state"))
+            builder.Connect(outputs["wheel_reaction"], stored.GetInputPort("reaction"))
+            name = "stored_momentum"
+            builder.Connect(stored.GetOutputPort(name), base.GetInputPort(name))
+            outputs |= {each: stored.GetOutputPort(each) for each in ("gyroscopic_force", name)}
+        del outputs["memory"]
+        for name, port in outputs.items():
+            builder.ExportOutput(port, name)
+        builder.BuildInto(self)
+
+    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
+        """The wheels have their initial momentum, in a base with the attitude of ``state`` [q;
+        v].
+        """
+        if self._wheels is not None:
+            rotation = attitude_ahead(state[:4], np.zeros(3), 0.0).reshape(3, 3)
+            momentum = rotation.dot(self._wheels.axes.dot(self._wheels.initial_momentum))
+            within = self.GetMutableSubsystemContext(self._stored, context)
+            self._stored.set_momentum(within, momentum)
 
 
 def attitude_ahead(quaternion: np.ndarray, angular_velocity: np.ndarray, time: float) -> np.ndarray:

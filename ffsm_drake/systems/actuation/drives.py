@@ -34,6 +34,8 @@ from ffsm_drake.common.numbers import percent
 from ffsm_drake.scenario import Drives, PerCoordinate, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import RATE, Limit
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.part import (
     INTERNAL_WORK,
     Constant,
@@ -47,6 +49,8 @@ from ffsm_drake.systems.part import (
 from ffsm_drake.systems.setup import BlockSetup
 
 _KEY = "actuation.drives"
+# Integration schemes that are stable at any step, for any friction.
+_IMPLICIT_SCHEMES = ("implicit_euler", "velocity_implicit_euler", "radau1", "radau3")
 # the system whose state is friction's work, from which nothing feeds back
 FRICTION = "friction_of_drives"
 FRICTION_FORCE, FRICTION_WORK = "friction_force", "friction_work"  # its outputs
@@ -245,6 +249,28 @@ class JointDrives(Part):
         """Those of a scenario."""
         settings = scenario.drives
         return None if settings is None else cls(settings=settings, limit=scenario.actuation.limit)
+
+    def check_plant(self, scenario: Scenario, model: PlantModel) -> None:
+        """Raise ScenarioError if a fixed step does not resolve a joint's friction near rest."""
+        drives, config = self._drives(model.coordinates), scenario.simulator_config
+        implicit = config.integration_scheme in _IMPLICIT_SCHEMES
+        if implicit or config.use_error_control or not drives.has_friction:
+            return
+        whole = np.arange(model.plant.num_velocities())
+        joints = model.split.known_velocities(whole)[NUM_BASE_VELOCITIES:]
+        for name, posture in scenario.postures.items():
+            q = model.split.whole_positions(configuration(model.plant, posture, key=name))
+            mobility = np.linalg.inv(model.calc_mass_matrix(q))[np.ix_(joints, joints)]
+            constant, joint = drives.time_constant(mobility)
+            if config.max_step_size > constant:
+                raise ScenarioError(
+                    "simulator_config.max_step_size",
+                    f"{config.max_step_size:g} s does not resolve the friction of {joint}, which "
+                    "near rest has a time constant of "
+                    f"{constant:.2g} s ({name}): take at most {0.9 * constant:.2g} s, or "
+                    f"{1.1 * config.max_step_size / constant:.2g} times the "
+                    "actuation.drives.smoothing_rate",
+                )
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Friction and its work, and how much of their rates joints use."""

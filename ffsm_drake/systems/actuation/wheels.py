@@ -371,6 +371,11 @@ class ReactionWheels(Part):
         wheels = WheelSet(self.settings, sample_time=scenario.sample_time, alone=alone)
         return {"torque": np.array([wheels.most(each) for each in directions])}
 
+    def locked(self, scenario: Scenario) -> Scenario:
+        """Without wheels, whose mass is part of the base's."""
+        actuation = dataclasses.replace(scenario.actuation, wheels=None)
+        return dataclasses.replace(scenario, actuation=actuation)
+
     def sentence(self, figures: Sequence[Figure]) -> str:
         """How much of the wheels was used."""
         found = by_key(figures)
