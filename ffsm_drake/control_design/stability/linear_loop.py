@@ -81,6 +81,14 @@ class LinearLoop:
         """Largest pole magnitude per control sample; the loop is stable below 1."""
         return float(np.abs(self.poles[0]) ** (1.0 / len(self.samples)))
 
+    @property
+    def fast_radius(self) -> float:
+        """Largest magnitude per control sample of the poles with a negative real part, the modes
+        that alternate between samples; 0 without one.
+        """
+        fast = np.abs(self.poles[self.poles.real < 0.0])
+        return float(fast.max(initial=0.0) ** (1.0 / len(self.samples)))
+
     def modes(self, count: int = 6) -> list[Mode]:
         """The slowest modes, those that grow first."""
         names, found = self.coordinates.names, list[Mode]()
