@@ -72,10 +72,15 @@ class Design:
     requirement: Requirement
 
     @functools.cached_property
-    def with_defaults(self) -> Prediction:
-        """The prediction with the law's default gains and the default estimator."""
+    def with_defaults(self) -> Prediction | None:
+        """The prediction with the law's default gains and the default estimator; None where the
+        defaults do not fit the spacecraft.
+        """
         default = dataclasses.replace(self.given.scenario, controllers={}, estimator=Estimator())
-        return predict(default)
+        try:
+            return predict(default)
+        except ScenarioError:
+            return None
 
     @property
     def remarks(self) -> list[str]:

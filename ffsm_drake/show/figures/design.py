@@ -42,7 +42,7 @@ def plot_design(found: Design) -> Figure:
                 label="front",
             )
         for label, prediction, marker, color in points:
-            if np.isfinite(prediction.isv):
+            if prediction is not None and np.isfinite(prediction.isv):
                 axes.loglog(
                     max(prediction.isv - found.ideal_isv, 1e-3),
                     prediction.by_group()[name],
