@@ -16,10 +16,8 @@ from ffsm_drake.campaign.cases import make_case, scenario_of
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.common.errors import CampaignError, FfsmError, LimitError
 from ffsm_drake.control_design.stability.adaptation import expected_gains
-from ffsm_drake.control_design.stability.demand import perfect_tracking
-from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.margins import POSTURES
-from ffsm_drake.control_design.stability.mass_ratios import PlannedInertia
+from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.scenario import Scenario, from_grasp
@@ -79,7 +77,7 @@ def predicted_load(linearizer: Linearizer) -> float:
     _, force = linearizer.follow(samples=answer)
     begin = answer * scenario.sample_time
     times = np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
-    _, ideal = perfect_tracking(scenario, times)
+    _, ideal = PlannedDynamics(scenario).perfect_tracking(times)
     limit = tightest(limits_of(scenario, make_true_plant(scenario).plant), FORCE)
     share = np.abs(np.concatenate([force, ideal])) / limit.upper
     return float(np.nan_to_num(share, nan=np.inf).max())
@@ -98,10 +96,10 @@ def _most_overestimated(scenario: Scenario) -> list[float]:
     """Times (s) of the postures, the one with the largest inertia ratio first, of equal ones the
     earliest.
     """
-    inertia = PlannedInertia(scenario)
-    times = [inertia.motion.part(share) for share in POSTURES]
+    planned = PlannedDynamics(scenario)
+    times = [planned.motion.part(share) for share in POSTURES]
     # beyond nine digits: rounding
-    ratio = {time: round(inertia.ratios(time)[-1], 9) for time in times}
+    ratio = {time: round(planned.ratios(time)[-1], 9) for time in times}
     return sorted(times, key=lambda time: -ratio[time])
 
 

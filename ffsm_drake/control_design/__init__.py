@@ -1,3 +1,3 @@
-"""What is known and chosen before a run: stability of the sampled loop, gains, a first motion and
+"""Analysis and design before a run: stability of the sampled loop, gains, a first motion and
 scenario.
 """

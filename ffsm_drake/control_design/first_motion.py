@@ -1,6 +1,4 @@
-"""A first motion for an arm of which only the URDF is known, its disturbance, and gains to start
-from.
-"""
+"""A first motion for an arm given as a URDF, its disturbance, and starting gains."""
 
 import dataclasses
 import math
@@ -10,6 +8,7 @@ from typing import Any
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
 
+from ffsm_drake.control_design.rounding import rounded, rounded_by_group
 from ffsm_drake.scenario import Posture, Reference
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
@@ -22,10 +21,11 @@ from ffsm_drake.spacecraft.plant import base_body, find_body, find_frame
 from ffsm_drake.spacecraft.urdf import Joint, Servicer
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.reference import PolynomialMotion
+from ffsm_drake.systems.registry import SHIPPED, find_factory
 
 _SAMPLES = 800
-_TURN = 2.2  # rad, the largest joint angle that is looked for
-# Peaks along the motion, of the same size as the paper's mission.
+_TURN = 2.2  # rad, the largest joint angle in the search
+# Peaks along the motion, as large as in the paper's mission.
 _PEAK_RATE = {"rad": 0.1, "m": 0.05}  # rad/s, m/s
 _SHARE_OF_VELOCITY, _SHARE_OF_EFFORT = 0.2, 0.3  # of the URDF's limits
 _PEAK_BASE_ACCELERATION = 0.01  # force on the base per mass of the spacecraft, m/s^2
@@ -36,7 +36,6 @@ _DISTURBANCE = {"base_rotation": 1.5e-3, "base_position": 8e-4, "rad": 5e-3, "m"
 _FREQUENCIES = (0.3, 0.1, 0.5, 1.0, 0.6, 0.8)  # rad/s, taken in turn
 # Natural frequencies to start from, rad/s.
 OMEGA = {"base_rotation": 15.0, "base_position": 10.0, "joints": 20.0}
-_PD_PLUS_FACTOR = 2.0  # on the natural frequencies: PD+ estimates no disturbance, so it is stiffer
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -83,7 +82,7 @@ def plan_motion(true: PlantModel, servicer: Servicer, *, body: str) -> Motion:
 
 
 class _Search:
-    """Rates postures of the joints that move the tip; the others do not move."""
+    """Rates postures of the joints that move the tip; the other joints are at rest."""
 
     def __init__(self, true: PlantModel, servicer: Servicer, body: str) -> None:
         self.true, self.reach = true, max(servicer.tip.reach, 0.05)
@@ -97,7 +96,7 @@ class _Search:
         self.rest = self.inner_limits.mean(axis=1)
         self.tip = find_frame(self.plant, f"servicer::{servicer.tip.frame}", key="tip")
         self.payload = find_body(self.plant, body, key="payload.body")
-        # What the target must not come near: the base and every link but those that hold it.
+        # The target must keep away from the base and from every link that does not hold it.
         base = base_body(self.plant)
         holding = {base.index(), self.payload.index(), self.tip.body().index()}
         links = map(self.plant.get_body, self.plant.GetBodyIndices(base.model_instance()))
@@ -247,61 +246,24 @@ def scaled_disturbance(motion: Motion, coordinates: Coordinates) -> dict[str, di
 def starting_gains(
     omega: Mapping[str, float], *, coordinates: Coordinates, mass_matrices: np.ndarray
 ) -> dict[str, dict[str, Any]]:
-    """Gains of every shipped controller: controller -> gain -> value by coordinate.
+    """Starting gains of shipped controllers: controller -> gain -> value by coordinate.
 
     Args:
       omega: natural frequency of each group, rad/s.
-      mass_matrices: of the true spacecraft along the motion (m, nv, nv).
+      mass_matrices: those of the true spacecraft along the motion (m, nv, nv).
     """
-
-    def per_group(factor: float, power: int = 1) -> dict[str, float]:
-        return {group: rounded(factor * w**power) for group, w in omega.items()}
-
-    def linear() -> dict[str, Any]:
-        return {"k_d": per_group(2.0), "k_p": per_group(1.0, 2)}
-
-    def adaptive() -> dict[str, Any]:
-        return {**linear(), "k_s_initial": per_group(1.0), "k_s_max": per_group(2.0)}
-
-    return {
-        "tdc": linear(),
-        "asmc": {"k_d": per_group(1.0), "k_s": per_group(2.0)},
-        "aismc": adaptive(),
-        "tde_aismc": {**adaptive(), "g_max": 2e-3},
-        "computed_torque": linear(),
-        "pd_plus": _pd_plus(
-            _PD_PLUS_FACTOR * coordinates.vector(omega, key="omega"), coordinates, mass_matrices
-        ),
-    }
-
-
-def _pd_plus(
-    omega: np.ndarray, coordinates: Coordinates, mass_matrices: np.ndarray
-) -> dict[str, dict[str, float]]:
-    """Forces per error: K_P = w^2 m and K_D = 2 w m with the smallest inertia m of each coordinate
-    along the motion.
-
-    PD+ does not decouple the coordinates, so that m is less than the effective inertia: with A =
-    H^-1, it is 1 / sum_j |A_ij| sqrt(A_ii / A_jj). Then no eigenvalue of H^-1 K_D exceeds the
-    largest 2 w (sums over the rows of the scaled matrix), and the sampled loop is stable for 2 w L
-    < 2.
-    """
-    inertia = np.full(omega.size, np.inf)
-    for mass_matrix in mass_matrices:
-        inverse = np.linalg.inv(mass_matrix)
-        scale = np.sqrt(np.diagonal(inverse))
-        inertia = np.minimum(inertia, 1.0 / (scale * (np.abs(inverse) / scale).sum(axis=1)))
-    return {
-        name: dict(zip(coordinates.names, map(rounded, values), strict=True))
-        for name, values in (("k_d", 2.0 * omega * inertia), ("k_p", omega**2 * inertia))
-    }
+    frequencies, gains = coordinates.vector(omega, key="omega"), dict[str, dict[str, Any]]()
+    for name in SHIPPED["controller"]:
+        law: Any = find_factory("controller", name)
+        proposed = law.starting_gains(frequencies, mass_matrices)
+        if proposed:
+            gains[name] = {
+                key: value if np.ndim(value) == 0 else rounded_by_group(value, coordinates)
+                for key, value in proposed.items()
+            }
+    return gains
 
 
 def effective_inertia(mass_matrix: np.ndarray) -> np.ndarray:
     """Force per acceleration of each coordinate (nv), the others free to react, kg m^2 or kg."""
     return 1.0 / np.diagonal(np.linalg.inv(mass_matrix))
-
-
-def rounded(value: float) -> float:
-    """A number with three digits, for files that people read."""
-    return float(f"{value:.3g}")

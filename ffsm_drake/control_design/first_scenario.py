@@ -22,14 +22,14 @@ from ffsm_drake.control_design.first_motion import (
     OMEGA,
     Motion,
     plan_motion,
-    rounded,
     scaled_disturbance,
     starting_gains,
 )
-from ffsm_drake.control_design.stability import stability
+from ffsm_drake.control_design.rounding import rounded
+from ffsm_drake.control_design.stability import Margins, stability
 from ffsm_drake.scenario import Scenario, scenario_from_dict, shipped_scenarios
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import check_pictures
 from ffsm_drake.spacecraft.urdf import (
     Joint,
@@ -40,7 +40,8 @@ from ffsm_drake.spacecraft.urdf import (
     read_urdf,
     write_urdf,
 )
-from ffsm_drake.systems.controllers import PAPER_LAWS
+from ffsm_drake.systems.controllers import make_law
+from ffsm_drake.systems.registry import SHIPPED
 
 _BODY = "debris::debris"
 _TARGET = "target"  # folder of a user's
@@ -70,13 +71,10 @@ _COMMENTS = {
     "than too heavy. Inertia about the centre of mass: [Ixx, Iyy, Izz] or [Ixx, Iyy, Izz, Ixy, "
     "Ixz, Iyz].",
     "reference": "Duration of the planned motion; the target posture is held afterwards.",
-    "controller": "One of tdc, asmc, aismc, tde_aismc, computed_torque, pd_plus, tvlqr, "
-    "torque_against_momentum.",
-    "controllers": "With w the natural frequency in rad/s: K_P = w^2 and K_D = 2 w; ASMC: K_D = w "
-    "and K_s = 2 w; PD+: "
-    "with 2 w in place of w, times an inertia of each coordinate. With the sample time L and a "
-    "known inertia, the "
-    "sampled loop is stable for (K_D + K_s) L < 2.",
+    "controller": f"One of {', '.join(SHIPPED['controller'])}.",
+    "controllers": "By controller, for the same natural frequencies of the error; controllers that "
+    "are not here have their defaults. With the sample time L and a known inertia, the sampled "
+    "loop of a time-delay law is stable for (K_D + K_s) L < 2.",
     "disturbance": "Force on each coordinate: amplitude * sin(frequency * t + phase) + bias.",
     "sensing": "Standard deviation per sample: near perfect, as in the paper. For real sensors "
     "see the scenario "
@@ -94,21 +92,12 @@ class NewScenario:
     scenario_file: Path
     motion: Motion
     payload_mass: float  # kg, true
-    # of the paper's controllers, the worst over coordinates and postures
+    # of the laws by axis, the worst over coordinates and postures
     margins: Mapping[str, Mapping[str, Any]]
     remarks: tuple[str, ...]
 
     def data(self) -> dict[str, Any]:
-        """Everything found and chosen, as plain data in SI units; numbers without limit are
-        null.
-        """
-
-        def numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-            return {
-                k: None if isinstance(v, float) and not np.isfinite(v) else v
-                for k, v in values.items()
-            }
-
+        """All findings and choices as plain data in SI units; infinite: no limit."""
         found = self.servicer
         joint_keys = ("name", "kind", "unit", "lower", "upper", "effort", "velocity")
         return {
@@ -119,19 +108,17 @@ class NewScenario:
             "base": {"link": found.base, "mass": found.base_mass},
             "total_mass": found.total_mass,
             "payload_mass": self.payload_mass,
-            "joints": [
-                numbers({key: getattr(joint, key) for key in joint_keys}) for joint in found.joints
-            ],
+            "joints": [{key: getattr(joint, key) for key in joint_keys} for joint in found.joints],
             "tip": found.tip.frame,
             "tips": [dataclasses.asdict(tip) for tip in (found.tip, *found.other_tips)],
             "duration": self.motion.duration,
             "peak_force": dict(self.motion.peak_force),
-            "margins": {name: numbers(margins) for name, margins in self.margins.items()},
+            "margins": dict(self.margins),
             "remarks": list(self.remarks),
         }
 
     def summary(self) -> str:
-        """What was found, for people: base, joints, tip, masses, margins, and the commands that
+        """The findings as text: base, joints, tip, masses, margins, and the commands that
         come next.
         """
         found = self.servicer
@@ -267,46 +254,20 @@ def _make(
     packages: Mapping[str, Path],
 ) -> NewScenario:
     """Make everything in a folder that is still temporary."""
-    urdf, scenario_file = (
-        folder / f"{servicer.source.name.removesuffix('.urdf')}.urdf",
-        folder / f"{folder.name}.yaml",
-    )
+    file = folder / f"{folder.name}.yaml"
     try:
-        left_out = write_urdf(servicer, folder, file_name=urdf.name, packages=packages)
-        draft = _cube_draft(mass)
-        if target is not None:
-            copied = f"{target.source.name.removesuffix('.urdf')}.urdf"
-            stripped = write_urdf(target, folder / _TARGET, file_name=copied, packages=packages)
-            left_out = (*left_out, *(f"target: {remark}" for remark in stripped))
-            draft, mass = _target_draft(target, f"{_TARGET}/{copied}"), target.mass
-        draft["model"] |= {"servicer": urdf.name, "end_effector": f"servicer::{servicer.tip.frame}"}
-        scenario = scenario_from_dict(draft, source=str(scenario_file))
+        draft, left_out = _write_models(servicer, folder, target, mass=mass, packages=packages)
+        scenario = scenario_from_dict(draft, source=str(file))
         check_pictures(scenario.model)
         true = make_true_plant(scenario)
         motion = plan_motion(true, servicer, body=draft["payload"]["body"])
-        for attempt in range(_TRIES):
-            omega = {group: rounded(_SHRINK**attempt * w) for group, w in OMEGA.items()}
-            gains = starting_gains(
-                omega, coordinates=true.coordinates, mass_matrices=motion.mass_matrices
-            )
-            data = _scenario_data(servicer, motion, true.coordinates, draft, gains)
-            margins = {
-                name: _margins(
-                    scenario_from_dict(data | {"controller": name}, source=str(scenario_file))
-                )
-                for name in PAPER_LAWS
-            }
-            if all(_is_comfortable(each) for each in margins.values()):
-                break
+        data = _scenario_data(servicer, motion, true.coordinates, draft)
+        margins = _choose_gains(data, motion, true.coordinates, file)
     except FfsmError as error:
-        # Drake's line numbers are those of the copy, not of the user's file.
-        told = re.sub(
-            rf"{re.escape(urdf.name)}:\d+: error: ",
-            f"{urdf.name}: ",
-            str(error).replace(f"{folder}/", ""),
-        )
+        # The line numbers in Drake's messages are those of the copy, not of the user's file.
+        told = re.sub(r"([^/ ]+\.urdf):\d+: error: ", r"\1: ", str(error).replace(f"{folder}/", ""))
         raise ModelError(told) from error
-    write_text(scenario_file, _commented_yaml(data, servicer.joints))
+    write_text(file, _commented_yaml(data, servicer.joints))
     remarks = [*servicer.remarks, *left_out]
     if not all(each["stable"] for each in margins.values()):
         remarks.append("no gains tried are stable for all controllers; see 'ffsm stability'")
@@ -318,12 +279,61 @@ def _make(
         )
     return NewScenario(
         servicer=servicer,
-        scenario_file=scenario_file,
+        scenario_file=file,
         motion=motion,
-        payload_mass=mass,
+        payload_mass=draft["payload"]["truth"]["mass"],
         margins=margins,
         remarks=tuple(remarks),
     )
+
+
+def _write_models(
+    servicer: Servicer,
+    folder: Path,
+    target: Target | None,
+    *,
+    mass: float,
+    packages: Mapping[str, Path],
+) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """Write the URDFs: the scenario's sections ``model`` and ``payload``, and remarks on what was
+    left out.
+    """
+    copied = f"{servicer.source.name.removesuffix('.urdf')}.urdf"
+    left_out = [*write_urdf(servicer, folder, file_name=copied, packages=packages)]
+    draft = _cube_draft(mass)
+    if target is not None:
+        name = f"{target.source.name.removesuffix('.urdf')}.urdf"
+        stripped = write_urdf(target, folder / _TARGET, file_name=name, packages=packages)
+        left_out += [f"target: {remark}" for remark in stripped]
+        draft = _target_draft(target, f"{_TARGET}/{name}")
+    draft["model"] |= {"servicer": copied, "end_effector": f"servicer::{servicer.tip.frame}"}
+    return draft, left_out
+
+
+def _choose_gains(
+    data: dict[str, Any], motion: Motion, coordinates: Coordinates, file: Path
+) -> dict[str, dict[str, Any]]:
+    """Put gains of comfortable margins into a scenario's data.
+
+    Returns: the margins of the laws by axis, by controller.
+    """
+    for attempt in range(_TRIES):
+        omega = {group: rounded(_SHRINK**attempt * w) for group, w in OMEGA.items()}
+        data["controllers"] = starting_gains(
+            omega, coordinates=coordinates, mass_matrices=motion.mass_matrices
+        )
+        scenarios = [
+            scenario_from_dict(data | {"controller": name}, source=str(file))
+            for name in data["controllers"]
+        ]
+        margins = {
+            scenario.controller: _figures(stability(scenario, postures=9))
+            for scenario in scenarios
+            if make_law(scenario, make_nominal_plant(scenario)).by_axis is not None
+        }
+        if all(_is_comfortable(each) for each in margins.values()):
+            break
+    return margins
 
 
 def _cube_draft(mass: float) -> dict[str, dict[str, Any]]:
@@ -377,9 +387,8 @@ def _scenario_data(
     motion: Motion,
     coordinates: Coordinates,
     draft: Mapping[str, Any],
-    gains: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """The scenario as plain data, in the file's order."""
+    """The scenario as plain data, in the file's order; without gains."""
     efforts = {joint.name: joint.effort for joint in servicer.joints if joint.effort < 1e20}
     return {
         "description": f"Post-capture stabilization with {servicer.source.stem}",
@@ -391,8 +400,8 @@ def _scenario_data(
         "initial_posture": dataclasses.asdict(motion.initial),
         "target_posture": dataclasses.asdict(motion.target),
         "reference": {"duration": motion.duration},
-        "controller": "tde_aismc",
-        "controllers": gains,
+        "controller": Scenario.controller,
+        "controllers": {},
         "disturbance": {
             "amplitude_scale": 1.0,
             "harmonics": scaled_disturbance(motion, coordinates),
@@ -432,11 +441,10 @@ def _limits(joint: Joint) -> str:
     )
 
 
-def _margins(scenario: Scenario) -> dict[str, Any]:
-    """What the sampled-loop analysis says, in SI units; NaN for K_s of a law without."""
-    margins = stability(scenario, postures=9)
+def _figures(margins: Margins) -> dict[str, Any]:
+    """The sampled-loop margins of a law by axis in SI units; NaN for the K_s of a law without."""
     eta, axes = margins.eta, margins.axes
-    assert axes is not None  # one of the paper's laws, and nothing is late
+    assert axes is not None
     return {
         "verdict": margins.verdict,
         "stable": margins.is_stable,

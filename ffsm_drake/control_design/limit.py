@@ -1,14 +1,14 @@
-"""What no linear controller can do better: the LQG front of error against effort, and how far a
-controller is from it.
+"""The limit of linear controllers: the LQG front of error against effort, and a controller's
+distance to it.
 
 The model is that of the closed loop at the middle of the planned motion: the true plant, sampled;
-the scenario's sensor noise, white, correlated and of biases that walk at random; and in place of
-all that the controller does not know an acceleration d that walks at random, as fast as the planned
-motion and the disturbance ask for. Under it the linear quadratic Gaussian controller has the least
-mean square error for its effort, which counts beyond the force -H d that keeps d from acting (H:
-mass matrix). Its filter knows how the noise is made: every process with memory is a state of its
-own. Delays and slow sensors are left out of the limit, which they only raise, and constant biases
-of limit and controller alike. Kalman filter, shaping filters and regulator: Franklin, Powell and
+the scenario's sensor noise, white, correlated and of biases that walk at random; and, in place of
+everything unknown to the controller, an acceleration d that walks at random, as fast as the planned
+motion and the disturbance require. The linear quadratic Gaussian controller then has the least mean
+square error for its effort, counted as the excess over the force -H d that compensates d (H: mass
+matrix). Its filter knows the noise model: every process with memory is one of its states. Delays
+and slow sensors, which only raise the limit, are left out, and so are constant biases of limit and
+controller. Kalman filter, shaping filters and regulator: Franklin, Powell and
 Workman, Digital Control of Dynamic Systems, chapter 9.
 """
 
@@ -20,24 +20,25 @@ from scipy.linalg import solve_discrete_are
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.control_design.stability.adaptation import expected_gains
-from ffsm_drake.control_design.stability.demand import Demand, make_demand
-from ffsm_drake.control_design.stability.linear_loop import covariance_after
-from ffsm_drake.control_design.stability.linearization import Linearizer, smooth_sensing
+from ffsm_drake.control_design.stability.linear_loop import STATIONARY, covariance_after
+from ffsm_drake.control_design.stability.linear_settings import smooth_sensing
+from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.planned_dynamics import (
+    Demand,
+    PlannedDynamics,
+    make_demand,
+)
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.free_floating import driven_model
-from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.controllers.filter_gains import SMALLEST_RATIO
-from ffsm_drake.systems.reference import make_motion
 
-# Prices of effort that the front is computed for, in units of the regulator's (see there).
+# Prices of effort along the front, in the units of ``_regulator``.
 _PRICES = np.geomspace(1e7, 1e-3, 16)
-_STATIONARY = 2**18  # control samples
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Limit:
-    """A controller in the model above, and the front of what is possible."""
+    """A controller in the model above, and the LQG front."""
 
     error: np.ndarray  # (nv,) rms error of the controller, rad or m; infinite where it is unstable
     excess: float  # its effort beyond -H d, as ISV over the run
@@ -67,22 +68,18 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     """The limit for a scenario and its controller's distance to it; takes less than a second.
 
     Args:
-      scenario: what is looked at.
-      demand: that of the scenario, if it is known already.
+      scenario: the scenario.
+      demand: that of the scenario; None: it is computed.
 
     Raises: as ``Linearizer`` and ``Linearizer.at``; BlockError for a controller that tracks a
     frame.
     """
     scenario = from_grasp(scenario)
     demand = make_demand(scenario) if demand is None else demand
-    motion, step, count = (
-        make_motion(scenario, demand.coordinates),
-        scenario.sample_time,
-        scenario.num_control_periods,
-    )
-    time = motion.part(0.5)
-    q, _, _ = motion.evaluate(time)
-    mass = driven_model(make_true_plant(scenario)).calc_mass_matrix(q)
+    planned, step = PlannedDynamics(scenario), scenario.sample_time
+    count = scenario.num_control_periods
+    time = planned.motion.part(0.5)
+    mass, _ = planned.mass_matrices(time, locked=True)
     walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
     with Linearizer(scenario) as linearizer:
         if linearizer.loop.tracks_frame:
@@ -111,7 +108,7 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class _SensorNoise:
-    """Of measured positions, then velocities (nv, 2), SI units; what is zero is not there."""
+    """Noise of measured positions, then velocities (nv, 2), SI units; zero: none."""
 
     white: np.ndarray  # standard deviations
     correlated: np.ndarray
@@ -143,9 +140,9 @@ def _filter(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Covariances (nv, 3, 3) of each axis' [q, v, d] in units of [L^2, L, 1], of the Kalman filter.
 
-    Before and after the correction of a sample, once the next power of two of ``samples`` has
-    passed since all was known, as ``covariance_after`` has it. The filter knows the force, so that
-    axes do not meet in it. Its state is [q, v, d], the bias of v, correlated noise of q and of v.
+    Before and after the correction of a sample, at the next power of two of ``samples`` after a
+    known state, as in ``covariance_after``. The filter knows the force, so that its axes are
+    decoupled. Its state is [q, v, d], the bias of v, correlated noise of q and of v.
     """
     step, size = sample_time, np.array([sample_time**2, sample_time])
     kept = np.exp(-step / noise.time_constant)  # of the correlated noise, from sample to sample
@@ -157,7 +154,7 @@ def _filter(
     process = np.zeros((len(walk), 6, 6))
     process[:, [2, 3], [2, 3]] = step * np.stack([walk, noise.bias_walk / step], axis=1) ** 2
     process[:, [4, 5], [4, 5]] = correlated**2 * (1.0 - kept**2)
-    # The gain takes some noise on every measurement, as that of ``kalman_gain``.
+    # As in ``kalman_gain`` the gain assumes at least a little noise on every measurement.
     largest = np.column_stack([white, correlated, walk * np.sqrt(step)]).max(axis=1)
     assumed = np.maximum(white, SMALLEST_RATIO * largest[:, None]) ** 2
     before = process
@@ -181,7 +178,7 @@ def _regulator(
     Args:
       mass: H (nv, nv).
       before, after: covariances (nv, 3, 3) of ``_filter``.
-      scale: by which errors are weighed (nv), units of L^2.
+      scale: sizes of errors of the same weight (nv), units of L^2.
       price: of the squared force.
     """
     nv = len(mass)
@@ -199,7 +196,7 @@ def _regulator(
         """The [q, v] part of (nv, 3, 3) as (2 nv, 2 nv)."""
         return np.block([[np.diag(blocks[:, i, j]) for j in range(2)] for i in range(2)])
 
-    estimate = covariance_after(closed, joined(before - after), samples=_STATIONARY)
+    estimate = covariance_after(closed, joined(before - after), samples=STATIONARY)
     error = np.diagonal(closed @ estimate @ closed.T + joined(before))[:nv]
     force = unit**2 * gain @ estimate @ gain.T + mass @ np.diag(after[:, 2, 2]) @ mass.T
     return np.sqrt(error), float(np.trace(force))

@@ -1,8 +1,8 @@
-"""The momentum of a captured target: where it can go after the grasp, and how long that lasts.
+"""The momentum of a captured target: where it goes after the grasp, and for how long.
 
-What nothing takes out stays in the stack. Wheels hold angular momentum until one is at its speed
-limit, an arm as long as its joints can go on turning; what neither holds turns the stack, and
-linear momentum moves it on.
+Momentum that no force or torque takes out stays in the stack. Actuators that store angular momentum
+hold it up to their limit, an arm as long as its joints can turn; the rest turns the stack, and
+linear momentum makes it drift.
 """
 
 import dataclasses
@@ -18,7 +18,8 @@ from pydrake.math import RotationMatrix
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import number, percent
-from ffsm_drake.common.so3 import quaternion_rate
+from ffsm_drake.common.so3 import in_body_axes, quaternion_rate
+from ffsm_drake.loop.blocks import section_parts
 from ffsm_drake.scenario import Capture, Scenario, planned_part
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.clearance import Clearance
@@ -31,45 +32,45 @@ from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
-from ffsm_drake.systems.actuation.wheels import WheelSet
 from ffsm_drake.systems.limits import joint_limits, limits_of
+from ffsm_drake.systems.part import MomentumStorage
 from ffsm_drake.systems.reference import make_motion
 
-LONGEST = 1000.0  # s that are looked at
-_INSTANTS = 201  # of a planned motion that are looked at, and after it as densely to the run's end
+LONGEST = 1000.0  # s; the budget looks no further
+_INSTANTS = 201  # instants of the planned motion, and of the time after it as densely
 _INSTANTS_AFTER = 2001
-_STEP = 0.1  # rad or m of a joint between two looks at the arm
-_SHARE = 0.2  # of the time that is left to the joint that reaches its limit first, likewise
-_OVER = 0.1  # s; when less of it is left
-_TURN = 2.0 * math.pi  # what a joint without limits counts as having left
+_STEP = 0.1  # rad or m, largest step of a joint in the arm's motion
+_SHARE = 0.2  # largest step, as a share of the time until the first joint is at its limit
+_LAST = 0.1  # s, at which that time counts as used up
+_TURN = 2.0 * math.pi  # rad or m, the range assumed of a joint without limits
 _MOMENTA = {"base_rotation": "angular", "base_position": "linear"}
-_BEYOND = "longer than was looked at"
+_BEYOND = f"more than {LONGEST:g} s"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class WheelBudget:
-    """What wheels take of the momentum while they hold the attitude; shares are of a wheel's speed
-    limit.
+class StorageBudget:
+    """The momentum that an actuator stores while it holds the attitude, as shares of the limit of
+    its units.
     """
 
+    name: str  # section of the scenario
     capacity: float  # N m s; along the momentum, at the end of the planned motion
     least_capacity: float  # N m s; along the worst direction
-    share: float  # of the fullest wheel at the end; beyond 1 the wheels cannot hold the attitude
+    share: float  # of the fullest unit at the end; above 1 the attitude cannot be held
     peak_share: float  # over the planned motion
-    fullest: str  # the wheel of ``peak_share``
-    least_time: float  # s; in which the motors' torque takes the momentum up
+    fullest: str  # the unit of ``peak_share``
+    least_time: float  # s; in which the largest torque takes the momentum up
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ArmBudget:
-    """What the arm takes by turning its joints while the base's attitude stays as it is at the
-    grasp.
-    """
+    """The momentum that the arm holds by turning its joints, the base's attitude kept."""
 
     # N m s; along the momentum, within the joints' rate limits; None: there are none
     capacity: float | None
-    time: float | None  # s for which a motion was found that holds it all; None: beyond ``LONGEST``
-    ended_by: str  # what is in the way then; "" for nothing
+    # s for which a motion was found that holds all of it; None: longer than ``LONGEST``
+    time: float | None
+    ended_by: str  # the limit that ends it; "" for none
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -77,13 +78,13 @@ class MomentumBudget:
     """The momentum after the planned grasp, with the nominal payload; world axes."""
 
     linear: list[float]  # N s
-    angular: list[float]  # N m s; about the centre of mass, that of wheels included
+    angular: list[float]  # N m s; about the centre of mass, stored momentum included
     mass: float  # kg; of servicer and target
-    # s; by driven group of the base, the least in which its force or torque takes the momentum out;
-    # 0: no limit
+    # s; by driven group of the base: the shortest time in which its force or torque takes the
+    # momentum out; 0: no limit
     least_time: dict[str, float]
-    wheels: WheelBudget | None  # where they alone hold the attitude
-    arm: ArmBudget | None  # where nothing else does
+    storage: StorageBudget | None  # of the actuator that alone holds the attitude
+    arm: ArmBudget | None  # where the attitude is undriven
     drift: float | None  # m/s; of the centre of mass; None: the base's position is driven
     # rad/s; of the stack with its joints at rest as planned; None: its attitude is held
     rate: float | None
@@ -94,11 +95,11 @@ class MomentumBudget:
 
 
 def momentum_budget(scenario: Scenario) -> MomentumBudget | None:
-    """Where the momentum of a scenario's target can go after the grasp; None without a capture.
+    """The momentum budget of a scenario after the grasp; None without a capture.
 
-    The arm's time is that of a motion that holds all of the angular momentum at every instant, with
-    the rates that use up no joint's range sooner than they must; another may last longer.
-    User-supplied references are not known here: the posture is then that of the grasp.
+    The arm's time is that of a motion that holds all of the angular momentum at every instant, at
+    the rates that exhaust the first joint's range latest; another motion may last longer. With a
+    user-supplied reference the posture is that of the grasp.
 
     Raises:
       ModelError, ScenarioError: as ``make_motion``.
@@ -110,29 +111,26 @@ def momentum_budget(scenario: Scenario) -> MomentumBudget | None:
 
 @memoized(maxsize=16)  # a run's check, its record and its report ask for the same
 def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
-    """Of a scenario whose model and plan are made from ``files``."""
+    """The budget of a scenario whose model and plan are made from ``files``."""
     accepted = (scenario.capture or Capture()).accepted_drift or {}
     model = make_nominal_plant(scenario)
     contact = planned_contact(scenario, model)
-    wheels = None
-    if scenario.wheels is not None:
-        alone = scenario.actuation.thrusters is None
-        wheels = WheelSet(scenario.wheels, sample_time=scenario.sample_time, alone=alone)
+    name, storage = _storage(scenario)
     linear, angular = contact.momentum_after[3:], contact.spin_after
-    if wheels is not None:
-        angular = angular + _attitude(contact.q) @ wheels.axes @ wheels.initial_momentum
+    if storage is not None:
+        angular = angular + _attitude(contact.q) @ storage.initial
     times, q, spin = _along(scenario, model, contact.q)
     end = free_floating(model, q[-1])
     mass = float(end.mass_matrix[3, 3])
-    on_wheels = on_arm = None
-    turning = np.zeros(3)  # of ``angular``, what turns the stack
+    stored = on_arm = None
+    turning = np.zeros(3)  # the part of ``angular`` that turns the stack
     if "base_rotation" in scenario.undriven:
         on_arm = _arm_budget(scenario, model, contact.q, angular)
         turning = angular
-    elif wheels is not None and scenario.undriven:
-        on_wheels = _wheel_budget(wheels, q, angular - spin, angular)
-        if on_wheels.share > 1.0:
-            turning = (1.0 - on_wheels.capacity / float(np.linalg.norm(angular))) * angular
+    elif storage is not None and scenario.undriven:
+        stored = _storage_budget(name, storage, q, angular - spin, angular)
+        if stored.share > 1.0:
+            turning = (1.0 - stored.capacity / float(np.linalg.norm(angular))) * angular
     limits = tightest(limits_of(scenario, model.plant), FORCE).upper
     least = {
         group: float((np.abs(momentum) / limits[model.coordinates.groups[group]]).max())
@@ -152,7 +150,7 @@ def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
         angular=angular.tolist(),
         mass=mass,
         least_time=least,
-        wheels=on_wheels,
+        storage=stored,
         arm=on_arm,
         drift=float(np.linalg.norm(linear)) / mass
         if "base_position" in scenario.undriven
@@ -168,10 +166,8 @@ def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
 def _along(
     scenario: Scenario, model: PlantModel, q: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (n,), configurations (n, nq) and angular momentum of all but wheels (n, 3), to the end
-    of motion and run.
-
-    Where no motion is known, of the posture (nq) at the grasp.
+    """Times (n,), configurations (n, nq) and angular momentum of the bodies (n, 3), to the end of
+    motion and run; without a known motion at the posture (nq) of the grasp alone.
     """
     if not scenario.undriven or scenario.blocks.reference is not None:
         return np.zeros(1), q[None], np.zeros((1, 3))
@@ -188,49 +184,54 @@ def _attitude(q: np.ndarray) -> np.ndarray:
     return RotationMatrix(Quaternion(q[:4])).matrix()
 
 
-def _wheel_budget(
-    wheels: WheelSet, q: np.ndarray, stored: np.ndarray, angular: np.ndarray
-) -> WheelBudget:
-    """Args: momentum (n, 3) in the wheels in configurations (n, nq), and what is left in them at
-    the end (3).
+def _storage(scenario: Scenario) -> tuple[str, MomentumStorage | None]:
+    """The actuator that stores angular momentum, and the name of its section."""
+    for name, part in section_parts(scenario).items():
+        if (storage := part.storage(scenario)) is not None:
+            return name, storage
+    return "", None
+
+
+def _storage_budget(
+    name: str, storage: MomentumStorage, q: np.ndarray, stored: np.ndarray, angular: np.ndarray
+) -> StorageBudget:
+    """Args: section; storage; momentum (n, 3) that it holds in configurations (n, nq), and finally
+    (3).
     """
-    turn = np.array([_attitude(each) for each in q])  # R_WB
-    shares = wheels.filled(np.einsum("nji,nj->ni", turn, stored))
-    first, last = (turn[i].T @ angular for i in (0, -1))
+    shares = storage.filled(in_body_axes(q[:, :4], stored))
+    first, last = in_body_axes(q[[0, -1], :4], np.tile(angular, (2, 1)))
     fullest = int(np.argmax(shares.max(axis=0)))
-    change = first - wheels.axes @ wheels.initial_momentum
-    return WheelBudget(
-        capacity=wheels.capacity(last) if last.any() else wheels.least_capacity,
-        least_capacity=wheels.least_capacity,
-        share=float(wheels.filled(last).max()),
+    change = first - storage.initial
+    return StorageBudget(
+        name=name,
+        capacity=storage.capacity(last) if last.any() else storage.least_capacity,
+        least_capacity=storage.least_capacity,
+        share=float(storage.filled(last).max()),
         peak_share=float(shares.max()),
-        fullest=wheels.names[fullest],
-        least_time=1.0 / wheels.most(change) if change.any() else 0.0,
+        fullest=storage.names[fullest],
+        least_time=1.0 / storage.most(change) if change.any() else 0.0,
     )
 
 
 def _arm_budget(
     scenario: Scenario, model: PlantModel, q: np.ndarray, angular: np.ndarray
 ) -> ArmBudget:
-    """Turn the joints from a posture (nq) on so that they hold all of an angular momentum (3), as
-    long as they can.
-    """
+    """Turn the joints from a posture (nq) on so that they hold all of an angular momentum (3)."""
     limits = joint_limits(scenario, model.plant)
     (_, rate), (lower, upper) = (tightest(limits, each).joints for each in (RATE, POSITION))
-    capacity = _most(free_floating(model, q), angular, rate)
+    capacity = _largest_held(free_floating(model, q), angular, rate)
     try:
         clearance = Clearance(scenario.model) if scenario.clearance > 0.0 else None
-    except ModelError:  # shapes without a distance, of which the plan's remarks tell
+    except ModelError:  # shapes without a distance, which the plan's remarks report
         clearance = None
     q, time, ended_by, most = q.copy(), 0.0, "", np.minimum(rate, scenario.divergence_speed)
     arm = slice(NUM_BASE_POSITIONS, None)
 
     def found(q: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
-        """Rates in a configuration, and the room of the joints there."""
+        """Rates in a configuration, and the range left to the joints there."""
         room = np.stack([upper - q[arm], q[arm] - lower])
-        return _evenest(
-            free_floating(model, q), angular, np.where(np.isfinite(room), room, _TURN), most
-        ), room
+        stack, finite = free_floating(model, q), np.where(np.isfinite(room), room, _TURN)
+        return _longest_lasting_rates(stack, angular, finite, most), room
 
     while time < LONGEST:
         rates, room = found(q)
@@ -239,7 +240,7 @@ def _arm_budget(
             break
         own = np.where(rates > 0.0, room[0], room[1]) / np.maximum(np.abs(rates), 1e-300)
         first = int(np.argmin(own))
-        if own[first] < _OVER:
+        if own[first] < _LAST:
             time += max(float(own[first]), 0.0)
             ended_by = f"{model.coordinates.joints[first]} reaches its limit"
             break
@@ -263,9 +264,9 @@ def _arm_budget(
     return ArmBudget(capacity=capacity, time=time if ended_by else None, ended_by=ended_by)
 
 
-def _most(stack: FreeFloating, angular: np.ndarray, rate: np.ndarray) -> float | None:
-    """The largest momentum along ``angular`` (3) that joints within their rates (n) hold, the base
-    at rest; N m s.
+def _largest_held(stack: FreeFloating, angular: np.ndarray, rate: np.ndarray) -> float | None:
+    """The largest momentum along ``angular`` (3), N m s, of joints within their rates (n), the base
+    at rest.
     """
     from scipy.optimize import linprog
 
@@ -282,14 +283,13 @@ def _most(stack: FreeFloating, angular: np.ndarray, rate: np.ndarray) -> float |
     return None if found.x is None else float(found.x[-1])
 
 
-def _evenest(
+def _longest_lasting_rates(
     stack: FreeFloating, angular: np.ndarray, room: np.ndarray, most: np.ndarray
 ) -> np.ndarray | None:
-    """Joint rates (n) that hold an angular momentum (3), the base at rest, and use up no range
-    sooner than they must.
+    """Joint rates (n) of an angular momentum (3), the base at rest, that exhaust the first joint's
+    range latest; None: there are none.
 
-    Args: what each joint has left upwards and downwards (2, n), rad or m; the largest rates (n).
-    None: there are none.
+    Args: the range left to each joint upwards and downwards (2, n), rad or m; largest rates (n).
     """
     from scipy.optimize import linprog
 
@@ -308,8 +308,8 @@ def _evenest(
 def _used_up(
     path: np.ndarray, times: np.ndarray, accepted: dict[str, float]
 ) -> dict[str, float | None]:
-    """When the base, with poses (n, 7) at times (n,), has gone farther than accepted, s, by
-    group.
+    """The time, s, by group, at which the base, with poses (n, 7) at times (n,), exceeds its
+    accepted drift.
     """
     moved = position_errors(path, np.broadcast_to(path[0], path.shape))
     found: dict[str, float | None] = {}
@@ -351,72 +351,61 @@ def _coast(
 
 
 def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
-    """Where the momentum can go after a grasp (``MomentumBudget`` as plain data), a line each; none
-    without.
-    """
+    """A ``MomentumBudget`` as plain data in words, a line each; none without one."""
     if budget is None:
         return []
     linear, angular = (number(math.hypot(*budget[key])) for key in ("linear", "angular"))
     lines = [
         f"after the grasp as planned: {linear} N s, and {angular} N m s about the centre of mass"
     ]
-    wheels, arm, turning = budget["wheels"], budget["arm"], ""
+    storage, arm, turning = budget["storage"], budget["arm"], ""
     if budget["rate"] is not None:
-        turning = f"turns the stack at {number(180.0 / math.pi * budget['rate'], 3)} deg/s"
+        turning = f"turns the stack at {number(math.degrees(budget['rate']), 3)} deg/s"
     for group, what in (("base_rotation", "torque"), ("base_position", "force")):
-        if group in budget["least_time"] and (wheels is None or group == "base_position"):
+        if group in budget["least_time"] and (storage is None or group == "base_position"):
             least = budget["least_time"][group]
-            within = f" in {number(least, 3)} s at the least" if least > 0.0 else ""
+            within = f" in at least {number(least, 3)} s" if least > 0.0 else ""
             lines.append(f"{what} on the base takes out the {_MOMENTA[group]} momentum{within}")
-    if wheels is not None:
-        rest = f"; what they do not hold {turning}" if turning else ""
+    if storage is not None:
         lines.append(
-            f"wheels: the angular momentum takes {percent(wheels['share'])} of the speed of "
-            f"{wheels['fullest']}, up to "
-            f"{percent(wheels['peak_share'])} on the way, and {number(wheels['least_time'], 3)} s "
-            "at the least; they "
-            f"hold {number(wheels['capacity'], 3)} N m s along it, "
-            f"{number(wheels['least_capacity'], 3)} along the "
-            f"worst direction{rest}"
+            f"{storage['name']}: the angular momentum fills {storage['fullest']} to "
+            f"{percent(storage['share'])}, to {percent(storage['peak_share'])} on the way, in at "
+            f"least {number(storage['least_time'], 3)} s; the capacity is "
+            f"{number(storage['capacity'], 3)} N m s along it and "
+            f"{number(storage['least_capacity'], 3)} along the worst direction"
+            + (f"; the rest {turning}" if turning else "")
         )
     if arm is not None:
-        rates = (
-            ""
-            if arm["capacity"] is None
-            else (f"; its rate limits allow {number(arm['capacity'], 3)} N m s")
-        )
-        until = (
-            f"{number(arm['time'], 3)} s, until {arm['ended_by']}" if arm["ended_by"] else _BEYOND
-        )
+        until, rates = _BEYOND, ""
+        if arm["ended_by"]:
+            until = f"{number(arm['time'], 3)} s, until {arm['ended_by']}"
+        if arm["capacity"] is not None:
+            rates = f"; its rate limits allow {number(arm['capacity'], 3)} N m s"
         lines.append(
             f"arm: it can hold the angular momentum, the base's attitude kept, for {until}{rates}"
         )
         lines += [f"with its joints at rest the angular momentum {turning}"] if turning else []
     if budget["drift"] is not None:
-        speed = f"{number(1e3 * budget['drift'], 3)} mm/s"
         lines.append(
-            f"nothing takes out the linear momentum: the stack of {budget['mass']:g} kg "
-            f"drifts at {speed}"
+            f"linear momentum stays: the stack of {budget['mass']:g} kg drifts at "
+            f"{number(1e3 * budget['drift'], 3)} mm/s"
         )
     for group, time in budget["used_up"].items():
         size = budget["accepted"][group]
         most = f"{math.degrees(size):.4g} deg" if group == "base_rotation" else f"{size:.4g} m"
-        when = (
-            f"lasts for {_BEYOND}"
-            if time is None
-            else (f"is used up {number(time)} s after the grasp")
-        )
+        when = f"lasts {_BEYOND}" if time is None else f"exceeded {number(time)} s after the grasp"
         lines.append(f"accepted drift of {group}, {most}: {when}")
     return lines
 
 
 def storage_remark(budget: MomentumBudget) -> str:
-    """Says so when the wheels cannot hold what a grasp leaves; empty where they can."""
-    wheels = budget.wheels
-    if wheels is None or wheels.peak_share <= 1.0:
+    """A warning where the angular momentum after a grasp exceeds its storage; else empty."""
+    storage = budget.storage
+    if storage is None or storage.peak_share <= 1.0:
         return ""
+    left = number(math.hypot(*budget.angular), 3)
     return (
-        f"actuation.wheels: {wheels.fullest} has to take {100.0 * wheels.peak_share:.3g} % of its "
-        f"most to hold the attitude after the grasp; {np.linalg.norm(budget.angular):.3g} N m s "
-        f"are left in the stack, along which the wheels hold {wheels.capacity:.3g}"
+        f"{storage.name}: to hold the attitude after the grasp {storage.fullest} would be filled "
+        f"to {percent(storage.peak_share)}; {left} N m s are left in the stack, along which the "
+        f"capacity is {number(storage.capacity, 3)}"
     )

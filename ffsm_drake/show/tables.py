@@ -488,7 +488,7 @@ def design_data(found: "Design") -> dict[str, Any]:
         "estimator": scenario.estimator.kind,
         "gains": complete_gains(scenario).controllers.get(controller_key(scenario.controller), {}),
         "kept": found.kept,
-        "held_back": found.held_back,
+        "active_constraint": found.active_constraint,
         "distance_to_lqg": found.limit.distance,
         "budget": found.requirement.budget,
         "ideal_isv": found.ideal_isv,

@@ -216,6 +216,36 @@ class PartRecord:
         return cls(**{**data, **made})
 
 
+class Signals(Protocol):
+    """Values of signals by name."""
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """The values of a signal."""
+
+
+class MomentumStorage(Protocol):
+    """Units that hold angular momentum in the base; vectors (3) in the base's axes."""
+
+    names: tuple[str, ...]
+
+    @property
+    def initial(self) -> np.ndarray:
+        """Angular momentum (3) that they hold at the start, N m s."""
+
+    @property
+    def least_capacity(self) -> float:
+        """``capacity`` along the worst direction, N m s."""
+
+    def capacity(self, direction: np.ndarray) -> float:
+        """The largest angular momentum along a direction (3), N m s."""
+
+    def filled(self, momentum: np.ndarray) -> np.ndarray:
+        """The share of its limit (..., n) that each unit is filled to by a momentum (..., 3)."""
+
+    def most(self, direction: np.ndarray) -> float:
+        """The largest multiple of a torque (3), N m, that they give."""
+
+
 class Part:
     """What fills a block; derive a frozen, keyword-only dataclass from it."""
 
@@ -274,6 +304,16 @@ class Part:
         """Of an actuator of the base: the largest ``torque`` (N m) and ``force`` (N) along each of
         the directions (n, 3; base's axes), those that it gives; None of others.
         """
+        return None
+
+    def saturated(self, signals: "Signals") -> np.ndarray:
+        """Whether an actuator gives less than was wanted of it: (n,) from its signals
+        (n, components), or a single truth value from those of one sample (components).
+        """
+        return np.zeros((), dtype=bool)
+
+    def storage(self, scenario: Scenario) -> "MomentumStorage | None":
+        """The angular momentum that it can hold in the base; None for a part that holds none."""
         return None
 
     def limits(self, coordinates: Coordinates) -> Sequence[Limit]:

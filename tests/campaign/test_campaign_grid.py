@@ -16,7 +16,7 @@ from ffsm_drake.campaign.statistics import find
 from ffsm_drake.campaign.store import open_store
 from ffsm_drake.cli.campaign import campaign
 from ffsm_drake.common.errors import CampaignError
-from ffsm_drake.control_design.stability.demand import make_demand
+from ffsm_drake.control_design.stability.planned_dynamics import make_demand
 from ffsm_drake.control_design.stability.prediction import predict
 
 SIGMAS = (1e-5, 1e-4)  # rad/s and m/s

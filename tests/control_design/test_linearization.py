@@ -24,7 +24,8 @@ from ffsm_drake.control_design.stability.boundaries import (
     with_nominal_payload,
     with_sample_time,
 )
-from ffsm_drake.control_design.stability.linearization import NOT_LINEAR, Linearizer
+from ffsm_drake.control_design.stability.linear_settings import NOT_LINEAR
+from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.one_axis import axis_loop
 from ffsm_drake.scenario import Actuation, Drives, Thrusters, Wheel, Wheels
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -326,7 +327,7 @@ def test_every_setting_of_the_actuators_is_kept_or_named():
         quantization=some,
         delay=1,
         backlash=0.1,
-        thrusters=Thrusters(layout="twelve"),
+        thrusters=Thrusters(layout="12x5N"),
         wheels=wheels,
         drives=drives,
     )

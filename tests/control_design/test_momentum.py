@@ -127,16 +127,16 @@ def test_wheels_take_the_angular_momentum() -> None:
     budget = told(scenario)
     record = simulate(scenario, check_stability=False)
     data = record.dataset
-    assert budget.wheels is not None
+    assert budget.storage is not None
     assert np.abs(data["error"].values[:, :3]).max() < 1e-6
     assert np.linalg.norm(last(record, "velocity")[:3]) < 1e-6
     assert budget.rate is None
     held = last(record, "stored_momentum")
     assert_allclose(held, budget.angular, rtol=1e-3, atol=1e-3 * np.linalg.norm(budget.angular))
     shares = np.abs(data["wheel_speed"].values) / 60.0
-    assert budget.wheels.share == pytest.approx(shares[-1].max(), rel=1e-3)
-    assert budget.wheels.peak_share == pytest.approx(shares.max(), rel=2e-2)  # sensor noise, too
-    assert budget.wheels.fullest == data["wheel"].values[int(shares.max(axis=0).argmax())]
+    assert budget.storage.share == pytest.approx(shares[-1].max(), rel=1e-3)
+    assert budget.storage.peak_share == pytest.approx(shares.max(), rel=2e-2)  # sensor noise, too
+    assert budget.storage.fullest == data["wheel"].values[int(shares.max(axis=0).argmax())]
     moved = np.diff(centers(record, make_true_plant(scenario)), axis=0)[0]
     assert_allclose(moved, 4.0 * np.array(budget.linear) / budget.mass, rtol=1e-6)
 
@@ -144,9 +144,9 @@ def test_wheels_take_the_angular_momentum() -> None:
 def test_wheels_that_are_too_small_are_told_of_and_saturate() -> None:
     scenario = known(wheels(speed_limit=4.0), "duration=2")
     budget = told(scenario)
-    assert budget.wheels is not None
-    assert budget.wheels.least_capacity <= budget.wheels.capacity < np.linalg.norm(budget.angular)
-    assert budget.wheels.peak_share >= budget.wheels.share > 1.0
+    assert budget.storage is not None
+    assert budget.storage.least_capacity <= budget.storage.capacity < np.linalg.norm(budget.angular)
+    assert budget.storage.peak_share >= budget.storage.share > 1.0
     assert budget.rate is not None
     assert any(line.startswith("actuation.wheels: ") for line in plan_remarks(scenario))
     record = simulate(scenario, check_stability=False)
@@ -260,7 +260,7 @@ def test_limits_of_the_joints_bound_what_the_arm_holds(tmp_path) -> None:
 
 def test_where_all_is_driven_force_and_torque_take_it_out() -> None:
     budget = told(known())
-    assert (budget.arm, budget.wheels, budget.drift, budget.rate) == (None, None, None, None)
+    assert (budget.arm, budget.storage, budget.drift, budget.rate) == (None, None, None, None)
     assert budget.least_time == pytest.approx(
         {
             "base_rotation": np.abs(budget.angular).max() / 10.0,

@@ -17,7 +17,6 @@ from ffsm_drake.control_design.stability import (
 )
 from ffsm_drake.control_design.stability.boundaries import Boundaries
 from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.mass_ratios import inertia_ratios
 from ffsm_drake.control_design.stability.one_axis import (
     axis_loop,
     largest_sample_time,
@@ -26,6 +25,7 @@ from ffsm_drake.control_design.stability.one_axis import (
     tolerated_eta,
     with_sample_time,
 )
+from ffsm_drake.control_design.stability.planned_dynamics import inertia_ratios
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import make_law
 from ffsm_drake.systems.controllers.estimators import KalmanEstimator

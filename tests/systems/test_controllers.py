@@ -11,12 +11,14 @@ import pytest
 from ffsm_drake import load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
 from ffsm_drake.systems.controllers import PAPER_LAWS, make_controller, make_law
+from ffsm_drake.systems.controllers.law import gains_of
 from ffsm_drake.systems.controllers.laws import aismc, asmc, tde_aismc
 from ffsm_drake.systems.controllers.laws.aismc import Aismc
 from ffsm_drake.systems.controllers.laws.asmc import Asmc
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
 from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.registry import SHIPPED, find_factory
 
 PERIOD = 0.01
 ONE = np.ones(1)
@@ -375,3 +377,38 @@ def test_first_update_takes_no_acceleration_and_no_previous_force():
     # The second update, everything unchanged, sees zero acceleration and adds the same again.
     context.SetDiscreteState(updated)
     assert controller.EvalUniquePeriodicDiscreteUpdate(context).value(0) == pytest.approx(2 * first)
+
+
+@pytest.mark.parametrize("name", SHIPPED["controller"])
+def test_starting_gains_are_declared(name):
+    kind = find_factory("controller", name)
+    matrices = np.tile(np.diag(np.arange(1.0, 12.0)), (2, 1, 1))
+    gains = kind.starting_gains(np.full(11, 10.0), matrices)
+    assert set(gains) <= set(gains_of(kind))
+    assert all(np.min(value) > 0.0 for value in gains.values())
+
+
+def test_starting_gains_of_pd_plus_are_slow_for_every_mass_matrix():
+    """No pole of H^-1 K_D is faster than 2 w, w being twice the natural frequency."""
+    factors = np.random.default_rng(1).normal(size=(5, 11, 11))
+    matrices = factors @ factors.swapaxes(1, 2) + np.eye(11)
+    k_d = find_factory("controller", "pd_plus").starting_gains(np.full(11, 10.0), matrices)["k_d"]
+    for mass_matrix in matrices:
+        rates = np.linalg.eigvals(np.linalg.solve(mass_matrix, np.diag(k_d))).real
+        assert rates.max() <= 40.0 * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "walks"),
+    [
+        (["estimator.kind=kalman"], ("walk",)),
+        (["estimator.kind=coupled"], ("walk", "force_walk")),
+        (["estimator.kind=one_sample"], ()),
+        (["controller=pd_plus"], ()),
+    ],
+)
+def test_random_walks_that_are_designed(overrides, walks):
+    scenario = load_scenario("flight_sensors", overrides)
+    law = make_law(scenario, make_nominal_plant(scenario))
+    assert law.random_walks == walks
+    assert all(hasattr(scenario.estimator, name) for name in walks)

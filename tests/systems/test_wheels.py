@@ -231,9 +231,9 @@ def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():
     )
     most = 0.5 * 4.0 / np.sqrt(3.0) * np.array([0.0, 0.0, 1.0])  # that they give about z
     assert helped.most(most / np.linalg.norm(most)) == pytest.approx(np.linalg.norm(most))
-    assert helped.beyond(1.9 * most) == pytest.approx(np.zeros(3))
-    assert helped.beyond(-5.0 * most) == pytest.approx(-3.0 * most)
-    assert alone.beyond(5.0 * most) == pytest.approx(np.zeros(3))
+    assert helped.assist_torque(1.9 * most) == pytest.approx(np.zeros(3))
+    assert helped.assist_torque(-5.0 * most) == pytest.approx(-3.0 * most)
+    assert alone.assist_torque(5.0 * most) == pytest.approx(np.zeros(3))
 
 
 @pytest.mark.parametrize(

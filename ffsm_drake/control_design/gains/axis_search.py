@@ -9,10 +9,10 @@ from scipy.optimize import fmin
 
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
-from ffsm_drake.control_design.stability.demand import Demand
-from ffsm_drake.control_design.stability.linearization import smooth_sensing
-from ffsm_drake.control_design.stability.mass_ratios import PlannedInertia
+from ffsm_drake.control_design.rounding import rounded
+from ffsm_drake.control_design.stability.linear_settings import smooth_sensing
 from ffsm_drake.control_design.stability.one_axis import axis_loop, of_axes
+from ffsm_drake.control_design.stability.planned_dynamics import Demand, PlannedDynamics
 from ffsm_drake.scenario import (
     Estimator,
     Scenario,
@@ -26,15 +26,15 @@ from ffsm_drake.systems.controllers.estimators import KalmanEstimator
 from ffsm_drake.systems.controllers.filter_gains import kalman_gain
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
-# Prices of effort that the front is computed for, per unit of ISV.
+# Prices of effort along the front, per unit of ISV.
 PRICES = (0.2, 0.08, 0.04, 0.022, 0.012, 0.006)
-# The one-axis loop must contract at least this much for every payload.
+# The largest spectral radius of a one-axis loop for every payload.
 LARGEST_RADIUS = 0.9995
-# s; times the velocity noise, what a filter assumes of positions that are exact: it would else only
-# differentiate them.
+# s; times the velocity noise: the noise that a filter assumes of exact positions, which it would
+# only differentiate otherwise.
 _POSITION_NOISE_TIME = 0.1
-_KEPT = 10_000  # costs and designs of a group
-# By how much the range of inertia ratios is widened for it.
+_KEPT = 10_000  # remembered costs and designs of a group
+# Factor by which the range of inertia ratios is widened.
 _WIDER = 1.05
 
 
@@ -60,10 +60,10 @@ class AxisSearch:
         on_price: Callable[[], None],
     ) -> None:
         self._scenario, self._demand, self._kind = scenario, demand, kind
-        inertia = PlannedInertia(scenario)
+        planned = PlannedDynamics(scenario)
         coordinates = demand.coordinates
         # The cost of a unit of Hhat^-1 tau: columns of Hhat at mid-motion.
-        nominal = inertia.at(inertia.motion.part(0.5))[1]
+        nominal = planned.mass_matrices(planned.motion.part(0.5))[1]
         weight = (nominal[coordinates.driven] ** 2).sum(axis=0)
         self._axes = {
             group: _Axis(scenario, law, demand, group, kind, etas, float(weight[part].sum()))
@@ -90,8 +90,8 @@ class AxisSearch:
     def at_budget(
         self, requirement: Requirement, evaluate: Callable[[Scenario], DesignPoint]
     ) -> DesignPoint:
-        """The point that spends the budget, by bisection on the price; the cheapest where none is
-        within it.
+        """The point at the budget, by bisection on the price; the cheapest where none is within
+        it.
         """
         budget, allowed = requirement.budget, requirement.budget
         tried = list[tuple[DesignPoint, dict[str, np.ndarray]]]()
@@ -108,7 +108,7 @@ class AxisSearch:
         return best
 
     def at_the_edge(self) -> list[str]:
-        """The groups whose chosen design would leave the stable region by a small step."""
+        """The groups whose chosen design is next to the limit of stability."""
         steps = 0.05 * np.vstack([np.eye(3), -np.eye(3)])
         return [
             group
@@ -153,7 +153,7 @@ class AxisSearch:
         estimator, axes = data["estimator"], self._axes.items()
         estimator["kind"] = self._kind
         if self._kind == "kalman":
-            estimator["walk"] = {group: _rounded(np.exp(point[group][-1])) for group, _ in axes}
+            estimator["walk"] = {group: rounded(np.exp(point[group][-1])) for group, _ in axes}
             if any(axis.assumed != axis.noise for _, axis in axes):
                 for k, name in enumerate(("position_noise", "velocity_noise")):
                     estimator[name] = {group: axis.assumed[k] for group, axis in axes}
@@ -161,7 +161,7 @@ class AxisSearch:
         key = controller_key(self._scenario.controller)
         gains = data["controllers"].setdefault(key, {})
         for name in next(iter(designed.values())):
-            gains[name] = {group: _rounded(each[name]) for group, each in designed.items()}
+            gains[name] = {group: rounded(each[name]) for group, each in designed.items()}
         return scenario_from_dict(data)
 
 
@@ -169,13 +169,9 @@ def one_sample_law(scenario: Scenario) -> TimeDelayControl | None:
     """The scenario's law with the one-sample estimate; None for one that is not designed by
     axis.
     """
-    published = dataclasses.replace(scenario, estimator=Estimator())
-    law = getattr(make_law(published, make_nominal_plant(scenario)), "by_axis", None)
+    one_sample = dataclasses.replace(scenario, estimator=Estimator())
+    law = getattr(make_law(one_sample, make_nominal_plant(scenario)), "by_axis", None)
     return law if law is not None and law.dynamics.gains_for(1.0, 1.0) else None
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.3g}")
 
 
 class _Axis:
@@ -198,18 +194,17 @@ class _Axis:
         self.law, self.weight = of_axes(law, [part.start]), weight
         self.etas = np.append(etas, 1.0)[:, None]
         self.duration = demand.times.size * self.period
-        # Of the run's demand, padded: by it the error is a product.
+        # Spectrum of the run's demand, padded, for a convolution.
         self.spectrum = np.fft.rfft(demand.lumped[:, part].T, 2 * demand.times.size)
         # at the end of each sample
         self.late = demand.times + self.period > min(5.0, 0.25 * self.duration)
-        # The group's worst sensors.
+        # The largest noise within the group.
         position, velocity = self.noise = tuple(
             float(demand.coordinates.vector(noise, key="sensing", default=0.0)[part].max())
             for noise in (sensing.position_noise, sensing.velocity_noise)
         )
         self.assumed = position or _POSITION_NOISE_TIME * velocity, velocity
-        # The search comes back to a design, with another estimate of the same gains from its
-        # beginning.
+        # The search returns to a design; with another estimator it starts from the same gains.
         self.cost = memoized(maxsize=_KEPT)(self._cost)
         self.minimize = memoized(maxsize=_KEPT)(self._minimize)
 
@@ -249,8 +244,7 @@ class _Axis:
         loop = loops[-1, 0]
         covariance = loop.covariance(position_noise=self.noise[0], velocity_noise=self.noise[1])
         force = loop.part("force")
-        # The error's response to the demand of one sample, its length doubled until it covers the
-        # run.
+        # Response of the error to the demand of one sample, doubled in length up to the run's.
         count = self.late.size
         columns, power = loop.f[:, None], loop.a
         while columns.shape[1] < count:
@@ -282,13 +276,13 @@ class _Axis:
 
 
 def eta_range(scenario: Scenario, masses: list[float]) -> np.ndarray:
-    """Five inertia ratios over what the payload range and the planned motion hold, and a little
-    more on both sides: the axes are coupled, and the motion moves the poles.
+    """Five inertia ratios over the range of payloads and postures, widened a little: the axes are
+    coupled, and the motion moves the poles.
     """
     spread = list[np.ndarray]()
     for mass in masses:
-        inertia = PlannedInertia(with_true_mass(scenario, mass))
-        spread += [inertia.ratios(inertia.motion.part(share)) for share in (0.0, 0.5, 1.0)]
+        planned = PlannedDynamics(with_true_mass(scenario, mass))
+        spread += [planned.ratios(planned.motion.part(share)) for share in (0.0, 0.5, 1.0)]
     return np.linspace(np.min(spread) / _WIDER, np.max(spread) * _WIDER, 5)
 
 

@@ -1,18 +1,18 @@
-"""Choosing gains for a scenario's sensors, period, delays, limits and payload range, never worse
-than those given.
+"""Choice of gains for a scenario's sensors, period, delays, limits and payload range, never worse
+than the given ones.
 
-Candidates are evaluated alike, by ``predict`` on the closed loop as it is wired: the least error,
-as the mean of the groups' log(rms error), that keeps to the budget of effort and to the actuators'
-limits, and that is stable for every payload of the range. Where they come from depends on the law:
+All candidates are evaluated by ``predict`` on the wired loop. The choice has the least error, as
+the mean of the groups' log(rms error), within the budget of effort and the actuators' limits, and
+is stable for every payload of the range. The candidates depend on the law:
 
 - *Laws that are designed by axis* (``InjectedDynamics.gains_for``; the paper's). Every group has
   its natural frequency w (K_P = w^2, K_D = 2 w; ASMC: K_D = K_s
   = w), its K_s where the surface has an integral, and the random walk q_N of its Kalman estimate.
   The groups share only the effort, so each is designed alone on its one-axis loop for a price of
   effort, with either estimate. Lowering the price traces the front of accuracy against effort.
-- *Every other law, and every loop that is not made of axes* (delays, replaced blocks). The gains
-  that the law declares, and the random walks, are varied by group from the best
-  there is, all groups at once, as long as that pays at a price of effort.
+- *Every other law, and every loop that does not consist of axes* (delays, user-supplied blocks).
+  The declared gains and the random walks are varied by group from the best known, all groups at
+  once, as long as the cost falls at a price of effort.
 """
 
 import contextlib
@@ -20,7 +20,6 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -38,16 +37,17 @@ from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.control_design.gains.variation import PRICES_VARIED, varied
 from ffsm_drake.control_design.limit import Limit, find_limit
 from ffsm_drake.control_design.stability.adaptation import axis_law
-from ffsm_drake.control_design.stability.demand import Demand, make_demand
-from ffsm_drake.control_design.stability.linearization import Linearizer, has_base_actuators
+from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.planned_dynamics import Demand, make_demand
 from ffsm_drake.control_design.stability.prediction import Prediction, predict, predict_from
 from ffsm_drake.control_design.stability.rehearsal import rehearse
+from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.scenario import Estimator, Scenario
-from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+from ffsm_drake.systems.controllers import complete_gains
 
-# Noises under which a design must get by with its base actuators.
+# Seeds of the noise under which a design must not diverge with its base actuators.
 _SEEDS = 2
-# Of log(rms error): less is no reason to change gains.
+# Least improvement of log(rms error) for which gains are changed.
 _NEGLIGIBLE = 0.005
 _KINDS = {
     "kalman": "Kalman estimate",
@@ -59,48 +59,49 @@ _KINDS = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Design:
-    """The chosen gains and what they were chosen from."""
+    """The chosen gains and the candidates."""
 
     chosen: DesignPoint
     given: DesignPoint  # the scenario as it was
     found: Mapping[str, DesignPoint]  # the best of each kind: of estimate, or "varied" gains
     kept: bool  # whether the given gains are the chosen ones
-    held_back: str  # what keeps the chosen gains from being better, one line
+    active_constraint: str  # the constraint that limits the chosen gains, one line
     front: tuple[FrontPoint, ...]  # with the chosen estimate; empty where none was traced
     limit: Limit  # of the chosen gains
     ideal_isv: float
     requirement: Requirement
 
     @functools.cached_property
-    def published(self) -> Prediction | None:
-        """With the paper's gains and one-sample estimate, and the same sensors; None for another
-        law.
+    def with_defaults(self) -> Prediction | None:
+        """The prediction with the law's default gains and the default estimator; None where the
+        defaults do not fit the spacecraft.
         """
-        scenario = self.given.scenario
-        return predict(_published(scenario)) if scenario.controller in PAPER_LAWS else None
+        default = dataclasses.replace(self.given.scenario, controllers={}, estimator=Estimator())
+        try:
+            return predict(default)
+        except ScenarioError:
+            return None
 
     @property
     def remarks(self) -> list[str]:
-        """What was compared and what limits the choice, a sentence each."""
+        """The comparison and the active constraint, a sentence each."""
         after, before = self.chosen.prediction, self.given.prediction
         factor = float(np.exp(before.mean_log_error - after.mean_log_error))
         violated = self.requirement.violated(self.given)
         if self.kept and violated:
             remarks = [
-                f"Yours is kept, though it does not meet the requirements: {violated}. Nothing "
-                "found does better."
+                f"The given gains are kept, though they do not meet the requirements: {violated}. "
+                "No better gains were found."
             ]
         elif self.kept:
             remarks = [
-                "Yours is better: kept. Nothing was found that is more accurate and meets "
-                "the requirements."
+                "The given gains are kept: no more accurate ones were found that meet the "
+                "requirements."
             ]
         elif violated:
-            remarks = [f"Yours does not meet the requirements: {violated}."]
+            remarks = [f"The given gains do not meet the requirements: {violated}."]
             if factor < 1.0:
-                remarks.append(
-                    f"Where that does not matter, yours is {1.0 / factor:.3g} times as accurate."
-                )
+                remarks.append(f"Apart from that they are {1.0 / factor:.3g} times as accurate.")
         else:
             remarks = [
                 f"The rms error falls by a factor of {factor:.3g} (geometric mean over the groups)."
@@ -109,12 +110,11 @@ class Design:
             error = np.exp(point.prediction.mean_log_error)
             verdict = self.requirement.violated(point) or f"ISV {point.prediction.isv:.1f}"
             remarks.append(f"{_KINDS[kind]}: mean rms error {error:.3g}, {verdict}.")
-        remarks.append(f"Held back by {self.held_back}.")
+        remarks.append(f"Active constraint: {self.active_constraint}.")
         if np.isfinite(self.limit.distance):
             remarks.append(
-                f"The error is {self.limit.distance:.3g} times the least that any linear "
-                "controller can have at this "
-                "effort (LQG, same noise and demand)."
+                f"The error is {self.limit.distance:.3g} times the least of any linear controller "
+                "at this effort (LQG, same noise and demand)."
             )
         return remarks
 
@@ -158,7 +158,7 @@ def design(
     )
     chosen = given if kept else best
     if requirement.violated(chosen).startswith("ISV"):
-        if budget is None:  # a slow motion takes little beside what noise takes
+        if budget is None:  # in a slow motion most of the effort is due to noise
             least = 1.1 * chosen.prediction.isv
             return design(scenario, budget=least, payload_range=payload_range, progress=progress)
         cheapest = f"the cheapest gains found need {chosen.prediction.isv:.1f}"
@@ -172,7 +172,7 @@ def design(
         given=given,
         found=found,
         kept=kept,
-        held_back=_held_back(chosen, requirement, search),
+        active_constraint=_active_constraint(chosen, requirement, search),
         front=() if shown is None else shown.front,
         limit=find_limit(chosen.scenario, demand),
         ideal_isv=demand.ideal_isv,
@@ -206,7 +206,7 @@ def _evaluate(
             radius_by_mass=_radius_by_mass(linearizer, (masses[0], masses[-1])),
             is_by_axis=axis_law(linearizer) is not None,
         )
-    if not has_base_actuators(candidate) or requirement.violated(point):
+    if not is_rehearsed(candidate) or requirement.violated(point):
         return point
     return dataclasses.replace(point, rehearsal=rehearse(candidate, seeds=_SEEDS))
 
@@ -235,10 +235,9 @@ def _candidates(
             searches[kind] = AxisSearch(scenario, law, demand, kind, etas, on_price=step)
             found[kind] = searches[kind].at_budget(requirement, evaluate)
             if kind == "kalman":
-                # late or slow sensors, which it does not take
-                with contextlib.suppress(ScenarioError):
+                with contextlib.suppress(ScenarioError):  # for late or slow sensors
                     found["coupled"] = searches[kind].at_budget(
-                        requirement, lambda made: evaluate(_with_estimator(made, kind="coupled"))
+                        requirement, lambda made: evaluate(_with_coupled_estimator(made))
                     )
     if not given.is_by_axis:
         best = min([given, *found.values()], key=requirement.rank)
@@ -247,10 +246,9 @@ def _candidates(
     return found, searches
 
 
-def _with_estimator(scenario: Scenario, **settings: Any) -> Scenario:
-    return dataclasses.replace(
-        scenario, estimator=dataclasses.replace(scenario.estimator, **settings)
-    )
+def _with_coupled_estimator(scenario: Scenario) -> Scenario:
+    estimator = dataclasses.replace(scenario.estimator, kind="coupled")
+    return dataclasses.replace(scenario, estimator=estimator)
 
 
 def _radius_by_mass(linearizer: Linearizer, masses: Sequence[float]) -> dict[float, float]:
@@ -263,8 +261,10 @@ def _radius_by_mass(linearizer: Linearizer, masses: Sequence[float]) -> dict[flo
     }
 
 
-def _held_back(point: DesignPoint, requirement: Requirement, search: "AxisSearch | None") -> str:
-    """What a better design would run into."""
+def _active_constraint(
+    point: DesignPoint, requirement: Requirement, search: AxisSearch | None
+) -> str:
+    """The constraint that a better design would violate."""
     peak, limit = point.prediction.peak_effort, requirement.limit
     if point.prediction.isv > 0.98 * requirement.budget:
         return f"the budget of effort, ISV {requirement.budget:.1f}"
@@ -276,9 +276,4 @@ def _held_back(point: DesignPoint, requirement: Requirement, search: "AxisSearch
         return f"stability for a true payload of {worst:g} kg"
     if search is not None and (groups := search.at_the_edge()):
         return f"stability over the payload range, in {', '.join(groups)}"
-    return "nothing that was looked at: what more effort buys is below its lowest price"
-
-
-def _published(scenario: Scenario) -> Scenario:
-    """The scenario with the paper's gains and estimate."""
-    return dataclasses.replace(scenario, controllers={}, estimator=Estimator())
+    return "none; more effort gains less than its lowest price"

@@ -1,4 +1,4 @@
-"""The requirements of a design, and the order in which designs are ranked."""
+"""The requirements of a design, and the ranking of designs."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -17,8 +17,9 @@ class DesignPoint:
     scenario: Scenario
     prediction: Prediction
     radius_by_mass: Mapping[float, float]  # true payload mass in kg -> spectral radius
-    is_by_axis: bool = True  # whether its loop is made of axes (``adaptation.axis_law``)
-    rehearsal: Rehearsal | None = None  # with limited base actuators, where all else is kept to
+    is_by_axis: bool = True  # whether its loop consists of axes (``adaptation.axis_law``)
+    # with limited base actuators, if all other requirements are met
+    rehearsal: Rehearsal | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -29,7 +30,7 @@ class Requirement:
     limit: np.ndarray  # (nv,) of the actuators, N m or N; infinite: none
 
     def violated(self, point: DesignPoint) -> str:
-        """One line: which requirement a point does not meet; empty where it meets all."""
+        """The requirement that a point does not meet, one line; empty where it meets all."""
         prediction = point.prediction
         if not np.isfinite(prediction.isv):
             return "it diverges"
@@ -41,10 +42,8 @@ class Requirement:
         if (excess := prediction.peak_effort > self.limit).any():
             i = int(np.argmax(excess))
             peak, limit = prediction.peak_effort[i], self.limit[i]
-            return (
-                f"it asks {prediction.coordinates.names[i]} for {peak:.3g}, whose "
-                f"actuation.limit is {limit:g}"
-            )
+            name = prediction.coordinates.names[i]
+            return f"{name} needs {peak:.3g}, more than its actuation.limit of {limit:g}"
         if prediction.isv > self.budget:
             return f"ISV {prediction.isv:.1f} is over the budget of {self.budget:.1f}"
         if point.rehearsal is not None and point.rehearsal.share_diverged > 0.0:
@@ -52,7 +51,7 @@ class Requirement:
         return ""
 
     def rank(self, point: DesignPoint) -> tuple[int, float]:
-        """The smaller the better: requirements first, then error, or effort over budget."""
+        """Smaller is better: requirements first, then error, or effort over budget."""
         prediction, violated = point.prediction, self.violated(point)
         if not violated:
             return 0, prediction.mean_log_error

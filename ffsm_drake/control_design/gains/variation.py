@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.control_design.gains.requirement import DesignPoint
+from ffsm_drake.control_design.rounding import rounded_by_group
 from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
-from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.controllers import PAPER_LAWS, declared_gains
+from ffsm_drake.systems.controllers import declared_gains, make_law
 
-# Prices and factors that other laws' gains are varied with.
+# Prices of effort, and factors by which gains are varied.
 PRICES_VARIED = (0.08, 0.022, 0.006)
 _FACTORS = (2.0, 1.4)
 
@@ -19,8 +19,8 @@ _FACTORS = (2.0, 1.4)
 def varied(
     start: DesignPoint, evaluate: Callable[[Scenario], DesignPoint], *, on_price: Callable[[], None]
 ) -> Iterator[DesignPoint]:
-    """All that is tried while the declared gains are varied by group; a step is kept for the groups
-    that it helps.
+    """All candidates tried while the declared gains are varied by group; a step is kept for the
+    groups whose cost it lowers.
     """
     best = start
     yield best
@@ -69,47 +69,29 @@ def _groups(point: DesignPoint) -> Mapping[str, slice]:
 
 
 def _tunable(scenario: Scenario) -> list[str]:
-    """What ``_scaled`` takes: feedback gains by coordinate, bounds apart, and the estimator's
-    walk.
+    """Names that ``_scaled`` takes: feedback gains by coordinate, except bounds, and random
+    walks.
     """
-    gains = declared_gains(scenario)
     names = [
-        name for name, gain in gains.items() if gain.feedback and not gain.bound and not gain.scalar
+        name
+        for name, gain in declared_gains(scenario).items()
+        if gain.feedback and not gain.bound and not gain.scalar
     ]
-    walks = {"kalman": ["walk"], "coupled": ["walk", "force_walk"]}.get(scenario.estimator.kind, [])
-    return [*names, *(walks if scenario.controller in PAPER_LAWS else [])]
+    law = make_law(scenario, make_nominal_plant(scenario))
+    return [*names, *getattr(law, "random_walks", ())]
 
 
 def _scaled(scenario: Scenario, name: str, factors: Mapping[str, float]) -> Scenario:
-    """The scenario with one tunable value times a factor by group, and with it the bound it must
-    stay below.
+    """The scenario with one tunable value times a factor by group, and likewise the upper bound of
+    an adapted gain.
     """
     coordinates = make_nominal_plant(scenario).coordinates
+    factor = coordinates.vector(factors, key=name, default=1.0)
     data: dict[str, Any] = scenario_to_dict(scenario)
-    if name in ("walk", "force_walk"):
-        data["estimator"][name] = _times(data["estimator"][name], factors, coordinates)
-        return scenario_from_dict(data)
     gains = data["controllers"][controller_key(scenario.controller)]
-    bound = f"{name.removesuffix('_initial')}_max"
-    for each in (name, bound) if gains.get(bound) is not None else (name,):
-        gains[each] = _times(gains[each], factors, coordinates)
+    place = gains if name in gains else data["estimator"]
+    for key in (name, f"{name.removesuffix('_initial')}_max"):
+        if place.get(key) is not None:
+            values = coordinates.vector(place[key], key=key)
+            place[key] = rounded_by_group(factor * values, coordinates)
     return scenario_from_dict(data)
-
-
-def _times(
-    value: Mapping[str, float], factors: Mapping[str, float], coordinates: Coordinates
-) -> dict[str, float]:
-    """Values by coordinate times factors by group, three digits, by group where a group's are
-    equal.
-    """
-    vector = coordinates.vector(value, key="")
-    result: dict[str, float] = {}
-    for group, part in coordinates.groups.items():
-        scaled = [
-            float(f"{number * factors.get(group, 1.0):.3g}") for number in vector[part].tolist()
-        ]
-        equal = len(set(scaled)) == 1
-        result |= (
-            {group: scaled[0]} if equal else dict(zip(coordinates.names[part], scaled, strict=True))
-        )
-    return result

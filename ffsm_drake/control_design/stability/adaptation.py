@@ -1,27 +1,26 @@
-"""The K_s that adaptation is expected to reach, from the noise and the drift that the sliding
-variable sees.
+"""The K_s that adaptation is expected to reach, from the noise and the drift of the sliding
+variable.
 """
 
 import math
 
 import numpy as np
 
-from ffsm_drake.control_design.stability.demand import perfect_tracking
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.mass_ratios import PlannedInertia
 from ffsm_drake.control_design.stability.one_axis import axis_loop
+from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.loop.blocks import block_choices
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
-# times 2/L: beyond, no loop is stable whose inertia is at least a sixth of the nominal one
+# times 2/L: above it no loop is stable whose inertia is at least a sixth of the nominal one
 _RUN_AWAY = 5.0
 
 
 def axis_law(linearizer: Linearizer) -> TimeDelayControl | None:
-    """The linearizer's control law where its loop is made of axes (``one_axis``): a law by axis,
-    nothing late, slow or replaced. Otherwise None.
+    """The linearizer's control law where its loop consists of axes (``one_axis``): a law by axis
+    without delays, slow sensors and user-supplied blocks; otherwise None.
     """
     scenario = linearizer.given
     sensing, estimator = scenario.sensing, scenario.estimator
@@ -40,8 +39,8 @@ def axis_law(linearizer: Linearizer) -> TimeDelayControl | None:
 
 
 def is_euler(scenario: Scenario) -> bool:
-    """Whether the plant steps as explicit Euler at the control period, which is a plant of its own;
-    with smaller steps it is just inexact.
+    """Whether the plant steps as explicit Euler at the control period, which is a different plant;
+    smaller steps are only inexact.
     """
     config = scenario.simulator_config
     at_period = config.max_step_size >= 0.999 * scenario.sample_time
@@ -49,48 +48,43 @@ def is_euler(scenario: Scenario) -> bool:
 
 
 def expected_gains(linearizer: Linearizer, loop: LinearLoop | None = None) -> dict[str, np.ndarray]:
-    """The held gains (``Linearizer.at``) that adaptation is expected to lead to: every K_s at its
-    largest.
+    """The held gains (``Linearizer.at``) with every K_s at its largest expected value; empty
+    without adaptation or a forecast.
 
-    ``loop`` is that at the starting gains, where it is known; default: at the start. Empty where
-    nothing adapts or no forecast is known.
+    ``loop`` is the loop at the starting gains; default: that of the start.
     """
     law = axis_law(linearizer)
     gain = None if law is None else law.reaching_gain
     if law is None or gain is None or not gain.changes:
         return {}
     loop = linearizer.at(0.0) if loop is None else loop
-    inertia = PlannedInertia(linearizer.given)
-    _, k_s = forecast_reaching_gain(linearizer.given, law, inertia, loop, points=51)
+    planned = PlannedDynamics(linearizer.given)
+    _, k_s = forecast_reaching_gain(law, planned, loop, points=51)
     return {"reaching_gain": k_s.max(axis=0)}
 
 
 def forecast_reaching_gain(
-    scenario: Scenario,
-    law: TimeDelayControl,
-    inertia: PlannedInertia,
-    loop: LinearLoop,
-    *,
-    points: int = 101,
+    law: TimeDelayControl, planned: PlannedDynamics, loop: LinearLoop, *, points: int = 101
 ) -> tuple[np.ndarray, np.ndarray]:
     """The expected course of K_s: times (p,) in s, K_s (p, nv) in 1/s; zero for a law without.
 
-    Adaptation sees |s|. Its steady part follows the planned motion: what a steadily changing N
-    leaves of s (-Ntilde / K_s for the one-sample estimate, with Ntilde the change of N over one
-    sample). The noise part is Gaussian: its deviation at the starting gains is that of ``loop``,
-    and changes with K_s as that of the one-axis loop does whose eta is the coordinate's own entry
-    of H^-1 Hhat at the time of ``loop``. The sign term adds its own oscillation at half the
-    sampling rate. The mean of the law over that distribution is integrated. A K_s that grows past
-    all that this covers is given as the largest that it can become.
+    Adaptation is driven by |s|. The steady part of s follows the planned motion: it is the response
+    to a steadily changing N (-Ntilde / K_s for the one-sample estimate, with Ntilde the change of N
+    over one sample). The noise part is Gaussian: its deviation at the starting gains is that of
+    ``loop``, and changes with K_s as in the one-axis loop whose eta is the coordinate's entry of
+    H^-1 Hhat at the time of ``loop``. The sign term adds an oscillation at half the sampling rate.
+    The mean of the law over that distribution is integrated. A K_s that outgrows the grid is given
+    as its upper bound.
     """
+    scenario = planned.scenario
     times = np.linspace(0.0, scenario.num_control_periods * scenario.sample_time, points)
-    size, gain = len(inertia.nominal.coordinates.names), law.reaching_gain
+    size, gain = len(planned.coordinates.names), law.reaching_gain
     if gain is None or gain.rate is None:
         return times, np.tile(np.zeros(size) if gain is None else gain.start, (points, 1))
     switching = law.initial_state().get("switching_gain", np.zeros(size))
-    drift = np.gradient(perfect_tracking(scenario, times)[0], times, axis=0)
+    drift = np.gradient(planned.perfect_tracking(times)[0], times, axis=0)
     grid = np.linspace(1.0, 2.0 / scenario.sample_time, 20)
-    deviation, drift_gain, sign_amplitude = _sliding_response(scenario, law, inertia, loop, grid)
+    deviation, drift_gain, sign_amplitude = _sliding_response(law, planned, loop, grid)
     k_s = np.empty((points, size))
     k_s[0] = gain.start
     for j in range(points - 1):
@@ -120,32 +114,25 @@ def _mean_signed_magnitude(mean: float, sigma: float, threshold: float) -> float
         return density + 0.5 * mean * (math.erf(zb) - math.erf(za))
 
     inside = partial(0.0, threshold) - partial(-threshold, 0.0)
-    far = abs(mean) + 12.0 * sigma + threshold
-    outside = partial(threshold, far) - partial(-far, -threshold)
+    outside = partial(threshold, math.inf) - partial(-math.inf, -threshold)
     return outside - inside
 
 
 def _sliding_response(
-    scenario: Scenario,
-    law: TimeDelayControl,
-    inertia: PlannedInertia,
-    wired: LinearLoop,
-    grid: np.ndarray,
+    law: TimeDelayControl, planned: PlannedDynamics, wired: LinearLoop, grid: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Response of s to its inputs for each K_s of the grid (k, nv): its deviation under the noise;
-    |s| per unit of dN/dt; its amplitude per unit of G.
-
-    The sign term's oscillation alternates every sample, so its amplitude is the loop's gain from u
-    to s at z = -1.
+    """Response of s for each K_s of the grid (k, nv): standard deviation under the noise; |s| per
+    unit of dN/dt; amplitude per unit of G, the gain from u to s at z = -1, as the sign term
+    alternates every sample.
     """
-    coordinates = inertia.nominal.coordinates
+    scenario, coordinates = planned.scenario, planned.coordinates
     position, velocity = (
         coordinates.vector(
             getattr(scenario.sensing, f"{name}_noise"), key=f"sensing.{name}_noise", default=0.0
         )
         for name in ("position", "velocity")
     )
-    eta = np.diagonal(np.linalg.solve(*inertia.at(wired.time)))
+    eta = np.diagonal(np.linalg.solve(*planned.mass_matrices(wired.time)))
     many = law.with_reaching_gain(grid[:, None])
     loop = axis_loop(many, eta=eta, euler=is_euler(scenario), also="sliding_variable")
     s, step = loop.part("sliding_variable"), scenario.sample_time
@@ -159,9 +146,7 @@ def _sliding_response(
         deviation = np.sqrt(np.maximum(covariance[..., s, s], 0.0))
 
     def bounded(values: np.ndarray) -> np.ndarray:
-        """Past the limit s grows without bound; a value far beyond every threshold stands for
-        it.
-        """
+        """Values with one far above every threshold where the loop is unstable."""
         largest = np.where(stable, values, 0.0).max(axis=0)
         return np.where(stable, values, np.where(largest > 0.0, 10.0 * largest, 1e3))
 

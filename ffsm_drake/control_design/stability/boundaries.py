@@ -1,7 +1,6 @@
-"""How far a scenario is from the edge of stability, found on the loop as it is wired: one thing is
-changed at a time.
+"""Stability limits of a scenario on its wired loop, one parameter at a time.
 
-Every trial builds the loop anew and linearises it at the posture that is nearest to the edge.
+Every trial builds the loop again and linearises it at the posture nearest to instability.
 """
 
 import dataclasses
@@ -25,14 +24,14 @@ class Boundaries:
     whole search range.
     """
 
-    # factor on all feedback gains of the controller; infinite, too, where it declares none
+    # factor on all feedback gains of the controller; infinite where it declares none
     gains: float
     nominal_payload: float  # factor on the nominal payload's mass and inertia
     sample_time: float  # factor on the control period
     # by part of ``model.flexible`` that has a mass, and "all": factor on it
     flexible_mass: Mapping[str, float]
-    # further delay of the sensors, unknown to the estimator; the first number of samples that is
-    # unstable
+    # additional delay of the sensors, unknown to the estimator: the first unstable number of
+    # control samples
     delay: float
 
 
@@ -40,7 +39,7 @@ def find_boundaries(scenario: Scenario, *, time: float) -> Boundaries:
     """The boundaries at one posture of the planned motion; takes some seconds.
 
     Args:
-      scenario: the loop.
+      scenario: the scenario.
       time: s, the posture; ``Margins.edge_time`` of ``stability``.
 
     Raises ModelError, ScenarioError and BlockError as ``stability`` does.
@@ -117,8 +116,8 @@ def with_sample_time(scenario: Scenario, factor: float) -> Scenario:
 
 
 def with_flexible_mass(scenario: Scenario, names: Collection[str], factor: float) -> Scenario:
-    """The scenario with the masses of some parts of ``model.flexible`` times a factor; frequencies
-    stay.
+    """The scenario with the masses of named parts of ``model.flexible`` times a factor, at the same
+    frequencies.
     """
     parts = {
         name: dataclasses.replace(
@@ -134,9 +133,7 @@ def with_flexible_mass(scenario: Scenario, names: Collection[str], factor: float
 
 
 def with_delay(scenario: Scenario, delay: int) -> Scenario:
-    """The scenario with another delay of its sensors, control samples, that its estimator does not
-    know of.
-    """
+    """The scenario with another delay of its sensors, control samples, unknown to its estimator."""
     known = scenario.sensing.delay if scenario.estimator.delay is None else scenario.estimator.delay
     return dataclasses.replace(
         scenario,
@@ -146,10 +143,8 @@ def with_delay(scenario: Scenario, delay: int) -> Scenario:
 
 
 def _largest_factor(is_stable: Callable[[float], bool]) -> float:
-    """The largest factor from 1 up with which the loop is stable; infinite where it is over
-    the whole search range.
-
-    A model that cannot be built any more (a part outweighs its carrier) ends the search, too.
+    """The largest stable factor from 1 up; infinite where the loop is stable over the whole search
+    range, or up to a model that cannot be built (a part outweighs its carrier).
     """
     inside, outside = 1.0, _RATIO
     try:

@@ -11,6 +11,8 @@ import numpy as np
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
+STATIONARY = 2**18  # control samples until a loop that contracts has stationary noise
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Mode:
@@ -39,11 +41,10 @@ class LinearLoop:
     """The loop near one instant of the planned motion.
 
     Its state x begins with the plant's e and its rate (2 nv), then its hidden coordinates and their
-    rates; u is the controller's force until the next sample (nv, N m or N); w is the white noise of
-    unit variance that a sample reads. Undriven coordinates have no poles: they go where the others
-    take them at the momentum that there is. Where a frame is tracked their place acts on the driven
-    ones, and a unit pole of each that is not counted tells that there are as many ways to hold the
-    frame.
+    rates; u is the controller's force until the next sample (nv, N m or N); w is white noise of
+    unit variance, one value per sample. Undriven coordinates have no poles: they follow the others
+    at constant momentum. Where a frame is tracked, their positions act on the driven coordinates,
+    and one unit pole for each is not counted: the frame can be held in as many ways.
     """
 
     coordinates: Coordinates
@@ -70,8 +71,8 @@ class LinearLoop:
 
     @property
     def poles(self) -> np.ndarray:
-        """Poles of what feeds back, over the common period, the largest first; one infinite where A
-        is not finite.
+        """Poles of the states with feedback, over the common period, the largest first; one
+        infinite pole where A is not finite.
         """
         return self._eigen[0]
 
@@ -79,6 +80,14 @@ class LinearLoop:
     def spectral_radius(self) -> float:
         """Largest pole magnitude per control sample; the loop is stable below 1."""
         return float(np.abs(self.poles[0]) ** (1.0 / len(self.samples)))
+
+    @property
+    def fast_radius(self) -> float:
+        """Largest magnitude per control sample of the poles with a negative real part, the modes
+        that alternate between samples; 0 without one.
+        """
+        fast = np.abs(self.poles[self.poles.real < 0.0])
+        return float(fast.max(initial=0.0) ** (1.0 / len(self.samples)))
 
     def modes(self, count: int = 6) -> list[Mode]:
         """The slowest modes, those that grow first."""
@@ -107,13 +116,11 @@ class LinearLoop:
         return found
 
     def noise_response(self, samples: int) -> dict[str, np.ndarray]:
-        """Standard deviations (nv) under the noise after a number of control samples from a start
-        without error.
+        """Standard deviations (nv) under the noise, a number of control samples after a start
+        without error, rounded up to a power of two.
 
         Keys ``error`` (rad, m), ``error_rate`` (per s) and ``force`` (N m, N); ``sliding_variable``
-        (as it is, after a sample's update) where the controller has one. A power of two covers
-        ``samples``: a loop that contracts has reached its stationary values by then; what walks at
-        random or grows has come that far.
+        (after a sample's update) where the controller has one.
         """
         nv = len(self.coordinates.names)
         if not np.isfinite(self.poles).all():
@@ -126,10 +133,10 @@ class LinearLoop:
         }
 
     def _variances(self, samples: int) -> dict[str, np.ndarray]:
-        """The squares of ``noise_response``; not finite where the loop grows beyond all numbers."""
+        """The squares of ``noise_response``; not finite where the loop overflows."""
         nv = len(self.coordinates.names)
         keep = self._matters(sum(np.abs(sample.b).sum(axis=1) for sample in self.samples) > 0.0)
-        keep[: self._plant_size] = True  # the drift of what nothing drives, too
+        keep[: self._plant_size] = True  # undriven coordinates too, which drift
         maps = [
             (sample.a[np.ix_(keep, keep)], sample.b[keep], sample.c[:, keep], sample.d)
             for sample in self.samples
@@ -154,8 +161,8 @@ class LinearLoop:
         return variances
 
     def with_random_walk(self, walk: np.ndarray, mass_matrix: np.ndarray) -> Self:
-        """The loop under an acceleration d that walks at random, in addition; its force becomes
-        what exceeds -H d.
+        """The loop with an acceleration d that walks at random, and with the excess over -H d as
+        its force.
 
         Args:
           walk: intensity (nv), its standard deviation after one second, rad/s^2 or m/s^2 per
@@ -182,7 +189,7 @@ class LinearLoop:
 
     @functools.cached_property
     def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
-        """Poles, largest first, and right eigenvectors of the part of the loop that feeds back."""
+        """Poles, largest first, and right eigenvectors of the states with feedback."""
         if not np.isfinite(self.a).all():
             return np.full(1, np.inf), np.ones((len(self.a), 1))
         keep = self._matters(np.zeros(len(self.a), dtype=bool))
@@ -196,8 +203,8 @@ class LinearLoop:
         return poles[order], vectors
 
     def _matters(self, driven: np.ndarray) -> np.ndarray:
-        """Mask of the entries of x that act on the plant and that the plant, or ``driven`` (mask),
-        acts on.
+        """Mask of the entries of x that act on the plant and are acted on by it or by ``driven``
+        (mask).
         """
         arrows = sum(np.abs(sample.a) for sample in self.samples) > 0.0
         plant = np.arange(len(arrows)) < self._plant_size
@@ -217,7 +224,7 @@ def covariance_after(a: np.ndarray, noise: np.ndarray, *, samples: int) -> np.nd
     next power of two of ``samples``.
 
     By doubling: the sum of A^k noise A^k' (a discrete Lyapunov equation where it converges). Not
-    finite where it grows beyond all numbers.
+    finite where it overflows.
     """
     covariance, power = noise, a
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):

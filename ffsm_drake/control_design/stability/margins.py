@@ -15,27 +15,26 @@ from ffsm_drake.control_design.stability.adaptation import (
     is_euler,
 )
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop
-from ffsm_drake.control_design.stability.linearization import Linearizer, has_base_actuators
-from ffsm_drake.control_design.stability.mass_ratios import PlannedInertia
+from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
 from ffsm_drake.control_design.stability.one_axis import (
     axis_loop,
     largest_sample_time,
     largest_stable_k_s,
     tolerated_eta,
 )
+from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.control_design.stability.rehearsal import Rehearsal, rehearse
+from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.flexible import VibrationMode
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
-_GROWN = 1.5  # times that errors grow, from which on it is said
-# fractions of the planned motion that the loop is linearised at
-POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
+_GROWN = 1.5  # error growth from which on it is reported
 
 
 class StabilityWarning(UserWarning):
-    """A scenario whose sampled loop is unstable, or whose adaptation may make it so."""
+    """The sampled loop of a scenario is unstable, or adaptation may make it so."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -78,22 +77,21 @@ class Margins:
 
     scenario: Scenario
     coordinates: Coordinates
-    times: np.ndarray  # (m,) s, the postures looked at
+    times: np.ndarray  # (m,) s, instants of ``eta``
     # (m, na) eigenvalues of H^-1 Hhat of the driven coordinates there, H apparent
     # (calc_apparent_mass_matrix)
     eta: np.ndarray
-    loops: tuple[LinearLoop, ...]  # the loop as it is wired, at some of them, at the starting gains
+    loops: tuple[LinearLoop, ...]  # the wired loop at POSTURES, at the starting gains
     loops_expected: tuple[LinearLoop, ...]  # the same with every K_s at its largest expected value
     # spectral radius at the worst of these with every K_s at its bound; NaN without bounds
     radius_at_bounds: float
-    # at the start of the motion; none without flexible parts
-    hidden_modes: tuple[VibrationMode, ...]
+    hidden_modes: tuple[VibrationMode, ...]  # at the start of the motion
     hidden: tuple[str, ...]  # names of the hidden coordinates
-    # smallest and largest eta along the motion with flexible parts locked
+    # smallest and largest eta along the motion with hidden coordinates locked
     locked_eta: tuple[float, float]
-    # None for a law that is not one by axis, and where something delays
+    # None for a law that is not by axis, and with delays
     axes: AxisMargins | None
-    # with thrusters or wheels, of a loop that is stable without their limits
+    # with parts that are rehearsed, of a loop that is stable without their limits
     rehearsal: Rehearsal | None = None
 
     @property
@@ -107,12 +105,10 @@ class Margins:
 
     @property
     def growth(self) -> float:
-        """How many times small errors may grow while a tracked frame moves; 1 where none is
-        tracked.
+        """Growth of small errors while a tracked frame moves; 1 without a tracked frame.
 
-        What the joints cannot give of a twist, or hold back from their plan for the frame, makes
-        the loop of a posture that is passed slowly unstable without being so anywhere it rests: the
-        integral over the motion is what counts.
+        Near a singular posture the loop may be unstable as the frame passes, although it is stable
+        wherever it rests: the growth is the integral over the motion.
         """
         if not self.loops[0].tracks_frame:
             return 1.0
@@ -122,9 +118,8 @@ class Margins:
 
     @property
     def edge_time(self) -> float:
-        """The time, s, of the posture nearest to the edge: that of the largest spectral radius.
-
-        With hidden coordinates, whose slow poles decay alike everywhere, that of the largest eta.
+        """The time, s, of the posture nearest to instability: that of the largest spectral radius,
+        or of the largest eta with hidden coordinates, whose slow poles are the same everywhere.
         """
         return (
             float(self.times[int(np.argmax(self.eta.max(axis=1)))])
@@ -134,12 +129,12 @@ class Margins:
 
     @property
     def starts_stable(self) -> bool:
-        """Whether the loop contracts at the starting gains at every posture looked at."""
+        """Whether the loop is stable at the starting gains at every posture."""
         return self.worst.spectral_radius < 1.0
 
     @property
     def verdict(self) -> str:
-        """One line: "stable", or what is wrong."""
+        """One line: "stable", or the reason why not."""
         if not self.starts_stable:
             worst = self.worst
             return (
@@ -167,7 +162,7 @@ class Margins:
 
     @property
     def _with_actuators(self) -> str:
-        """The verdict on a loop that is stable while nothing saturates."""
+        """The verdict on a loop that is stable without saturation."""
         found = self.rehearsal
         if found is None and self.growth > _GROWN:
             return (
@@ -209,38 +204,39 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
     second.
 
     Args:
-      scenario: what to look at.
-      postures: number along the planned motion that the inertia ratios are computed at.
+      scenario: the scenario.
+      postures: number of instants of the planned motion at which inertia ratios are computed.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block cannot be loaded, built, wired or run.
     """
     scenario = from_grasp(scenario)
-    inertia = PlannedInertia(scenario)
-    true, motion = inertia.true, inertia.motion
+    planned = PlannedDynamics(scenario)
+    true, motion = planned.true, planned.motion
     times = np.linspace(motion.begin, motion.end, postures)
-    eta = locked = np.array([inertia.ratios(time) for time in times])
+    eta = locked = np.array([planned.ratios(time) for time in times])
     if true.split.names:
-        locked = np.array([inertia.ratios(time, locked=True) for time in times])
-    instants = [motion.part(share) for share in POSTURES]
+        locked = np.array([planned.ratios(time, locked=True) for time in times])
     with Linearizer(scenario) as linearizer:
-        held, loops = dict[str, np.ndarray](), tuple(linearizer.at(time) for time in instants)
+        held, loops = dict[str, np.ndarray](), linearizer.along(POSTURES)
         expected, law, at_bounds, rehearsal = loops, axis_law(linearizer), math.nan, None
-        axes = None if law is None else _axis_margins(scenario, law, inertia, eta, loops[0])
+        axes = None if law is None else _axis_margins(law, planned, eta, loops[0])
         if axes is not None and axes.forecast_k_s.max() > axes.k_s.max():
             held = {"reaching_gain": axes.forecast_k_s.max(axis=0)}
-            expected = tuple(linearizer.at(time, held=held) for time in instants)
+            expected = linearizer.along(POSTURES, held=held)
         gain = None if linearizer.law is None else linearizer.law.reaching_gain
         if gain is not None and gain.is_adapted and np.isfinite(gain.largest).all():
-            worst = max(instants, key=lambda time: expected[instants.index(time)].spectral_radius)
-            at_bounds = linearizer.at(worst, held={"reaching_gain": gain.largest}).spectral_radius
+            worst = int(np.argmax([loop.spectral_radius for loop in expected]))
+            bounds = {"reaching_gain": gain.largest}
+            time = motion.part(POSTURES[worst])
+            at_bounds = linearizer.at(time, held=bounds).spectral_radius
         radius = max(loop.spectral_radius for loop in (*loops, *expected))
-        if has_base_actuators(scenario) and radius < 1.0:
+        if is_rehearsed(scenario) and radius < 1.0:
             rehearsal = rehearse(scenario, held=held, mean=linearizer.follow(held=held))
     return Margins(
         scenario=scenario,
-        coordinates=inertia.nominal.coordinates,
+        coordinates=planned.coordinates,
         times=times,
         eta=eta,
         loops=loops,
@@ -255,13 +251,9 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
 
 
 def _axis_margins(
-    scenario: Scenario,
-    law: TimeDelayControl,
-    inertia: PlannedInertia,
-    eta: np.ndarray,
-    loop: LinearLoop,
+    law: TimeDelayControl, planned: PlannedDynamics, eta: np.ndarray, loop: LinearLoop
 ) -> AxisMargins:
-    euler, etas = is_euler(scenario), np.linspace(eta.min(), eta.max(), 9)
+    euler, etas = is_euler(planned.scenario), np.linspace(eta.min(), eta.max(), 9)
     # Coordinates with the same loop have the same limits.
     maps = [each.tobytes() for each in axis_loop(law, euler=euler).a]
 
@@ -272,14 +264,14 @@ def _axis_margins(
         return float(k_s), float(period), *tolerated_eta(law, axis, euler=euler)
 
     table = np.array([limits(maps.index(each)) for each in maps])
-    times, k_s = forecast_reaching_gain(scenario, law, inertia, loop)
+    times, k_s = forecast_reaching_gain(law, planned, loop)
     gain, zero = law.reaching_gain, np.zeros(len(maps))
     return AxisMargins(
         law=law,
         euler=euler,
         k_s=zero if gain is None else gain.start,
         k_s_max=zero if gain is None else gain.largest,
-        k_s_limit=np.where(inertia.nominal.coordinates.is_driven, table[:, 0], np.nan),
+        k_s_limit=np.where(planned.coordinates.is_driven, table[:, 0], np.nan),
         sample_time_limit=table[:, 1],
         eta_tolerated=table[:, 2:],
         forecast_times=times,
@@ -288,16 +280,15 @@ def _axis_margins(
 
 
 def stability_warning(scenario: Scenario) -> str:
-    """One line when a scenario starts unstable or its adaptation may become so; empty otherwise.
+    """One line where a scenario is unstable at the start or adaptation may make it so; else empty.
 
-    A fast check at the start of the motion, made by ``simulate`` before a run without user-supplied
-    blocks.
+    A fast check, which ``simulate`` makes before a run without user-supplied blocks.
     """
     scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
         if remark := _warning(scenario, linearizer):
             return remark
-        if not has_base_actuators(scenario):
+        if not is_rehearsed(scenario):
             return ""
         found = rehearse(scenario, seeds=1, held=expected_gains(linearizer))
     return (
@@ -323,7 +314,7 @@ def _warning(scenario: Scenario, linearizer: Linearizer) -> str:
     held = {"reaching_gain": gain.largest}
     if math.isfinite(largest) and linearizer.at(0.0, held=held).spectral_radius < 1.0:
         return ""
-    eta = PlannedInertia(scenario).ratios(0.0)[-1:]
+    eta = PlannedDynamics(scenario).ratios(0.0)[-1:]
     axis, euler = int(np.argmax(gain.largest)), is_euler(scenario)
     limit = float(largest_stable_k_s(law, axis, eta=eta, euler=euler)[0])
     bound = f"may grow to {largest:g} 1/s" if math.isfinite(largest) else "is not bounded"

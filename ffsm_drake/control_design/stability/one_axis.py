@@ -6,12 +6,11 @@ with the tracking error e, eta an eigenvalue of H^-1 Hhat and d = -N under perfe
 the controller has to estimate. With the one-sample estimate the pole at z = -1 sets the limit
 (K_D + K_s) L < 2 (2 - eta) / eta.
 
-This is the wired loop (``linearization``) where the true payload is the nominal one, so that the
-axes do not meet. It is here for speed: one set of gains takes 54 ms on the wiring, 34 ms where only
-held gains change, and 0.27 ms here with six values of eta at once; thousands at once take 11 us
-each. Limits by coordinate, maps, the course of adaptation and the search of gains, which ask for
-thousands, are made with it; spectral radii, boundaries and what a design is chosen by are those of
-the wiring.
+It equals the wired loop (``linearization``) where the true payload is the nominal one, so that the
+axes are decoupled, and is used for speed: one set of gains takes 54 ms on the wiring, 34 ms where
+only held gains change, and 0.27 ms here with six values of eta; thousands at once take 11 us each.
+Limits by coordinate, maps, the course of adaptation and the search of gains, which need thousands,
+use it; spectral radii, boundaries and the choice of a design use the wiring.
 """
 
 import dataclasses
@@ -22,13 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.control_design.stability.linear_loop import covariance_after
+from ffsm_drake.control_design.stability.linear_loop import STATIONARY, covariance_after
 from ffsm_drake.systems.controllers.law import Sample
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
-_STEPS = 400  # of a scan for a limit
-_HALVINGS = 30  # of the step in which the limit lies
-_STATIONARY = 2**18  # control samples
+_STEPS = 400  # steps of a scan for a limit
+_HALVINGS = 30  # halvings of the step that contains the limit
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -38,7 +36,7 @@ class AxisLoop:
     x is [e, de/dt, t] and the memory of the law and its estimator that feeds back.
     """
 
-    names: tuple[str, ...]  # of x: "error", "error_rate", "force", then those of the memory
+    names: tuple[str, ...]  # entries of x: "error", "error_rate", "force", then those of the memory
     a: np.ndarray  # (..., m, m)
     b: np.ndarray  # (..., m, 2)
     f: np.ndarray  # (..., m)
@@ -50,7 +48,7 @@ class AxisLoop:
         return dataclasses.replace(self, **arrays)
 
     def part(self, name: str) -> int:
-        """Where an entry of x stands."""
+        """Index of an entry of x."""
         return self.names.index(name)
 
     @functools.cached_property
@@ -72,7 +70,7 @@ class AxisLoop:
         """
         noise = np.stack(np.broadcast_arrays(position_noise, velocity_noise), axis=-1)
         b = self.b * noise[..., None, :]
-        return covariance_after(self.a, b @ np.swapaxes(b, -1, -2), samples=_STATIONARY)
+        return covariance_after(self.a, b @ np.swapaxes(b, -1, -2), samples=STATIONARY)
 
 
 def axis_loop(
@@ -89,7 +87,7 @@ def axis_loop(
         Adapted gains are those of the start.
       eta: (..., nv).
       euler: whether the plant steps as explicit Euler at the control period does, as in the paper.
-      also: a piece of the memory that is kept though nothing depends on it.
+      also: a piece of the memory to keep even if nothing depends on it.
     """
     held, memory = law.held(), law.initial_state()
     step: Any = vars(law.estimator)["sample_time"]
@@ -125,9 +123,7 @@ def axis_loop(
 
 
 def _reduced(names: list[str], found: np.ndarray, also: str) -> AxisLoop:
-    """The loop of [A, B, f, g] (..., m, m + 4) without the memory that drives nothing or is not
-    driven.
-    """
+    """The loop of [A, B, f, g] (..., m, m + 4) without memory that has no input or no effect."""
     size = len(names)
     arrows = (found[..., :size] != 0.0).reshape(-1, size, size).any(axis=0)
     np.fill_diagonal(arrows, val=False)
@@ -141,7 +137,7 @@ def _reduced(names: list[str], found: np.ndarray, also: str) -> AxisLoop:
 
 
 def of_axes(law: TimeDelayControl, axes: list[int]) -> TimeDelayControl:
-    """The law of some of its coordinates."""
+    """The law of a subset of its coordinates."""
 
     def cut(part: Any) -> Any:
         arrays = {name: value for name, value in vars(part).items() if np.ndim(value)}
@@ -151,7 +147,7 @@ def of_axes(law: TimeDelayControl, axes: list[int]) -> TimeDelayControl:
 
 
 def with_sample_time(law: TimeDelayControl, step: np.ndarray) -> TimeDelayControl:
-    """The law with another control period (..., nv), s; a Kalman gain stays what it is."""
+    """The law with another control period (..., nv), s, and the same Kalman gain."""
 
     def stepped(part: Any) -> Any:
         return dataclasses.replace(part, sample_time=step) if hasattr(part, "sample_time") else part
@@ -168,15 +164,10 @@ def largest_stable_k_s(
 
     NaN where none does, and for a law without K_s.
     """
-    own = of_axes(law, [axis])
-    if own.reaching_gain is None:
+    if law.reaching_gain is None:
         return np.full(np.shape(eta), np.nan)
-
-    def is_stable(k_s: np.ndarray) -> np.ndarray:
-        loop = axis_loop(own.with_reaching_gain(k_s), eta=eta[:, None], euler=euler)
-        return loop.spectral_radius[..., 0] < 1.0
-
-    return _largest_stable(is_stable, 0.01, 1000.0)
+    own = of_axes(law, [axis])
+    return _largest_stable(own.with_reaching_gain, eta, euler, low=0.01, high=1000.0)
 
 
 def largest_sample_time(
@@ -185,20 +176,13 @@ def largest_sample_time(
     """Largest L (m), s, up to 0.2, that keeps one coordinate stable at each eta (m), at the
     starting gains.
     """
-    own = of_axes(law, [axis])
-
-    def is_stable(step: np.ndarray) -> np.ndarray:
-        loop = axis_loop(with_sample_time(own, step), eta=eta[:, None], euler=euler)
-        return loop.spectral_radius[..., 0] < 1.0
-
-    return _largest_stable(is_stable, 1e-5, 0.2)
+    change = functools.partial(with_sample_time, of_axes(law, [axis]))
+    return _largest_stable(change, eta, euler, low=1e-5, high=0.2)
 
 
 def tolerated_eta(law: TimeDelayControl, axis: int, *, euler: bool = False) -> tuple[float, float]:
-    """The interval of eta around 1 (or nearest to it, where 1 is unstable) that keeps one
-    coordinate stable at the starting gains.
-
-    eta > 1 is an over-estimated inertia. (NaN, NaN) where no eta in (0, 4) is stable.
+    """The interval of eta around 1, or nearest to 1, in which one coordinate is stable at the
+    starting gains; (NaN, NaN) where no eta in (0, 4) is.
     """
     own = of_axes(law, [axis])
 
@@ -220,13 +204,23 @@ def tolerated_eta(law: TimeDelayControl, axis: int, *, euler: bool = False) -> t
 
 
 def _largest_stable(
-    is_stable: Callable[[np.ndarray], np.ndarray], low: float, high: float
+    change: Callable[[np.ndarray], TimeDelayControl],
+    eta: np.ndarray,
+    euler: bool,
+    *,
+    low: float,
+    high: float,
 ) -> np.ndarray:
-    """The largest stable x (m) in [low, high]; NaN where there is none, ``high`` where the end is
-    stable. The stable set need not start at ``low``.
+    """The largest x (m) in [low, high] at which the law ``change(x)`` of one coordinate is stable;
+    NaN where none is. The stable set need not start at ``low``.
 
-    Args: ``is_stable``, x (..., m or 1, 1) -> (..., m); the ends.
+    Args: values (..., m or 1, 1) -> law; eta (m); as for ``axis_loop``; the ends.
     """
+
+    def is_stable(x: np.ndarray) -> np.ndarray:
+        loop = axis_loop(change(x), eta=eta[:, None], euler=euler)
+        return loop.spectral_radius[..., 0] < 1.0
+
     grid = np.linspace(low, high, _STEPS)
     stable = is_stable(grid[:, None, None])
     last = _STEPS - 1 - np.argmax(stable[::-1], axis=0)
@@ -238,7 +232,7 @@ def _largest_stable(
 def _edge(
     is_stable: Callable[[np.ndarray], np.ndarray], inside: np.ndarray, outside: np.ndarray
 ) -> np.ndarray:
-    """Where stability ends (m) between stable and unstable values (m), by bisection."""
+    """The limits (m) between stable and unstable values (m), by bisection."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (inside + outside)
         stable = is_stable(middle)

@@ -2,8 +2,8 @@
 
 The mean is the run without noise. Around it the loop is linear, so that the sensors' noise adds a
 stationary part (``LinearLoop.noise_response``). Errors and efforts add as squares. Every
-controller, estimator, delay and block is covered; actuator limits are not: ``peak_effort`` tells
-whether they would be met.
+controller, estimator, delay and block is covered; actuator limits are not: compare
+``peak_effort``.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.registry import Factory
 
-# Fractions of the planned motion whose noise responses are averaged.
+# Fractions of the planned motion over which noise responses are averaged.
 _POSTURES = (0.0, 0.5, 1.0)
 # Largest of about 2000 Gaussian samples, in standard deviations.
 _PEAK = 3.5
@@ -50,8 +50,8 @@ class Prediction:
 
     @property
     def mean_log_error(self) -> float:
-        """Mean over the groups of log(rms error), rad or m: one figure of accuracy; infinite where
-        it would diverge.
+        """Mean over the groups of log(rms error in rad or m), a single figure of accuracy; infinite
+        where it would diverge.
         """
         return float(np.mean(np.log(list(self.by_group().values()))))
 
@@ -62,8 +62,7 @@ def predict(
     """Predict a run; takes about as long as one, longer with slow sensors.
 
     Args:
-      scenario: what would be run; K_s is held where adaptation is expected to take it, sign terms
-        are left out.
+      scenario: the scenario; K_s is held at its largest expected value, sign terms are left out.
       settled_after: s; the rms error counts from here on.
       blocks: as for ``simulate``.
 
@@ -77,7 +76,7 @@ def predict_from(linearizer: Linearizer, *, settled_after: float = 5.0) -> Predi
     """The prediction for a linearizer's scenario; see ``predict``."""
     scenario, coordinates = linearizer.given, linearizer.loop.coordinates
     held = expected_gains(linearizer)
-    loops = [linearizer.at(linearizer.motion.part(share), held=held) for share in _POSTURES]
+    loops = linearizer.along(_POSTURES, held=held)
     error, force = linearizer.follow(held=held)
     period, count = scenario.sample_time, scenario.num_control_periods
     if not np.isfinite(force).all():  # it diverges without noise, too

@@ -1,95 +1,81 @@
-"""The linearised loop under the thrusters and wheels as they are, with their pulses and limits:
-does it settle?
+"""The linearised loop under its actuators' real pulses and limits: does it settle?
 
-The controller and the plant are linear about the planned motion (``linearization``); in every
-control sample the actuators are given what the loop asks for, and what they do instead acts on it.
-That takes a tenth of a run's time, and tells what no spectral radius does: whether the loop
+The controller and the plant are linear about the planned motion (``linearization``). In every
+control sample the actuators get the force that the loop asks for, and what they give instead acts
+on it. That takes a tenth of a run's time, and shows what no spectral radius does: whether the loop
 tolerates saturation.
 """
 
 import dataclasses
-import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Adder, RandomSource, ZeroOrderHold
 
-from ffsm_drake.control_design.stability.demand import make_demand
+from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
-from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.control_design.stability.planned_dynamics import (
+    PlannedDynamics,
+    make_demand,
+)
+from ffsm_drake.loop.blocks import section_parts
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.free_floating import driven_model
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.actuation import make_actuation, make_base_actuators
 from ffsm_drake.systems.actuation.base import attitude_ahead
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.limits import base_limits
+from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.sensing import quantize
 from ffsm_drake.systems.setup import BlockSetup
 
 SEEDS = 4
-# fractions of the planned motion at which the loop is linearised
-_POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
-_BLENDED = 50  # control samples between which the loop is taken from the two nearest postures
-_LAST = 2.0  # s, at the end; when errors are looked at
+_BLENDED = 50  # control samples for which the loop between two postures is kept
+_LAST = 2.0  # s, at the end, over which the largest error is taken
 _PUSH = "push"  # the source of what actuators add to the command
-_FULL = 1.0 - 1e-9  # of a limit, or of a wanted wrench
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Rehearsal:
-    """Outcome of the linearised loop under its thrusters and wheels, with some seeds of the
-    noise.
-    """
+    """Outcome of the linearised loop under its actuators, with several seeds of the noise."""
 
     scenario: Scenario
     coordinates: Coordinates
-    noise_force: np.ndarray  # (nv,) what sensor noise alone asks for, standard deviation, N m or N
-    motion_force: np.ndarray  # (nv,) the most that the run without noise asks for, N m or N
-    diverged: np.ndarray  # (seeds,) s, when a rate passed ``divergence_speed``; NaN where none did
-    wheels_limited: np.ndarray  # (seeds,) share of the samples in which a motor is at its limit
-    # (seeds,) share in which thrusters could not give all that was wanted of them
-    thrusters_limited: np.ndarray
-    largest_error: np.ndarray  # (nv,) of the last two seconds, rad or m; the median of the seeds
+    noise_force: np.ndarray  # (nv,) standard deviation of the command by sensor noise, N m or N
+    motion_force: np.ndarray  # (nv,) largest command without noise, N m or N
+    diverged: np.ndarray  # (seeds,) s, when a rate passed ``divergence_speed``; NaN: it did not
+    # by actuator: (seeds,) share of the samples in which it gave less than was wanted of it
+    saturated: Mapping[str, np.ndarray]
+    largest_error: np.ndarray  # (nv,) in the last two seconds, rad or m; median over the seeds
 
     def __str__(self) -> str:
         """One line: the actuators' limits, the forces asked of them, and the outcome."""
-        parts = self.coordinates.groups["base_rotation"], self.coordinates.groups["base_position"]
-        noise, motion = (
-            " and ".join(
-                f"{force[part].max():.2g} {unit}"
-                for part, unit in zip(parts, ("N m", "N"), strict=True)
-            )
-            for force in (self.noise_force, self.motion_force)
+        groups = self.coordinates.groups
+        motion, noise = (
+            f"{force[groups['base_rotation']].max():.2g} N m and "
+            f"{force[groups['base_position']].max():.2g} N"
+            for force in (self.motion_force, self.noise_force)
         )
         limited = [
-            f"{what} in {100.0 * float(np.median(share)):.2g} %"
-            for what, share in (
-                ("wheels", self.wheels_limited),
-                ("thrusters", self.thrusters_limited),
-            )
+            f"{name} in {100.0 * float(np.median(share)):.2g} %"
+            for name, share in self.saturated.items()
             if share.any()
         ]
         told = (
-            f"{', '.join(_can_give(self.scenario))}; the motion takes up to {motion}, sensor "
-            f"noise {noise}"
+            f"{' and '.join(self.saturated)} give {_largest_wrench(self.scenario)}; the motion "
+            f"takes up to {motion}, sensor noise {noise} (standard deviation); "
         )
-        told += " (standard deviation)"
-        told += (
-            f"; saturated: {', '.join(limited)} of the samples"
-            if limited
-            else ("; nothing saturates")
-        )
-        gone = self.diverged[np.isfinite(self.diverged)]
-        if not gone.size:
+        told += f"saturated: {', '.join(limited)} of the samples" if limited else "none saturates"
+        times = self.diverged[np.isfinite(self.diverged)]
+        if not times.size:
             return told
-        of = f" with {gone.size} of {self.diverged.size} noises" if self.diverged.size > 1 else ""
-        return f"{told}, and it diverges{of}, at t = {np.median(gone):.1f} s"
+        seeds = f" in {times.size} of {self.diverged.size} runs" if self.diverged.size > 1 else ""
+        return f"{told}, and it diverges{seeds}, at t = {np.median(times):.1f} s"
 
     @property
     def share_diverged(self) -> float:
@@ -104,19 +90,19 @@ def rehearse(
     held: Mapping[str, np.ndarray] | None = None,
     mean: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Rehearsal:
-    """The linearised loop of a scenario with thrusters or wheels, under them as they are.
+    """Rehearse a scenario with parts that are ``rehearsed``, from the grasp on.
 
     Args:
-      scenario: what would be run; from the grasp on.
-      seeds: how many noises.
+      scenario: the scenario.
+      seeds: number of noise sequences.
       held: as for ``Linearizer.at``.
-      mean: error and force (n, nv) of the run without noise and limits, as ``Linearizer.follow``
-        has them, which takes half a run; default: those of perfect tracking.
+      mean: error and force (n, nv) of the run without noise and limits, from
+        ``Linearizer.follow``, which takes half a run; default: those of perfect tracking.
 
     Raises: as ``Linearizer`` and ``Linearizer.at``.
     """
     with Linearizer(scenario, blocks={"actuation": _pushed}) as linearizer:
-        loops = [linearizer.at(linearizer.motion.part(share), held=held) for share in _POSTURES]
+        loops = linearizer.along(held=held)
         scenario, motion, law = linearizer.given, linearizer.motion, linearizer.law
     if mean is None:
         ideal = make_demand(scenario).force
@@ -124,7 +110,7 @@ def rehearse(
     times = np.arange(scenario.num_control_periods) * scenario.sample_time
     mean = np.nan_to_num(mean[0]), np.nan_to_num(mean[1])
     runs = [_Run(scenario, loops, motion, mean, law).go(times, seed) for seed in range(seeds)]
-    diverged, wheels, thrusters, largest = (np.array(each) for each in zip(*runs, strict=True))
+    diverged, shares, largest = (np.array(each) for each in zip(*runs, strict=True))
     return Rehearsal(
         scenario=scenario,
         coordinates=motion.coordinates,
@@ -133,14 +119,13 @@ def rehearse(
         ),
         motion_force=np.abs(mean[1]).max(axis=0),
         diverged=diverged,
-        wheels_limited=wheels,
-        thrusters_limited=thrusters,
+        saturated=dict(zip(_actuators(scenario), shares.T, strict=True)),
         largest_error=np.median(largest, axis=0),
     )
 
 
 class _Run:
-    """One scenario's loops and actuators."""
+    """The loops and the actuators of a scenario."""
 
     def __init__(
         self,
@@ -153,18 +138,13 @@ class _Run:
         settings, coordinates = scenario.actuation, motion.coordinates
         self._scenario, self._loops, self._motion, self._law = scenario, loops, motion, law
         self._error, self._force = mean
-        self._times = [motion.part(share) for share in _POSTURES]
+        self._times = [motion.part(share) for share in POSTURES]
         self._samples = [_from_start(loop) for loop in loops]
-        nominal = driven_model(make_nominal_plant(scenario))
-        self._mass = [nominal.calc_mass_matrix(motion.evaluate(time)[0]) for time in self._times]
+        planned = PlannedDynamics(scenario)
+        self._mass = [planned.mass_matrices(time)[1] for time in self._times]
         self._base = make_base_actuators(settings, coordinates, sample_time=scenario.sample_time)
-        ends = np.cumsum([0, *self._base.sizes.values()]).tolist()
-        self._part = {
-            name: slice(*pair)
-            for name, pair in zip(self._base.sizes, itertools.pairwise(ends), strict=True)
-        }
-        motors = [] if settings.wheels is None else settings.wheels.units.values()
-        self._motors = np.array([unit.torque_limit for unit in motors])
+        self._ends = np.cumsum([*self._base.sizes.values()])[:-1]
+        self._actuators = _actuators(scenario).values()
         self._limit = coordinates.vector(
             settings.limit or {}, key="actuation.limit", default=np.inf
         )
@@ -172,16 +152,17 @@ class _Run:
             settings.quantization, key="actuation.quantization", default=0.0
         )
 
-    def go(self, times: np.ndarray, seed: int) -> tuple[float, float, float, np.ndarray]:
-        """When it diverged, the limited shares of wheels and thrusters, and the largest errors (nv)
-        at the end.
+    def go(self, times: np.ndarray, seed: int) -> tuple[float, np.ndarray, np.ndarray]:
+        """The time of divergence or NaN, the share of saturated samples by actuator, and the
+        largest errors (nv) at the end.
         """
-        scenario, settings, loop = self._scenario, self._scenario.actuation, self._loops[0]
+        scenario, loop = self._scenario, self._loops[0]
         nv, noise, push = self._force.shape[1], np.random.default_rng(seed), loop.noise[_PUSH]
-        frame = 1 if settings.thrusters is None else settings.thrusters.frame
-        x, memory, limited = np.zeros(len(loop.a)), self._base.initial_memory, np.zeros(2)
+        x, memory = np.zeros(len(loop.a)), self._base.initial_memory
+        saturated = np.zeros(len(self._actuators))
         switching = self._switching_at_start
-        late = [np.zeros(nv)] * settings.delay  # total, then the linear loop's own part of it
+        # delayed commands, and the linear loop's part of them
+        late = [np.zeros(nv)] * scenario.actuation.delay
         own, errors = list(late), [np.zeros(nv)]
         for k, (time, rotation, turning) in enumerate(
             zip(times.tolist(), *self._base_motion(times), strict=True)
@@ -198,19 +179,19 @@ class _Run:
                 force = force + mass @ (switching * np.sign(s))
                 switching = self._law.switching_gain_after(s, switching)
             late.append(quantize(np.clip(force, -self._limit, self._limit), self._resolution))
-            sample = self._base.give(
-                late.pop(0), memory, rotation=rotation, turning=turning, begins=k % frame == 0
+            begins = k % self._base.frame == 0
+            stacked = self._base.give(
+                late.pop(0), memory, rotation=rotation, turning=turning, begins=begins
             )
-            memory = sample[self._part["memory"]]
-            limited += self._limited(sample)
-            x = after + step.b[:, push] @ (sample[self._part["applied_force"]] - own.pop(0))
+            sample = dict(zip(self._base.sizes, np.split(stacked, self._ends), strict=True))
+            memory = sample["memory"]
+            saturated += [bool(part.saturated(sample)) for part in self._actuators]
+            x = after + step.b[:, push] @ (sample["applied_force"] - own.pop(0))
             if not np.abs(x[nv : 2 * nv]).max() < scenario.divergence_speed:
-                wheels, thrusters = (limited / (k + 1)).tolist()
-                return time, wheels, thrusters, np.full(nv, np.inf)
+                return time, saturated / (k + 1), np.full(nv, np.inf)
             if time >= times[-1] - _LAST:
                 errors.append(np.abs(self._error[k] + x[:nv]))
-        wheels, thrusters = (limited / times.size).tolist()
-        return math.nan, wheels, thrusters, np.max(errors, axis=0)
+        return math.nan, saturated / times.size, np.max(errors, axis=0)
 
     @property
     def _switching_at_start(self) -> np.ndarray:
@@ -219,17 +200,9 @@ class _Run:
         known = {"sliding_variable", "switching_gain"} <= set(start)
         return np.array(start["switching_gain"]) if known else np.zeros(0)
 
-    def _limited(self, sample: np.ndarray) -> tuple[bool, bool]:
-        """Whether a motor is at its limit, and whether thrusters give less than the wanted
-        wrench.
-        """
-        torque = np.abs(sample[self._part.get("wheel_torque", slice(0))])
-        given = sample[self._part.get("thruster_given", slice(0))]
-        return bool((torque >= _FULL * self._motors).any()), bool((given[:1] < _FULL).any())
-
     def _near(self, time: float) -> tuple[list[SampleMap], np.ndarray]:
-        """The loop's maps of one common period near a time, and the nominal mass matrix: of the
-        postures beside it.
+        """The loop's maps of one common period and the nominal mass matrix at a time, interpolated
+        between postures.
         """
         i = min(max(int(np.searchsorted(self._times, time)) - 1, 0), len(self._times) - 2)
         share = min(max((time - self._times[i]) / (self._times[i + 1] - self._times[i]), 0.0), 1.0)
@@ -245,32 +218,32 @@ class _Run:
         return maps, blend(self._mass[i], self._mass[i + 1])
 
     def _base_motion(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As planned: R_WB (n, 3, 3), and w_WB in the base's axes with what the wheels' momentum
-        misses (n, 6).
-        """
+        """The planned R_WB (n, 3, 3), and ``turning`` (n, 6) of ``BaseActuators.give``."""
         rows, nq = self._motion.rows(times), self._force.shape[1] + 1
         rotation = np.array(
             [attitude_ahead(q, np.zeros(3), 0.0).reshape(3, 3) for q in rows[:, :4]]
         )
-        turning = np.einsum("ni,nij->nj", rows[:, nq : nq + 3], rotation)
+        turning = in_body_axes(rows[:, :4], rows[:, nq : nq + 3])
         return rotation, np.hstack([turning, np.zeros_like(turning)])
 
 
-def _can_give(scenario: Scenario) -> Iterator[str]:
-    """What the base's actuators give, a phrase each."""
+def _actuators(scenario: Scenario) -> dict[str, Part]:
+    """The parts whose limits are rehearsed, by title."""
+    parts = section_parts(scenario).values()
+    return {part.title.lower(): part for part in parts if part.rehearsed}
 
-    def span(given: np.ndarray) -> str:
+
+def _largest_wrench(scenario: Scenario) -> str:
+    """The largest torque and force of the base's actuators, in the worst and the best direction."""
+    limits = base_limits(scenario)
+    spans = []
+    for given, unit in ((limits.torque, "N m"), (limits.force, "N")):
         least, most = given.min(), given.max()
-        return f"{least:.2g}" if most < 1.01 * least else f"{least:.2g} to {most:.2g}"
-
-    limits, settings = base_limits(scenario), scenario.actuation
-    torque = f"{span(limits.torque)} N m"
-    if settings.wheels is not None:
-        yield f"the wheels give {torque}, depending on the axis"
-        torque = ""
-    if settings.thrusters is not None:
-        given = [each for each in (torque, f"{span(limits.force)} N") if each]
-        yield f"the thrusters {' and '.join(given)}"
+        if most < 1.01 * least:
+            spans.append(f"{least:.2g} {unit}")
+        elif math.isfinite(most):
+            spans.append(f"{least:.2g} to {most:.2g} {unit}")
+    return " and ".join(spans)
 
 
 def _from_start(loop: LinearLoop) -> list[SampleMap]:

@@ -9,7 +9,7 @@ from ffsm_drake.show.style import BLUE, GREEN, GREY, GROUP_TITLES, VERMILION, la
 
 
 def plot_design(found: Design) -> Figure:
-    """Front of accuracy against effort, with the LQG limit and the given and published gains."""
+    """Front of accuracy against effort, with the LQG limit and the given and default gains."""
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     scenario = found.chosen.scenario
     figure.suptitle(
@@ -25,9 +25,8 @@ def plot_design(found: Design) -> Figure:
     points = [
         ("chosen", found.chosen.prediction, "*", VERMILION),
         ("as it was", found.given.prediction, "s", GREEN),
+        ("default gains and estimator", found.with_defaults, "X", GREY),
     ]
-    if found.published is not None:
-        points.append(("published gains and estimate", found.published, "X", GREY))
     for axes, name in zip(panels, names, strict=True):
         least = np.sqrt(np.mean(found.limit.front_error[:, coordinates.groups[name]] ** 2, axis=1))
         axes.loglog(
@@ -43,7 +42,7 @@ def plot_design(found: Design) -> Figure:
                 label="front",
             )
         for label, prediction, marker, color in points:
-            if np.isfinite(prediction.isv):
+            if prediction is not None and np.isfinite(prediction.isv):
                 axes.loglog(
                     max(prediction.isv - found.ideal_isv, 1e-3),
                     prediction.by_group()[name],

@@ -20,10 +20,9 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.actuation.thrusters import ThrusterMemory, ThrusterSet
 from ffsm_drake.systems.actuation.wheels import Gyroscopic, WheelSet
 
-# Control samples in which wheels make up for the torque of pulses that they could not counter at
-# once. What the controller asks for beyond their limits is not made up for, as it knows from
-# applied_force and asks again.
-_REPAID_IN = 10
+# Control samples in which wheels recover an impulse of pulses that they could not counter at once.
+# Commands beyond their limits are not: the controller reads applied_force and repeats them.
+_RECOVERY = 10
 
 
 class BaseActuators(LeafSystem):
@@ -66,6 +65,8 @@ class BaseActuators(LeafSystem):
     ) -> None:
         super().__init__()
         self._thrusters, self.wheels, self._sample_time = thrusters, wheels, sample_time
+        # control samples from one allocation to the next
+        self.frame = 1 if thrusters is None else thrusters.settings.frame
         nv = len(coordinates.names)
         initial = list[np.ndarray]()
         self.sizes = {"applied_force": nv}
@@ -124,10 +125,10 @@ class BaseActuators(LeafSystem):
         if wheels is not None:
             short, momentum, unloads = next(memories), next(memories), bool(next(memories).item())
             w_WB, missing = turning[:3], turning[3:]
-            wanted[0] += short.dot(rotation) / (_REPAID_IN * self._sample_time)
+            wanted[0] += short.dot(rotation) / (_RECOVERY * self._sample_time)
             if begins:
                 unloads = wheels.unloads(unloads, momentum, w_WB)
-            asked[0] = wheels.beyond(wanted[0])
+            asked[0] = wheels.assist_torque(wanted[0])
             if unloads:
                 asked[0] += wheels.unloading_torque(momentum)
         if thrusters is not None:
@@ -155,7 +156,7 @@ class BaseActuators(LeafSystem):
             parts += [momentum, torques.motor, np.array([float(unloads)]), by_wheels]
             # What is missing has been given already, in a direction that was held.
             given = applied[:3] - missing
-            short = wheels.bounded(short + (commanded[:3] - given) * self._sample_time, _REPAID_IN)
+            short = wheels.bounded(short + (commanded[:3] - given) * self._sample_time, _RECOVERY)
             kept = [
                 short,
                 momentum + torques.on_wheels * self._sample_time,
@@ -181,7 +182,7 @@ class BaseActuators(LeafSystem):
             memory = self._sample.Eval(context)[-self.sizes["memory"] :]
             values.set_value(self._memory, memory)
         if self._thrusters is not None:
-            values.set_value(self._begins, [float(sample % self._thrusters.settings.frame == 0)])
+            values.set_value(self._begins, [float(sample % self.frame == 0)])
         state, nv = self._state.Eval(context), self.sizes["applied_force"]
         quaternion, w_WB = state[:4], state[nv + 1 : nv + 4]
         values.set_value(self._rotation, attitude_ahead(quaternion, w_WB, self._sample_time / 2.0))

@@ -11,8 +11,10 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from pydrake.systems.primitives import PassThrough
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.scenario import Thrusters, schema
+from ffsm_drake.scenario import Thrusters
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.actuation import Actuators, make_actuation
+from ffsm_drake.systems.setup import BlockSetup
 
 
 class MeanThrusters(LeafSystem):
@@ -76,15 +78,17 @@ class MeanThrusters(LeafSystem):
         values.set_value(self._begins, [float(self.phase(sample) == 0)])
 
 
-def make_mean_base(
-    settings: schema.Actuation, coordinates: Coordinates, *, sample_time: float
-) -> System:
-    """What stands in for thrusters and wheels in ``make_actuation``: without thrusters all is given
-    at once.
+def make_mean_actuation(setup: BlockSetup) -> Actuators | None:
+    """The scenario's actuators with the mean of their pulses; without thrusters the base's wrench
+    acts as commanded.
     """
-    if settings.thrusters is None:
-        return PassThrough(len(coordinates.names))
-    with_wheels = settings.wheels is not None
-    return MeanThrusters(
-        settings.thrusters, coordinates, with_wheels=with_wheels, sample_time=sample_time
-    )
+    settings, coordinates, period = setup.scenario.actuation, setup.coordinates, setup.sample_time
+    base: System = PassThrough(len(coordinates.names))
+    if settings.thrusters is not None:
+        base = MeanThrusters(
+            settings.thrusters,
+            coordinates,
+            with_wheels=settings.wheels is not None,
+            sample_time=period,
+        )
+    return make_actuation(settings, coordinates, sample_time=period, base=base)

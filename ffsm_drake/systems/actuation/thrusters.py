@@ -25,6 +25,7 @@ from ffsm_drake.systems.part import (
     Metric,
     Part,
     Signal,
+    Signals,
     View,
     by_key,
     pulses_of,
@@ -307,9 +308,7 @@ class FiredThrusters(Part):
                 label="Samples with less than was wanted",
                 heading="thrusters saturated [share]",
                 shown="%",
-                of=lambda run: (
-                    (run["thruster_given"][:-1] < _WHOLE).mean() if len(run.time) > 1 else 0.0
-                ),
+                of=lambda run: self.saturated(run)[:-1].mean() if len(run.time) > 1 else 0.0,
             ),
         )
 
@@ -321,6 +320,10 @@ class FiredThrusters(Part):
             kind: np.array([thrusters.most(each) for each in np.hstack(parts)])
             for kind, parts in (("torque", (directions, none)), ("force", (none, directions)))
         }
+
+    def saturated(self, signals: Signals) -> np.ndarray:
+        """Whether they give less than the wanted wrench."""
+        return np.squeeze(signals["thruster_given"]) < _WHOLE
 
     def sentence(self, figures: Sequence[Figure]) -> str:
         """What they took and gave."""

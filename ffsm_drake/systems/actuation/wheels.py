@@ -31,6 +31,7 @@ from ffsm_drake.systems.part import (
     Metric,
     Part,
     Signal,
+    Signals,
     View,
     by_key,
 )
@@ -100,10 +101,10 @@ class WheelSet:
     def give(
         self, torque: np.ndarray, momentum: np.ndarray, angular_velocity: np.ndarray
     ) -> WheelTorques:
-        """The torques that come nearest to a wanted one on the base (3, base's axes) within the
-        wheels' limits.
+        """The torques nearest to a wanted one on the base (3, base's axes) within the wheels'
+        limits.
 
-        Beyond the motors' limits it is scaled; a wheel at its speed limit gives no more.
+        Above the motors' limits it is scaled; a wheel at its speed limit is not accelerated.
         """
         motor = -self._share.dot(torque)
         motor = motor / max(1.0, float((np.abs(motor) / self._torque).max()))
@@ -122,6 +123,11 @@ class WheelSet:
     def most(self, direction: np.ndarray) -> float:
         """The largest multiple of a torque (3; base's axes, N m) that the motors give."""
         return 1.0 / float((np.abs(self._share.dot(direction)) / self._torque).max())
+
+    @property
+    def initial(self) -> np.ndarray:
+        """Angular momentum (3, base's axes) that they hold at the start, N m s."""
+        return self.axes @ self.initial_momentum
 
     def filled(self, momentum: np.ndarray) -> np.ndarray:
         """The share of its speed limit (..., n) at which each wheel turns when they hold a momentum
@@ -151,9 +157,9 @@ class WheelSet:
         room = self._most_momentum - np.abs(self._idle @ self.initial_momentum)
         return max(0.0, float((room / np.linalg.norm(self._share, axis=1)).min()))
 
-    def beyond(self, torque: np.ndarray) -> np.ndarray:
-        """What of a wanted torque on the base (3, base's axes, N m) thrusters are to give, by
-        ``assist_above``.
+    def assist_torque(self, torque: np.ndarray) -> np.ndarray:
+        """The part of a wanted torque on the base (3, base's axes, N m) that thrusters are asked
+        for, by ``assist_above``.
         """
         if self.settings.assist_above is None:
             return np.zeros(3)
@@ -355,7 +361,7 @@ class ReactionWheels(Part):
                 key="wheels.torque_limited",
                 label="Samples with a motor at its limit",
                 heading="torque at the limit [share]",
-                of=lambda run: (self._torque_used(run) > 1.0 - 1e-9).any(axis=1).mean(),
+                of=lambda run: self.saturated(run).mean(),
             ),
             share(
                 key="wheels.unloading",
@@ -367,14 +373,22 @@ class ReactionWheels(Part):
 
     def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray]:
         """Torque."""
-        alone = scenario.actuation.thrusters is None
-        wheels = WheelSet(self.settings, sample_time=scenario.sample_time, alone=alone)
+        wheels = self.storage(scenario)
         return {"torque": np.array([wheels.most(each) for each in directions])}
 
     def locked(self, scenario: Scenario) -> Scenario:
         """Without wheels, whose mass is part of the base's."""
         actuation = dataclasses.replace(scenario.actuation, wheels=None)
         return dataclasses.replace(scenario, actuation=actuation)
+
+    def saturated(self, signals: Signals) -> np.ndarray:
+        """Whether a motor is at its limit."""
+        return np.asarray((self._torque_used(signals) > 1.0 - 1e-9).any(axis=-1))
+
+    def storage(self, scenario: Scenario) -> WheelSet:
+        """Themselves."""
+        alone = scenario.actuation.thrusters is None
+        return WheelSet(self.settings, sample_time=scenario.sample_time, alone=alone)
 
     def sentence(self, figures: Sequence[Figure]) -> str:
         """How much of the wheels was used."""
@@ -427,8 +441,8 @@ class ReactionWheels(Part):
             units=(unit,) * len(names), upper=largest, lower=-largest,
         )  # fmt: skip
 
-    def _torque_used(self, run: View) -> np.ndarray:
-        return self._limit("torque", "N m").used(run["wheel_torque"])
+    def _torque_used(self, signals: Signals) -> np.ndarray:
+        return self._limit("torque", "N m").used(signals["wheel_torque"])
 
     def _speed(self, run: View) -> np.ndarray:
         """Speeds (n, wheels) in the base, rad/s."""

@@ -1,6 +1,7 @@
 """Computed torque, a baseline without estimate or adaptation: feedback linearization."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -16,6 +17,12 @@ class ComputedTorque(ControlLaw):
     model: PlantModel
     k_p: np.ndarray = gain(25.0, "1/s^2", "gain K_p on the error")
     k_d: np.ndarray = gain(10.0, "1/s", "gain K_d on the error's rate")
+
+    @classmethod
+    def starting_gains(
+        cls, omega: np.ndarray, mass_matrices: np.ndarray
+    ) -> Mapping[str, np.ndarray | float]:
+        return {"k_d": 2.0 * omega, "k_p": omega**2}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         u = sample.a_d + self.k_d * sample.e_dot + self.k_p * sample.e

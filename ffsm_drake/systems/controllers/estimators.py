@@ -61,6 +61,8 @@ class Estimator(Protocol):
     """An estimator as a pure function of arrays."""
 
     by_axis: ClassVar[bool]  # whether it treats every coordinate by itself, with no delay
+    # keys of the scenario's ``estimator`` that are designed: intensities of random walks
+    random_walks: ClassVar[tuple[str, ...]]
 
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the estimator's memory."""
@@ -97,6 +99,7 @@ class OneSampleEstimator:
     """Time-delay estimation as published: N(t - L) for N(t), equation (5)."""
 
     by_axis: ClassVar[bool] = True
+    random_walks: ClassVar[tuple[str, ...]] = ()
     sample_time: float
     num_velocities: int
 
@@ -133,6 +136,7 @@ class KalmanEstimator:
     """
 
     by_axis: ClassVar[bool] = True
+    random_walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
     gain: np.ndarray  # (nv, 3, 2): correction of [e, e', d] per unit of innovation of (e, e')
 
@@ -179,6 +183,7 @@ class LateKalmanEstimator:
     """
 
     by_axis: ClassVar[bool] = False
+    random_walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
     delay: np.ndarray  # (2 nv) of e, then e': whole control samples
     # (4, 4 nv + sum of the delays, 2): correction of x per unit of innovation of its coordinate's e
@@ -278,6 +283,7 @@ class CoupledEstimator:
     """
 
     by_axis: ClassVar[bool] = False
+    random_walks: ClassVar[tuple[str, ...]] = ("walk", "force_walk")
     separate: KalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
     gain: np.ndarray  # (3 n, 2 n): correction of [e, e', f] per unit of innovation of [e, e']

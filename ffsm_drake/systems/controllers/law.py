@@ -153,6 +153,23 @@ class ControlLaw(abc.ABC):
         """The gain G (nv) of the sign term at the next sample, from s and G at this one."""
         return g
 
+    @property
+    def random_walks(self) -> tuple[str, ...]:
+        """Keys of the scenario's ``estimator`` that are designed with the gains."""
+        return ()
+
+    @classmethod
+    def starting_gains(
+        cls, omega: np.ndarray, mass_matrices: np.ndarray
+    ) -> Mapping[str, np.ndarray | float]:
+        """Gains to start from for a new spacecraft; empty: the declared defaults.
+
+        Args:
+          omega: natural frequencies (nv), rad/s.
+          mass_matrices: those of the true spacecraft along its motion (m, nv, nv).
+        """
+        return {}
+
     @abc.abstractmethod
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """One control sample.

@@ -1,6 +1,7 @@
 """PD+: the model-based baseline of Paden and Panja (1988), without an estimate of model errors."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -27,6 +28,24 @@ class PdPlus(ControlLaw):
         "N m s/rad or N s/m",
         "gain K_d on the error's rate",
     )
+
+    @classmethod
+    def starting_gains(
+        cls, omega: np.ndarray, mass_matrices: np.ndarray
+    ) -> Mapping[str, np.ndarray | float]:
+        """K_P = w^2 m and K_D = 2 w m with the smallest inertia m of each coordinate along the
+        motion, and with w twice ``omega``: without an estimate of the disturbance PD+ is stiffer.
+
+        PD+ does not decouple the coordinates, so that m is less than the effective inertia: with A
+        = H^-1, it is 1 / sum_j |A_ij| sqrt(A_ii / A_jj). Then no eigenvalue of H^-1 K_D exceeds the
+        largest 2 w (sums over the rows of the scaled matrix), and the sampled loop is stable for
+        2 w L < 2.
+        """
+        inverse, w = np.linalg.inv(mass_matrices), 2.0 * omega
+        scale = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
+        inertia = 1.0 / (scale * (np.abs(inverse) / scale[:, None]).sum(axis=2))
+        least = inertia.min(axis=0)
+        return {"k_d": 2.0 * w * least, "k_p": w**2 * least}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         q, v, v_d = sample.q, sample.v, sample.v_d

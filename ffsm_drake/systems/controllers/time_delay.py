@@ -12,7 +12,7 @@ in which only the *injected dynamics* u differs between controllers (equations (
 import abc
 import dataclasses
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -58,15 +58,23 @@ class InjectedDynamics(abc.ABC):
         return g
 
     @classmethod
-    def gains_for(cls, omega: float, k_s: float) -> dict[str, float]:
+    def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:
         """The gains that place the poles of an axis at the natural frequency omega, rad/s, for
         ``ffsm design``; empty where the law cannot be designed so.
 
-        ``k_s``, 1/s, counts where K_s is chosen by itself (``chooses_k_s``).
+        Both are numbers or arrays. ``k_s``, 1/s, counts where K_s is chosen by itself
+        (``chooses_k_s``).
         """
         return {}
 
     chooses_k_s: ClassVar[bool] = False
+
+    @classmethod
+    def starting_gains(
+        cls, omega: np.ndarray, mass_matrices: np.ndarray
+    ) -> Mapping[str, np.ndarray | float]:
+        """See ControlLaw."""
+        return cls.gains_for(omega, omega)
 
     def resume(self, state: State, ratio: np.ndarray) -> State:
         """Changed entries of the memory at the grasp of a target, by name.
@@ -128,6 +136,10 @@ class TimeDelayControl(ControlLaw):
     @property
     def reaching_gain(self) -> ReachingGain | None:
         return self.dynamics.reaching_gain
+
+    @property
+    def random_walks(self) -> tuple[str, ...]:
+        return self.estimator.random_walks
 
     def with_reaching_gain(self, k_s: np.ndarray) -> Self:
         """The law with another K_s (..., nv), 1/s, at the start."""

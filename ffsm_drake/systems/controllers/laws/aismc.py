@@ -4,7 +4,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -78,10 +78,16 @@ class Aismc(InjectedDynamics):
         return dataclasses.replace(self, k_s_initial=k_s)
 
     @classmethod
-    def gains_for(cls, omega: float, k_s: float) -> dict[str, float]:
+    def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:
         # Real noise drives |s| far past the thresholds, so K_s would adapt to its bound.
         gains = {"k_d": 2.0 * omega, "k_p": omega**2}
         return {**gains, "k_s_initial": k_s, "k_s_max": k_s}
+
+    @classmethod
+    def starting_gains(
+        cls, omega: np.ndarray, mass_matrices: np.ndarray
+    ) -> Mapping[str, np.ndarray | float]:
+        return {**cls.gains_for(omega, omega), "k_s_max": 2.0 * omega}
 
     def resume(self, state: State, ratio: np.ndarray) -> State:
         """See InjectedDynamics. K_s K_P times the integral continues as a force."""

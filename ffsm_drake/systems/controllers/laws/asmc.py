@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -85,8 +85,14 @@ class Asmc(InjectedDynamics):
         return np.minimum(np.maximum(g + self.sample_time * rate, 0.0), self.g_max)
 
     @classmethod
-    def gains_for(cls, omega: float, k_s: float) -> dict[str, float]:
+    def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:
         return {"k_d": omega, "k_s": omega}
+
+    @classmethod
+    def starting_gains(
+        cls, omega: np.ndarray, mass_matrices: np.ndarray
+    ) -> Mapping[str, np.ndarray | float]:
+        return {"k_d": omega, "k_s": 2.0 * omega}
 
     def resume(self, state: State, ratio: np.ndarray) -> State:
         """See InjectedDynamics. G continues as a bound on forces."""

@@ -1,7 +1,7 @@
 """TDC: time-delay control, equation (17)."""
 
 import dataclasses
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,7 +18,7 @@ class Tdc(InjectedDynamics):
     k_p: np.ndarray = gain({"all": 100.0, "base_position": 200.0}, "1/s^2", "gain K_P on the error")
 
     @classmethod
-    def gains_for(cls, omega: float, k_s: float) -> dict[str, float]:
+    def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:
         return {"k_d": 2.0 * omega, "k_p": omega**2}
 
     def step(

@@ -1,0 +1,20 @@
+"""Numbers with three digits, for files that people read."""
+
+import numpy as np
+
+from ffsm_drake.spacecraft.coordinates import Coordinates
+
+
+def rounded(value: float) -> float:
+    """A number with three digits."""
+    return float(f"{value:.3g}")
+
+
+def rounded_by_group(values: np.ndarray, coordinates: Coordinates) -> dict[str, float]:
+    """Values (nv) by coordinate, or by group where those of a group are equal; three digits."""
+    result: dict[str, float] = {}
+    for group, part in coordinates.groups.items():
+        numbers = [rounded(value) for value in values[part].tolist()]
+        names = coordinates.names[part] if len(set(numbers)) > 1 else (group,)
+        result |= dict(zip(names, numbers, strict=False))
+    return result
