@@ -8,7 +8,7 @@ from ffsm_drake.show.meshcat import recording_html, start_meshcat
 from ffsm_drake.show.meshcat.replay_view import ReplayView
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import table
-from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.results import results_of
 from ffsm_drake.show.report.time_panels import run_views
 from ffsm_drake.show.tables import results_table
 

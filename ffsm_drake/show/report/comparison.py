@@ -14,7 +14,7 @@ from ffsm_drake.preflight.remarks import plan_remarks
 from ffsm_drake.runs.limits import run_clearance, run_remarks, saturation
 from ffsm_drake.runs.metrics import drift_metrics, frame_figures
 from ffsm_drake.runs.tracking import tracked_of
-from ffsm_drake.show.report.results import Result, actuators_act, ranking
+from ffsm_drake.show.results import Result, actuators_act, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
 from ffsm_drake.show.tables import ranked_figures, size_of
 from ffsm_drake.systems.part import Figure

@@ -9,7 +9,7 @@ import numpy as np
 
 from ffsm_drake.common.numbers import number
 from ffsm_drake.control_design.momentum import momentum_lines
-from ffsm_drake.show.report.results import Result
+from ffsm_drake.show.results import Result
 from ffsm_drake.show.tables import grasp_line
 
 _LEDGER = (

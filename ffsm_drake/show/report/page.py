@@ -22,7 +22,7 @@ from ffsm_drake.show.report.comparison import rankings, table, table_notes
 from ffsm_drake.show.report.grasp import grasp_of
 from ffsm_drake.show.report.part_panels import part_sections, part_tables, part_text, part_views
 from ffsm_drake.show.report.provenance import provenance, software
-from ffsm_drake.show.report.results import SETTLED_OVER, Result, results_of
+from ffsm_drake.show.results import SETTLED_OVER, Result, results_of
 from ffsm_drake.show.report.stability_panels import stability_views
 from ffsm_drake.show.report.time_panels import points_per_curve, run_views
 from ffsm_drake.show.tables import margins_data

@@ -19,7 +19,7 @@ from ffsm_drake.scenario import (
     scenario_to_dict,
     shipped_scenarios,
 )
-from ffsm_drake.show.report.results import Result
+from ffsm_drake.show.results import Result
 
 _MOST_OVERRIDES = 8  # in a command that is still read
 

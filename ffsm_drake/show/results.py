@@ -54,6 +54,19 @@ class Result:
         """Whether the run lasted as long as it was meant to, so that its sums may be compared."""
         return self.record.outcome.completed
 
+    @property
+    def time(self) -> np.ndarray:
+        """Control samples (n), s."""
+        values: np.ndarray = self.record.dataset["time"].values
+        return values
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of each coordinate, "rad" or "m"."""
+        data = self.record.dataset
+        names, units = (data[name].values.astype(str).tolist() for name in ("coordinate", "unit"))
+        return dict(zip(names, units, strict=True))
+
 
 def results_of(records: Sequence[RunRecord]) -> list[Result]:
     """Every run with a name and a colour of its own."""

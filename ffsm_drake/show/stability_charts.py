@@ -1,0 +1,80 @@
+"""Charts of a sampled loop's stability, as predicted without a run. The report and the figure of
+``ffsm stability`` draw them.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ffsm_drake.control_design.stability.linear_loop import LinearLoop
+from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
+from ffsm_drake.show.chart import DASHES, Chart, Curve, Level
+from ffsm_drake.show.results import Result, values_of
+from ffsm_drake.show.style import GROUP_STYLES, GROUP_TITLES, NEUTRAL, Style
+
+
+def eta_chart(margins: Margins, title: str) -> Chart:
+    """The eigenvalues of H^-1 Hhat along the motion."""
+    return Chart(
+        title=title, y="1", levels=[Level(value=1.0, text="nominal = true")],
+        curves=[
+            Curve(
+                x=margins.times, y=column, style=Style(NEUTRAL), name=f"eigenvalue {k}", width=1.2
+            )
+            for k, column in enumerate(margins.eta.T, start=1)
+        ],
+    )  # fmt: skip
+
+
+def radius_chart(curves: Sequence[Curve], title: str) -> Chart:
+    """Spectral radii of the loop, below 1 where it is stable."""
+    return Chart(title=title, y="1", curves=curves, levels=[Level(value=1.0, text="limit 1")])
+
+
+def radii_of(margins: Margins) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Times (m,) in s and spectral radii (m,), by the gains at which the loop is linearized."""
+    loops = {"starting gains": margins.loops}
+    if margins.loops_expected is not margins.loops:
+        loops["largest expected Kₛ"] = margins.loops_expected
+    return {name: _radii(each) for name, each in loops.items()}
+
+
+def _radii(loops: Sequence[LinearLoop]) -> tuple[np.ndarray, np.ndarray]:
+    times, radii = zip(*((loop.time, loop.spectral_radius) for loop in loops), strict=True)
+    return np.array(times), np.array(radii)
+
+
+def forecast_chart(
+    margins: Margins, axes: AxisMargins, title: str, *, result: Result | None = None
+) -> Chart:
+    """K_s of every coordinate as expected; or of each group that of the coordinate that comes
+    highest, with what a run recorded of it.
+    """
+    recorded = None if result is None else values_of(result.record, "reaching_gain")
+    names = [] if result is None else list(result.units)
+    forecast, curves = axes.forecast_k_s, []
+    for group, part in margins.coordinates.groups.items():
+        members, color = range(*part.indices(forecast.shape[1])), GROUP_STYLES[group].color
+        if result is not None and members:
+            members = [max(members, key=lambda k: forecast[:, k].max())]
+        for place, k in enumerate(members):
+            name, dash = margins.coordinates.names[k], DASHES[place % len(DASHES)]
+            if result is None:
+                label = "" if place else GROUP_TITLES[group]
+            else:
+                label, dash = f"{name}, expected", "dash"
+            expected = {"x": axes.forecast_times, "y": forecast[:, k]}
+            curves.append(Curve(**expected, style=Style(color, dash), name=label))
+            if result is not None and recorded is not None and name in names:
+                measured = {"x": result.time, "y": recorded[:, names.index(name)]}
+                curves.append(Curve(**measured, style=Style(color), name=f"{name}, recorded"))
+    limit, bound = float(np.nanmin(axes.k_s_limit)), float(axes.k_s_max.max())
+    highest = [limit, float(forecast.max())]
+    if recorded is not None and np.isfinite(recorded).any():
+        highest.append(min(float(recorded[np.isfinite(recorded)].max()), 2.0 * limit))
+    top, levels = 1.15 * max(highest), [Level(value=limit, text="limit")]
+    if (axes.k_s_max > axes.k_s).any() and bound < top:
+        levels.append(Level(value=bound, text="k_s_max", style=Style(NEUTRAL, "dash")))
+    return Chart(
+        title=title, y="1/s", curves=curves, levels=levels, legend=True, range=(0.0, top)
+    )
