@@ -14,7 +14,7 @@ from ffsm_drake.show.style import BLACK, NEUTRAL, SERIES, Style
 DASHES = ("solid", "dash", "dashdot", "dot", "longdashdot", "longdash")
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Curve:
     """Values y (n,) over x (n,). A single point is drawn as a marker."""
 
@@ -33,7 +33,7 @@ class Curve:
     run: int | None = None  # a page's chips hide and show the curves of a run
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Level:
     """A line across the picture at a value of an axis, with a text at its end."""
 
@@ -45,7 +45,7 @@ class Level:
     below: bool = False  # the text
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Band:
     """Shaded spans (n, 2) of the x axis, from the bottom of the picture to its top."""
 

@@ -35,8 +35,8 @@ def run_curve(
     run = results[i]
     names = filter(None, (run.label if len(results) > 1 else "", name))
     return Curve(
-        x=run.time if x is None else x, y=y, style=style or Style(run.style.color),
-        name=", ".join(names) or run.label, run=i, **look,
+        run.time if x is None else x, y, style or Style(run.style.color),
+        ", ".join(names) or run.label, run=i, **look,
     )  # fmt: skip
 
 
@@ -159,7 +159,7 @@ def _tracked(
             columns.append((i, factor * values[:, place[name]]))
             if reference is not None:
                 y = factor * reference[:, place[name]]
-                curve = Curve(x=result.time, y=y, style=_REFERENCE, name="reference", width=1.2)
+                curve = Curve(result.time, y, _REFERENCE, "reference", width=1.2)
                 references.setdefault(y.tobytes(), curve)
         if columns:
             charts.append(

@@ -8,18 +8,21 @@ import numpy as np
 
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
-from ffsm_drake.show.chart import DASHES, Chart, Curve, Level
+from ffsm_drake.control_design.stability.one_axis import largest_sample_time, largest_stable_k_s
+from ffsm_drake.show.chart import DASHES, Band, Chart, Curve, Level
 from ffsm_drake.show.results import Result, values_of
 from ffsm_drake.show.style import GROUP_STYLES, GROUP_TITLES, NEUTRAL, Style
+
+_MAP_ETA = (0.2, 1.4, 25)  # range and points: the curve is smooth
 
 
 def eta_chart(margins: Margins, title: str) -> Chart:
     """The eigenvalues of H^-1 Hhat along the motion."""
     return Chart(
-        title=title, y="1", levels=[Level(value=1.0, text="nominal = true")],
+        title=title, y="1", levels=[Level(1.0, "nominal = true")],
         curves=[
             Curve(
-                x=margins.times, y=column, style=Style(NEUTRAL), name=f"eigenvalue {k}", width=1.2
+                margins.times, column, Style(NEUTRAL), f"eigenvalue {k}", width=1.2
             )
             for k, column in enumerate(margins.eta.T, start=1)
         ],
@@ -28,7 +31,7 @@ def eta_chart(margins: Margins, title: str) -> Chart:
 
 def radius_chart(curves: Sequence[Curve], title: str) -> Chart:
     """Spectral radii of the loop, below 1 where it is stable."""
-    return Chart(title=title, y="1", curves=curves, levels=[Level(value=1.0, text="limit 1")])
+    return Chart(title=title, y="1", curves=curves, levels=[Level(1.0, "limit 1")])
 
 
 def radii_of(margins: Margins) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -72,9 +75,50 @@ def forecast_chart(
     highest = [limit, float(forecast.max())]
     if recorded is not None and np.isfinite(recorded).any():
         highest.append(min(float(recorded[np.isfinite(recorded)].max()), 2.0 * limit))
-    top, levels = 1.15 * max(highest), [Level(value=limit, text="limit")]
+    top, levels = 1.15 * max(highest), [Level(limit, "limit")]
     if (axes.k_s_max > axes.k_s).any() and bound < top:
-        levels.append(Level(value=bound, text="k_s_max", style=Style(NEUTRAL, "dash")))
+        levels.append(Level(bound, "k_s_max", style=Style(NEUTRAL, "dash")))
+    return Chart(title=title, y="1/s", curves=curves, levels=levels, legend=True, range=(0.0, top))
+
+
+def weakest(axes: AxisMargins) -> int:
+    """The coordinate with the least margin."""
+    if not axes.has_k_s:
+        return int(np.nanargmin(axes.sample_time_limit))
+    return int(np.nanargmin(axes.k_s_limit / np.maximum(axes.forecast_k_s.max(axis=0), 1e-9)))
+
+
+def map_chart(margins: Margins, axes: AxisMargins, style: Style) -> Chart:
+    """Where the coordinate with the least margin is stable: K_s, or without K_s the sample time,
+    against eta.
+    """
+    axis, eta = weakest(axes), np.linspace(*_MAP_ETA)
+    low, high = float(margins.eta.min()), float(margins.eta.max())
+    if axes.has_k_s:
+        limit = largest_stable_k_s(axes.law, axis, eta=eta, euler=axes.euler)
+        used = {
+            "Kₛ at the start": axes.k_s[axis],
+            "largest expected Kₛ": axes.forecast_k_s[:, axis].max(),
+        }
+        unit, what = "Kₛ [1/s]", "Kₛ"
+    else:
+        limit = 1e3 * largest_sample_time(axes.law, axis, eta=eta, euler=axes.euler)
+        used = {"sample time in use": 1e3 * margins.scenario.sample_time}
+        unit, what = "sample time L [ms]", "sample time"
+    at = np.array([high])
+    points = [
+        Curve(at, np.array([value]), name=name, style=style, line=False, marker=marker, size=11.0)
+        for (name, value), marker in zip(used.items(), ("circle", "diamond"), strict=False)
+    ]
+    finite = limit[np.isfinite(limit)]
+    tops = [*used.values(), np.interp(high, eta, np.nan_to_num(limit))]
+    if finite.size:
+        tops.append(np.median(finite))
+    boundary = Curve(eta, limit, style, "stability limit", width=2.0, filled=True)
     return Chart(
-        title=title, y="1/s", curves=curves, levels=levels, legend=True, range=(0.0, top)
-    )
+        title=f"Stable below the curve, {what} of "
+        f"{margins.coordinates.names[axis].replace('_', ' ')}",
+        x="inertia ratio η; shaded: met along the motion", y=unit, kind="map", legend=True,
+        curves=[boundary, *points], bands=[Band(np.array([[low, high]]), NEUTRAL)],
+        range=(0.0, 1.3 * float(max(tops))),
+    )  # fmt: skip

@@ -82,7 +82,7 @@ def _cumulative(findings: Findings, metric: str) -> Panel:
         runs = findings.table.runs[controller]
         x, y = cumulative(runs.metrics[metric][runs.settled], runs.case.size)
         label = label_of(controller)
-        curves.append(Curve(x=x, y=y, style=style, name=label, width=2.0, steps=True))
+        curves.append(Curve(x, y, style, label, width=2.0, steps=True))
     chart = Chart(
         title=f"Cases settled with at most a given {name}", kind="chart", curves=curves, x=name,
         y="settled [% of cases]", log_x="~e" if metric == "itae" else "~g", range=_SHARE,
@@ -109,7 +109,7 @@ def _differences(findings: Findings) -> list[Panel]:
         "Ratio of ITAE on the same case (below 1: the first is more accurate): quartiles and "
         "the middle 90 %"
     )
-    one = [Level(value=1.0, axis="x")]
+    one = [Level(1.0, axis="x")]
     return [_bars(title, [boxes], x="ratio of ITAE", rows=len(pairs), log_x="~g", levels=one)]
 
 
@@ -143,7 +143,7 @@ def _grid_panel(findings: Findings, along: str, points: Sequence[GridPoint], met
         )
         x, y = np.array(own, dtype=float).reshape(-1, 2).T
         look: dict[str, Any] = {"width": 2.0, "marker": "circle", "size": 6.0}
-        curves.append(Curve(x=x, y=y, style=style, name=label_of(name), **look))
+        curves.append(Curve(x, y, style, label_of(name), **look))
     wide = min(values.values()) > 0 and max(values.values()) >= 100 * min(values.values())
     chart = Chart(
         title=GRID_METRICS[metric], kind="chart", curves=curves, x=along, legend=True,

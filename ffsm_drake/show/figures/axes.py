@@ -15,7 +15,9 @@ _MARKERS = {
 }  # fmt: skip
 
 
-def draw(axes: Axes, chart: Chart, *, what: str = "", thickness: float = 1.0) -> None:
+def draw(
+    axes: Axes, chart: Chart, *, what: str = "", thickness: float = 1.0, ticks: int = 7
+) -> None:
     """Draw a chart.
 
     Args:
@@ -23,6 +25,7 @@ def draw(axes: Axes, chart: Chart, *, what: str = "", thickness: float = 1.0) ->
       chart: what.
       what: a word before the unit on the y axis.
       thickness: multiplies the widths of the curves.
+      ticks: at most so many on a logarithmic y axis.
     """
     for curve in chart.curves:
         _draw_curve(axes, curve, thickness)
@@ -30,7 +33,7 @@ def draw(axes: Axes, chart: Chart, *, what: str = "", thickness: float = 1.0) ->
         axes.broken_barh(
             [(low, high - low) for low, high in band.spans.tolist()], (0.0, 1.0),
             transform=axes.get_xaxis_transform(), color=band.color, alpha=band.opacity,
-            linewidth=0, zorder=0, label=plain(band.name),
+            linewidth=0, zorder=1.5, label=plain(band.name),
         )  # fmt: skip
     for level in chart.levels:
         _draw_level(axes, level)
@@ -45,7 +48,9 @@ def draw(axes: Axes, chart: Chart, *, what: str = "", thickness: float = 1.0) ->
     if chart.log_x:
         axes.set_xscale("log")
     if chart.log_y:
-        set_log_scale(axes)
+        set_log_scale(axes, ticks)
+    else:
+        axes.ticklabel_format(axis="y", useOffset=False)
     if chart.legend:
         axes.legend(fontsize=8)
 
@@ -57,7 +62,7 @@ def _draw_curve(axes: Axes, curve: Curve, thickness: float) -> None:
     # Steps are rasterized: as vectors those of noise would be megabytes.
     axes.plot(
         curve.x, np.where(np.abs(curve.y) < LARGEST, curve.y, np.nan),
-        marker=_MARKERS[curve.marker or "dot" * (len(curve.x) == 1)], markersize=curve.size,
+        marker=_MARKERS[curve.marker or "dot" * (len(curve.x) == 1)], markersize=0.75 * curve.size,
         linewidth=thickness * curve.width, drawstyle="steps-post" if curve.steps else "default",
         rasterized=curve.steps, alpha=curve.opacity, label=plain(curve.name), **look,
     )  # fmt: skip
@@ -100,12 +105,12 @@ def plain(text: object) -> str:
     return str(text).replace("$", r"\$")
 
 
-def set_log_scale(axes: Axes) -> None:
+def set_log_scale(axes: Axes, ticks: int) -> None:
     """A logarithmic y axis with at least two labelled ticks, however few decades it spans."""
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     if np.floor(np.log10(high)) > np.ceil(np.log10(low)):  # two powers of ten
-        axes.yaxis.set_major_locator(LogLocator(numticks=4))
+        axes.yaxis.set_major_locator(LogLocator(numticks=ticks))
     else:
         subs = (1.0, 2.0, 5.0) if high < 10.0 * low else (1.0, 3.0)
         axes.yaxis.set_major_locator(LogLocator(subs=subs))

@@ -128,16 +128,17 @@ def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
     handles: list[Any] = []
     for column, run in zip(panels.T, results_of(adaptive), strict=True):
         for axes, (kind, (name, unit)) in zip(column, kinds.items(), strict=True):
+            title = plain(run.label) if axes is column[0] else ""
             if kind in run.record.dataset:
-                title = run.label if axes is column[0] else ""
                 charts = coordinate_charts([run], kind, unit)
-                draw(axes, merged(charts, title, dashes=dashes), what=name)
+                draw(axes, merged(charts, "", dashes=dashes), what=name)
                 handles = axes.get_legend_handles_labels()[0]
                 axes.get_legend().remove()
             else:
                 text = "constant or absent"
                 axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes)
                 axes.set_axis_off()
+            axes.set_title(title, fontsize=10)
         column[0].set_xlabel("")
     figure.legend(handles=handles, loc="outside right upper", fontsize=8)
     return figure
@@ -186,7 +187,7 @@ def _draw_coordinate(both: tuple[Axes, Axes], charts: tuple[Chart, Chart], lette
     draw(upper, _stepped(charts[0]))
     upper.set_title(f"{letter} {plain(charts[0].title)}", fontsize=10, loc="left")
     upper.set_title("")
-    draw(lower, dataclasses.replace(charts[1], title=""), thickness=0.7)
+    draw(lower, dataclasses.replace(charts[1], title=""), thickness=0.7, ticks=4)
     upper.set_xlabel("")
     upper.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3), useMathText=True)
     upper.yaxis.get_offset_text().set_fontsize(8)

@@ -6,20 +6,17 @@ from matplotlib.figure import Figure
 
 from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
 from ffsm_drake.control_design.stability.one_axis import axis_loop, of_axes, with_sample_time
-from ffsm_drake.show.chart import Band, Chart, Curve
+from ffsm_drake.show.chart import Chart, Curve
 from ffsm_drake.show.figures.axes import draw, plain
-from ffsm_drake.show.stability_charts import eta_chart, forecast_chart, radii_of, radius_chart
-from ffsm_drake.show.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    GROUP_STYLES,
-    GROUP_TITLES,
-    UNSTABLE,
-    VERMILION,
-    Style,
-    label_of,
+from ffsm_drake.show.stability_charts import (
+    eta_chart,
+    forecast_chart,
+    map_chart,
+    radii_of,
+    radius_chart,
+    weakest,
 )
+from ffsm_drake.show.style import BLACK, BLUE, UNSTABLE, VERMILION, Style, label_of
 
 _TIME = "time along the planned motion [s]"
 
@@ -41,15 +38,15 @@ def plot_margins(margins: Margins) -> Figure:
         panels[0].set_aspect("equal")
     else:
         _draw_map(figure, panels[0], margins, axes)
+        title = "Where adaptation is expected to take Kₛ"
         if axes.has_k_s:
-            title = "Where adaptation is expected to take Kₛ"
             draw(panels[1], forecast_chart(margins, axes, title), what="Kₛ")
         else:
             panels[1].text(0.5, 0.5, "this law has no Kₛ", ha="center", va="center")
-            panels[1].set_axis_off()
+            panels[1].set(title=title, xticks=[], yticks=[])
         _draw_eta(panels[2], margins, axes)
     curves = [
-        Curve(x=x, y=y, name=name, style=style, width=2.0, marker="circle", size=4.0)
+        Curve(x, y, name=name, style=style, width=2.0, marker="circle", size=6.0)
         for (name, (x, y)), style in zip(
             radii_of(margins).items(), (Style(VERMILION), Style(BLUE, "dash")), strict=False
         )
@@ -59,7 +56,6 @@ def plot_margins(margins: Margins) -> Figure:
         what="spectral radius",
     )  # fmt: skip
     panels[-1].set_xlabel(_TIME)
-    panels[-1].ticklabel_format(axis="y", useOffset=False)
     panels[-1].legend(fontsize=8)
     for letter, each in zip("abcd", panels, strict=False):
         each.set_title(f"({letter}) {each.get_title()}")
@@ -67,15 +63,11 @@ def plot_margins(margins: Margins) -> Figure:
 
 
 def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins) -> None:
-    adapts, eta = limits.has_k_s, np.linspace(0.2, 1.4, 90)
-    top = float(
-        1.35 * max(np.nanmax(limits.k_s_limit), limits.k_s.max())
-        if adapts
-        else 1500.0 * limits.sample_time_limit.max()
-    )
+    draw(axes, map_chart(margins, limits, Style(BLACK)))
+    eta, (_, top) = np.linspace(0.2, 1.4, 90), axes.get_ylim()
     vertical = np.linspace(top / 200, top, 90)
-    law, each = of_axes(limits.law, [0]), vertical[:, None, None]
-    law = law.with_reaching_gain(each) if adapts else with_sample_time(law, 1e-3 * each)
+    law, each = of_axes(limits.law, [weakest(limits)]), vertical[:, None, None]
+    law = law.with_reaching_gain(each) if limits.has_k_s else with_sample_time(law, 1e-3 * each)
     poles = axis_loop(law, eta=eta[:, None], euler=limits.euler).poles[..., 0, :]
     largest, ringing = np.abs(poles).max(axis=-1), -poles.real.min(axis=-1)
     # poles at zero are found only to about 0.01
@@ -86,49 +78,6 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins)
     axes.contour(eta, vertical, largest, levels=[1.0], colors="black", linewidths=2)
     figure.colorbar(shades, ax=axes, label="ringing: minus the most negative pole")
     axes.text(1.22, 0.93 * top, "unstable", fontsize=10)
-    met = np.array([[margins.eta.min(), margins.eta.max()]])
-    if adapts:
-        points = _paths(axes, margins, limits, top)
-        label, title = "Kₛ [1/s]", f"Stability map of {margins.coordinates.names[0]}"
-    else:
-        points = [_point(met[0, 1], 1e3 * margins.scenario.sample_time, "sample time in use")]
-        label, title = "sample time L [ms]", "Stability map"
-    draw(
-        axes,
-        Chart(
-            title=title, curves=points, x="η (above 1: inertia over-estimated)", y=label,
-            bands=[Band(spans=met, color=GREY, opacity=0.35, name="η along the motion")],
-            range=(0.0, top), range_x=(eta[0], eta[-1]),
-        ),
-    )  # fmt: skip
-    axes.legend(loc="lower left", fontsize=8)
-
-
-def _point(x: float, y: float, name: str, color: str = BLACK) -> Curve:
-    return Curve(
-        x=np.array([x]), y=np.array([y]), name=name, style=Style(color), line=False,
-        marker="circle", size=6.0,
-    )  # fmt: skip
-
-
-def _paths(axes: Axes, margins: Margins, limits: AxisMargins, top: float) -> list[Curve]:
-    """An arrow for each group, from the first K_s to the largest expected one, and where each
-    starts.
-    """
-    points = []
-    for k, (group, part) in enumerate(margins.coordinates.groups.items()):
-        path = limits.forecast_k_s[:, part]
-        if not path.shape[1]:
-            continue
-        extreme, color = path[:, np.argmax(path.max(axis=0))], GROUP_STYLES[group].color
-        x = margins.eta.max() - 0.02 * k
-        axes.annotate(
-            "", xy=(x, min(extreme[-1], 0.99 * top)), xytext=(x, extreme[0]),
-            arrowprops={"arrowstyle": "->", "color": color, "linewidth": 2},
-        )  # fmt: skip
-        name = f"{GROUP_TITLES[group]}: start, expected path"
-        points.append(_point(x, extreme[0], name, color))
-    return points
 
 
 def _draw_eta(axes: Axes, margins: Margins, limits: AxisMargins) -> None:
@@ -148,9 +97,9 @@ def _poles(margins: Margins) -> Chart:
     return Chart(
         title=f"Poles at t = {margins.worst.time:g} s", x="real part of z", y="imaginary part",
         curves=[
-            Curve(x=circle.real, y=circle.imag, style=Style(BLACK), width=1.0),
+            Curve(circle.real, circle.imag, Style(BLACK), width=1.0),
             *(
-                Curve(x=part.real, y=part.imag, style=Style(color), line=False, marker="x")
+                Curve(part.real, part.imag, Style(color), line=False, marker="x")
                 for color, part in shown.items()
             ),
         ],

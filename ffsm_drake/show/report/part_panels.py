@@ -99,14 +99,9 @@ def _curves(
             names = signal[signal.dims[1]].values.astype(str).tolist()
             columns = dict(zip(names, signal.values.T, strict=True))
         for name in drawing.panels:
-            curves[name].append(
-                run_curve(results, i, columns[name], steps=drawing.chart == STEPS)
-            )
+            curves[name].append(run_curve(results, i, columns[name], steps=drawing.chart == STEPS))
     return panels(
-        (
-            Chart(title=name.replace("_", " "), y=units[name], curves=curves[name])
-            for name in units
-        ),
+        (Chart(title=name.replace("_", " "), y=units[name], curves=curves[name]) for name in units),
         thin,
     )
 
