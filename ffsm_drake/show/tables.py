@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,67 +42,54 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
     known.
     """
     rows = [
-        [
-            "controller",
-            "ITAE",
-            "ISV",
-            *["peak error"] * 2,
-            *["final error"] * 2,
-            "peak force",
-            *["peak torque"] * 2,
-        ],
+        ["controller", "ITAE", "ISV", *["peak error"] * 2, *["final error"] * 2, "peak force"]
+        + ["peak torque"] * 2,
         ["", "", "", "rad", "m", "rad", "m", "base, N", "base, N m", "joints"],
+        *map(_result_cells, records),
     ]
-    for record in records:
-        m, tracked = record.metrics, tracked_of(record.dataset)
-        size, units = np.abs(tracked.error), np.array(tracked.units)
-        figures = [
-            float(errors[units == unit].max(initial=-math.inf))
-            if unit in tracked.units
-            else math.nan
-            for errors in (size.max(axis=0), size[-1])
-            for unit in ("rad", "m")
-        ]
-        figures += [
-            m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")
-        ]
-        cells = [NONE if math.isnan(x) else f"{x:.3g}" for x in figures]
-        rows.append([record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *cells])
+    columns = []
     for first in ranked_figures(records):
         sizes = [size_of(record, first) for record in records]
         cells = [NONE if math.isnan(size) else f"{size:.4g}" for size in sizes]
-        for row, cell in zip(rows, (first.label.lower(), first.shown_unit, *cells), strict=True):
-            row.append(cell)
+        columns.append((first.label.lower(), first.shown_unit, *cells))
     if distances is not None:
-        for row, cell in zip(
-            rows, ("over LQG", "", *(number(distance, 3) for distance in distances)), strict=True
-        ):
-            row.append(cell)
-    lines = aligned(rows)
-    held = [
-        (record.dataset["generalized_force"], record.dataset["applied_force"]) for record in records
-    ]
-    if not all(commanded.equals(applied) for commanded, applied in held):
-        lines.append(
-            "forces and ISV as commanded; the actuators apply something else, see the report"
-        )
+        columns.append(("over LQG", "", *(number(distance, 3) for distance in distances)))
+    lines = aligned([[*row, *more] for row, *more in zip(rows, *columns, strict=True)])
     for k, record in enumerate(records, start=2):
         if not record.outcome.completed:
             lines[k] += f"  ({record.outcome.status} at {record.outcome.time:.2f} s)"
-    lines += [grasp_line(record.grasp) for record in records if record.grasp is not None]
+    return "\n".join(lines + list(_result_notes(records)))
+
+
+def _result_cells(record: RunRecord) -> list[str]:
+    """The line of a run in the table of results."""
+    m, tracked = record.metrics, tracked_of(record.dataset)
+    size, units = np.abs(tracked.error), np.array(tracked.units)
+    figures = [
+        float(errors[units == unit].max(initial=-math.inf)) if unit in tracked.units else math.nan
+        for errors in (size.max(axis=0), size[-1])
+        for unit in ("rad", "m")
+    ]
+    figures += [m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")]
+    cells = [NONE if math.isnan(x) else f"{x:.3g}" for x in figures]
+    return [record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *cells]
+
+
+def _result_notes(records: Sequence[RunRecord]) -> Iterator[str]:
+    """The lines below the table of results."""
+    if not all(
+        record.dataset["generalized_force"].equals(record.dataset["applied_force"])
+        for record in records
+    ):
+        yield "forces and ISV as commanded; the actuators apply something else, see the report"
+    yield from (grasp_line(record.grasp) for record in records if record.grasp is not None)
     # of the plan, which all have
-    lines += momentum_lines((records[0].grasp or {}).get("momentum_budget"))
+    yield from momentum_lines((records[0].grasp or {}).get("momentum_budget"))
     for record in records:
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
-        lines += [
-            name + line
-            for line in (
-                *frame_lines(record),
-                *drift_lines(record),
-                *(part.sentence for part in record.parts if part.sentence),
-            )
-        ]
-    return "\n".join(lines)
+        sentences = (part.sentence for part in record.parts if part.sentence)
+        for line in (*frame_lines(record), *drift_lines(record), *sentences):
+            yield name + line
 
 
 def ranked_figures(records: Sequence[RunRecord]) -> list[Figure]:

@@ -123,7 +123,8 @@ def test_the_ledger_counts_the_wheels(run):
     assert section["budget"][0].startswith("After the grasp as planned: ")
     rows = {row[0]: row[1:3] for row in section["ledger"]}
     assert (
-        rows["of which in the wheels [N m s]"] == [", ".join(number(each) for each in stored)] * 2
+        rows["of which stored in actuators [N m s]"]
+        == [", ".join(number(each) for each in stored)] * 2
     )
 
 

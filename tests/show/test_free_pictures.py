@@ -8,8 +8,8 @@ from ffsm_drake.show.meshcat import recording_html, start_meshcat
 from ffsm_drake.show.meshcat.replay_view import ReplayView
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import table
-from ffsm_drake.show.results import results_of
 from ffsm_drake.show.report.time_panels import run_views
+from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 
 SHORT = ("duration=1.4", "reference.duration=1", "reference.frame.position=[1.22, 0.59, 1.63]")
