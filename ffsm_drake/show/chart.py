@@ -65,8 +65,8 @@ class Chart:
     y: str = ""
     log_x: str = ""  # "": a linear axis, else the form of its ticks in Plotly's words
     log_y: str = ""
-    range_x: tuple[float, float] | None = None  # None: that of the curves
-    range: tuple[float, float] | None = None  # of y
+    range_x: Sequence[float] | None = None  # None: that of the curves
+    range: Sequence[float] | None = None  # of y
     levels: Sequence[Level] = ()
     bands: Sequence[Band] = ()
     legend: bool = False

@@ -144,7 +144,7 @@ def panel(chart: Chart, thin: Thinning, *, before: Sequence[Trace] = (), **layou
     )
 
 
-def _axis(log: str, extent: tuple[float, float] | None, *, ticks: int) -> dict[str, Any]:
+def _axis(log: str, extent: Sequence[float] | None, *, ticks: int) -> dict[str, Any]:
     axis: dict[str, Any] = log_axis(log, ticks=ticks) if log else {}
     if extent is not None:
         axis["range"] = np.log10(extent).tolist() if log else list(extent)

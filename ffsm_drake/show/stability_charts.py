@@ -57,7 +57,7 @@ def forecast_chart(
     names = [] if result is None else list(result.units)
     forecast, curves = axes.forecast_k_s, []
     for group, part in margins.coordinates.groups.items():
-        members, color = range(*part.indices(forecast.shape[1])), GROUP_STYLES[group].color
+        members, color = list(range(*part.indices(forecast.shape[1]))), GROUP_STYLES[group].color
         if result is not None and members:
             members = [max(members, key=lambda k: forecast[:, k].max())]
         for place, k in enumerate(members):
@@ -66,11 +66,10 @@ def forecast_chart(
                 label = "" if place else GROUP_TITLES[group]
             else:
                 label, dash = f"{name}, expected", "dash"
-            expected = {"x": axes.forecast_times, "y": forecast[:, k]}
-            curves.append(Curve(**expected, style=Style(color, dash), name=label))
+            curves.append(Curve(axes.forecast_times, forecast[:, k], Style(color, dash), label))
             if result is not None and recorded is not None and name in names:
-                measured = {"x": result.time, "y": recorded[:, names.index(name)]}
-                curves.append(Curve(**measured, style=Style(color), name=f"{name}, recorded"))
+                values = recorded[:, names.index(name)]
+                curves.append(Curve(result.time, values, Style(color), f"{name}, recorded"))
     limit, bound = float(np.nanmin(axes.k_s_limit)), float(axes.k_s_max.max())
     highest = [limit, float(forecast.max())]
     if recorded is not None and np.isfinite(recorded).any():

@@ -225,7 +225,7 @@ def _comparisons(findings: Findings) -> dict[str, Any]:
                 _plain(s.correlation),
             ],
             s.matters,
-        )  # fmt: skip
+        )
         for name in findings.influential
         for s in findings.sensitivities
         if s.name == name

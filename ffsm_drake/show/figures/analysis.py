@@ -149,7 +149,7 @@ def _match(analysis: Analysis) -> list[Chart]:
 
 
 def _sliding_variable(analysis: Analysis) -> list[Chart]:
-    levels = []
+    levels: list[Level] = []
     if "direct_bound" in analysis.series:
         levels += _bounds(analysis, "direct_bound", "bound from (7), by group")
     for key, number, text, style in (

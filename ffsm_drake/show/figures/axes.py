@@ -1,5 +1,7 @@
 """Charts as Matplotlib draws them, and the style that all panels of the figures share."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
@@ -71,7 +73,7 @@ def _draw_curve(axes: Axes, curve: Curve, thickness: float) -> None:
 def _draw_level(axes: Axes, level: Level) -> None:
     """A line, its text above its right end, or beside its lower one."""
     look = {"linewidth": 1.2, "label": plain(level.name), **level.style.matplotlib}
-    small = {"textcoords": "offset points", "fontsize": 8}
+    small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
     if level.axis == "y":
         axes.axhline(level.value, **look)
         axes.annotate(
