@@ -1,5 +1,5 @@
-"""What a picture shows, apart from who draws it: ``panels`` draws it with Plotly, ``figures.axes``
-with Matplotlib.
+"""Charts: the content of a picture. ``panels`` draws them with Plotly, ``figures.axes`` with
+Matplotlib.
 """
 
 import dataclasses
@@ -29,7 +29,7 @@ class Curve:
     size: float = 8.0  # of the markers
     opacity: float = 1.0
     filled: bool = False  # tinted down to zero
-    points: int = 0  # at most so many are drawn; 0: as many as of any curve
+    points: int = 0  # the largest number drawn; 0: the backend's
     run: int | None = None  # a page's chips hide and show the curves of a run
 
 
@@ -42,7 +42,7 @@ class Level:
     name: str = ""  # in the legend; "": not there
     axis: Literal["x", "y"] = "y"
     style: Style = Style(NEUTRAL)
-    below: bool = False  # the text
+    below: bool = False  # whether the text stands below the line
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Chart:
     curves: Sequence[Curve]
     x: str = "time [s]"
     y: str = ""
-    log_x: str = ""  # "": a linear axis, else the form of its ticks in Plotly's words
+    log_x: str = ""  # "": a linear axis, else Plotly's format of its tick labels
     log_y: str = ""
     range_x: Sequence[float] | None = None  # None: that of the curves
     range: Sequence[float] | None = None  # of y
@@ -84,8 +84,8 @@ class Chart:
 def merged(
     charts: Sequence[Chart], title: str, *, dashes: Mapping[str, str] = MappingProxyType({})
 ) -> Chart:
-    """The curves of charts of one run on common axes, in a colour for each chart and dashes for
-    each of their groups; the references, which are of no run, dashed in black.
+    """The charts of one run on common axes: a colour for each chart, dashes for each group, and
+    the references (curves of no run) dashed in black.
     """
     curves = [
         dataclasses.replace(curve, style=Style(BLACK, "dash"), name="")

@@ -1,4 +1,4 @@
-"""What a reader wants to know first: how each run ended, its figures of merit, who did best."""
+"""Results of runs: status, verdict, figures of merit and ranking."""
 
 import dataclasses
 import math
@@ -75,9 +75,7 @@ def results_of(records: Sequence[RunRecord]) -> list[Result]:
 
 
 def ranking(results: Sequence[Result], figure: Callable[[Result], float]) -> list[Result]:
-    """The best first. Interrupted runs stand behind all completed ones, diverged runs last,
-    whatever their sums.
-    """
+    """The best first: completed runs by their figure, then interrupted ones, then diverged ones."""
     order = {"completed": 0, "interrupted": 1, "diverged": 2}
 
     def key(result: Result) -> tuple[int, float]:

@@ -95,7 +95,7 @@ def step_charts(results: Sequence[Result]) -> list[Chart]:
 
 
 def _rms(results: Sequence[Result], i: int, values: np.ndarray, *, late: int = 0) -> Curve:
-    """The moving rms of values that start so many samples late."""
+    """The moving rms of values that start ``late`` samples after the run."""
     size = moving_rms(values, results[i].record.scenario.sample_time)
     return run_curve(
         results, i, size, x=results[i].time[late:][: size.size], style=results[i].style, width=1.8,
@@ -205,7 +205,7 @@ def _by_coordinate(
             *(data[name].values.astype(str).tolist() for name in ("coordinate", "group", "unit")),
             strict=True,
         )
-        # where nothing drives, no force acts
+        # no force acts on undriven coordinates
         driven = driven_of(data) | (variable not in HELD)
         for key, values, shown in zip(names, data[variable].values.T, driven, strict=True):
             if shown:
@@ -214,7 +214,7 @@ def _by_coordinate(
 
 
 def _roughest_first(results: Sequence[Result], variable: str) -> list[int]:
-    """The runs that have a variable, in an order in which none covers a smoother one."""
+    """The runs with a variable, the roughest first, so that none covers a smoother one."""
     rough = {}
     for i, result in enumerate(results):
         values = values_of(result.record, variable)

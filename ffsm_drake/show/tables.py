@@ -112,22 +112,12 @@ def size_of(record: RunRecord, figure: Figure) -> float:
 
 
 def frame_lines(record: RunRecord) -> list[str]:
-    """How far the frame was from a reference for its pose, and whether it came near a singularity,
-    a line each.
-    """
+    """Distance of the frame from its reference, and time near a singularity; a line each."""
     figures, goal = record.metrics.get("frame"), record.scenario.reference.frame
     if not figures:
         return []
     name = record.scenario.model.end_effector if goal is None or goal.frame is None else goal.frame
-    units = {"position": (1e3, "mm"), "rotation": (180.0 / math.pi, "deg")}
-    final, largest = (
-        " and ".join(
-            f"{units[part][0] * figures[kind][part]:.4g} {units[part][1]}"
-            for part in units
-            if part in figures[kind]
-        )
-        for kind in ("final", "largest")
-    )
+    final, largest = _final_and_largest(figures)
     lines = [f"the frame {name} ends {final} from its reference (at most {largest})"]
     gains = record.scenario.controllers.get(controller_key(record.scenario.controller), {})
     smallest, damping = (
@@ -146,20 +136,21 @@ def frame_lines(record: RunRecord) -> list[str]:
 
 
 def drift_lines(record: RunRecord) -> list[str]:
-    """Where the undriven base of a run went, in one line; none where all is driven."""
+    """Drift of the undriven base, in one line; none where everything is driven."""
     drift = record.metrics.get("drift")
     if not drift:
         return []
-    units = {"base_rotation": (180.0 / math.pi, "deg"), "base_position": (1e3, "mm")}
-    final, largest = (
-        " and ".join(
-            f"{units[group][0] * size:.4g} {units[group][1]}" for group, size in drift[kind].items()
+    final, largest = _final_and_largest(drift)
+    return [f"undriven base: final drift {final} (at most {largest})"]
+
+
+def _final_and_largest(figures: Mapping[str, Any]) -> Iterator[str]:
+    """The final and the largest sizes (rad, m) of figures by part, in words."""
+    for moment in ("final", "largest"):
+        yield " and ".join(
+            f"{180.0 / math.pi * size:.4g} deg" if "rotation" in part else f"{1e3 * size:.4g} mm"
+            for part, size in sorted(figures[moment].items())
         )
-        for kind in ("final", "largest")
-    )
-    return [
-        f"the base, which nothing drives there, ends {final} from its start (at most {largest})"
-    ]
 
 
 def grasp_line(grasp: Mapping[str, Any]) -> str:
@@ -256,10 +247,12 @@ def margins_table(margins: "Margins") -> str:
 
 
 def boundaries_table(boundaries: "Boundaries", scenario: Scenario) -> str:
-    """Plain text: how far each thing can be changed, alone, before the loop is unstable."""
+    """Plain text: how far each parameter can change, alone, before the loop is unstable."""
 
     def factor(value: float, unit: str = "") -> str:
-        return f"x {value:.3g}{unit}" if math.isfinite(value) else "beyond what was looked at"
+        return (
+            f"x {value:.3g}{unit}" if math.isfinite(value) else "stable over the whole search range"
+        )
 
     period = 1e3 * scenario.sample_time
     if math.isnan(boundaries.delay):
@@ -284,11 +277,11 @@ def boundaries_table(boundaries: "Boundaries", scenario: Scenario) -> str:
             delay if math.isfinite(boundaries.delay) else factor(boundaries.delay),
         ],
     ]
-    return "\n".join(["unstable from, each changed alone at that posture:", *aligned(rows)])
+    return "\n".join(["stability limits at that posture, one parameter at a time:", *aligned(rows)])
 
 
 def _hidden_lines(margins: "Margins", data: Mapping[str, Any]) -> list[str]:
-    """The modes of vibration that the controller does not know of, and what they do to eta."""
+    """The vibration modes unknown to the controller, and their effect on eta."""
     if not margins.hidden:
         return []
     low, high = margins.locked_eta
@@ -312,7 +305,7 @@ def _hidden_lines(margins: "Margins", data: Mapping[str, Any]) -> list[str]:
     return [
         locked,
         "",
-        "modes of vibration that the controller does not know of, where the motion starts:",
+        "vibration modes unknown to the controller, at the start of the motion:",
         *aligned(rows),
     ]
 
@@ -408,7 +401,7 @@ def _largest_first(
 
 
 def design_table(found: "Design") -> str:
-    """Plain text: the chosen gains, what they promise beside the given ones, what limits them."""
+    """Plain text: the chosen gains, their predicted accuracy against the given ones, and limits."""
     chosen, given = found.chosen, found.given
     scenario, requirement = chosen.scenario, found.requirement
     before, after = given.prediction.by_group(), chosen.prediction.by_group()
@@ -486,7 +479,7 @@ def design_data(found: "Design") -> dict[str, Any]:
 
 
 def plan_table(found: "PlannedMotionReport") -> str:
-    """What a plan takes, and how near it comes to each limit, as plain text."""
+    """Duration and effort of a plan, and its margin to each limit, as plain text."""
     plan = found.plan
     after = f", and {plan.settle:g} s more for the rates that are left" if plan.settle > 0.0 else ""
     lines = [

@@ -284,7 +284,7 @@ class Part:
         return ()
 
     def solids(self) -> Iterable[Solid]:
-        """What is seen of it on the base."""
+        """Its solids on the base, for Meshcat."""
         return ()
 
     def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray] | None:

@@ -60,7 +60,7 @@ _PREDICTED = ("stable_settled", "stable_failed", "unstable_settled", "unstable_f
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Written:
-    """What a report consists of."""
+    """The files and the summary of a report."""
 
     files: list[Path]
     summary: str
@@ -73,7 +73,7 @@ def write_report(
     axes: tuple[str, str] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Written:
-    """Evaluate a campaign, finished or not, and write what there is to see.
+    """Evaluate a campaign, finished or not, and write its report.
 
     Args:
       store: the database.

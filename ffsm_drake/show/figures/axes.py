@@ -23,11 +23,11 @@ def draw(
     """Draw a chart.
 
     Args:
-      axes: where.
-      chart: what.
-      what: a word before the unit on the y axis.
+      axes: the axes to draw in.
+      chart: the chart to draw.
+      what: the quantity, before the unit on the y axis.
       thickness: multiplies the widths of the curves.
-      ticks: at most so many on a logarithmic y axis.
+      ticks: the largest number of ticks on a logarithmic y axis.
     """
     for curve in chart.curves:
         _draw_curve(axes, curve, thickness)
@@ -114,7 +114,9 @@ def set_log_scale(axes: Axes, ticks: int) -> None:
     if np.floor(np.log10(high)) > np.ceil(np.log10(low)):  # two powers of ten
         axes.yaxis.set_major_locator(LogLocator(numticks=ticks))
     else:
-        subs = (1.0, 2.0, 5.0) if high < 10.0 * low else (1.0, 3.0)
+        subs: tuple[float, ...] = (1.0, 3.0)
+        if high < 10.0 * low:
+            subs = (1.0, 2.0, 5.0) if high > 4.0 * low else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
         axes.yaxis.set_major_locator(LogLocator(subs=subs))
         axes.yaxis.set_major_formatter(FuncFormatter(_tick_label))
     axes.yaxis.set_minor_locator(NullLocator())

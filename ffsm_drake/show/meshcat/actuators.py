@@ -1,4 +1,4 @@
-"""What is seen on the base of a scenario's own actuators, all the time or while they act."""
+"""The scenario's own actuators as solids on the base: always visible, or while they act."""
 
 from collections.abc import Iterable, Sequence
 
@@ -21,9 +21,9 @@ def draw_solids(meshcat: Meshcat, base: str, solids: Iterable[Solid], *, longest
     """Add solids to the base.
 
     Args:
-      meshcat: where.
+      meshcat: the server.
       base: path of the base in Meshcat's tree.
-      solids: what.
+      solids: the solids to draw.
       longest: the base's longest edge, m.
     """
     for solid in solids:
@@ -67,7 +67,7 @@ class SwitchedSolids:
     def of(
         cls, meshcat: Meshcat, base: str, record: RunRecord, *, longest: float
     ) -> "SwitchedSolids":
-        """Those of a run whose signals are recorded. Arguments as for ``draw_solids``."""
+        """The solids of a run whose signals it records. Args as for ``draw_solids``."""
         data = record.dataset
         solids = [each for each in solids_of(record.scenario) if each.shown_by in data]
         columns = []

@@ -46,7 +46,7 @@ def part_views(results: Sequence[Result], thin: Thinning, section: str) -> list[
 
 
 def part_text(results: Sequence[Result], section: str, about: str) -> str:
-    """What a section is about, or the sentences of its parts."""
+    """The text of a section, or the sentences of its parts."""
     if about:
         return about
     lines = []
@@ -61,7 +61,7 @@ def part_text(results: Sequence[Result], section: str, about: str) -> str:
 
 
 def part_tables(results: Sequence[Result], section: str) -> list[dict[str, Any]]:
-    """Of each run the tables of the parts of a section, as text, and what they go by."""
+    """The tables of a section's parts, as text, for each run, and the headings of their rows."""
     found = []
     for result in results:
         tables = [
@@ -141,7 +141,7 @@ def _timelines(
 def _boxes(
     time: np.ndarray, period: float, most: int, column: np.ndarray, row: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Outlines of the boxes of a row, which are seen where they are narrower than a pixel."""
+    """Outlines of the boxes of a row; they stay visible where narrower than a pixel."""
     first, lengths = pulses_of(column, period)
     starts, ends = time[first], time[first] + lengths
     if starts.size > most:  # none is seen alone: those that are near become one

@@ -1,4 +1,4 @@
-"""What it takes to make a run again: the command, the scenario, the software."""
+"""How to repeat a run: command, scenario and software."""
 
 import base64
 import json
@@ -89,7 +89,7 @@ def _command(wanted: Mapping[str, Any], shipped: Mapping[str, Mapping[str, Any]]
 
 
 def software(records: Sequence[RunRecord]) -> list[tuple[str, str]]:
-    """Versions; where the runs differ, all of them."""
+    """Versions; all of them if the runs differ."""
     names = dict.fromkeys(name for record in records for name in record.software)
     return [
         (name, " / ".join(dict.fromkeys(record.software.get(name, "?") for record in records)))
