@@ -98,4 +98,4 @@ def merged(
         for curve in chart.curves
     ]  # fmt: skip
     units = ", ".join(dict.fromkeys(chart.y for chart in charts))
-    return Chart(title=title, curves=curves, y=units, legend=True)
+    return Chart(title=title, curves=curves, y=units)

@@ -69,7 +69,9 @@ def plot_trajectories(record: RunRecord) -> Figure:
     for number, (chart, what) in enumerate(
         zip(panels, ("angle", "position", "position"), strict=True), start=2
     ):
-        draw(figure.add_subplot(2, 2, number), chart, what=what)
+        axes = figure.add_subplot(2, 2, number)
+        draw(axes, chart, what=what)
+        axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     return figure
 
 
@@ -133,7 +135,6 @@ def plot_gains(records: Sequence[RunRecord]) -> Figure | None:
                 charts = coordinate_charts([run], kind, unit)
                 draw(axes, merged(charts, "", dashes=dashes), what=name)
                 handles = axes.get_legend_handles_labels()[0]
-                axes.get_legend().remove()
             else:
                 text = "constant or absent"
                 axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes)
