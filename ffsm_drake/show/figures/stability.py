@@ -75,7 +75,6 @@ def _draw_map(figure: Figure, axes: Axes, margins: Margins, limits: AxisMargins)
         eta, vertical, ringing, levels=[-1.0, 0.05, 0.25, 0.5, 0.75, 1.0], cmap="Blues", alpha=0.75
     )
     axes.contourf(eta, vertical, largest, levels=[1.0, np.inf], colors=[UNSTABLE])
-    axes.contour(eta, vertical, largest, levels=[1.0], colors="black", linewidths=2)
     figure.colorbar(shades, ax=axes, label="ringing: minus the most negative pole")
     axes.text(1.22, 0.93 * top, "unstable", fontsize=10)
 
