@@ -1,15 +1,16 @@
-"""Plotly figures for the pages: panels of one style, over time or not."""
+"""Charts as Plotly draws them in the pages: panels of one style, over time or not."""
 
 import dataclasses
 import html
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go  # type: ignore[import-untyped]
 
+from ffsm_drake.show.chart import Chart, Curve
 from ffsm_drake.show.curves import thinned
-from ffsm_drake.show.style import NEUTRAL, Style
+from ffsm_drake.show.style import NEUTRAL
 
 FONT = {
     "family": "system-ui, -apple-system, Segoe UI, Roboto, Helvetica Neue, DejaVu Sans, sans-serif",
@@ -61,14 +62,13 @@ TEMPLATE: dict[str, Any] = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Panel:
-    """One Plotly figure with its caption."""
+    """One Plotly figure with its caption; the fields are those of its chart."""
 
     title: str
     figure: go.Figure
-    # "time" panels share their time axis; other styles are "map", "space" and "chart"
     kind: str = "time"
-    group: str = ""  # heading above the group's first panel
-    height: int = 0  # px; 0: the stylesheet's
+    group: str = ""
+    height: int = 0
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -91,42 +91,15 @@ class Thinning:
     points: int
     longest: int = 0
 
-    def __call__(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, curve: Curve) -> tuple[np.ndarray, np.ndarray]:
         """A thinned curve in single precision, enough for a screen."""
-        self.longest = max(self.longest, x.size)
-        kept = thinned(y, self.points)
+        self.longest = max(self.longest, curve.x.size)
+        kept = thinned(curve.y, curve.points or self.points)
         with np.errstate(over="ignore"):
-            return x[kept].astype(np.float32), y[kept].astype(np.float32)
+            return curve.x[kept].astype(np.float32), curve.y[kept].astype(np.float32)
 
 
 Trace = dict[str, Any]  # Plotly's; a Figure checks it once, on adding
-
-
-def curve(
-    xy: tuple[np.ndarray, np.ndarray],
-    style: Style,
-    *,
-    name: str = "",
-    width: float = 1.4,
-    **rest: Any,
-) -> Trace:
-    """A line; a single point is drawn as a marker."""
-    line = {
-        "color": style.color,
-        "dash": style.dash,
-        "width": width,
-        "shape": rest.pop("shape", "linear"),
-    }
-    mode = "markers" if len(xy[0]) == 1 else "lines"
-    return {
-        "type": "scatter",
-        "x": xy[0],
-        "y": xy[1],
-        "name": escape(name),
-        "line": line,
-        "mode": mode,
-        **rest,
-    }
 
 
 def escape(text: str) -> str:
@@ -146,55 +119,89 @@ def figure(traces: Sequence[Trace], *, x: str, y: str, **layout: Any) -> go.Figu
     )
 
 
-def time_panel(
-    title: str,
-    unit: str,
-    traces: Sequence[Trace],
-    *,
-    group: str = "",
-    log: bool = False,
-    range: Sequence[float] | None = None,
-    level: tuple[float, str] | None = None,
-    legend: bool = False,
-) -> Panel:
-    """Curves over time; ``range`` is in decades if ``log``; ``level``: a labelled line."""
-    yaxis: dict[str, Any] = {} if range is None else {"range": list(range)}
-    if log:
-        yaxis |= log_axis()
-    xaxis = {"showgrid": False, "unifiedhovertitle": {"text": "%{x} s"}}
-    layout: dict[str, Any] = {
-        "xaxis": xaxis,
-        "yaxis": yaxis,
-        "showlegend": legend,
-        "hovermode": "x unified",
+def panels(charts: Iterable[Chart], thin: Thinning) -> list[Panel]:
+    """Charts as Plotly draws them."""
+    return [panel(chart, thin) for chart in charts]
+
+
+def panel(chart: Chart, thin: Thinning, *, before: Sequence[Trace] = (), **layout: Any) -> Panel:
+    """A chart as Plotly draws it, above the traces ``before``; ``layout`` extends Plotly's."""
+    axes = {
+        "xaxis": _axis(chart.log_x, chart.range_x, ticks=3),
+        "yaxis": _axis(chart.log_y, chart.range, ticks=4),
     }
-    if level is not None:
-        layout["shapes"] = [
-            {
-                "type": "line",
-                "xref": "paper",
-                "x0": 0,
-                "x1": 1,
-                "y0": level[0],
-                "y1": level[0],
-                "line": {"color": NEUTRAL, "width": 1.2},
-            }
-        ]
-        layout["annotations"] = [
-            {
-                "xref": "paper",
-                "x": 1,
-                "xanchor": "right",
-                "y": level[0],
-                "yanchor": "bottom",
-                "text": level[1],
-                "showarrow": False,
-            }
-        ]
-    shown = figure(traces, x="time [s]", y="" if unit == "1" else unit, **layout)
-    return Panel(title=title, group=group, figure=shown)
+    if chart.kind == "time":
+        axes["xaxis"] |= {"showgrid": False, "unifiedhovertitle": {"text": "%{x} s"}}
+        layout = {"hovermode": "x unified"} | layout
+    for name, axis in axes.items():
+        axis.update(layout.pop(name, {}))
+    shown = figure(
+        [*before, *(_trace(curve, thin) for curve in chart.curves)], x=chart.x, y=chart.label_y,
+        **axes, showlegend=chart.legend, **_marks(chart), **layout,
+    )  # fmt: skip
+    return Panel(
+        title=chart.title, figure=shown, kind=chart.kind, group=chart.group, height=chart.height
+    )
 
 
-def log_axis(form: str = "~e", *, ticks: int = 4) -> dict[str, Any]:
+def _axis(log: str, extent: Sequence[float] | None, *, ticks: int) -> dict[str, Any]:
+    axis: dict[str, Any] = log_axis(log, ticks=ticks) if log else {}
+    if extent is not None:
+        axis["range"] = np.log10(extent).tolist() if log else list(extent)
+    return axis
+
+
+def log_axis(form: str, *, ticks: int) -> dict[str, Any]:
     """A logarithmic axis; the format writes labels in full, so that none appears twice."""
     return {"type": "log", "tickformat": form, "nticks": ticks}
+
+
+def _trace(curve: Curve, thin: Thinning) -> Trace:
+    """A line, markers or both, as Plotly has them."""
+    x, y = thin(curve)
+    color = curve.style.color
+    modes = ["lines"] * (curve.line and x.size != 1)
+    modes += ["markers"] * bool(curve.marker or not modes)
+    name, mode = escape(curve.name), "+".join(modes)
+    trace: Trace = {"type": "scatter", "x": x, "y": y, "name": name, "mode": mode}
+    if curve.line:
+        shape = "hv" if curve.steps else "linear"
+        trace["line"] = {
+            "color": color, "dash": curve.style.dash, "width": curve.width, "shape": shape,
+        }  # fmt: skip
+    if curve.marker:
+        trace["marker"] = {"color": color, "size": curve.size, "symbol": curve.marker}
+    if curve.opacity < 1.0:
+        trace |= {"opacity": curve.opacity, "hoverinfo": "skip"}
+    if curve.filled:
+        red, green, blue = bytes.fromhex(color.removeprefix("#"))
+        trace |= {"fill": "tozeroy", "fillcolor": f"rgba({red}, {green}, {blue}, 0.11)"}
+    if curve.run is not None:
+        trace["legendgroup"] = f"run-{curve.run}"
+    return trace
+
+
+def _marks(chart: Chart) -> dict[str, list[dict[str, Any]]]:
+    """Shapes of the levels and bands of a chart, and the texts at the levels."""
+    shapes, notes = [], []
+    for level in chart.levels:
+        along, across = ("y", "x") if level.axis == "y" else ("x", "y")
+        line = {"color": level.style.color, "dash": level.style.dash, "width": 1.2}
+        shapes.append({
+            "type": "line", f"{across}ref": "paper", f"{across}0": 0, f"{across}1": 1,
+            f"{along}0": level.value, f"{along}1": level.value, "line": line,
+        })  # fmt: skip
+        if level.text:
+            notes.append({
+                "xref": "paper", "x": 1, "xanchor": "right", "y": level.value,
+                "yanchor": "bottom", "text": escape(level.text), "showarrow": False,
+            })  # fmt: skip
+    for band in chart.bands:
+        for low, high in band.spans:
+            shapes.append({
+                "type": "rect", "yref": "paper", "y0": 0, "y1": 1, "x0": float(low),
+                "x1": float(high), "layer": "below", "fillcolor": band.color,
+                "opacity": band.opacity, "line": {"width": 0},
+            })  # fmt: skip
+    marks = {"shapes": shapes, "annotations": notes}
+    return {key: value for key, value in marks.items() if value}

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,67 +42,54 @@ def results_table(records: Sequence[RunRecord], distances: Sequence[float] | Non
     known.
     """
     rows = [
-        [
-            "controller",
-            "ITAE",
-            "ISV",
-            *["peak error"] * 2,
-            *["final error"] * 2,
-            "peak force",
-            *["peak torque"] * 2,
-        ],
+        ["controller", "ITAE", "ISV", *["peak error"] * 2, *["final error"] * 2, "peak force"]
+        + ["peak torque"] * 2,
         ["", "", "", "rad", "m", "rad", "m", "base, N", "base, N m", "joints"],
+        *map(_result_cells, records),
     ]
-    for record in records:
-        m, tracked = record.metrics, tracked_of(record.dataset)
-        size, units = np.abs(tracked.error), np.array(tracked.units)
-        figures = [
-            float(errors[units == unit].max(initial=-math.inf))
-            if unit in tracked.units
-            else math.nan
-            for errors in (size.max(axis=0), size[-1])
-            for unit in ("rad", "m")
-        ]
-        figures += [
-            m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")
-        ]
-        cells = [NONE if math.isnan(x) else f"{x:.3g}" for x in figures]
-        rows.append([record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *cells])
+    columns = []
     for first in ranked_figures(records):
         sizes = [size_of(record, first) for record in records]
         cells = [NONE if math.isnan(size) else f"{size:.4g}" for size in sizes]
-        for row, cell in zip(rows, (first.label.lower(), first.shown_unit, *cells), strict=True):
-            row.append(cell)
+        columns.append((first.label.lower(), first.shown_unit, *cells))
     if distances is not None:
-        for row, cell in zip(
-            rows, ("over LQG", "", *(number(distance, 3) for distance in distances)), strict=True
-        ):
-            row.append(cell)
-    lines = aligned(rows)
-    held = [
-        (record.dataset["generalized_force"], record.dataset["applied_force"]) for record in records
-    ]
-    if not all(commanded.equals(applied) for commanded, applied in held):
-        lines.append(
-            "forces and ISV as commanded; the actuators apply something else, see the report"
-        )
+        columns.append(("over LQG", "", *(number(distance, 3) for distance in distances)))
+    lines = aligned([[*row, *more] for row, *more in zip(rows, *columns, strict=True)])
     for k, record in enumerate(records, start=2):
         if not record.outcome.completed:
             lines[k] += f"  ({record.outcome.status} at {record.outcome.time:.2f} s)"
-    lines += [grasp_line(record.grasp) for record in records if record.grasp is not None]
+    return "\n".join(lines + list(_result_notes(records)))
+
+
+def _result_cells(record: RunRecord) -> list[str]:
+    """The line of a run in the table of results."""
+    m, tracked = record.metrics, tracked_of(record.dataset)
+    size, units = np.abs(tracked.error), np.array(tracked.units)
+    figures = [
+        float(errors[units == unit].max(initial=-math.inf)) if unit in tracked.units else math.nan
+        for errors in (size.max(axis=0), size[-1])
+        for unit in ("rad", "m")
+    ]
+    figures += [m["peak_effort"][group] for group in ("base_position", "base_rotation", "joints")]
+    cells = [NONE if math.isnan(x) else f"{x:.3g}" for x in figures]
+    return [record.scenario.controller, f"{m['itae']:.4g}", f"{m['isv']:.5g}", *cells]
+
+
+def _result_notes(records: Sequence[RunRecord]) -> Iterator[str]:
+    """The lines below the table of results."""
+    if not all(
+        record.dataset["generalized_force"].equals(record.dataset["applied_force"])
+        for record in records
+    ):
+        yield "forces and ISV as commanded; the actuators apply something else, see the report"
+    yield from (grasp_line(record.grasp) for record in records if record.grasp is not None)
     # of the plan, which all have
-    lines += momentum_lines((records[0].grasp or {}).get("momentum_budget"))
+    yield from momentum_lines((records[0].grasp or {}).get("momentum_budget"))
     for record in records:
         name = f"{record.scenario.controller}: " if len(records) > 1 else ""
-        lines += [
-            name + line
-            for line in (
-                *frame_lines(record),
-                *drift_lines(record),
-                *(part.sentence for part in record.parts if part.sentence),
-            )
-        ]
-    return "\n".join(lines)
+        sentences = (part.sentence for part in record.parts if part.sentence)
+        for line in (*frame_lines(record), *drift_lines(record), *sentences):
+            yield name + line
 
 
 def ranked_figures(records: Sequence[RunRecord]) -> list[Figure]:
@@ -125,22 +112,12 @@ def size_of(record: RunRecord, figure: Figure) -> float:
 
 
 def frame_lines(record: RunRecord) -> list[str]:
-    """How far the frame was from a reference for its pose, and whether it came near a singularity,
-    a line each.
-    """
+    """Distance of the frame from its reference, and time near a singularity; a line each."""
     figures, goal = record.metrics.get("frame"), record.scenario.reference.frame
     if not figures:
         return []
     name = record.scenario.model.end_effector if goal is None or goal.frame is None else goal.frame
-    units = {"position": (1e3, "mm"), "rotation": (180.0 / math.pi, "deg")}
-    final, largest = (
-        " and ".join(
-            f"{units[part][0] * figures[kind][part]:.4g} {units[part][1]}"
-            for part in units
-            if part in figures[kind]
-        )
-        for kind in ("final", "largest")
-    )
+    final, largest = _final_and_largest(figures)
     lines = [f"the frame {name} ends {final} from its reference (at most {largest})"]
     gains = record.scenario.controllers.get(controller_key(record.scenario.controller), {})
     smallest, damping = (
@@ -159,20 +136,21 @@ def frame_lines(record: RunRecord) -> list[str]:
 
 
 def drift_lines(record: RunRecord) -> list[str]:
-    """Where the undriven base of a run went, in one line; none where all is driven."""
+    """Drift of the undriven base, in one line; none where everything is driven."""
     drift = record.metrics.get("drift")
     if not drift:
         return []
-    units = {"base_rotation": (180.0 / math.pi, "deg"), "base_position": (1e3, "mm")}
-    final, largest = (
-        " and ".join(
-            f"{units[group][0] * size:.4g} {units[group][1]}" for group, size in drift[kind].items()
+    final, largest = _final_and_largest(drift)
+    return [f"undriven base: final drift {final} (at most {largest})"]
+
+
+def _final_and_largest(figures: Mapping[str, Any]) -> Iterator[str]:
+    """The final and the largest sizes (rad, m) of figures by part, in words."""
+    for moment in ("final", "largest"):
+        yield " and ".join(
+            f"{180.0 / math.pi * size:.4g} deg" if "rotation" in part else f"{1e3 * size:.4g} mm"
+            for part, size in sorted(figures[moment].items())
         )
-        for kind in ("final", "largest")
-    )
-    return [
-        f"the base, which nothing drives there, ends {final} from its start (at most {largest})"
-    ]
 
 
 def grasp_line(grasp: Mapping[str, Any]) -> str:
@@ -269,10 +247,12 @@ def margins_table(margins: "Margins") -> str:
 
 
 def boundaries_table(boundaries: "Boundaries", scenario: Scenario) -> str:
-    """Plain text: how far each thing can be changed, alone, before the loop is unstable."""
+    """Plain text: how far each parameter can change, alone, before the loop is unstable."""
 
     def factor(value: float, unit: str = "") -> str:
-        return f"x {value:.3g}{unit}" if math.isfinite(value) else "beyond what was looked at"
+        return (
+            f"x {value:.3g}{unit}" if math.isfinite(value) else "stable over the whole search range"
+        )
 
     period = 1e3 * scenario.sample_time
     if math.isnan(boundaries.delay):
@@ -297,11 +277,11 @@ def boundaries_table(boundaries: "Boundaries", scenario: Scenario) -> str:
             delay if math.isfinite(boundaries.delay) else factor(boundaries.delay),
         ],
     ]
-    return "\n".join(["unstable from, each changed alone at that posture:", *aligned(rows)])
+    return "\n".join(["stability limits at that posture, one parameter at a time:", *aligned(rows)])
 
 
 def _hidden_lines(margins: "Margins", data: Mapping[str, Any]) -> list[str]:
-    """The modes of vibration that the controller does not know of, and what they do to eta."""
+    """The vibration modes unknown to the controller, and their effect on eta."""
     if not margins.hidden:
         return []
     low, high = margins.locked_eta
@@ -325,7 +305,7 @@ def _hidden_lines(margins: "Margins", data: Mapping[str, Any]) -> list[str]:
     return [
         locked,
         "",
-        "modes of vibration that the controller does not know of, where the motion starts:",
+        "vibration modes unknown to the controller, at the start of the motion:",
         *aligned(rows),
     ]
 
@@ -421,7 +401,7 @@ def _largest_first(
 
 
 def design_table(found: "Design") -> str:
-    """Plain text: the chosen gains, what they promise beside the given ones, what limits them."""
+    """Plain text: the chosen gains, their predicted accuracy against the given ones, and limits."""
     chosen, given = found.chosen, found.given
     scenario, requirement = chosen.scenario, found.requirement
     before, after = given.prediction.by_group(), chosen.prediction.by_group()
@@ -499,7 +479,7 @@ def design_data(found: "Design") -> dict[str, Any]:
 
 
 def plan_table(found: "PlannedMotionReport") -> str:
-    """What a plan takes, and how near it comes to each limit, as plain text."""
+    """Duration and effort of a plan, and its margin to each limit, as plain text."""
     plan = found.plan
     after = f", and {plan.settle:g} s more for the rates that are left" if plan.settle > 0.0 else ""
     lines = [

@@ -9,8 +9,8 @@ linearisation wires in its place.
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, ClassVar, Protocol
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from pydrake.systems.framework import System
@@ -194,6 +194,27 @@ class Drawing:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class Solid:
+    """A solid on the base, as Meshcat shows it. Lengths without a unit are shares of the base's
+    longest edge.
+    """
+
+    group: str  # that of solids of one kind
+    name: str
+    shape: Literal["cone", "disc"]  # a cone has its point at its place, and opens along the axis
+    axis: np.ndarray  # (3,) in the base's axes, of any length
+    position: np.ndarray  # (3,) m, in the base
+    offset: float = 0.0  # from there along the axis
+    length: float
+    radius: float
+    color: tuple[float, float, float, float]  # red, green, blue, opacity
+    through: bool = False  # seen through the base
+    # the signal that shows it where the component of its name is above zero; "": always shown
+    shown_by: str = ""
+    legend: str = ""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class PartRecord:
     """What a record keeps of a part beside its variables, so that it is shown without it."""
 
@@ -298,6 +319,10 @@ class Part:
 
     def table(self, figures: Sequence[Figure]) -> Sequence[Sequence[str | float]]:
         """Headings and rows of a table in the report, such as of each of its units."""
+        return ()
+
+    def solids(self) -> Iterable[Solid]:
+        """Its solids on the base, for Meshcat."""
         return ()
 
     def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray] | None:

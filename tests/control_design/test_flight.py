@@ -17,7 +17,7 @@ from ffsm_drake.control_design.limit import find_limit
 from ffsm_drake.control_design.stability import stability
 from ffsm_drake.control_design.stability.planned_dynamics import make_demand
 from ffsm_drake.control_design.stability.prediction import predict
-from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.results import results_of
 from ffsm_drake.systems.sensing import make_sensing
 
 

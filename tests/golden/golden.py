@@ -26,8 +26,8 @@ from ffsm_drake.scenario import scenario_to_dict, shipped_scenarios
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import table
 from ffsm_drake.show.report.part_panels import part_sections, part_views
-from ffsm_drake.show.report.results import results_of
 from ffsm_drake.show.report.time_panels import run_views
+from ffsm_drake.show.results import results_of
 from ffsm_drake.systems.registry import SHIPPED
 
 FOLDER = Path(__file__).parent

@@ -20,7 +20,7 @@ from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.metrics import momentum_residual, phases_of
 from ffsm_drake.scenario import MassProperties, from_grasp
 from ffsm_drake.show.report.grasp import grasp_of
-from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.results import results_of
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
@@ -123,7 +123,8 @@ def test_the_ledger_counts_the_wheels(run):
     assert section["budget"][0].startswith("After the grasp as planned: ")
     rows = {row[0]: row[1:3] for row in section["ledger"]}
     assert (
-        rows["of which in the wheels [N m s]"] == [", ".join(number(each) for each in stored)] * 2
+        rows["of which stored in actuators [N m s]"]
+        == [", ".join(number(each) for each in stored)] * 2
     )
 
 

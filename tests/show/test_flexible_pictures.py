@@ -16,7 +16,7 @@ from ffsm_drake.show.meshcat.replay_view import ReplayView
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import table
 from ffsm_drake.show.report.part_panels import part_sections, part_views
-from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.spacecraft.plant import split_of

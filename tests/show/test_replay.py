@@ -15,7 +15,7 @@ from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.capture import make_rollout
-from ffsm_drake.scenario import thruster_layouts
+from ffsm_drake.scenario import load_scenario, thruster_layouts
 from ffsm_drake.show.meshcat import (
     LiveReplay,
     live,
@@ -24,7 +24,7 @@ from ffsm_drake.show.meshcat import (
     start_meshcat,
     write_recording,
 )
-from ffsm_drake.show.meshcat.actuators import Plumes
+from ffsm_drake.show.meshcat.actuators import SwitchedSolids, solids_of
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.live import PLAY, QUIT, SPEED, TIME
 from ffsm_drake.show.meshcat.replay_view import ReplayView
@@ -265,9 +265,10 @@ def test_a_recording_tells_only_when_plumes_change():
 
         SetTransform = SetObject
 
-    units = dict(list(thruster_layouts()["12x5N"].items())[:2])
-    opened = np.array([[0, 1], [0, 1], [0.3, 1], [0, 1], [0, 0], [0, 0], [0, 0]])
-    plumes = Plumes(Page(), "base", units, opened, longest=1.0)
+    scenario = load_scenario("postcapture", ["actuation.thrusters.layout=12x5N"])
+    cones = [solid for solid in solids_of(scenario) if solid.shown_by][:2]
+    opened = np.array([[0, 1], [0, 1], [1, 1], [0, 1], [0, 0], [0, 0], [0, 0]], dtype=bool)
+    plumes = SwitchedSolids(Page(), "base", cones, opened, longest=1.0)
     plumes.show(0, 2)  # before the recording
     assert told == [
         ("base/plumes/a_x", "visible", False, None),

@@ -24,7 +24,7 @@ from ffsm_drake.scenario import scenario_from_dict, scenario_from_yaml, scenario
 from ffsm_drake.show.curves import thinned
 from ffsm_drake.show.report import write_report
 from ffsm_drake.show.report.page import render_report
-from ffsm_drake.show.report.results import ranking, results_of
+from ffsm_drake.show.results import ranking, results_of
 from ffsm_drake.show.style import label_of, labels_of, styles_of
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")

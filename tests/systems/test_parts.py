@@ -33,7 +33,7 @@ from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report import write_report
 from ffsm_drake.show.report.comparison import rankings, table
 from ffsm_drake.show.report.part_panels import part_views
-from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.systems.part import Constant, by_key

@@ -16,7 +16,7 @@ from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant

@@ -19,7 +19,7 @@ from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import rankings, table
 from ffsm_drake.show.report.page import render_report
 from ffsm_drake.show.report.part_panels import part_views
-from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.systems.actuation.allocation import Allocation, lost_direction
 from ffsm_drake.systems.actuation.base import attitude_ahead

@@ -17,7 +17,7 @@ from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Wheels
 from ffsm_drake.scenario.schema import Wheel
 from ffsm_drake.show.report.part_panels import part_tables
-from ffsm_drake.show.report.results import results_of
+from ffsm_drake.show.results import results_of
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import models_dir
 from ffsm_drake.systems.actuation.wheels import WheelSet

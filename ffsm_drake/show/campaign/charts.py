@@ -7,15 +7,16 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.campaign.statistics import Findings, GridPoint, Runs
-from ffsm_drake.show.curves import cumulative, thinned
-from ffsm_drake.show.panels import Panel, Trace, View, curve, figure, log_axis
+from ffsm_drake.show.chart import Chart, Curve, Level
+from ffsm_drake.show.curves import cumulative
+from ffsm_drake.show.panels import Panel, Thinning, Trace, View, panel
 from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, label_of, styles_of
 
 FAILED = "#CC3311"
 SETTLED = "#4477AA"
 _LIMITS = (FAILED, "#EE7733", "#AA3377", "#009988", "#BBBBBB")  # failed runs by the first limit
-_POINTS = 1500  # of a cumulative curve
-_SHARE = {"range": [0, 101]}
+_THIN = Thinning(1500)
+_SHARE = (0.0, 101.0)  # %
 GRID_METRICS = {
     "isv": "ISV",
     "itae": "ITAE",
@@ -47,57 +48,51 @@ def _styles(findings: Findings) -> dict[str, Style]:
     return dict(zip(names, styles_of(names), strict=True))
 
 
-def _bars(title: str, traces: Sequence[Trace], *, x: str, rows: int, **layout: Any) -> Panel:
+def _bars(title: str, traces: Sequence[Trace], *, x: str, rows: int, **rest: Any) -> Panel:
     """Horizontal bars over the page's whole width, the first row at the top."""
-    layout["yaxis"] = {"autorange": "reversed", "showgrid": False} | layout.get("yaxis", {})
-    return Panel(
-        title=title, figure=figure(traces, x=x, y="", **layout), kind="full", height=90 + 40 * rows
-    )
+    chart = Chart(title=title, x=x, curves=[], kind="full", height=90 + 40 * rows, **rest)
+    rows_down = {"autorange": "reversed", "showgrid": False}
+    return panel(chart, _THIN, before=traces, yaxis=rows_down)
 
 
 def _success(findings: Findings) -> Panel:
     """Success rate of every controller with its interval."""
     styles, rates = _styles(findings), findings.success
-    above = [100.0 * (rate.high - rate.value) for rate in rates.values()]
-    below = [100.0 * (rate.value - rate.low) for rate in rates.values()]
+    whiskers = {
+        "array": [100.0 * (rate.high - rate.value) for rate in rates.values()],
+        "arrayminus": [100.0 * (rate.value - rate.low) for rate in rates.values()],
+    }
     bars: Trace = {
         "type": "bar",
         "orientation": "h",
         "x": [100.0 * rate.value for rate in rates.values()],
         "y": [label_of(name) for name in rates],
         "marker": {"color": [styles[name].color for name in rates], "opacity": 0.6},
-        "error_x": {
-            "type": "data",
-            "symmetric": False,
-            "array": above,
-            "arrayminus": below,
-            "color": NEUTRAL,
-        },
+        "error_x": {"type": "data", "symmetric": False, "color": NEUTRAL, **whiskers},
         "hovertemplate": "%{y}: %{x:.2f} %<extra></extra>",
     }
     title = "Share of settled runs; the whiskers are the interval"
-    return _bars(title, [bars], x="settled runs [%]", rows=len(rates), xaxis=_SHARE)
+    return _bars(title, [bars], x="settled runs [%]", rows=len(rates), range_x=_SHARE)
 
 
 def _cumulative(findings: Findings, metric: str) -> Panel:
     """Share of all cases that settled with at most a given value of the metric."""
-    traces = []
-    for name, style in _styles(findings).items():
-        runs = findings.table.runs[name]
+    curves, name = [], metric.upper()
+    for controller, style in _styles(findings).items():
+        runs = findings.table.runs[controller]
         x, y = cumulative(runs.metrics[metric][runs.settled], runs.case.size)
-        kept = thinned(x, _POINTS)
-        traces.append(curve((x[kept], y[kept]), style, name=label_of(name), width=2, shape="hv"))
-    shown = figure(
-        traces, x=metric.upper(), y="settled [% of cases]", showlegend=True,
-        xaxis=log_axis("~e" if metric == "itae" else "~g", ticks=3), yaxis=_SHARE,
+        label = label_of(controller)
+        curves.append(Curve(x, y, style, label, width=2.0, steps=True))
+    chart = Chart(
+        title=f"Cases settled with at most a given {name}", kind="chart", curves=curves, x=name,
+        y="settled [% of cases]", log_x="~e" if metric == "itae" else "~g", range=_SHARE,
+        legend=True,
     )  # fmt: skip
-    return Panel(
-        title=f"Cases settled with at most a given {metric.upper()}", figure=shown, kind="chart"
-    )
+    return panel(chart, _THIN)
 
 
 def _differences(findings: Findings) -> list[Panel]:
-    """Of every pair the distribution of the ITAE ratio on the same cases: quartiles and the middle
+    """The distribution of each pair's ITAE ratio on the same cases: quartiles and the middle
     90 %.
     """
     pairs = [item for item in findings.differences if item.ratios.size]
@@ -105,33 +100,17 @@ def _differences(findings: Findings) -> list[Panel]:
         return []
     levels = {"lowerfence": 0.05, "q1": 0.25, "median": 0.5, "q3": 0.75, "upperfence": 0.95}
     boxes: Trace = {
-        "type": "box",
-        "orientation": "h",
-        "line": {"color": BLUE, "width": 1.4},
-        "name": "",
-    }
-    boxes["y"] = [f"{item.first} /<br>{item.second}" for item in pairs]
-    boxes |= {
-        name: [float(np.quantile(item.ratios, level)) for item in pairs]
-        for name, level in levels.items()
-    }
-    one = {
-        "type": "line",
-        "x0": 1,
-        "x1": 1,
-        "y0": 0,
-        "y1": 1,
-        "yref": "paper",
-        "line": {"width": 1, "color": NEUTRAL},
-    }
+        "type": "box", "orientation": "h", "line": {"color": BLUE, "width": 1.4}, "name": "",
+        "y": [f"{item.first} /<br>{item.second}" for item in pairs],
+    }  # fmt: skip
+    for name, level in levels.items():
+        boxes[name] = [float(np.quantile(item.ratios, level)) for item in pairs]
     title = (
         "Ratio of ITAE on the same case (below 1: the first is more accurate): quartiles and "
         "the middle 90 %"
     )
-    x = "ratio of ITAE"
-    return [
-        _bars(title, [boxes], x=x, rows=len(pairs), xaxis=log_axis("~g", ticks=3), shapes=[one])
-    ]
+    one = [Level(1.0, axis="x")]
+    return [_bars(title, [boxes], x="ratio of ITAE", rows=len(pairs), log_x="~g", levels=one)]
 
 
 def _grid(findings: Findings) -> list[View]:
@@ -155,8 +134,7 @@ def _grid(findings: Findings) -> list[View]:
 
 
 def _grid_panel(findings: Findings, along: str, points: Sequence[GridPoint], metric: str) -> Panel:
-    values = findings.spec.distributions[along].levels
-    traces = []
+    values, curves = findings.spec.distributions[along].levels, []
     for name, style in _styles(findings).items():
         own = sorted(
             (values[point.levels[along]], point.means[metric])
@@ -164,15 +142,14 @@ def _grid_panel(findings: Findings, along: str, points: Sequence[GridPoint], met
             if point.controller == name
         )
         x, y = np.array(own, dtype=float).reshape(-1, 2).T
-        traces.append(
-            curve((x, y), style, name=label_of(name), width=2) | {"mode": "lines+markers"}
-        )
+        look: dict[str, Any] = {"width": 2.0, "marker": "circle", "size": 6.0}
+        curves.append(Curve(x, y, style, label_of(name), **look))
     wide = min(values.values()) > 0 and max(values.values()) >= 100 * min(values.values())
-    shown = figure(
-        traces, x=along, y="", showlegend=True,
-        xaxis=log_axis("~e", ticks=3) if wide else {}, yaxis=log_axis("~g"),
+    chart = Chart(
+        title=GRID_METRICS[metric], kind="chart", curves=curves, x=along, legend=True,
+        log_x="~e" if wide else "", log_y="~g",
     )  # fmt: skip
-    return Panel(title=GRID_METRICS[metric], figure=shown, kind="chart")
+    return panel(chart, _THIN)
 
 
 def _sensitivity(findings: Findings) -> Panel:
@@ -180,39 +157,30 @@ def _sensitivity(findings: Findings) -> Panel:
     names = findings.influential
     traces: list[Trace] = []
     for k, (controller, style) in enumerate(_styles(findings).items()):
-        items = {
+        by_name = {
             item.name: item for item in findings.sensitivities if item.controller == controller
         }
-        chance = [100.0 * items[name].chance for name in names]
-        traces.append(
-            {
-                "type": "bar",
-                "orientation": "h",
-                "name": label_of(controller),
-                "y": names,
-                "x": [100.0 * items[name].share for name in names],
-                "customdata": [
-                    [items[name].correlation, level]
-                    for name, level in zip(names, chance, strict=True)
-                ],
-                "marker": {
-                    "color": style.color,
-                    "opacity": [1.0 if items[name].matters else 0.35 for name in names],
-                },
-                "offsetgroup": str(k),
-                "hovertemplate": "%{y}: %{x:.1f} % (chance %{customdata[1]:.1f} %), rank "
-                "correlation "
-                "%{customdata[0]:.2f}",
-            }
-        )
-    return _bars(
+        items = [by_name[name] for name in names]
+        opacity = [1.0 if item.matters else 0.35 for item in items]
+        traces.append({
+            "type": "bar",
+            "orientation": "h",
+            "name": label_of(controller),
+            "y": names,
+            "x": [100.0 * item.share for item in items],
+            "customdata": [[item.correlation, 100.0 * item.chance] for item in items],
+            "marker": {"color": style.color, "opacity": opacity},
+            "offsetgroup": str(k),
+            "hovertemplate": "%{y}: %{x:.1f} % (chance %{customdata[1]:.1f} %), rank "
+            "correlation %{customdata[0]:.2f}",
+        })  # fmt: skip
+    title = (
         "Share of the variance of failure that a value explains by itself; pale: no more than "
-        "chance",
-        traces,
-        x="explained variance of failure [%]",
-        rows=1 + len(names) * max(1, len(traces) // 2),
-        showlegend=True,
+        "chance"
     )
+    rows = 1 + len(names) * max(1, len(traces) // 2)
+    x = "explained variance of failure [%]"
+    return _bars(title, traces, x=x, rows=rows, legend=True)
 
 
 def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str, str, str]]:
@@ -280,9 +248,9 @@ def _map(findings: Findings, runs: Runs, colors: Mapping[str, str]) -> Panel:
             "hovertemplate": "%{text}<br>%{x:.4g}, %{y:.4g}<extra></extra>",
             "marker": {"color": color, "symbol": symbol, "size": 7 if x.size < 1000 else 4},
         })  # fmt: skip
-    axes = {
-        name: (log_axis("~g", ticks=3) if log else {}) | {"zeroline": False}
-        for name, log in (("xaxis", grid.x_log), ("yaxis", grid.y_log))
-    }
-    shown = figure(traces, x=grid.x_name, y=grid.y_name, showlegend=True, **axes)
-    return Panel(title=label_of(runs.controller), figure=shown, kind="map")
+    chart = Chart(
+        title=label_of(runs.controller), kind="map", curves=[], legend=True, x=grid.x_name,
+        y=grid.y_name, log_x="~g" * grid.x_log, log_y="~g" * grid.y_log,
+    )  # fmt: skip
+    plain = {"zeroline": False}
+    return panel(chart, _THIN, before=traces, xaxis=plain, yaxis=plain)

@@ -16,6 +16,7 @@ from ffsm_drake.campaign.evaluate import (
     parts_of_campaign,
     undriven_of,
 )
+from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.statistics import (
     CONFIDENCE,
     Findings,
@@ -59,7 +60,7 @@ _PREDICTED = ("stable_settled", "stable_failed", "unstable_settled", "unstable_f
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Written:
-    """What a report consists of."""
+    """The files and the summary of a report."""
 
     files: list[Path]
     summary: str
@@ -72,7 +73,7 @@ def write_report(
     axes: tuple[str, str] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Written:
-    """Evaluate a campaign, finished or not, and write what there is to see.
+    """Evaluate a campaign, finished or not, and write its report.
 
     Args:
       store: the database.
@@ -122,99 +123,21 @@ def summary_text(findings: Findings) -> str:
 
 
 def _page(store: Store, findings: Findings) -> str:
-    spec, table = findings.spec, findings.table
-    tables = [_METRICS]
-    if spec.base["capture"] is not None:
-        tables.append(_OF_CAPTURE)
-    for part in parts_of_campaign(spec):
-        shown = {each.column_name: each.column_heading for each in part.metrics()}
-        tables.append({name: heading for name, heading in shown.items() if name and heading})
-    tables += [_OF_FRAME[part] for part in frame_parts(spec)]
-    tables += [_OF_DRIFT[group] for group in undriven_of(spec)]
-    views = chart_views(findings)
+    spec, views, found = findings.spec, chart_views(findings), findings.map
     content: dict[str, Any] = {
         "title": spec.description or store.path.stem,
         "spec": spec,
         "runs": findings.runs,
         "complete": findings.runs == spec.runs,
         "confidence": f"{100.0 * CONFIDENCE:.0f}",
-        "success": [
-            [
-                label_of(name),
-                percent(rate.value),
-                _between(rate),
-                *(int((runs.outcome == kind).sum()) for kind in OUTCOMES),
-            ]
-            for (name, rate), runs in zip(
-                findings.success.items(), table.runs.values(), strict=True
-            )
-        ],
-        "metrics": [
-            (
-                list(metrics.values()),
-                [
-                    [label_of(name), *(_spread(quantiles(runs, metric)) for metric in metrics)]
-                    for name, runs in table.runs.items()
-                ],
-            )
-            for metrics in filter(None, tables)
-        ],
         "outcomes": [kind.replace("_", " ") for kind in OUTCOMES],
-        "limits": [
-            [label_of(name), limit or "none", count]
-            for name, runs in table.runs.items()
-            for limit, count in limits_of(runs).items()
-        ],
         "has_capture": spec.base["capture"] is not None,
-        "grid_header": [*spec.distributions, "controller", "outcome", *GRID_METRICS.values()],
-        "grid_rows": [
-            [
-                *point.levels.values(),
-                label_of(point.controller),
-                ", ".join(
-                    f"{count} {kind.replace('_', ' ')}" for kind, count in point.outcomes.items()
-                ),
-                *(_mean(point.means[name]) for name in GRID_METRICS),
-            ]
-            for point in findings.grid
-        ],
-        "differences": [
-            [
-                f"{label_of(d.first)} against {label_of(d.second)}",
-                *_value_and_interval(d.success, "{:+.1f}", 100.0),
-                *_value_and_interval(d.itae_ratio, "{:.3g}"),
-                d.both,
-            ]
-            for d in findings.differences
-        ],
-        "sensitivities": [
-            (
-                [
-                    s.name,
-                    label_of(s.controller),
-                    percent(s.share),
-                    percent(s.chance),
-                    _plain(s.correlation),
-                ],
-                s.matters,
-            )
-            for name in findings.influential
-            for s in findings.sensitivities
-            if s.name == name
-        ],
-        "agreement": [
-            [
-                label_of(one.controller),
-                *(getattr(one, name) for name in _PREDICTED),
-                percent(one.share),
-            ]
-            for one in findings.agreement
-        ],
+        **_controller_tables(findings),
+        **_grid_table(findings),
+        **_comparisons(findings),
         "worst": _worst(store, findings),
-        "map": findings.map,
-        "fixed": {}
-        if findings.map is None
-        else {name: _plain(value) for name, value in findings.map.fixed.items()},
+        "map": found,
+        "fixed": {} if found is None else {key: _plain(x) for key, x in found.fixed.items()},
         "views": views,
         "plots": embedded(views),
         "specification": yaml.safe_dump(
@@ -228,6 +151,90 @@ def _page(store: Store, findings: Findings) -> str:
         "fingerprint": spec.fingerprint,
     }
     return render("campaign.html.j2", content)
+
+
+def _metric_tables(spec: Spec) -> list[dict[str, str]]:
+    """Columns of the database and their headings, by table."""
+    tables = [_METRICS]
+    if spec.base["capture"] is not None:
+        tables.append(_OF_CAPTURE)
+    for part in parts_of_campaign(spec):
+        shown = {each.column_name: each.column_heading for each in part.metrics()}
+        tables.append({name: heading for name, heading in shown.items() if name and heading})
+    tables += [_OF_FRAME[part] for part in frame_parts(spec)]
+    tables += [_OF_DRIFT[group] for group in undriven_of(spec)]
+    return [table for table in tables if table]
+
+
+def _controller_tables(findings: Findings) -> dict[str, Any]:
+    """Success, metrics and limits left, a row or more for each controller."""
+    runs_of = {label_of(name): runs for name, runs in findings.table.runs.items()}
+    success = [
+        [label, percent(rate.value), _between(rate)]
+        + [int((runs.outcome == kind).sum()) for kind in OUTCOMES]
+        for (label, runs), rate in zip(runs_of.items(), findings.success.values(), strict=True)
+    ]
+    metrics = [
+        (
+            list(table.values()),
+            [
+                [label, *(_spread(quantiles(runs, metric)) for metric in table)]
+                for label, runs in runs_of.items()
+            ],
+        )
+        for table in _metric_tables(findings.spec)
+    ]
+    limits = [
+        [label, limit or "none", count]
+        for label, runs in runs_of.items()
+        for limit, count in limits_of(runs).items()
+    ]
+    return {"success": success, "metrics": metrics, "limits": limits}
+
+
+def _grid_table(findings: Findings) -> dict[str, Any]:
+    """A row for each point of the grid."""
+    header = [*findings.spec.distributions, "controller", "outcome", *GRID_METRICS.values()]
+    rows = []
+    for point in findings.grid:
+        outcomes = (f"{count} {kind.replace('_', ' ')}" for kind, count in point.outcomes.items())
+        means = (_mean(point.means[name]) for name in GRID_METRICS)
+        row = [*point.levels.values(), label_of(point.controller), ", ".join(outcomes), *means]
+        rows.append(row)
+    return {"grid_header": header, "grid_rows": rows}
+
+
+def _comparisons(findings: Findings) -> dict[str, Any]:
+    """Pairs of controllers, sensitivities, and predictions against outcomes."""
+    differences = [
+        [
+            f"{label_of(d.first)} against {label_of(d.second)}",
+            *_value_and_interval(d.success, "{:+.1f}", 100.0),
+            *_value_and_interval(d.itae_ratio, "{:.3g}"),
+            d.both,
+        ]
+        for d in findings.differences
+    ]
+    sensitivities = [
+        (
+            [
+                name,
+                label_of(s.controller),
+                percent(s.share),
+                percent(s.chance),
+                _plain(s.correlation),
+            ],
+            s.matters,
+        )
+        for name in findings.influential
+        for s in findings.sensitivities
+        if s.name == name
+    ]
+    agreement = [
+        [label_of(one.controller), *(getattr(one, kind) for kind in _PREDICTED), percent(one.share)]
+        for one in findings.agreement
+    ]
+    return {"differences": differences, "sensitivities": sensitivities, "agreement": agreement}
 
 
 def _worst(store: Store, findings: Findings) -> list[tuple[list[Any], str]]:

@@ -4,8 +4,20 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ffsm_drake.control_design.gains import Design
-from ffsm_drake.show.figures.axes import plain, tidy
-from ffsm_drake.show.style import BLUE, GREEN, GREY, GROUP_TITLES, VERMILION, label_of
+from ffsm_drake.show.chart import Chart, Curve, Level
+from ffsm_drake.show.figures.axes import draw, legend_below, plain
+from ffsm_drake.show.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    GROUP_TITLES,
+    VERMILION,
+    Style,
+    label_of,
+)
+
+_LEAST = 1e-3  # effort beyond that of perfect tracking that is still drawn
 
 
 def plot_design(found: Design) -> Figure:
@@ -17,56 +29,38 @@ def plot_design(found: Design) -> Figure:
         f"{plain(scenario.description)}",
         fontsize=11,
     )
-    names, coordinates = (
-        list(found.chosen.prediction.by_group()),
-        found.chosen.prediction.coordinates,
-    )
+    names = list(found.chosen.prediction.by_group())
     panels = figure.subplots(1, len(names), squeeze=False)[0]
-    points = [
-        ("chosen", found.chosen.prediction, "*", VERMILION),
-        ("as it was", found.given.prediction, "s", GREEN),
-        ("default gains and estimator", found.with_defaults, "X", GREY),
-    ]
     for axes, name in zip(panels, names, strict=True):
-        least = np.sqrt(np.mean(found.limit.front_error[:, coordinates.groups[name]] ** 2, axis=1))
-        axes.loglog(
-            found.limit.front_excess, least, "-", color="black", label="least possible (LQG)"
-        )
-        if found.front:
-            extra = [point.isv - found.ideal_isv for point in found.front]
-            axes.loglog(
-                extra,
-                [point.rms_error[name] for point in found.front],
-                "o-",
-                color=BLUE,
-                label="front",
-            )
-        for label, prediction, marker, color in points:
-            if prediction is not None and np.isfinite(prediction.isv):
-                axes.loglog(
-                    max(prediction.isv - found.ideal_isv, 1e-3),
-                    prediction.by_group()[name],
-                    marker,
-                    color=color,
-                    markersize=13 if marker == "*" else 8,
-                    linestyle="none",
-                    label=label,
-                )
-        axes.axvline(
-            max(found.requirement.budget - found.ideal_isv, 1e-3),
-            color="black",
-            linestyle="--",
-            linewidth=0.8,
-        )
-        axes.set(title=GROUP_TITLES[name], xlabel="ISV above perfect tracking")
-        tidy(axes)
+        draw(axes, _chart(found, name))
         axes.margins(0.08)
     panels[0].set_ylabel("rms error after 5 s [rad or m]")
-    figure.legend(
-        *panels[-1].get_legend_handles_labels(),
-        loc="outside lower center",
-        ncols=4,
-        frameon=False,
-        fontsize=9,
-    )
+    legend_below(figure, panels[-1], columns=4)
     return figure
+
+
+def _chart(found: Design, group: str) -> Chart:
+    part = found.chosen.prediction.coordinates.groups[group]
+    least = np.sqrt(np.mean(found.limit.front_error[:, part] ** 2, axis=1))
+    curves = [Curve(found.limit.front_excess, least, Style(BLACK), "least possible (LQG)")]
+    if found.front:
+        x, y = np.transpose(
+            [(point.isv - found.ideal_isv, point.rms_error[group]) for point in found.front]
+        )
+        curves.append(Curve(x, y, Style(BLUE), "front", marker="circle", size=8.0))
+    for label, prediction, marker, color in (
+        ("chosen", found.chosen.prediction, "star", VERMILION),
+        ("as it was", found.given.prediction, "square", GREEN),
+        ("default gains and estimator", found.with_defaults, "x-thick", GREY),
+    ):
+        if prediction is not None and np.isfinite(prediction.isv):
+            x = np.array([max(prediction.isv - found.ideal_isv, _LEAST)])
+            y, size = np.array([prediction.by_group()[group]]), 17.0 if marker == "star" else 10.0
+            point = Curve(x, y, Style(color), label, marker=marker, size=size)
+            curves.append(point)
+    budget = max(found.requirement.budget - found.ideal_isv, _LEAST)
+    return Chart(
+        title=GROUP_TITLES[group], x="ISV above perfect tracking", curves=curves,
+        levels=[Level(budget, axis="x", style=Style(BLACK, "dash"))],
+        log_x="~e", log_y="~e",
+    )  # fmt: skip

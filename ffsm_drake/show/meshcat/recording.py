@@ -6,7 +6,6 @@ from pathlib import Path
 
 from ffsm_drake.common.files import write_text
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.show.meshcat.actuators import actuator_legend
 from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
 from ffsm_drake.show.meshcat.replay_view import FRAMES_PER_SECOND, ReplayView, check_speed
 from ffsm_drake.show.meshcat.stage import quiet_drake, start_meshcat
@@ -128,8 +127,8 @@ def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: floa
             color = "rgb({:.0f},{:.0f},{:.0f})".format(*(255 * part for part in kind.color))
             lines.append(_SWATCH.format(color=color) + html.escape(text))
         lines.append("All act on the base; torques have two heads.")
-    if drawn := actuator_legend(record.scenario, plumes=view.plumes is not None):
-        lines.append("; ".join(drawn))
+    if drawn := view.switched.legend + view.spacecraft.legend:
+        lines.append(html.escape("; ".join(drawn)))
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>", 1)
     head, end, tail = page.rpartition("</body>")
     return head + _CAPTION.format(lines="<br>".join(lines)) + end + tail

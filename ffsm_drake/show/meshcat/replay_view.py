@@ -7,7 +7,7 @@ from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.show.meshcat.actuators import Plumes
+from ffsm_drake.show.meshcat.actuators import SwitchedSolids
 from ffsm_drake.show.meshcat.arrows import ForceArrows
 from ffsm_drake.show.meshcat.deflections import Deflections
 from ffsm_drake.show.meshcat.drift import START_LEGEND, draw_drift, draw_frame_path
@@ -69,7 +69,7 @@ class ReplayView:
         if forces:
             inspector = self.spacecraft.scene_graph.model_inspector()
             self.arrows = ForceArrows(meshcat, dataset, self.spacecraft.plant, inspector)
-        self.plumes = Plumes.of(
+        self.switched = SwitchedSolids.of(
             meshcat, self.spacecraft.base_path, record, longest=self.spacecraft.longest
         )
         self._per_picture = max(1, round(speed / frames_per_second / record.scenario.sample_time))
@@ -93,8 +93,7 @@ class ReplayView:
             self.spacecraft.place(self._target_body, X_WP, time_in_recording=time_in_recording)
         if self.arrows is not None:
             self.arrows.show(sample, time_in_recording=time_in_recording)
-        if self.plumes is not None:
-            self.plumes.show(sample, self._per_picture, time_in_recording=time_in_recording)
+        self.switched.show(sample, self._per_picture, time_in_recording=time_in_recording)
 
 
 def check_speed(speed: float) -> None:

@@ -27,7 +27,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.show.meshcat.actuators import draw_actuators
+from ffsm_drake.show.meshcat.actuators import draw_solids, solids_of
 from ffsm_drake.spacecraft.panel_drawing import box_around, box_corners
 from ffsm_drake.spacecraft.plant import (
     add_combined_plant,
@@ -233,7 +233,9 @@ class SpacecraftView:
         )
         _, half_width = base_bounding_box(self.plant, self.scene_graph.model_inspector())
         self.longest = 2.0 * float(half_width.max())  # edge of the base, m
-        draw_actuators(meshcat, self.base_path, scenario, longest=self.longest)
+        fixed = [solid for solid in solids_of(scenario) if not solid.shown_by]
+        draw_solids(meshcat, self.base_path, fixed, longest=self.longest)
+        self.legend = list(dict.fromkeys(solid.legend for solid in fixed if solid.legend))
 
     def show(
         self, q: np.ndarray, *, deflection: np.ndarray | None = None, time: float = 0.0

@@ -14,7 +14,7 @@ from ffsm_drake.preflight.remarks import plan_remarks
 from ffsm_drake.runs.limits import run_clearance, run_remarks, saturation
 from ffsm_drake.runs.metrics import drift_metrics, frame_figures
 from ffsm_drake.runs.tracking import tracked_of
-from ffsm_drake.show.report.results import Result, actuators_act, ranking
+from ffsm_drake.show.results import Result, actuators_act, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
 from ffsm_drake.show.tables import ranked_figures, size_of
 from ffsm_drake.systems.part import Figure
@@ -120,7 +120,7 @@ def _untracked(results: Sequence[Result]) -> set[str]:
 
 
 def _of_frame(results: Sequence[Result]) -> list[Row]:
-    """How far the frame of the runs is from its reference; nothing where none has one."""
+    """Distance of the tracked frame from its reference; empty if no run tracks one."""
     found = [frame_figures(result.record.dataset) for result in results]
     return _by_moment(
         found, "error of the frame", (("rotation", "attitude", "rad"), ("position", "", "m"))
@@ -128,7 +128,7 @@ def _of_frame(results: Sequence[Result]) -> list[Row]:
 
 
 def _of_drift(results: Sequence[Result]) -> list[Row]:
-    """Where the base of the runs went that nothing drives there."""
+    """Drift of the undriven base."""
     parts = (("base_rotation", "attitude", "rad"), ("base_position", "", "m"))
     found = [drift_metrics(result.record.dataset) for result in results]
     return _by_moment(found, "drift of the base from its start", parts)
@@ -200,7 +200,7 @@ def size_in(figure: Figure, result: Result) -> float:
 def _compared(
     results: Sequence[Result], figure: Callable[[Result], float], *, digits: int
 ) -> list[Cell]:
-    """A sum over each run, the least of the completed ones marked where there are several."""
+    """A sum over each run; the least of several completed ones is marked."""
     completed = [figure(result) for result in results if _placed(result, figure)]
     best = min(completed) if len(completed) > 1 else None
     kinds = [
@@ -218,7 +218,7 @@ def _placed(result: Result, figure: Callable[[Result], float]) -> bool:
 
 
 def table_notes(results: Sequence[Result], distances: Sequence[float] | None = None) -> list[str]:
-    """What the table's sums mean, and which of them do not compare."""
+    """The meaning of the table's sums, and which of them cannot be compared."""
     notes = [
         *_limits_left(results),
         "ITAE is the sum of t |e|₁ L, ISV the sum of |τ|₂² L over the control samples, τ as "

@@ -9,7 +9,7 @@ import numpy as np
 
 from ffsm_drake.common.numbers import number
 from ffsm_drake.control_design.momentum import momentum_lines
-from ffsm_drake.show.report.results import Result
+from ffsm_drake.show.results import Result
 from ffsm_drake.show.tables import grasp_line
 
 _LEDGER = (
@@ -32,7 +32,7 @@ def grasp_of(result: Result) -> dict[str, Any] | None:
             [f"{title} [{unit}]", _vector(before[key]), _vector(after[key]), number(change, 2)]
         )
     if stored := grasp.get("stored_momentum"):
-        rows.append(["of which in the wheels [N m s]", _vector(stored), _vector(stored), "0"])
+        rows.append(["of which stored in actuators [N m s]", _vector(stored), _vector(stored), "0"])
     lost = before["kinetic_energy"] - after["kinetic_energy"]
     rows.append(
         [

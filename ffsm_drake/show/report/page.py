@@ -15,16 +15,17 @@ from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.control_design.stability import Margins, stability
 from ffsm_drake.runs.record import IDENTIFIER, RunRecord
-from ffsm_drake.scenario import controller_key
+from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import rankings, table, table_notes
 from ffsm_drake.show.report.grasp import grasp_of
 from ffsm_drake.show.report.part_panels import part_sections, part_tables, part_text, part_views
 from ffsm_drake.show.report.provenance import provenance, software
-from ffsm_drake.show.report.results import SETTLED_OVER, Result, results_of
 from ffsm_drake.show.report.stability_panels import stability_views
 from ffsm_drake.show.report.time_panels import points_per_curve, run_views
+from ffsm_drake.show.results import SETTLED_OVER, Result, results_of
+from ffsm_drake.show.style import GROUP_TITLES
 from ffsm_drake.show.tables import margins_data
 
 _STATUS_TONES = {"settled": "good", "unsettled": "warn", "interrupted": "warn", "diverged": "bad"}
@@ -128,32 +129,15 @@ def render_report(
     }
     views |= {key: part_views(results, thin, title) for key, (title, _) in of_parts.items()}
     views |= {"stability": stability_views(results, [margin for margin, _ in margins], thin)}
-    descriptions = list(dict.fromkeys(record.scenario.description for record in records))
-    description = descriptions[0] or "Run report"
-    within = {
-        group: f"{1e3 * records[0].scenario.tolerance_of(group):g} "
-        f"m{'m' if group == 'base_position' else 'rad'}"
-        for group in ("base_rotation", "base_position", "joints")
+    sections = _SECTIONS | {
+        key: (heading, part_text(results, heading, about), "")
+        for key, (heading, about) in of_parts.items()
     }
-    settled = " and ".join(dict.fromkeys(within.values()))
-    sections = dict(_SECTIONS)
-    for key, (heading, about) in of_parts.items():
-        sections[key] = (heading, part_text(results, heading, about), "")
     content: Json = {
-        "title": title or description,
-        "kicker": "; ".join(descriptions)
-        if title or len(descriptions) > 1
-        else "free-flying space manipulator",
-        "identifier": IDENTIFIER,
-        "shown": [
-            (controller_key(record.scenario.controller), record.identifier)
-            for record in records
-            if record.identifier
-        ],
+        **_heading(records, title),
         "results": results,
         "summary": _summary(results),
-        "settled_rule": f"Settled means: over the last {SETTLED_OVER:g} s every error stays "
-        f"within {settled}.",
+        "settled_rule": _settled_rule(records[0].scenario),
         "table": table(results, distances),
         "table_notes": table_notes(results, distances),
         "rankings": rankings(results) if len(results) > 1 else [],
@@ -174,13 +158,40 @@ def render_report(
         ],
         "provenance": provenance(results, folder),
         "software": software(records),
-        "version": records[0].software.get("ffsm-drake", ""),
         "words": _STATUS_WORDS,
         "tones": _STATUS_TONES,
         "finding_tones": _FINDING_TONES,
         "plots": embedded(views),
     }
     return render("report.html.j2", content)
+
+
+def _heading(records: Sequence[RunRecord], title: str | None) -> Json:
+    """Titles of the page, and which records it shows."""
+    descriptions = list(dict.fromkeys(record.scenario.description for record in records))
+    named = title or len(descriptions) > 1
+    return {
+        "title": title or descriptions[0] or "Run report",
+        "kicker": "; ".join(descriptions) if named else "free-flying space manipulator",
+        "identifier": IDENTIFIER,
+        "shown": [
+            (controller_key(record.scenario.controller), record.identifier)
+            for record in records
+            if record.identifier
+        ],
+        "version": records[0].software.get("ffsm-drake", ""),
+    }
+
+
+def _settled_rule(scenario: Scenario) -> str:
+    within = dict.fromkeys(
+        f"{1e3 * scenario.tolerance_of(group):g} m{'m' if group == 'base_position' else 'rad'}"
+        for group in GROUP_TITLES
+    )
+    return (
+        f"Settled means: over the last {SETTLED_OVER:g} s every error stays within "
+        f"{' and '.join(within)}."
+    )
 
 
 def _attempt(make: Callable[[], T]) -> tuple[T | None, str]:

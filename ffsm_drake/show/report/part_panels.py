@@ -1,16 +1,16 @@
 """The report's panels of parts: a view for each signal, a panel for each of its components."""
 
-import functools
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ffsm_drake.common.numbers import number
-from ffsm_drake.show.panels import Panel, Thinning, View, escape, time_panel
-from ffsm_drake.show.report.results import Result
-from ffsm_drake.show.report.time_panels import run_curve
-from ffsm_drake.systems.part import TIMELINE, Drawing, PartRecord, pulses_of
+from ffsm_drake.show.chart import Chart, Curve
+from ffsm_drake.show.panels import Panel, Thinning, View, escape, panel, panels
+from ffsm_drake.show.results import Result
+from ffsm_drake.show.run_charts import run_curve
+from ffsm_drake.systems.part import STEPS, TIMELINE, Drawing, PartRecord, pulses_of
 
 _MOST_BOXES = 20_000  # of one run that are drawn one by one
 _BOX = (-0.2, 0.2, 0.2, -0.2, -0.2)  # of a row's height
@@ -37,7 +37,7 @@ def part_views(results: Sequence[Result], thin: Thinning, section: str) -> list[
     return [
         View(
             label=heading,
-            panels=_timelines(results, drawn)
+            panels=_timelines(results, thin, drawn)
             if drawn[0][1].chart == TIMELINE
             else _curves(results, thin, drawn),
         )
@@ -46,7 +46,7 @@ def part_views(results: Sequence[Result], thin: Thinning, section: str) -> list[
 
 
 def part_text(results: Sequence[Result], section: str, about: str) -> str:
-    """What a section is about, or the sentences of its parts."""
+    """The text of a section, or the sentences of its parts."""
     if about:
         return about
     lines = []
@@ -61,7 +61,7 @@ def part_text(results: Sequence[Result], section: str, about: str) -> str:
 
 
 def part_tables(results: Sequence[Result], section: str) -> list[dict[str, Any]]:
-    """Of each run the tables of the parts of a section, as text, and what they go by."""
+    """The tables of a section's parts, as text, for each run, and the headings of their rows."""
     found = []
     for result in results:
         tables = [
@@ -91,60 +91,57 @@ def _curves(
 ) -> list[Panel]:
     """A panel for each component that is drawn."""
     units = {name: unit for _, drawing in drawn for name, unit in drawing.panels.items()}
-    traces: dict[str, list[Any]] = {name: [] for name in units}
+    curves: dict[str, list[Curve]] = {name: [] for name in units}
     for i, drawing in drawn:
-        data = results[i].record.dataset
-        values, time = data[drawing.signal].values, data["time"].values
-        columns = dict.fromkeys(drawing.panels, values)
-        if values.ndim == 2:
-            names = data[data[drawing.signal].dims[1]].values.astype(str).tolist()
-            columns = dict(zip(names, values.T, strict=True))
+        signal = results[i].record.dataset[drawing.signal]
+        columns = dict.fromkeys(drawing.panels, signal.values)
+        if signal.ndim == 2:
+            names = signal[signal.dims[1]].values.astype(str).tolist()
+            columns = dict(zip(names, signal.values.T, strict=True))
         for name in drawing.panels:
-            curve = run_curve(results, i, thin(time, columns[name]), shape=drawing.chart)
-            traces[name].append(curve)
-    return [time_panel(name.replace("_", " "), units[name], traces[name]) for name in units]
+            curves[name].append(run_curve(results, i, columns[name], steps=drawing.chart == STEPS))
+    return panels(
+        (Chart(title=name.replace("_", " "), y=units[name], curves=curves[name]) for name in units),
+        thin,
+    )
 
 
-def _timelines(results: Sequence[Result], drawn: Sequence[tuple[int, Drawing]]) -> list[Panel]:
+def _timelines(
+    results: Sequence[Result], thin: Thinning, drawn: Sequence[tuple[int, Drawing]]
+) -> list[Panel]:
     """A panel per run: a row for each component, a box for each time that it is on."""
-    panels = []
+    shown = []
     for i, drawing in drawn:
-        data, period = results[i].record.dataset, results[i].record.scenario.sample_time
-        time, values = (
-            data["time"].values,
-            data[drawing.signal].values.reshape(-1, len(drawing.panels)),
-        )
-        names = list(drawing.panels)
-        boxes = functools.partial(_boxes, time, period, _MOST_BOXES // len(names))
-        look = {
-            "width": 1.0,
-            "hovertemplate": "%{x:.2f} s",
-            "connectgaps": False,
-            "fill": "toself",
-            "hoveron": "points",
-        }
-        traces = [
-            run_curve(results, i, boxes(column, row), name=names[row], **look) | {"mode": "lines"}
-            for row, column in enumerate(values.T)
-        ]
-        title = results[i].label if len(results) > 1 else drawing.title
-        panel = time_panel(title, "", traces)
-        panel.figure.update_layout(hovermode="closest")
-        panel.figure.update_xaxes(range=[float(time[0]), float(time[-1]) + period])
-        panel.figure.update_yaxes(
-            tickvals=list(range(len(names))), ticktext=[escape(name) for name in names],
-            range=[len(names) - 0.4, -0.6], showgrid=False, zeroline=False,
+        run, names = results[i], list(drawing.panels)
+        period = run.record.scenario.sample_time
+        values = run.record.dataset[drawing.signal].values.reshape(-1, len(names))
+        rows = []
+        for row, (name, column) in enumerate(zip(names, values.T, strict=True)):
+            x, y = _boxes(run.time, period, _MOST_BOXES // len(names), column, row)
+            label = f"{run.label}, {name}" if len(results) > 1 else name
+            rows.append({
+                "type": "scatter", "x": x, "y": y, "name": escape(label), "mode": "lines",
+                "line": {"color": run.style.color, "width": 1.0}, "fill": "toself",
+                "connectgaps": False, "hoveron": "points", "hovertemplate": "%{x:.2f} s",
+                "legendgroup": f"run-{i}",
+            })  # fmt: skip
+        chart = Chart(
+            title=run.label if len(results) > 1 else drawing.title, curves=[], kind="chart",
+            range_x=(float(run.time[0]), float(run.time[-1]) + period),
+            height=90 + 20 * len(names),
         )  # fmt: skip
-        panels.append(
-            Panel(title=panel.title, figure=panel.figure, kind="chart", height=90 + 20 * len(names))
-        )
-    return panels
+        yaxis = {
+            "tickvals": list(range(len(names))), "ticktext": [escape(name) for name in names],
+            "range": [len(names) - 0.4, -0.6], "showgrid": False, "zeroline": False,
+        }  # fmt: skip
+        shown.append(panel(chart, thin, before=rows, xaxis={"showgrid": False}, yaxis=yaxis))
+    return shown
 
 
 def _boxes(
     time: np.ndarray, period: float, most: int, column: np.ndarray, row: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Outlines of the boxes of a row, which are seen where they are narrower than a pixel."""
+    """Outlines of the boxes of a row; they stay visible where narrower than a pixel."""
     first, lengths = pulses_of(column, period)
     starts, ends = time[first], time[first] + lengths
     if starts.size > most:  # none is seen alone: those that are near become one

@@ -1,4 +1,4 @@
-"""What it takes to make a run again: the command, the scenario, the software."""
+"""How to repeat a run: command, scenario and software."""
 
 import base64
 import json
@@ -19,7 +19,7 @@ from ffsm_drake.scenario import (
     scenario_to_dict,
     shipped_scenarios,
 )
-from ffsm_drake.show.report.results import Result
+from ffsm_drake.show.results import Result
 
 _MOST_OVERRIDES = 8  # in a command that is still read
 
@@ -89,7 +89,7 @@ def _command(wanted: Mapping[str, Any], shipped: Mapping[str, Mapping[str, Any]]
 
 
 def software(records: Sequence[RunRecord]) -> list[tuple[str, str]]:
-    """Versions; where the runs differ, all of them."""
+    """Versions; all of them if the runs differ."""
     names = dict.fromkeys(name for record in records for name in record.software)
     return [
         (name, " / ".join(dict.fromkeys(record.software.get(name, "?") for record in records)))

@@ -8,15 +8,17 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ffsm_drake.common.files import written_whole
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
-from ffsm_drake.show.figures.axes import tidy
+from ffsm_drake.show.chart import Chart, Curve, Level
+from ffsm_drake.show.figures.axes import draw, legend_below
 from ffsm_drake.show.figures.run import plot_efforts, plot_errors, plot_trajectories
-from ffsm_drake.show.style import BLUE, GREEN, GRID, VERMILION, Style
+from ffsm_drake.show.style import BLACK, BLUE, GREEN, GRID, VERMILION, Style
 from ffsm_drake.studies.paper.runs import (
     CONTROLLERS,
     DISTURBANCES,
@@ -31,6 +33,24 @@ from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, ending, f
 FOLDER = "figures"
 # The two settings where every controller completes.
 DRAWN = {"euler": "explicit Euler", "bounded": "exact integration"}
+
+
+_MARKS: dict[str, dict[str, Any]] = {
+    "euler": {"marker": "o", "color": BLUE, "label": "ours, explicit Euler"},
+    "bounded": {
+        "marker": "s",
+        "color": VERMILION,
+        "label": "ours, exact integration, $K_s$ bounded",
+    },
+}
+_PRINTED: dict[str, Any] = {
+    "marker": "D",
+    "markersize": 9,
+    "markerfacecolor": "none",
+    "markeredgewidth": 1.4,
+    "color": "black",
+    "label": "paper",
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -84,7 +104,7 @@ def write_figure_3(results: Results, directory: Path) -> list[FigureFile]:
 def write_figure_4(results: Results, directory: Path) -> list[FigureFile]:
     """Tracking errors of the four controllers."""
     caption = (
-        "Upper panels: true error e = q_d − q of every control sample, the largest drawn first. "
+        "Upper panels: true error e = q_d − q of every control sample, the roughest drawn first. "
         "Lower panels: rms of "
         "that error over one second, logarithmic, since the errors differ by orders of magnitude."
     )
@@ -155,58 +175,14 @@ def plot_overview(rows: list[Row]) -> Figure:
     """ITAE and ISV of every row, the paper's and ours."""
     figure = Figure(figsize=(11.0, 5.2), layout="constrained")
     panels = figure.subplots(1, len(METRICS), sharey=True)
-    marks: dict[str, dict[str, Any]] = {
-        "euler": {"marker": "o", "color": BLUE, "label": "ours, explicit Euler"},
-        "bounded": {
-            "marker": "s",
-            "color": VERMILION,
-            "label": "ours, exact integration, $K_s$ bounded",
-        },
-    }
-    printed_mark: dict[str, Any] = {
-        "marker": "D",
-        "markersize": 9,
-        "markerfacecolor": "none",
-        "markeredgewidth": 1.4,
-    }
     places = {
         (disturbance, name): number * (len(CONTROLLERS) + 1) + k
         for number, disturbance in enumerate(DISTURBANCES)
         for k, name in enumerate(CONTROLLERS)
     }
     for axes, (metric, title) in zip(panels, METRICS.items(), strict=True):
-        cells = {
-            (row.setting, row.disturbance, row.controller): getattr(row, metric) for row in rows
-        }
-        for case, place in places.items():
-            printed = cells["euler", *case].paper
-            means = {setting: cells[setting, *case].mean for setting in marks}
-            values = [printed, *means.values()]
-            axes.plot(
-                [np.nanmin(values), np.nanmax(values)],
-                [place] * 2,
-                color=GRID,
-                linewidth=2,
-                zorder=1,
-            )
-            for setting, mark in marks.items():
-                axes.plot(means[setting], place, linestyle="none", markersize=7, **mark)
-            axes.plot(
-                printed,
-                place,
-                linestyle="none",
-                zorder=3,
-                color="black",
-                label="paper",
-                **printed_mark,
-            )
-        axes.set_xlabel(
-            {"itae": "ITAE [rad s², m s²], logarithmic", "isv": "ISV [N² s, N² m² s]"}[metric]
-        )
+        _draw_metric(axes, rows, metric, places)
         axes.set_title(title, fontweight="bold", pad=14)
-        axes.grid(True, axis="x", color=GRID, linewidth=0.6)
-        axes.spines[["top", "right", "left"]].set_visible(False)
-        axes.tick_params(axis="y", length=0)
     panels[0].set_xscale("log")
     panels[0].set_yticks(list(places.values()), [NAMES[name] for _, name in places])
     panels[0].invert_yaxis()
@@ -223,68 +199,62 @@ def plot_overview(rows: list[Row]) -> Figure:
     return figure
 
 
+def _draw_metric(
+    axes: Axes, rows: list[Row], metric: str, places: dict[tuple[str, str], int]
+) -> None:
+    """A metric of every case (disturbance, controller) at its place, the paper's and ours."""
+    cells = {(row.setting, row.disturbance, row.controller): getattr(row, metric) for row in rows}
+    for case, place in places.items():
+        printed = cells["euler", *case].paper
+        means = {setting: cells[setting, *case].mean for setting in _MARKS}
+        values = [printed, *means.values()]
+        ends = [np.nanmin(values), np.nanmax(values)]
+        axes.plot(ends, [place] * 2, color=GRID, linewidth=2, zorder=1)
+        for setting, mark in _MARKS.items():
+            axes.plot(means[setting], place, linestyle="none", markersize=7, **mark)
+        axes.plot(printed, place, linestyle="none", zorder=3, **_PRINTED)
+    labels = {"itae": "ITAE [rad s², m s²], logarithmic", "isv": "ISV [N² s, N² m² s]"}
+    axes.set_xlabel(labels[metric])
+    axes.grid(True, axis="x", color=GRID, linewidth=0.6)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+
+
 def plot_divergence(results: Results) -> Figure:
     """K_s and the error of the proposed controller in the three settings."""
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
-    gain_axes, error_axes = figure.subplots(1, 2)
+    panels = figure.subplots(1, 2)
     styles = {
         "exact": Style(VERMILION),
         "euler": Style(BLUE, "dash"),
         "bounded": Style(GREEN, "dashdot"),
     }
-    top = 0.0
-    for setting, look in styles.items():
+    gains, errors, top = [], [], 0.0
+    for setting, style in styles.items():
         run, record = results.run(setting, PROPOSED), results.record(setting, PROPOSED)
-        label = _math(SETTINGS[setting].title) + (
-            "" if run.outcome.completed else f": {ending(run)}"
-        )
-        time = record.dataset["time"].values
-        gain = record.dataset["reaching_gain"].values.max(axis=1)
-        gain_axes.plot(time, gain, linewidth=1.8, label=label, **look.matplotlib)
-        error = np.abs(record.dataset["error"].values).sum(axis=1)
-        error_axes.plot(time, np.where(error > 0.0, error, np.nan), linewidth=0.8, color=look.color)
+        data, name = record.dataset, SETTINGS[setting].title.replace("K_s", "Kₛ")
+        if not run.outcome.completed:
+            name = f"{name}: {ending(run)}"
+        time, gain = data["time"].values, data["reaching_gain"].values.max(axis=1)
+        error = np.abs(data["error"].values).sum(axis=1)
+        error = np.where(error > 0.0, error, np.nan)
+        gains.append(Curve(time, gain, style, name, width=1.8))
+        errors.append(Curve(time, error, Style(style.color), width=0.8))
         if run.outcome.completed:
             top = max(top, float(gain.max()))
         else:
-            for axes, series in ((gain_axes, gain), (error_axes, error)):
-                axes.plot(
-                    time[-1],
-                    series[-1],
-                    marker="x",
-                    markersize=9,
-                    markeredgewidth=2.2,
-                    color=look.color,
-                )
+            for curves, y in ((gains, gain), (errors, error)):
+                end = Style(style.color)
+                curves.append(Curve(time[-1:], y[-1:], end, line=False, marker="x", size=12.0))
     scenario = results.record("exact", PROPOSED).scenario
     limit = 2.0 / scenario.sample_time - gain_of(scenario, "k_d")
-    gain_axes.axhline(limit, color="black", linewidth=1.0, linestyle=":")
-    gain_axes.text(
-        0.995,
-        limit,
-        f"limit {fixed(limit)}",
-        transform=gain_axes.get_yaxis_transform(),
-        ha="right",
-        va="bottom",
-        fontsize=9,
-    )
-    gain_axes.set(
-        xlabel="time [s]",
-        ylabel="largest $K_s$ [1/s]",
-        title="Adapted gain",
-        ylim=(0.0, 1.15 * max(top, limit)),
-    )
-    error_axes.set(
-        xlabel="time [s]", ylabel=r"$\|e\|_1$ [rad, m]", title="Tracking error", yscale="log"
-    )
-    for axes in (gain_axes, error_axes):
-        tidy(axes)
-    figure.legend(
-        *gain_axes.get_legend_handles_labels(),
-        loc="outside lower center",
-        ncols=3,
-        frameon=False,
-        fontsize=9,
-    )
+    level = Level(limit, f"limit {fixed(limit)}", style=Style(BLACK, "dot"))
+    extent = (0.0, 1.15 * max(top, limit))
+    gain_chart = Chart(title="Adapted gain", y="1/s", curves=gains, levels=[level], range=extent)
+    draw(panels[0], gain_chart, what="largest Kₛ")
+    error_chart = Chart(title="Tracking error", y="rad, m", curves=errors, log_y="~e")
+    draw(panels[1], error_chart, what="‖e‖₁")
+    legend_below(figure, panels[0])
     return figure
 
 

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,7 @@ from ffsm_drake.systems.part import (
     Part,
     Signal,
     Signals,
+    Solid,
     View,
     by_key,
     pulses_of,
@@ -311,6 +312,26 @@ class FiredThrusters(Part):
                 of=lambda run: self.saturated(run)[:-1].mean() if len(run.time) > 1 else 0.0,
             ),
         )
+
+    def solids(self) -> Iterator[Solid]:
+        """Nozzles, of lengths as the cube root of the force, and the plumes at their mouths."""
+        strongest = max(unit.force for unit in self.units.values())
+        for name, unit in self.units.items():
+            nozzle = 0.05 * (unit.force / strongest) ** (1.0 / 3.0)
+            cone = functools.partial(
+                Solid, name=name, shape="cone", axis=-np.array(unit.direction, dtype=float),
+                position=np.array(unit.position, dtype=float),
+            )  # fmt: skip
+            yield cone(
+                group="thrusters",
+                length=nozzle,
+                radius=0.45 * nozzle,
+                color=(0.55, 0.57, 0.62, 1.0),
+            )
+            yield cone(
+                group="plumes", length=0.35, radius=0.063, color=(1.0, 0.93, 0.65, 0.65),
+                shown_by="thruster_open", legend="pale cones: open thrusters",
+            )  # fmt: skip
 
     def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray]:
         """Torque and force."""

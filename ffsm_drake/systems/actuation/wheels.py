@@ -32,6 +32,7 @@ from ffsm_drake.systems.part import (
     Part,
     Signal,
     Signals,
+    Solid,
     View,
     by_key,
 )
@@ -370,6 +371,17 @@ class ReactionWheels(Part):
                 of=lambda run: run["wheel_unloads"].mean(),
             ),
         )
+
+    def solids(self) -> Sequence[Solid]:
+        """A disc for each wheel on its axis."""
+        return [
+            Solid(
+                group="wheels", name=name, shape="disc", axis=np.array(unit.axis, dtype=float),
+                position=np.zeros(3), offset=0.12, length=0.015, radius=0.06, through=True,
+                color=(0.55, 0.95, 0.75, 0.55), legend="discs in the base: reaction wheels",
+            )
+            for name, unit in self.settings.units.items()
+        ]  # fmt: skip
 
     def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray]:
         """Torque."""

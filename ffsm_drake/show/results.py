@@ -1,4 +1,4 @@
-"""What a reader wants to know first: how each run ended, its figures of merit, who did best."""
+"""Results of runs: status, verdict, figures of merit and ranking."""
 
 import dataclasses
 import math
@@ -54,6 +54,19 @@ class Result:
         """Whether the run lasted as long as it was meant to, so that its sums may be compared."""
         return self.record.outcome.completed
 
+    @property
+    def time(self) -> np.ndarray:
+        """Control samples (n), s."""
+        values: np.ndarray = self.record.dataset["time"].values
+        return values
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of each coordinate, "rad" or "m"."""
+        data = self.record.dataset
+        names, units = (data[name].values.astype(str).tolist() for name in ("coordinate", "unit"))
+        return dict(zip(names, units, strict=True))
+
 
 def results_of(records: Sequence[RunRecord]) -> list[Result]:
     """Every run with a name and a colour of its own."""
@@ -62,9 +75,7 @@ def results_of(records: Sequence[RunRecord]) -> list[Result]:
 
 
 def ranking(results: Sequence[Result], figure: Callable[[Result], float]) -> list[Result]:
-    """The best first. Interrupted runs stand behind all completed ones, diverged runs last,
-    whatever their sums.
-    """
+    """The best first: completed runs by their figure, then interrupted ones, then diverged ones."""
     order = {"completed": 0, "interrupted": 1, "diverged": 2}
 
     def key(result: Result) -> tuple[int, float]:

@@ -1,0 +1,101 @@
+"""Charts: the content of a picture. ``panels`` draws them with Plotly, ``figures.axes`` with
+Matplotlib.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from ffsm_drake.show.style import BLACK, NEUTRAL, SERIES, Style
+
+DASHES = ("solid", "dash", "dashdot", "dot", "longdashdot", "longdash")
+
+
+@dataclasses.dataclass(frozen=True)
+class Curve:
+    """Values y (n,) over x (n,). A single point is drawn as a marker."""
+
+    x: np.ndarray
+    y: np.ndarray
+    style: Style
+    name: str = ""  # in the legend; "": not there
+    width: float = 1.4
+    steps: bool = False  # held from each point to the next
+    marker: str = ""  # at each point: "circle", "diamond", "square", "star", "x", ...
+    line: bool = True  # that joins the points
+    size: float = 8.0  # of the markers
+    opacity: float = 1.0
+    filled: bool = False  # tinted down to zero
+    points: int = 0  # the largest number drawn; 0: the backend's
+    run: int | None = None  # a page's chips hide and show the curves of a run
+
+
+@dataclasses.dataclass(frozen=True)
+class Level:
+    """A line across the picture at a value of an axis, with a text at its end."""
+
+    value: float
+    text: str = ""
+    name: str = ""  # in the legend; "": not there
+    axis: Literal["x", "y"] = "y"
+    style: Style = Style(NEUTRAL)
+    below: bool = False  # whether the text stands below the line
+
+
+@dataclasses.dataclass(frozen=True)
+class Band:
+    """Shaded spans (n, 2) of the x axis, from the bottom of the picture to its top."""
+
+    spans: np.ndarray
+    color: str
+    opacity: float = 0.2
+    name: str = ""  # in the legend; "": not there
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Chart:
+    """Curves on common axes."""
+
+    title: str
+    curves: Sequence[Curve]
+    x: str = "time [s]"
+    y: str = ""
+    log_x: str = ""  # "": a linear axis, else Plotly's format of its tick labels
+    log_y: str = ""
+    range_x: Sequence[float] | None = None  # None: that of the curves
+    range: Sequence[float] | None = None  # of y
+    levels: Sequence[Level] = ()
+    bands: Sequence[Band] = ()
+    legend: bool = False
+    # Panels of kind "time" share their time axis; others are "map", "space", "chart" and "full".
+    kind: str = "time"
+    group: str = ""  # heading above the group's first panel
+    height: int = 0  # px of the panel; 0: the stylesheet's
+
+    @property
+    def label_y(self) -> str:
+        """Of the y axis; none for a number without a unit."""
+        return "" if self.y == "1" else self.y
+
+
+def merged(
+    charts: Sequence[Chart], title: str, *, dashes: Mapping[str, str] = MappingProxyType({})
+) -> Chart:
+    """The charts of one run on common axes: a colour for each chart, dashes for each group, and
+    the references (curves of no run) dashed in black.
+    """
+    curves = [
+        dataclasses.replace(curve, style=Style(BLACK, "dash"), name="")
+        if curve.run is None
+        else dataclasses.replace(
+            curve, style=Style(SERIES[k % len(SERIES)], dashes.get(chart.group, "solid")),
+            name=chart.title,
+        )
+        for k, chart in enumerate(charts)
+        for curve in chart.curves
+    ]  # fmt: skip
+    units = ", ".join(dict.fromkeys(chart.y for chart in charts))
+    return Chart(title=title, curves=curves, y=units)

@@ -1,0 +1,225 @@
+"""Charts of runs, overlaid: motion, errors, forces, sliding variable and gains. The report and the
+figures draw them.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.runs.table import driven_of
+from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
+from ffsm_drake.show.chart import Chart, Curve
+from ffsm_drake.show.curves import completed_range, moving_rms
+from ffsm_drake.show.results import HELD, Result, values_of
+from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES, NEUTRAL, Style
+
+RMS_POINTS = 500  # of a curve that smooth
+_REFERENCE = Style(NEUTRAL, "dot")
+_STARTING_STEPS = 5  # in which the loop builds up the force from zero
+
+Column = tuple[int, np.ndarray]  # which run, its values
+
+
+def run_curve(
+    results: Sequence[Result],
+    i: int,
+    y: np.ndarray,
+    *,
+    x: np.ndarray | None = None,
+    name: str = "",
+    style: Style | None = None,
+    **look: Any,
+) -> Curve:
+    """A curve of run i in its colour, over time unless x is given; ``look`` as of ``Curve``."""
+    run = results[i]
+    names = filter(None, (run.label if len(results) > 1 else "", name))
+    return Curve(
+        run.time if x is None else x, y, style or Style(run.style.color),
+        ", ".join(names) or run.label, run=i, **look,
+    )  # fmt: skip
+
+
+def coordinate_charts(
+    results: Sequence[Result], variable: str, unit: str, *, smooth: bool = False
+) -> list[Chart]:
+    """A chart for each coordinate of any run, the runs that have the variable overlaid.
+
+    In ``unit``, {unit} is the coordinate's own and {effort} that of its force or torque.
+    """
+    return [
+        _chart(
+            results, name, unit.format(unit=kind, effort=EFFORT_UNITS.get(kind, kind)), columns,
+            group=group, steps=variable in HELD, smooth=smooth,
+        )
+        for (name, group, kind), columns in _by_coordinate(results, variable).items()
+    ]  # fmt: skip
+
+
+def rms_charts(results: Sequence[Result]) -> list[Chart]:
+    """The rms of each coordinate's error over a second; of a run alone with the error's magnitude
+    behind it.
+    """
+    charts = []
+    for (name, group, unit), columns in _by_coordinate(results, "error").items():
+        curves = [_rms(results, *column) for column in columns]
+        extent = None
+        if len(results) == 1:
+            magnitude = np.abs(columns[0][1])
+            low = curves[0].y[np.isfinite(curves[0].y)]
+            # The magnitude's zero crossings reach far below anything of interest.
+            if low.size:
+                extent = float(low.min() / 10.0), float(1.5 * magnitude[: low.size].max())
+            behind = np.where(magnitude == 0.0, np.nan, magnitude)
+            curves.insert(0, run_curve(results, 0, behind, width=0.8, opacity=0.22))
+        title, heading = name.replace("_", " "), GROUP_TITLES.get(group, group)
+        charts.append(
+            Chart(title=title, group=heading, y=unit, curves=curves, log_y="~e", range=extent)
+        )
+    return charts
+
+
+def step_charts(results: Sequence[Result]) -> list[Chart]:
+    """The rms over a second of the change of each force from one sample to the next."""
+    return [
+        Chart(
+            title=name,
+            curves=[
+                _rms(results, i, np.diff(values)[_STARTING_STEPS:], late=_STARTING_STEPS + 1)
+                for i, values in columns
+            ],
+            log_y="~e",
+        )
+        for (name, *_), columns in _by_coordinate(results, "generalized_force").items()
+    ]
+
+
+def _rms(results: Sequence[Result], i: int, values: np.ndarray, *, late: int = 0) -> Curve:
+    """The moving rms of values that start ``late`` samples after the run."""
+    size = moving_rms(values, results[i].record.scenario.sample_time)
+    return run_curve(
+        results, i, size, x=results[i].time[late:][: size.size], style=results[i].style, width=1.8,
+        name="rms" if len(results) == 1 else "", points=RMS_POINTS,
+    )  # fmt: skip
+
+
+def frame_charts(results: Sequence[Result]) -> list[Chart]:
+    """The pose error of the frame that has a reference."""
+    having = [i for i, result in enumerate(results) if "frame_error" in result.record.dataset]
+    return [
+        _chart(
+            results, name, unit,
+            [(i, results[i].record.dataset["frame_error"].values[:, k]) for i in having],
+        )
+        for k, (name, unit) in enumerate(zip(FRAME_COORDINATES, FRAME_UNITS, strict=True))
+        if having
+    ]  # fmt: skip
+
+
+def attitude_charts(results: Sequence[Result]) -> list[Chart]:
+    """Roll, pitch and yaw of the base, and their references."""
+    places = [{"Roll": 0, "Pitch": 1, "Yaw": 2}] * len(results)
+    return _tracked(results, "base_rpy", places, dict.fromkeys(places[0], "rad"))
+
+
+def position_charts(results: Sequence[Result]) -> list[Chart]:
+    """Position of the base and of every joint, and their references."""
+    kinds: dict[str, str] = {}
+    places: list[dict[str, int]] = []  # of each run, name -> place
+    for result in results:
+        data = result.record.dataset
+        units = result.units
+        names = data["position_name"].values.astype(str).tolist() if "position_name" in data else []
+        # not the quaternion
+        places.append({name: k for k, name in enumerate(names) if name in units})
+        kinds = {name: units[name] for name in places[-1]} | kinds
+    return _tracked(results, "position", places, kinds)
+
+
+def _tracked(
+    results: Sequence[Result],
+    variable: str,
+    places: Sequence[dict[str, int]],
+    units: dict[str, str],
+) -> list[Chart]:
+    """Columns of a variable (name -> place, by run) of every run that has them, and their
+    references, each once.
+    """
+    charts = []
+    for name, unit in units.items():
+        factor = float(np.rad2deg(1.0)) if unit == "rad" else 1.0
+        columns: list[Column] = []
+        references: dict[bytes, Curve] = {}
+        for i, (result, place) in enumerate(zip(results, places, strict=True)):
+            values, reference = (
+                values_of(result.record, f"{kind}{variable}") for kind in ("", "desired_")
+            )
+            if name not in place or values is None:
+                continue
+            columns.append((i, factor * values[:, place[name]]))
+            if reference is not None:
+                y = factor * reference[:, place[name]]
+                curve = Curve(result.time, y, _REFERENCE, "reference", width=1.2)
+                references.setdefault(y.tobytes(), curve)
+        if columns:
+            charts.append(
+                _chart(
+                    results, name, "deg" if unit == "rad" else unit, columns, smooth=True,
+                    width=2.0, behind=list(references.values()),
+                )
+            )  # fmt: skip
+    return charts
+
+
+def _chart(
+    results: Sequence[Result],
+    title: str,
+    unit: str,
+    columns: Sequence[Column],
+    *,
+    group: str = "",
+    smooth: bool = False,
+    behind: Sequence[Curve] = (),
+    **look: Any,
+) -> Chart:
+    """A chart of the runs' values, smooth ones with the dashes of their run."""
+    curves = [
+        run_curve(results, i, values, style=results[i].style if smooth else None, **look)
+        for i, values in columns
+    ]
+    return Chart(
+        title=title.replace("_", " "), group=GROUP_TITLES.get(group, group), y=unit,
+        curves=[*curves, *behind],
+        range=completed_range([(results[i].comparable, values) for i, values in columns]),
+    )  # fmt: skip
+
+
+def _by_coordinate(
+    results: Sequence[Result], variable: str
+) -> dict[tuple[str, str, str], list[Column]]:
+    """(name, group, unit) of each coordinate of any run -> the runs' values, the roughest first."""
+    found: dict[tuple[str, str, str], list[Column]] = {}
+    for i in _roughest_first(results, variable):
+        data = results[i].record.dataset
+        names = zip(
+            *(data[name].values.astype(str).tolist() for name in ("coordinate", "group", "unit")),
+            strict=True,
+        )
+        # no force acts on undriven coordinates
+        driven = driven_of(data) | (variable not in HELD)
+        for key, values, shown in zip(names, data[variable].values.T, driven, strict=True):
+            if shown:
+                found.setdefault(key, []).append((i, values))
+    return found
+
+
+def _roughest_first(results: Sequence[Result], variable: str) -> list[int]:
+    """The runs with a variable, the roughest first, so that none covers a smoother one."""
+    rough = {}
+    for i, result in enumerate(results):
+        values = values_of(result.record, variable)
+        if values is not None:
+            steps = np.abs(np.diff(values, axis=0))
+            finite = steps[np.isfinite(steps)]
+            rough[i] = -float(np.median(finite)) if finite.size else 0.0
+    return sorted(rough, key=rough.__getitem__)
