@@ -13,8 +13,9 @@ What no single setting can say is a method ``check(key, scenario)`` of the datac
 
 import copy
 import dataclasses
+import functools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
@@ -50,13 +51,13 @@ class Setting:
         return ", ".join(filter(None, (lower, upper or (most and f"at most {most}"))))
 
     def problems(self, value: Any, key: str) -> Problems:
-        """What is wrong with a value: the key, or that of an entry, and the problem."""
-        if isinstance(value, Mapping):
+        """Key (the value's, or an entry's) and problem of everything that is wrong with a value."""
+        if isinstance(value, dict):
             entries = {f"{key}.{name}": item for name, item in value.items()}
         elif isinstance(value, (list, tuple)):
             entries = {f"{key}[{index}]": item for index, item in enumerate(value)}
         else:
-            yield from self._problems_of_entry(value, key)
+            yield from self._entry_problems(value, key)
             return
         low, high = self.size
         if not low <= len(entries) <= high:
@@ -67,7 +68,7 @@ class Setting:
         for place, item in entries.items():
             yield from self.problems(item, place)
 
-    def _problems_of_entry(self, value: Any, key: str) -> Problems:
+    def _entry_problems(self, value: Any, key: str) -> Problems:
         if isinstance(value, str) and self.one_of and value not in self.one_of:
             yield key, unknown(value, self.one_of)
         if isinstance(value, (int, float)) and not (
@@ -97,6 +98,7 @@ def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> A
     return dataclasses.field(default_factory=lambda: copy.deepcopy(default), metadata=metadata)
 
 
+@functools.cache  # asked of every part whenever a scenario is loaded
 def settings_of(kind: Any) -> dict[str, Setting]:
     """Name -> setting, of a dataclass or Drake's ``SimulatorConfig``; empty for anything else."""
     if kind is SimulatorConfig:
@@ -143,7 +145,7 @@ def _parts(value: Any, key: str) -> Iterator[tuple[str, Any]]:
     if names or hasattr(value, "check"):
         yield key, value
         value = {name: getattr(value, name) for name in names}
-    for name, item in value.items() if isinstance(value, Mapping) else ():
+    for name, item in value.items() if isinstance(value, dict) else ():
         yield from _parts(item, join(key, name))
 
 
