@@ -88,7 +88,7 @@ def read_table(store: Store) -> Table:
                 for name, cell in zip(columns, cells[2:], strict=True)
             },
         )
-        if store.spec.base["capture"] is not None:
+        if store.spec.scenario.capture:
             limits = store.query(
                 f"SELECT coalesce({FIRST_LIMIT}, '') FROM results WHERE controller = ? ORDER BY "
                 "case_index",

@@ -115,7 +115,7 @@ def problems(value: Any, key: str = "", scenario: Any = None) -> Problems:
     """
     parts = list(_parts(value, key))
     for place, part in parts:
-        for name, declared in settings_of(type(part)).items():
+        for name, declared in settings_of(part.__class__).items():
             yield from declared.problems(getattr(part, name), join(place, name))
     for place, part in parts:
         if scenario is not None and hasattr(part, "check"):
@@ -141,7 +141,7 @@ def join(path: str, key: Any) -> str:
 
 def _parts(value: Any, key: str) -> Iterator[tuple[str, Any]]:
     """Key and object of everything with settings in a value, outermost first."""
-    names = settings_of(type(value))
+    names = settings_of(value.__class__)
     if names or hasattr(value, "check"):
         yield key, value
         value = {name: getattr(value, name) for name in names}

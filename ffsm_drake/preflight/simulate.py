@@ -152,7 +152,7 @@ def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Sc
         block = Block(system=address_of(factory))
         if isinstance(factory, Part):
             settings = {
-                name: as_dict(getattr(factory, name)) for name in settings_of(type(factory))
+                name: as_dict(getattr(factory, name)) for name in settings_of(factory.__class__)
             }
             block = Block(system=address_of(type(factory)), settings=settings)
         kind, _, own = name.partition(".")

@@ -14,7 +14,6 @@ from ffsm_drake.campaign.evaluate import (
     OUTCOMES,
     frame_parts,
     parts_of_campaign,
-    undriven_of,
 )
 from ffsm_drake.campaign.statistics import (
     CONFIDENCE,
@@ -130,7 +129,7 @@ def _page(store: Store, findings: Findings) -> str:
         shown = {each.column_name: each.column_heading for each in part.metrics()}
         tables.append({name: heading for name, heading in shown.items() if name and heading})
     tables += [_OF_FRAME[part] for part in frame_parts(spec)]
-    tables += [_OF_DRIFT[group] for group in undriven_of(spec)]
+    tables += [_OF_DRIFT[group] for group in spec.scenario.undriven]
     views = chart_views(findings)
     content: dict[str, Any] = {
         "title": spec.description or store.path.stem,
