@@ -3,7 +3,7 @@
 import base64
 import datetime
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ from ffsm_drake.studies.paper.verdict import Kind, Verdict
 from ffsm_drake.studies.paper.wording import listed, span, times_span
 from ffsm_drake.systems.controllers import complete_gains
 
-TITLE = "How far the paper holds"
 _TALLY: dict[Kind, str] = {
     "holds": "hold", "holds only": "hold only under a condition", "does not hold": "do not hold",
     "not reproduced": "not reproduced", "not tested": "not tested",
@@ -42,12 +41,8 @@ _PIXELS = ("fig4", "fig5")  # embedded as PNG; the other figures are small as ve
 def write_table(rows: list[Row], results: Results, directory: Path) -> Path:
     """Write table2.csv, table2.md and table2.html; returns the last."""
     write_text(directory / "table2.csv", table_csv(rows))
-    title = "Table 2, the paper's and ours"
-    text = [f"# {title}", "", *_markdown_table_2(rows, level=2), f"Paper: {paper.CITATION}", ""]
-    write_text(directory / "table2.md", "\n".join(text))
-    path = directory / "table2.html"
-    write_text(path, _render(title, rows, results))
-    return path
+    content = _content("Table 2, the paper's and ours", rows, results)
+    return _write(directory / "table2.html", content)
 
 
 def write_page(
@@ -58,9 +53,15 @@ def write_page(
     directory: Path,
 ) -> Path:
     """Write reproduction.md and reproduction.html; returns the latter."""
-    write_text(directory / "reproduction.md", _markdown(results, rows, figures, verdicts))
-    path = directory / "reproduction.html"
-    write_text(path, _render(TITLE, rows, results, figures, verdicts))
+    content = _content("How far the paper holds", rows, results, figures, verdicts)
+    return _write(directory / "reproduction.html", content)
+
+
+def _write(path: Path, content: dict[str, Any]) -> Path:
+    """Write a page as HTML to ``path`` and as Markdown beside it."""
+    for kind in (".md", ".html"):
+        text = render(f"reproduction{kind}.j2", content, package="ffsm_drake.studies.paper")
+        write_text(path.with_suffix(kind), text)
     return path
 
 
@@ -138,17 +139,19 @@ def runs_made(results: Results) -> list[str]:
     return lines
 
 
-def _render(
+def _content(
     title: str,
     rows: list[Row],
     results: Results,
     figures: Sequence[FigureFile] = (),
     verdicts: Sequence[Verdict] = (),
-) -> str:
+) -> dict[str, Any]:
+    """The variables of both templates."""
     by_setting = {setting: [row for row in rows if row.setting == setting] for setting in SETTINGS}
-    content: dict[str, Any] = {
+    return {
         "title": title,
         "rows": by_setting,
+        "header": HEADER,
         "cells": {setting: markdown_rows(found) for setting, found in by_setting.items()},
         "settings": SETTINGS,
         "notes": table_notes(),
@@ -165,7 +168,6 @@ def _render(
         "minor_steps": minor_step_table(results.overrides) if verdicts else None,
         "nominal_payloads": nominal_payload_table(results) if verdicts else None,
     }
-    return render("reproduction.html.j2", content, package="ffsm_drake.studies.paper")
 
 
 def _data_address(figure: FigureFile) -> str:
@@ -175,72 +177,3 @@ def _data_address(figure: FigureFile) -> str:
         return ""
     kind = "image/png" if path.suffix == ".png" else "image/svg+xml"
     return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-
-
-def _markdown(
-    results: Results, rows: list[Row], figures: Sequence[FigureFile], verdicts: list[Verdict]
-) -> str:
-    tally = ", ".join(f"{number} {_TALLY[kind]}" for kind, number in counts(verdicts).items())
-    lines = [
-        f"# {TITLE}",
-        "",
-        *_paragraphs([paper.CITATION, *summary(results, rows), f"Claims: {tally}."]),
-    ]
-    lines += ["## The claims, one by one", ""]
-    header = ["claim", "place", "what we measured", "verdict"]
-    for topic, group in by_topic(verdicts):
-        cells = [[item.claim, item.place, item.measured, f"**{item.verdict}**"] for item in group]
-        lines += [f"### {topic}", "", *_markdown_lines(header, cells)]
-    lines += ["## Table 2", "", *_markdown_table_2(rows, level=3)]
-    condition = "ITAE under τ_d1, exact integration, the proposed controller's K_s bounded."
-    lines += [
-        "## Nominal payloads",
-        "",
-        condition,
-        "",
-        *_markdown_lines(*nominal_payload_table(results)),
-    ]
-    lines += [
-        "## Where the law is evaluated",
-        "",
-        _MINOR_STEPS,
-        "",
-        *_markdown_lines(*minor_step_table(results.overrides)),
-    ]
-    lines += ["## Figures", ""]
-    for figure in figures:
-        path = figure.png or figure.svg
-        picture = [f"![{figure.title}](figures/{path.name})"] if path else []
-        lines += _paragraphs([f"### {figure.title}", *picture, figure.caption])
-    lines += ["## What was run", "", *_paragraphs(runs_made(results))]
-    lines += [
-        f"- **{one.title}** (scenario `{one.scenario}`): {one.description}"
-        for one in SETTINGS.values()
-    ]
-    lines += [
-        "",
-        "## Provenance",
-        "",
-        *[f"- {label}: {text}" for label, text in provenance(results, "all")],
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _markdown_table_2(rows: list[Row], *, level: int) -> list[str]:
-    lines = []
-    for key, setting in SETTINGS.items():
-        lines += [f"{'#' * level} {setting.title}", ""]
-        lines += _markdown_lines(HEADER, markdown_rows([row for row in rows if row.setting == key]))
-    return [*lines, *_paragraphs(table_notes())]
-
-
-def _markdown_lines(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    def line(cells: Sequence[str]) -> str:
-        return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
-
-    return [line(header), line(["---"] * len(header)), *map(line, rows), ""]
-
-
-def _paragraphs(texts: Iterable[str]) -> list[str]:
-    return [line for text in texts for line in (text, "")]
