@@ -108,7 +108,7 @@ def integral_surface_gains_an_order(results: Results) -> Evaluated:
     quiet = ratios_in_both(results, "itae", ("asmc", "no noise"), ("aismc", "no noise"))
     tdc = ratios_in_both(results, "itae", "tdc", "aismc")
     asmc_printed, tdc_printed = (
-        span([values[name] / values["aismc"] for values in paper.ITAE.values()], 2)
+        span([values[name] / values["aismc"] for values in paper.TABLE_2["itae"].values()], 2)
         for name in ("asmc", "tdc")
     )
     return (

@@ -46,7 +46,7 @@ def values_of_isv(results: Results) -> Evaluated:
         by_name = {name: [values[name] for values in found] for name in found[0]}
         return named(by_name, lambda values: between(values, lambda value: f"{value:+.1f}"))
 
-    printed = [above_tdc(values) for values in paper.ISV.values()]
+    printed = [above_tdc(values) for values in paper.TABLE_2["isv"].values()]
     return (
         f"Ours over the paper's, all twelve cells: {ratio.text(times_span)}. Within 3 % counts as "
         "reproduced. What the "
@@ -68,7 +68,8 @@ def order_of_effort(results: Results) -> Evaluated:
     def count(setting: str) -> tuple[int, int, int]:
         orders = results.rankings("isv", setting)
         printed = [
-            sorted(CONTROLLERS, key=paper.ISV[disturbance].__getitem__) for disturbance, _ in cases
+            sorted(CONTROLLERS, key=paper.TABLE_2["isv"][disturbance].__getitem__)
+            for disturbance, _ in cases
         ]
         pairs = ((PROPOSED, "aismc"), ("asmc", "tdc"))
         return (
@@ -96,7 +97,7 @@ def effort_is_slightly_larger(results: Results) -> Evaluated:
     ratio = ratios_in_both(results, "isv", PROPOSED, "aismc")
     noisy = both(lambda setting: results.ratios("isv", setting, PROPOSED, (PROPOSED, "G = 0"))[:1])
     quiet = ratios_in_both(results, "isv", (PROPOSED, "no noise"), (PROPOSED, "G = 0, no noise"))
-    printed = [values[PROPOSED] / values["aismc"] for values in paper.ISV.values()]
+    printed = [values[PROPOSED] / values["aismc"] for values in paper.TABLE_2["isv"].values()]
     return (
         f"ISV over AISMC's: {ratio.text(times_span)} (the paper's: {times_span(printed)}). The "
         "switching term alone: "

@@ -33,7 +33,7 @@ _MINOR_STEPS = (
     "evaluates the law in every "
     "minor step of the integrator, a digital controller holds its force over the period. Table "
     "2's ISV is "
-    f"{paper.ISV['tau_d1'][PROPOSED]}."
+    f"{paper.TABLE_2['isv']['tau_d1'][PROPOSED]}."
 )
 _PIXELS = ("fig4", "fig5")  # embedded as PNG; the other figures are small as vectors
 

@@ -13,7 +13,6 @@ from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, SETTINGS, R
 from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, scientific, span, times
 
 METRICS = {"itae": "ITAE", "isv": "ISV"}
-_PRINTED = {"itae": paper.ITAE, "isv": paper.ISV}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -83,7 +82,7 @@ def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[st
     means = {
         name: statistics.fmean(getattr(run, metric) for run in runs[name]) for name in CONTROLLERS
     }
-    printed = _PRINTED[metric][disturbance]
+    printed = paper.TABLE_2[metric][disturbance]
     cells = {}
     for name, mean in means.items():
         values = [getattr(run, metric) for run in runs[name]]
