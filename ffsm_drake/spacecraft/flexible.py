@@ -1,7 +1,6 @@
-"""What moves in the true spacecraft besides base and joints: panels, beams, slosh, passive joints,
-flexible gears.
+"""Flexible parts of the true spacecraft: panels, beams, slosh, passive joints, flexible gears.
 
-``model.flexible`` names these parts. Each adds hidden coordinates to the true plant, held by
+``model.flexible`` names them. Each adds hidden coordinates to the true plant, held by
 springs and dampers; with them at zero and locked it is the spacecraft that the controller knows. A
 beam stands as the equivalent masses of its cantilever modes: mode i is a point mass m_i that slides
 across the beam at the distance h_i from the root, and gives the force and the moment at the root
@@ -35,7 +34,8 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import ModelError, did_you_mean
 from ffsm_drake.scenario import Flexible, Model
-from ffsm_drake.spacecraft.coordinates import StateSplit
+from ffsm_drake.spacecraft.coordinates import StateSplit, joints_of
+from ffsm_drake.spacecraft.inertia import spatial_inertia_about
 
 # Names of the joints of hidden coordinates begin with it.
 HIDDEN = "flexible."
@@ -101,7 +101,7 @@ def add_flexible(plant: MultibodyPlant, model: Model) -> None:
         if part.kind in _OF_A_JOINT
     }
     for joint in loose.values():
-        _add_spring(plant, joint)
+        plant.AddForceElement(RevoluteSpring(joint, 0.0, 0.0))
     for name, part in model.flexible.items():
         if part.kind in _OF_A_JOINT:
             continue
@@ -109,14 +109,13 @@ def add_flexible(plant: MultibodyPlant, model: Model) -> None:
         for label, added in zip(labels_of(name, part), _bodies(part), strict=True):
             link = plant.AddRigidBody(label, instance, added.inertia)
             place = plant.AddFrame(FixedOffsetFrame(f"{label}_place", at, X_AB @ added.place))
+            frames = f"{HIDDEN}{label}", place, link.body_frame()
             if added.stiffness is None:
-                hinge = RevoluteJoint(f"{HIDDEN}{label}", place, link.body_frame(), [1.0, 0.0, 0.0])
-                _add_spring(plant, plant.AddJoint(hinge))
+                hinge = plant.AddJoint(RevoluteJoint(*frames, [1.0, 0.0, 0.0]))
+                plant.AddForceElement(RevoluteSpring(hinge, 0.0, 0.0))
             else:
-                slide = PrismaticJoint(
-                    f"{HIDDEN}{label}", place, link.body_frame(), [0.0, 0.0, 1.0]
-                )
-                plant.AddForceElement(PrismaticSpring(plant.AddJoint(slide), 0.0, added.stiffness))
+                slide = plant.AddJoint(PrismaticJoint(*frames, [0.0, 0.0, 1.0]))
+                plant.AddForceElement(PrismaticSpring(slide, 0.0, added.stiffness))
             if plant.geometry_source_is_registered():
                 plant.RegisterVisualGeometry(
                     link, added.drawn_at, added.drawn, f"{label}_visual", _COLOR
@@ -223,9 +222,7 @@ class VibrationMode:
     clamped_frequency: float  # Hz; of the same shape with all known coordinates held
     damping_ratio: float  # of the free mode, as far as it does not couple others
     shape: np.ndarray  # (nh) of the hidden coordinates, the largest 1
-    # (nv) which part of each known coordinate's inertia the mode carries: 1 where nothing of it
-    # would be left
-    share: np.ndarray
+    share: np.ndarray  # (nv) fraction of each known coordinate's inertia that the mode carries
 
 
 def modes_of(plant: MultibodyPlant, context: Context, split: StateSplit) -> list[VibrationMode]:
@@ -238,9 +235,7 @@ def modes_of(plant: MultibodyPlant, context: Context, split: StateSplit) -> list
     mass_matrix = plant.CalcMassMatrix(context)
     own, across = mass_matrix[np.ix_(hidden, hidden)], mass_matrix[np.ix_(known, hidden)]
     free = own - across.T @ np.linalg.solve(mass_matrix[np.ix_(known, known)], across)
-    joints = {
-        joint.velocity_start(): joint for joint in map(plant.get_joint, plant.GetJointIndices())
-    }
+    joints = {joint.velocity_start(): joint for joint in joints_of(plant)}
     springs = {spring.joint().index(): spring.GetStiffness(context) for spring in _springs(plant)}
     for spring in _springs(plant, PrismaticSpring):
         springs[spring.joint().index()] = spring.stiffness()
@@ -291,10 +286,8 @@ def _bodies(part: Flexible) -> list[_Added]:
         for mode, frequency in zip(
             cantilever_modes(len(part.frequencies)), part.frequencies, strict=True
         ):
-            mass, place = (
-                mode.mass * part.mass,
-                RigidTransform([0.0, mode.distance * part.length, 0.0]),
-            )
+            mass = mode.mass * part.mass
+            place = RigidTransform([0.0, mode.distance * part.length, 0.0])
             stiffness = (2.0 * math.pi * frequency) ** 2 * mass
             found.append(
                 _Added(inertia=_point(mass), drawn=Sphere(0.06), place=place, stiffness=stiffness)
@@ -354,23 +347,15 @@ def _less(total: SpatialInertia, parts: Iterable[SpatialInertia]) -> SpatialIner
         inertia = inertia - part.CalcRotationalInertia().CopyToFullMatrix3()
     if not mass > 0.0:
         raise ValueError("no mass is left")
-    unit = UnitInertia(RotationalInertia(
-        Ixx=inertia[0, 0], Iyy=inertia[1, 1], Izz=inertia[2, 2],
-        Ixy=inertia[0, 1], Ixz=inertia[0, 2], Iyz=inertia[1, 2],
-    ) / mass)  # fmt: skip
-    return SpatialInertia(mass=mass, p_PScm_E=moment / mass, G_SP_E=unit)
+    return spatial_inertia_about(mass, moment / mass, inertia)
 
 
 def _loosen(plant: MultibodyPlant, name: str, part: Flexible) -> RevoluteJoint:
     """The hidden joint in place of one of the model, or between it and its link."""
     joint = _joint(plant, name, part)
     parent, child, axis = joint.frame_on_parent(), joint.frame_on_child(), joint.revolute_axis()
-    lower, upper, damping = (
-        joint.position_lower_limit(),
-        joint.position_upper_limit(),
-        joint.default_damping(),
-    )
-    label = joint.name()
+    lower, upper = joint.position_lower_limit(), joint.position_upper_limit()
+    label, damping = joint.name(), joint.default_damping()
     plant.RemoveJoint(joint)
     if part.kind == "gear":
         rotor = plant.AddRigidBody(
@@ -382,10 +367,6 @@ def _loosen(plant: MultibodyPlant, name: str, part: Flexible) -> RevoluteJoint:
         parent = rotor.body_frame()
     loose: RevoluteJoint = plant.AddJoint(RevoluteJoint(f"{HIDDEN}{name}", parent, child, axis))
     return loose
-
-
-def _add_spring(plant: MultibodyPlant, joint: RevoluteJoint) -> None:
-    plant.AddForceElement(RevoluteSpring(joint, 0.0, 0.0))
 
 
 def _springs(plant: MultibodyPlant, kind: type = RevoluteSpring) -> list[Any]:

@@ -87,8 +87,8 @@ def read_urdf(path: Path, *, tip: str | None = None, bus: Bus | None = None) -> 
     if base_mass < 0.5 * total:
         remarks.append(
             f"the base '{tree.base}' has {base_mass:.3g} of {total:.3g} kg: if it is the arm's "
-            "foot, join it to a "
-            "link for the spacecraft by a fixed joint, or mount it on a bus with --bus-mass KG"
+            "foot, join it to a link for the spacecraft by a fixed joint, or mount it on a bus "
+            "with --bus-mass KG"
         )
     return Servicer(
         source=path,
@@ -113,12 +113,8 @@ class _Tree:
     def __init__(self, root: Element) -> None:
         self.links = _by_name("link", root.findall("link"))
         self.frames = _by_name("frame", root.findall("frame"))
-        joints = [
-            read_joint(e)
-            for e in _by_name(
-                "joint", (*root.findall("joint"), *root.findall(f"{DRAKE}joint"))
-            ).values()
-        ]
+        elements = (*root.findall("joint"), *root.findall(f"{DRAKE}joint"))
+        joints = [read_joint(element) for element in _by_name("joint", elements).values()]
         self.joints = [joint for joint in joints if joint.parent != WORLD]
         self.links.pop(WORLD, None)
         for joint in joints:
