@@ -6,6 +6,7 @@ import statistics
 
 import numpy as np
 
+from ffsm_drake.analysis.estimation import commanded_acceleration, mass_matrices
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.studies.paper import paper
@@ -290,26 +291,26 @@ def _estimation_error(record: RunRecord) -> dict[str, float]:
 
     Equations (2) and (5).
     """
-    data = record.dataset
-    nominal = make_nominal_plant(record.scenario)
-    period = record.scenario.sample_time
-    position, effort = data["measured_position"].values[:-1], data["generalized_force"].values[:-1]
-    inverse = [np.linalg.inv(nominal.calc_mass_matrix(q)) for q in position]
-    acceleration = np.diff(data["velocity"].values, axis=0) / period  # mean over [t_k, t_{k+1})
-    # over [t_{k-1}, t_k)
-    measured = np.diff(data["measured_velocity"].values[:-1], axis=0) / period
-    truth = np.array(
-        [a - h @ tau for a, h, tau in zip(acceleration, inverse, effort, strict=True)]
-    )[1:]
-    estimate = np.array(
-        [a - h @ tau for a, h, tau in zip(measured, inverse[1:], effort[:-1], strict=True)]
+    data, period = record.dataset, record.scenario.sample_time
+    effort = data["generalized_force"].values[:-1]
+    nominal = mass_matrices(
+        make_nominal_plant(record.scenario), data["measured_position"].values[:-1]
     )
-    error = (truth - estimate)[1:]  # the first update has no previous sample
+    commanded = commanded_acceleration(
+        effort=effort,
+        measured_velocity=data["measured_velocity"].values[:-1],
+        nominal_mass_matrix=nominal,
+        period=period,
+    )
+    acceleration = np.diff(data["velocity"].values, axis=0) / period  # mean over [t_k, t_{k+1})
+    # without the first two updates, which lack a previous estimate
+    error = (acceleration - commanded)[2:]
+    truth = (acceleration - np.linalg.solve(nominal, effort[..., None])[..., 0])[2:]
     group = data["group"].values
 
     def rms(values: np.ndarray, name: str) -> float:
         return float(np.sqrt(np.mean(values[:, group == name] ** 2)))
 
     return {
-        str(name): rms(error, name) / rms(truth[1:], name) for name in dict.fromkeys(group.tolist())
+        str(name): rms(error, name) / rms(truth, name) for name in dict.fromkeys(group.tolist())
     }

@@ -112,20 +112,9 @@ class Results:
     num_seeds: int
     overrides: tuple[str, ...] = ()  # applied to every run; empty for the reproduction proper
 
-    def run(
-        self,
-        setting: str,
-        controller: str,
-        *,
-        disturbance: str = "tau_d1",
-        seed: int = 0,
-        variant: str = "",
-    ) -> Run:
-        """The run of a case, possibly shared with another case."""
-        case = Case(
-            setting=setting, controller=controller,
-            disturbance=disturbance, seed=seed, variant=variant,
-        )  # fmt: skip
+    def run(self, setting: str, controller: str, *, seed: int = 0, variant: str = "") -> Run:
+        """The run of a case under tau_d1, possibly shared with another case."""
+        case = Case(setting=setting, controller=controller, seed=seed, variant=variant)
         return self.runs[case.canonical]
 
     def runs_of(
@@ -142,9 +131,8 @@ class Results:
 
     def record(self, setting: str, controller: str, *, variant: str = "") -> RunRecord:
         """The full record of a case that ``keeps_record``."""
-        return self._records[
-            Case(setting=setting, controller=controller, variant=variant).canonical
-        ]
+        case = Case(setting=setting, controller=controller, variant=variant)
+        return self._records[case.canonical]
 
     @property
     def comparisons(self) -> list[tuple[str, int]]:
@@ -166,17 +154,19 @@ class Results:
         Infinite where the first diverged, NaN where the second did.
         """
         first, second = (
-            self.runs_of(setting, name, variant=variant)
+            {
+                key: getattr(run, metric)
+                for key, run in self.runs_of(setting, name, variant=variant).items()
+            }
             for name, variant in (
                 (side, "") if isinstance(side, str) else side for side in (over, under)
             )
         )
-        pairs = [
-            (getattr(run, metric), getattr(second[key], metric))
-            for key, run in first.items()
+        return [
+            value / second[key] if math.isfinite(second[key]) else math.nan
+            for key, value in first.items()
             if key in second
         ]
-        return [a / b if math.isfinite(b) else math.nan for a, b in pairs]
 
     def divergence_times(self, setting: str, controller: str, **which: str) -> list[float]:
         """Times at which runs of a controller diverged, s; ``which`` as for ``runs_of``."""

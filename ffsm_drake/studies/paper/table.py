@@ -56,46 +56,34 @@ def make_table(results: Results) -> list[Row]:
         itae, isv = (_cells(metric, disturbance, runs) for metric in METRICS)
         for name in CONTROLLERS:
             ended = [run for run in runs[name] if not run.outcome.completed]
-            which = (
-                ""
-                if len(ended) == len(runs[name])
-                else (f" ({len(ended)} of {len(runs[name])} runs)")
-            )
-            times_ended = span((run.outcome.time for run in ended), 2)
-            ending_text = f"{ended[0].outcome.status} at {times_ended} s{which}" if ended else ""
-            rows.append(
-                Row(
-                    setting,
-                    disturbance,
-                    name,
-                    len(runs[name]),
-                    len(ended),
-                    ending_text,
-                    itae[name],
-                    isv[name],
-                )
-            )
+            text = ""
+            if ended:
+                times_ended = span((run.outcome.time for run in ended), 2)
+                text = f"{ended[0].outcome.status} at {times_ended} s"
+                if len(ended) < len(runs[name]):
+                    text += f" ({len(ended)} of {len(runs[name])} runs)"
+            counts = len(runs[name]), len(ended)
+            rows.append(Row(setting, disturbance, name, *counts, text, itae[name], isv[name]))
     return rows
 
 
 def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[str, Cell]:
-    means = {
-        name: statistics.fmean(getattr(run, metric) for run in runs[name]) for name in CONTROLLERS
-    }
+    values = {name: [getattr(run, metric) for run in runs[name]] for name in CONTROLLERS}
+    means = {name: statistics.fmean(found) for name, found in values.items()}
     printed = paper.TABLE_2[metric][disturbance]
     cells = {}
     for name, mean in means.items():
-        values = [getattr(run, metric) for run in runs[name]]
         finite = math.isfinite(mean)
-        spread = statistics.stdev(values) if finite and len(values) > 1 else math.nan
-        rank = 1 + sum(other < mean for other in means.values())
-        paper_rank = 1 + sum(other < printed[name] for other in printed.values())
-        correction = paper.CORRECTIONS.get((metric, disturbance, name), "")
         shown = mean if finite else math.nan
         cells[name] = Cell(
-            mean=shown, spread=spread, paper=printed[name], ratio=shown / printed[name], rank=rank,
-            paper_rank=paper_rank, correction=correction,
-        )  # fmt: skip
+            mean=shown,
+            spread=statistics.stdev(values[name]) if finite and len(values[name]) > 1 else math.nan,
+            paper=printed[name],
+            ratio=shown / printed[name],
+            rank=1 + sum(other < mean for other in means.values()),
+            paper_rank=1 + sum(other < printed[name] for other in printed.values()),
+            correction=paper.CORRECTIONS.get((metric, disturbance, name), ""),
+        )
     return cells
 
 
