@@ -307,8 +307,8 @@ def _check_sampling(candidate: _Candidate, scenario: Scenario) -> str:
     )
     if not np.array_equal(force, held):
         raise ConformanceError(
-            f"{candidate.name}: the force follows its inputs between two samples; declare it as "
-            "an output of discrete state (DeclareStateOutputPort), updated every sample_time"
+            f"{candidate.name}: the force follows its inputs between two samples; declare it as an "
+            "output of discrete state (DeclareStateOutputPort), updated every sample_time"
         )
     if all(np.array_equal(force[0], later) for later in force[1:]):
         raise ConformanceError(

@@ -261,8 +261,8 @@ def check_plain(data: Any, *, place: str) -> None:
             )
     elif not (data is None or isinstance(data, float)):
         raise CampaignError(
-            f"{place}: must be a number, text, list or mapping, not a "
-            f"{type(data).__name__}; quote it"
+            f"{place}: must be a number, text, list or mapping, not a {type(data).__name__}; quote "
+            "it"
         )
 
 

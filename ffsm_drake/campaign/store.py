@@ -234,8 +234,8 @@ def check_columns(spec: Spec) -> None:
         if owner := taken.get(name.lower()):
             place = "factors." if name in spec.factors else ""
             raise CampaignError(
-                f"{place}{name}: is the name of a column {owner}, but for upper "
-                "case; choose another"
+                f"{place}{name}: is the name of a column {owner}, but for upper case; choose "
+                "another"
             )
         taken[name.lower()] = f"already, '{name}'"
 
@@ -254,8 +254,7 @@ def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Stor
             if store.spec.fingerprint != spec.fingerprint:
                 raise CampaignError(
                     f"{path}: holds another campaign (fingerprint {store.spec.fingerprint[:12]}, "
-                    "not "
-                    f"{spec.fingerprint[:12]}); choose another file with --database"
+                    f"not {spec.fingerprint[:12]}); choose another file with --database"
                 )
         raise CampaignError(
             f"{path}: exists; finish it with 'ffsm campaign resume {path}', or choose --database"
@@ -341,15 +340,13 @@ def _fill(
         connection.execute("CREATE TABLE software (id INTEGER PRIMARY KEY, versions TEXT UNIQUE)")
         connection.execute(
             "CREATE TABLE results (case_index INTEGER REFERENCES cases, controller TEXT, "
-            f"{', '.join(results)}, "
-            "software INTEGER REFERENCES software, PRIMARY KEY (case_index, controller)) WITHOUT "
-            "ROWID"
+            f"{', '.join(results)}, software INTEGER REFERENCES software, PRIMARY KEY (case_index, "
+            "controller)) WITHOUT ROWID"
         )
         connection.execute(
             "CREATE VIEW runs AS SELECT cases.case_index, results.controller, cases.random_seed, "
-            f"{', '.join(shown)}, "
-            "software.versions AS software FROM results JOIN cases USING (case_index) "
-            "JOIN software ON software.id = results.software"
+            f"{', '.join(shown)}, software.versions AS software FROM results JOIN cases USING "
+            "(case_index) JOIN software ON software.id = results.software"
         )
         notes = {
             "format": str(FORMAT),

@@ -132,8 +132,8 @@ def check_writable(directory: Path) -> None:
             )
         if not os.access(place, os.W_OK | os.X_OK):
             raise RecordError(
-                f"{directory}: cannot be written: no permission to write into "
-                f"{place}; give another one"
+                f"{directory}: cannot be written: no permission to write into {place}; give "
+                "another one"
             )
     except (OSError, ValueError) as error:  # too long, holds a null character, ...
         raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error

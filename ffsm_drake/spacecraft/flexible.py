@@ -197,8 +197,8 @@ def take_masses(plant: MultibodyPlant, context: Context, model: Model, *, body: 
         mass = sum(each.get_mass() for each in carried)
         raise ModelError(
             f"model.flexible: '{body}' carries {mass:g} kg on springs as a part of its own "
-            f"{total.get_mass():g} kg, "
-            "and what is left has no physical mass or inertia; make the parts lighter or shorter"
+            f"{total.get_mass():g} kg, and what is left has no physical mass or inertia; make the "
+            "parts lighter or shorter"
         ) from error
 
 
@@ -384,8 +384,8 @@ def _body(plant: MultibodyPlant, name: str, part: Flexible) -> RigidBody:
     }
     if part.body not in found:
         raise ModelError(
-            f"model.flexible.{name}.body: no body '{part.body}'; choose one of {', '.join(found)}"
-            f"{did_you_mean(part.body, found)}"
+            f"model.flexible.{name}.body: no body '{part.body}'; choose one of "
+            f"{', '.join(found)}{did_you_mean(part.body, found)}"
         )
     return found[part.body]
 
@@ -400,8 +400,8 @@ def _joint(plant: MultibodyPlant, name: str, part: Flexible) -> RevoluteJoint:
     found = {str(joint.name()): joint for joint in joints if isinstance(joint, RevoluteJoint)}
     if part.joint not in found:
         raise ModelError(
-            f"{place}: no revolute joint '{part.joint}'; choose one of {', '.join(found) or 'none'}"
-            f"{did_you_mean(part.joint or '', found)}"
+            f"{place}: no revolute joint '{part.joint}'; choose one of "
+            f"{', '.join(found) or 'none'}{did_you_mean(part.joint or '', found)}"
         )
     joint = found[part.joint]
     if any(

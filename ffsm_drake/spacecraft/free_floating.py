@@ -181,8 +181,8 @@ class FreeFloating:
     def _check_conserved(self) -> None:
         if self.undriven.tolist() not in ([0, 1, 2, 3, 4, 5], [3, 4, 5], []):
             raise ValueError(
-                "undriven coordinates follow from momentum only if they are the whole base or "
-                "its position"
+                "undriven coordinates follow from momentum only if they are the whole base or its "
+                "position"
             )
 
 

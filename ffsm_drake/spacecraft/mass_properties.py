@@ -111,9 +111,9 @@ def set_payload(
         what = f"joint '{weakest}'" if weakest in coordinates.joints else weakest
         raise ModelError(
             f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular "
-            f"(eigenvalues {eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves no "
-            "inertia to speak of; give every link of the URDF and the payload a mass and inertia "
-            "of similar size, or fix the joint"
+            f"(eigenvalues {eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves no inertia "
+            "to speak of; give every link of the URDF and the payload a mass and inertia of "
+            "similar size, or fix the joint"
         )
 
 

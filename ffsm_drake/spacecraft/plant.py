@@ -212,8 +212,8 @@ def _weld(plant: MultibodyPlant, model: Model) -> None:
         frame = find_frame(plant, name, key=f"model.{key}")
         if frame.model_instance() != plant.GetModelInstanceByName(instance):
             raise ModelError(
-                f"model.{key}: '{frame.scoped_name()}' is not a frame of the {instance}; name "
-                "one that is"
+                f"model.{key}: '{frame.scoped_name()}' is not a frame of the {instance}; name one "
+                "that is"
             )
         frames.append(frame)
     try:

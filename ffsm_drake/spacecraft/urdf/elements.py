@@ -177,8 +177,8 @@ def read_mass(link: Element) -> float:
     slack = 1e-9 * max(abs(principal).max(), 1e-12)
     require(
         principal[0] >= -slack and principal[0] + principal[1] >= principal[2] - slack,
-        f"{place}: no body has the principal moments {', '.join(f'{p:.4g}' for p in principal)} "
-        "kg m^2; they must be positive, and the largest at most the sum of the others: correct "
-        "its <inertia>",
+        f"{place}: no body has the principal moments {', '.join(f'{p:.4g}' for p in principal)} kg "
+        "m^2; they must be positive, and the largest at most the sum of the others: correct its "
+        "<inertia>",
     )
     return mass

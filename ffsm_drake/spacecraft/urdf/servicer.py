@@ -121,8 +121,8 @@ class _Tree:
             require(
                 joint.parent != WORLD or joint.kind == "floating",
                 f"the base '{joint.child}' is attached to the world; remove joint '{joint.name}' "
-                f"and link '{WORLD}' "
-                "from the URDF, so that the base is free, or mount it on a bus with --bus-mass KG",
+                f"and link '{WORLD}' from the URDF, so that the base is free, or mount it on a bus "
+                "with --bus-mass KG",
             )
         for joint in self.joints:
             for role, link in (("parent", joint.parent), ("child", joint.child)):
@@ -210,8 +210,7 @@ class _Tree:
             require(
                 not joint.moves or joint.name in tip.joints or self.mass_below(joint.child),
                 f"link '{joint.child}' moves but has no mass, and carries none; give it an "
-                "<inertial>, "
-                f"or make joint '{joint.name}' fixed",
+                f"<inertial>, or make joint '{joint.name}' fixed",
             )
 
     def tips(self, chosen: str | None) -> list[Tip]:

@@ -55,11 +55,9 @@ def proposed_is_most_accurate(results: Results) -> Evaluated:
     diverged = len(results.divergence_times("exact", PROPOSED))
     return (
         f"Smallest ITAE in {wins['euler']} of {total} comparisons (disturbance × seed) with "
-        "explicit Euler, at "
-        f"{ratio.euler} times AISMC's. With exact integration: in {wins['exact']} with the "
-        "published gains "
-        f"({diverged} of its runs diverge) and in {wins['bounded']} with K_s bounded, at "
-        f"{ratio.bounded} times.",
+        f"explicit Euler, at {ratio.euler} times AISMC's. With exact integration: in "
+        f"{wins['exact']} with the published gains ({diverged} of its runs diverge) and in "
+        f"{wins['bounded']} with K_s bounded, at {ratio.bounded} times.",
         in_both(wins["euler"] == total, wins["bounded"] == total),
     )
 
@@ -72,8 +70,7 @@ def order_of_accuracy(results: Results) -> Evaluated:
     usual = max(orders.bounded, key=orders.bounded.count)
     return (
         f"The same order in {same.pair(str)} of {total} comparisons (explicit Euler; exact, K_s "
-        "bounded). The latter's "
-        f"usual order: {' before '.join(NAMES[name] for name in usual)}, in "
+        f"bounded). The latter's usual order: {' before '.join(NAMES[name] for name in usual)}, in "
         f"{orders.bounded.count(usual)}.",
         same.ruling(lambda count: count == total),
     )
@@ -93,8 +90,8 @@ def values_of_itae(results: Results) -> Evaluated:
         abs(value - 1.0) <= paper.REPRODUCED for values in ratio.euler.values() for value in values
     )
     measured = (
-        f"Ours over the paper's: {parts}. The floor follows from a measurement error that "
-        "it does not specify."
+        f"Ours over the paper's: {parts}. The floor follows from a measurement error that it does "
+        "not specify."
     )
     return measured, ("holds" if within else "not reproduced", "")
 
@@ -114,9 +111,8 @@ def integral_surface_gains_an_order(results: Results) -> Evaluated:
     )
     return (
         f"ITAE of ASMC over AISMC, which share K_D and the initial K_s: {factor.text(times_span)} "
-        "(without noise "
-        f"{quiet.pair(times_span)}). TDC over AISMC: {tdc.pair(span)}. In the paper: "
-        f"{asmc_printed} and {tdc_printed}.",
+        f"(without noise {quiet.pair(times_span)}). TDC over AISMC: {tdc.pair(span)}. In the "
+        f"paper: {asmc_printed} and {tdc_printed}.",
         factor.ruling(lambda values: min(values) >= paper.NEARLY_TENFOLD),
     )
 
@@ -142,11 +138,10 @@ def integral_surface_removes_steady_errors(results: Results) -> Evaluated:
 
     return (
         "Sum of the absolute mean errors (rad, m) over the last five of "
-        f"{fixed(at_rest.outcome.time, 2)} s, motion "
-        f"until {fixed(motion, 2)} s, constant disturbance, no noise: "
+        f"{fixed(at_rest.outcome.time, 2)} s, motion until {fixed(motion, 2)} s, constant "
+        "disturbance, no noise: "
         f"{left.text(lambda errors: named(errors, lambda error: scientific(error, 2)))}. "
-        "Time-delay estimation already "
-        "acts as an integrator.",
+        "Time-delay estimation already acts as an integrator.",
         left.ruling(removed),
     )
 
@@ -165,10 +160,9 @@ def robust_term_improves_accuracy(results: Results) -> Evaluated:
         ruling = ("holds only", "without measurement noise, for the proposed controller")
     return (
         f"ITAE of the proposed controller with G over without it: {noisy.text(times_span)}; "
-        "without noise "
-        f"{quiet.pair(times_span)}. ASMC, whose G starts at zero: {asmc.pair(times_span)}. ASMC's "
-        "lead over TDC is "
-        f"stiffness: TDC with ASMC's and no G has {stiff.pair(times_span)} times its ITAE.",
+        f"without noise {quiet.pair(times_span)}. ASMC, whose G starts at zero: "
+        f"{asmc.pair(times_span)}. ASMC's lead over TDC is stiffness: TDC with ASMC's and no G has "
+        f"{stiff.pair(times_span)} times its ITAE.",
         ruling,
     )
 
@@ -188,8 +182,8 @@ def new_law_improves_accuracy_and_stability(results: Results) -> Evaluated:
     return (
         "With G = 0 the proposed controller is AISMC with law (9) for (21). Its ITAE is then "
         f"{times_span(euler)} times AISMC's with explicit Euler. With exact integration and the "
-        "published gains, (9) "
-        f"diverges in {len(ended)} of {len(exact)} runs{when}, (21) in {len(rivals)}.",
+        f"published gains, (9) diverges in {len(ended)} of {len(exact)} runs{when}, (21) in "
+        f"{len(rivals)}.",
         in_both(max(euler) < 1.0, max(exact) < 1.0 and not ended),
     )
 
@@ -216,9 +210,8 @@ def accuracy_does_not_depend_on_the_disturbance(results: Results) -> Evaluated:
     noise = both(lambda setting: max(change(itae(setting, name, "tau_d1")) for name in CONTROLLERS))
     return (
         "Largest change of the mean ITAE: "
-        f"{changes.text(lambda by_name: named(by_name, percent))}; the noise "
-        f"seed alone changes it by up to {noise.pair(percent)}. Evaluated for the proposed "
-        "controller, within 5 %.",
+        f"{changes.text(lambda by_name: named(by_name, percent))}; the noise seed alone changes it "
+        f"by up to {noise.pair(percent)}. Evaluated for the proposed controller, within 5 %.",
         changes.ruling(lambda by_name: by_name[PROPOSED] <= paper.SLIGHTLY),
     )
 
@@ -254,9 +247,8 @@ def target_is_reached_with_high_precision(results: Results) -> Evaluated:
         )
     return (
         f"Largest error of all runs: {errors.text(written)}. With exact integration and the "
-        "published gains "
-        f"{len(diverged)} of {total} runs diverge{when}. Position and attitude are measured "
-        "without error.",
+        f"published gains {len(diverged)} of {total} runs diverge{when}. Position and attitude are "
+        "measured without error.",
         (kind, condition),
     )
 
@@ -279,9 +271,8 @@ def estimation_is_accurate(results: Results) -> Evaluated:
         ruling = ("holds only", "without measurement noise")
     return (
         "Rms of the estimation error over that of N: "
-        f"{noisy.text(lambda shares: named(shares, percent))}. Without "
-        f"noise: {quiet.text(lambda shares: named(shares, percent))}. Noise σ is √2 σ/L of "
-        "acceleration.",
+        f"{noisy.text(lambda shares: named(shares, percent))}. Without noise: "
+        f"{quiet.text(lambda shares: named(shares, percent))}. Noise σ is √2 σ/L of acceleration.",
         ruling,
     )
 

@@ -28,12 +28,9 @@ _TALLY: dict[Kind, str] = {
 }  # fmt: skip
 _MINOR_STEPS = (
     "The proposed controller with the published gains, τ_d1, seed 0, in steps of the control "
-    "period. The paper does "
-    "not say how its simulation coupled law and plant: a block diagram in continuous time "
-    "evaluates the law in every "
-    "minor step of the integrator, a digital controller holds its force over the period. Table "
-    "2's ISV is "
-    f"{paper.TABLE_2['isv']['tau_d1'][PROPOSED]}."
+    "period. The paper does not say how its simulation coupled law and plant: a block diagram in "
+    "continuous time evaluates the law in every minor step of the integrator, a digital controller "
+    f"holds its force over the period. Table 2's ISV is {paper.TABLE_2['isv']['tau_d1'][PROPOSED]}."
 )
 _PIXELS = ("fig4", "fig5")  # embedded as PNG; the other figures are small as vectors
 
@@ -80,15 +77,12 @@ def summary(results: Results, rows: list[Row]) -> list[str]:
     when = f", after {span(diverged, 2)} s" if diverged else ""
     return [
         f"With explicit Euler at the control period, our effort (ISV) is {times_span(isv)} times "
-        "Table 2's, our ITAE "
-        f"{span(itae, 2)} times; the proposed controller is the most accurate in {first['euler']} "
-        f"of {total} "
-        "comparisons (three disturbances, each with every noise seed).",
-        "On an exactly integrated plant with the published gains, the proposed controller "
-        "diverges in "
-        f"{len(diverged)} of {total} runs{when}. With K_s bounded it is the most accurate in "
-        f"{first['bounded']} of "
-        f"{total}.",
+        f"Table 2's, our ITAE {span(itae, 2)} times; the proposed controller is the most accurate "
+        f"in {first['euler']} of {total} comparisons (three disturbances, each with every noise "
+        "seed).",
+        "On an exactly integrated plant with the published gains, the proposed controller diverges "
+        f"in {len(diverged)} of {total} runs{when}. With K_s bounded it is the most accurate in "
+        f"{first['bounded']} of {total}.",
     ]
 
 
@@ -123,16 +117,13 @@ def runs_made(results: Results) -> list[str]:
     )
     lines = [
         f"{len(results.runs)} simulations, {seconds:.0f} s of flight: {table} for Table 2 (four "
-        "controllers, three "
-        f"disturbances, three settings, {results.num_seeds} seeds, shared runs made once) and "
-        f"{len(results.runs) - table} for single claims. {diverged} of them diverged.",
+        f"controllers, three disturbances, three settings, {results.num_seeds} seeds, shared runs "
+        f"made once) and {len(results.runs) - table} for single claims. {diverged} of them "
+        "diverged.",
         f"In all settings: control period {period:g} ms, white noise of {span(noise, 1)} µrad/s "
-        "and µm/s on the "
-        "measured velocities, disturbance as an external generalized force, H q̈ + C = τ + τ_d "
-        "(with the sign of "
-        f"equation (1) Table 2 cannot be met). Where K_s is bounded it starts at {starting} and "
-        f"stays below {highest} "
-        "1/s.",
+        "and µm/s on the measured velocities, disturbance as an external generalized force, H q̈ + "
+        "C = τ + τ_d (with the sign of equation (1) Table 2 cannot be met). Where K_s is bounded "
+        f"it starts at {starting} and stays below {highest} 1/s.",
     ]
     if results.overrides:
         lines.append(f"Not the reproduction proper: every run had {', '.join(results.overrides)}.")

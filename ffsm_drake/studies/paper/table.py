@@ -163,9 +163,8 @@ def table_notes() -> list[str]:
     """Notes below the table."""
     return [
         "Ours: mean over the noise seeds, ± standard deviation if there are several. Ratio: ours "
-        "over the paper's. "
-        "Rank: ours among the four controllers, 1 for the smallest value, diverged runs last; in "
-        "brackets the paper's.",
+        "over the paper's. Rank: ours among the four controllers, 1 for the smallest value, "
+        "diverged runs last; in brackets the paper's.",
         *[
             f"† {METRICS[metric]}, {DISTURBANCE_NAMES[disturbance]}, {NAMES[controller]}: {why}."
             for (metric, disturbance, controller), why in paper.CORRECTIONS.items()
