@@ -211,9 +211,7 @@ def load_spec(name_or_path: str | Path) -> Spec:
 
 
 def _with_python_path(spec: Spec) -> Spec:
-    """The specification with the folders of all user-supplied modules: a campaign is resumed from
-    any folder.
-    """
+    """Add the folders of all user-supplied modules, so that any folder can resume the campaign."""
     base = spec.base
     blocks = [(name, base["blocks"][name]) for name in ("reference", "actuation")]
     blocks += [
@@ -229,7 +227,7 @@ def _with_python_path(spec: Spec) -> Spec:
 
 
 def spec_from_json(text: str, folder: Path | None = None) -> Spec:
-    """What ``Spec.to_json`` wrote for the same folder. Raises CampaignError when it is not that."""
+    """The inverse of ``Spec.to_json`` for the same folder. Raises CampaignError for other text."""
     try:
         data = json.loads(text)
     except ValueError as error:
@@ -372,7 +370,7 @@ def _controllers(data: Any) -> tuple[str, ...]:
 
 
 def _check_names(spec: Spec) -> None:
-    """Each value is set once, and whatever a rule reads is there by then."""
+    """Raise CampaignError unless each value is set once, and known before a rule reads it."""
     if len(spec.names) > _MOST_VALUES:
         raise CampaignError(
             f"parameters: at most {_MOST_VALUES} values with factors and derived ones, not "

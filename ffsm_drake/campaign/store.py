@@ -223,9 +223,7 @@ class Store:
 
 
 def check_columns(spec: Spec) -> None:
-    """Raise CampaignError unless every value of a case can have a column; SQL does not tell A from
-    a.
-    """
+    """Raise CampaignError unless every value of a case can have a column; SQL ignores case."""
     taken = dict.fromkeys(
         ("case_index", "controller", "random_seed", "software", *result_columns(spec)),
         "of the results",
@@ -315,8 +313,7 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
         try:
             yield store
         finally:
-            # back to a single file, which can be read where nothing may be written; unless others
-            # read it
+            # back to a single file, readable in a write-protected folder; unless others read it
             if writing:
                 with contextlib.suppress(sqlite3.Error):
                     connection.execute("PRAGMA busy_timeout = 0")

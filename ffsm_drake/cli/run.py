@@ -84,28 +84,35 @@ def run(
     check_writable(directory)  # before the slow run
     if report or meshcat or controls:
         check_pictures(scenario.model)
-    if not controls:
-        _warn_replaced([(directory, scenario)], directory)
-        record = _watch(scenario) if meshcat else _simulate(scenario)
-        record.save(directory)
-        code = _finish([record], directory, as_json=as_json, report=report)
-        if repeated is not None:
-            from ffsm_drake.runs.record import RunRecord
+    if controls:
+        from ffsm_drake.show.meshcat.interactive import run_interactive
 
-            same = RunRecord.load(repeated).dataset.identical(record.dataset)
-            remark = "same record, bit for bit" if same else "different record"
-            click.echo(f"{remark}: {repeated}", err=as_json)
-        sys.exit(code)
-    from ffsm_drake.show.meshcat.interactive import run_interactive
+        click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
+        folders = (
+            folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists()
+        )
+        records = run_interactive(
+            scenario, open_browser=True, keep=lambda record: record.save(next(folders))
+        )
+        if not records:
+            sys.exit(EXIT_GOOD)
+        sys.exit(_finish(records, directory, as_json=as_json, report=report))
+    _warn_replaced([(directory, scenario)], directory)
+    if meshcat:
+        from ffsm_drake.show.meshcat.interactive import watch
 
-    click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
-    folders = (
-        folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists()
-    )
-    records = run_interactive(
-        scenario, open_browser=True, keep=lambda record: record.save(next(folders))
-    )
-    sys.exit(_finish(records, directory, as_json=as_json, report=report) if records else EXIT_GOOD)
+        record = watch(scenario, open_browser=True)
+    else:
+        record = _simulate(scenario)
+    record.save(directory)
+    code = _finish([record], directory, as_json=as_json, report=report)
+    if repeated is not None:
+        from ffsm_drake.runs.record import RunRecord
+
+        same = RunRecord.load(repeated).dataset.identical(record.dataset)
+        remark = "same record, bit for bit" if same else "different record"
+        click.echo(f"{remark}: {repeated}", err=as_json)
+    sys.exit(code)
 
 
 @click.command()
@@ -221,12 +228,6 @@ def _warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) 
         return
 
 
-def _watch(scenario: "Scenario") -> "RunRecord":
-    from ffsm_drake.show.meshcat.interactive import watch
-
-    return watch(scenario, open_browser=True)
-
-
 def _simulate(scenario: "Scenario") -> "RunRecord":
     from ffsm_drake.preflight.simulate import simulate
 
@@ -242,9 +243,8 @@ def _places(records: Sequence["RunRecord"]) -> list[int]:
 
     def key(k: int) -> tuple[int, float]:
         outcome = records[k].outcome
-        return order.index(outcome.status), records[k].metrics[
-            "itae"
-        ] if outcome.completed else -outcome.time
+        value = records[k].metrics["itae"] if outcome.completed else -outcome.time
+        return order.index(outcome.status), value
 
     return sorted(range(len(records)), key=key)
 

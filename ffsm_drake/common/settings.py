@@ -7,8 +7,8 @@
         regime: str = setting("free", "", "of the flow", one_of=("free", "slip"))
 
 Loading, checks and their errors, the JSON Schema and the scenario reference are derived from them.
-What no single setting can say is a method ``check(key, scenario)`` of the dataclass, which yields
-``(key, problem)`` pairs.
+Conditions on several settings go into a method ``check(key, scenario)`` of the dataclass, which
+yields ``(key, problem)`` pairs.
 """
 
 import copy
@@ -27,7 +27,7 @@ Problems = Iterator[tuple[str, str]]  # key and problem
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Setting:
-    """What a field may hold. Limits hold for a number, and for each of a list or mapping."""
+    """Allowed values of a field. Limits apply to a number, and to each of a list or mapping."""
 
     unit: str = ""
     meaning: str = ""
@@ -110,8 +110,9 @@ def settings_of(kind: Any) -> dict[str, Setting]:
 
 
 def problems(value: Any, key: str = "", scenario: Any = None) -> Problems:
-    """Everything that is wrong with a dataclass of settings and those within it: first of single
-    settings; then, with a scenario, what each ``check`` finds.
+    """All problems of a dataclass of settings and those nested in it.
+
+    Those of single settings come first; then, with a scenario, those that each ``check`` yields.
     """
     parts = list(_parts(value, key))
     for place, part in parts:
@@ -129,7 +130,7 @@ def require_valid(value: Any, key: str = "", scenario: Any = None) -> None:
 
 
 def unknown(name: str, valid: Iterable[str]) -> str:
-    """The problem with a name that is none of the valid ones."""
+    """The problem with a name that is not valid."""
     valid = list(valid)
     return f"'{name}' is unknown; choose one of {', '.join(valid)}{did_you_mean(name, valid)}"
 

@@ -54,9 +54,7 @@ _CANTILEVER = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BeamMode:
-    """The equivalent of a bending mode of a uniform cantilever, in shares of its mass and
-    length.
-    """
+    """Equivalent mass of a bending mode of a uniform cantilever, as fractions of the beam's."""
 
     mass: float  # of the beam's mass
     distance: float  # from the root, of the beam's length
@@ -144,7 +142,7 @@ def set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:
     Call it once for a context, after the masses of the bodies are set; all coordinates must be
     zero.
 
-    Raises ModelError: a body has less mass or inertia than what it carries.
+    Raises ModelError: a body has less mass or inertia than the parts that it carries.
     """
     if not model.flexible:
         return
@@ -153,7 +151,7 @@ def set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:
     ):
         take_masses(plant, context, model, body=name)
     springs = {spring.joint().index(): spring for spring in _springs(plant)}
-    matrix = plant.CalcMassMatrix(context)  # at rest: what the springs hold
+    matrix = plant.CalcMassMatrix(context)  # at rest: the inertia on the springs
     for name, part in model.flexible.items():
         joints = [plant.GetJointByName(f"{HIDDEN}{label}") for label in labels_of(name, part)]
         rows = [joint.velocity_start() for joint in joints]
@@ -175,7 +173,7 @@ def take_masses(plant: MultibodyPlant, context: Context, model: Model, *, body: 
     """Take the masses of the parts that a body (scoped name) carries out of its own, in one
     context.
 
-    Raises ModelError: the body has less mass or inertia than what it carries.
+    Raises ModelError: the body has less mass or inertia than the parts that it carries.
     """
     carrier, carried = None, list[SpatialInertia]()
     for name, part in model.flexible.items():
@@ -197,7 +195,7 @@ def take_masses(plant: MultibodyPlant, context: Context, model: Model, *, body: 
         mass = sum(each.get_mass() for each in carried)
         raise ModelError(
             f"model.flexible: '{body}' carries {mass:g} kg on springs as a part of its own "
-            f"{total.get_mass():g} kg, and what is left has no physical mass or inertia; make the "
+            f"{total.get_mass():g} kg, and the rest has no physical mass or inertia; make the "
             "parts lighter or shorter"
         ) from error
 
@@ -337,9 +335,7 @@ def _axes(part: Flexible) -> RotationMatrix:
 
 
 def _less(total: SpatialInertia, parts: Iterable[SpatialInertia]) -> SpatialInertia:
-    """A spatial inertia without some that are part of it, all about one point and in the same
-    axes.
-    """
+    """A spatial inertia less some of its parts, all about the same point and in the same axes."""
     mass, moment = total.get_mass(), total.get_mass() * total.get_com()
     inertia = total.CalcRotationalInertia().CopyToFullMatrix3()
     for part in parts:

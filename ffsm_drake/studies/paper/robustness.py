@@ -96,25 +96,26 @@ def payload_uncertainty_is_tolerated(results: Results) -> Evaluated:
 def more_robust_than_its_rivals(results: Results) -> Evaluated:
     survived = {name: _completed(results, "bounded", name) for name in CONTROLLERS}
     rivals = max(len(survived[name]) for name in CONTROLLERS if name != PROPOSED)
+
+    def gains(*named_gains: tuple[str, str]) -> str:
+        """Smallest and largest gain of some controllers."""
+        return span(
+            (
+                gain_of(results.record("bounded", name).scenario, gain, name)
+                for name, gain in named_gains
+            ),
+            2,
+        )
+
+    starting = gains(("aismc", "k_s_initial"), ("asmc", "k_s"))
+    bounded = gains((PROPOSED, "k_s_initial"), (PROPOSED, "k_s_max"))
     return (
         "Nominal payloads (kg, truly 100) with which each completes, exact integration, K_s "
         f"bounded: {named(survived, _kilograms, '; ')}. A large estimate multiplies K_D + K_s, and "
-        f"K_s is not the same for all: {_starting_k_s(results)} 1/s of AISMC and ASMC, "
-        f"{_bounded_k_s(results)} of the proposed controller, whose bound is ours, none of TDC.",
+        f"K_s is not the same for all: {starting} 1/s of AISMC and ASMC, {bounded} of the proposed "
+        "controller, whose bound is ours, none of TDC.",
         holds_if(len(survived[PROPOSED]) > rivals),
     )
-
-
-def _starting_k_s(results: Results) -> str:
-    gains = (("aismc", "k_s_initial"), ("asmc", "k_s"))
-    return span(
-        (gain_of(results.record("bounded", name).scenario, gain, name) for name, gain in gains), 2
-    )
-
-
-def _bounded_k_s(results: Results) -> str:
-    scenario = results.record("bounded", PROPOSED).scenario
-    return span((gain_of(scenario, gain) for gain in ("k_s_initial", "k_s_max")), 2)
 
 
 def _completed(results: Results, setting: str, name: str) -> list[str]:

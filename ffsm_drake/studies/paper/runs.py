@@ -95,7 +95,7 @@ class Run:
 
     @property
     def isv(self) -> float:
-        """As ``itae``."""
+        """ISV; infinite if the run did not complete."""
         return float(self.metrics["isv"]) if self.outcome.completed else math.inf
 
     @property
