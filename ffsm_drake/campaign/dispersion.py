@@ -288,7 +288,7 @@ def _names(data: Any, *, place: str) -> tuple[str, ...]:
 
 
 def _tidy(value: Any, *, place: str) -> Any:
-    """A value for the scenario. Numbers, also nested ones and those given as text, must be finite."""
+    """A value for the scenario; numbers, also nested ones and those in text, must be finite."""
     if isinstance(value, Mapping):
         return {name: _tidy(item, place=f"{place}.{name}") for name, item in value.items()}
     if isinstance(value, list):

@@ -23,6 +23,8 @@ from ffsm_drake.common.errors import (
 from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from ffsm_drake.runs.record import RunRecord
 
 EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE = 0, 2, 3
@@ -221,6 +223,22 @@ def print_json(data: Any) -> None:
     from ffsm_drake.runs.record import to_json
 
     click.echo(to_json(data), nl=False)
+
+
+def print_result(as_json: bool, data: Any, text: str) -> None:
+    """Print a command's result: its data as JSON, or its text."""
+    if as_json:
+        print_json(data)
+    else:
+        click.echo(text)
+
+
+def save_figure(figure: "Figure", path: Path) -> None:
+    """Write a figure whole as PNG."""
+    from ffsm_drake.common.files import written_whole
+
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, dpi=130)
 
 
 class FiniteFloat(click.FloatRange):

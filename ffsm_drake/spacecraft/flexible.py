@@ -9,7 +9,7 @@ that the bending mode gives (modal effective masses; the rest is rigid).
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -273,40 +273,38 @@ class _Added:
     carries_next: bool = False  # the next body of the part
 
 
-def _bodies(part: Flexible) -> list[_Added]:
+def _bodies(part: Flexible) -> Iterator[_Added]:
+    """The bodies that a part adds, from the root outward."""
     if part.kind == "mass":
         stiffness = part.stiffness
         if part.frequency is not None:
             stiffness = (2.0 * math.pi * part.frequency) ** 2 * part.mass
-        return [_Added(inertia=_point(part.mass), drawn=Sphere(0.12), stiffness=stiffness)]
-    if part.kind == "beam":
-        found = []
-        for mode, frequency in zip(
-            cantilever_modes(len(part.frequencies)), part.frequencies, strict=True
-        ):
+        yield _Added(inertia=_point(part.mass), drawn=Sphere(0.12), stiffness=stiffness)
+    elif part.kind == "beam":
+        modes = cantilever_modes(len(part.frequencies))
+        for mode, frequency in zip(modes, part.frequencies, strict=True):
             mass = mode.mass * part.mass
-            place = RigidTransform([0.0, mode.distance * part.length, 0.0])
-            stiffness = (2.0 * math.pi * frequency) ** 2 * mass
-            found.append(
-                _Added(inertia=_point(mass), drawn=Sphere(0.06), place=place, stiffness=stiffness)
+            yield _Added(
+                inertia=_point(mass),
+                drawn=Sphere(0.06),
+                place=RigidTransform([0.0, mode.distance * part.length, 0.0]),
+                stiffness=(2.0 * math.pi * frequency) ** 2 * mass,
             )
-        return found
-    if part.kind == "pendulum":
+    elif part.kind == "pendulum":
         end = np.array([0.0, part.length, 0.0])
-        return [
-            _Added(inertia=_point(part.mass, end), drawn=Sphere(0.12), drawn_at=RigidTransform(end))
-        ]
-    length = part.length / part.plates
-    plate = _Added(
-        inertia=_plate(part.mass / part.plates, length, part.width),
-        drawn=Box(part.width, length, 0.03),
-        drawn_at=RigidTransform([0.0, 0.5 * length, 0.0]),
-        carries_next=True,
-    )
-    return [
-        plate,
-        *[dataclasses.replace(plate, place=RigidTransform([0.0, length, 0.0]))] * (part.plates - 1),
-    ]
+        yield _Added(
+            inertia=_point(part.mass, end), drawn=Sphere(0.12), drawn_at=RigidTransform(end)
+        )
+    else:
+        length = part.length / part.plates
+        for k in range(part.plates):
+            yield _Added(
+                inertia=_plate(part.mass / part.plates, length, part.width),
+                drawn=Box(part.width, length, 0.03),
+                drawn_at=RigidTransform([0.0, 0.5 * length, 0.0]),
+                place=RigidTransform([0.0, length if k else 0.0, 0.0]),
+                carries_next=True,
+            )
 
 
 def _point(mass: float, place: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> SpatialInertia:

@@ -6,7 +6,8 @@ import math
 import statistics
 from itertools import product
 
-from ffsm_drake.common.files import csv_text
+import pandas as pd  # type: ignore[import-untyped]
+
 from ffsm_drake.common.numbers import power_of_ten
 from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, SETTINGS, Results, Run
@@ -88,7 +89,7 @@ def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[st
 
 
 def table_csv(rows: list[Row]) -> str:
-    """The table as comma-separated values, full precision; empty if runs diverged."""
+    """The table as comma-separated values, eight digits; empty if runs diverged."""
     lines = []
     for row in rows:
         line = dict(vars(row))
@@ -102,7 +103,8 @@ def table_csv(rows: list[Row]) -> str:
             for field, value in cell.items()
         }
         lines.append(line | figures | corrections)
-    return csv_text(lines)
+    text: str = pd.DataFrame(lines).to_csv(index=False, float_format="%.8g", lineterminator="\n")
+    return text
 
 
 def shown(metric: str, value: float) -> str:
