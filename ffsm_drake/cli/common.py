@@ -23,8 +23,6 @@ from ffsm_drake.common.errors import (
 from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from ffsm_drake.runs.record import RunRecord
 
 EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE = 0, 2, 3
@@ -233,8 +231,8 @@ def print_result(as_json: bool, data: Any, text: str) -> None:
         click.echo(text)
 
 
-def save_figure(figure: "Figure", path: Path) -> None:
-    """Write a figure whole as PNG."""
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a Matplotlib figure whole as PNG."""
     from ffsm_drake.common.files import written_whole
 
     with written_whole(path) as temporary:

@@ -6,7 +6,7 @@ import statistics
 
 import numpy as np
 
-from ffsm_drake.analysis.estimation import commanded_acceleration, mass_matrices
+from ffsm_drake.analysis.evidence import commanded_acceleration, mass_matrices
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.studies.paper import paper
