@@ -85,15 +85,7 @@ def run(
     if report or meshcat or controls:
         check_pictures(scenario.model)
     if controls:
-        from ffsm_drake.show.meshcat.interactive import run_interactive
-
-        click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
-        folders = (
-            folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists()
-        )
-        records = run_interactive(
-            scenario, open_browser=True, keep=lambda record: record.save(next(folders))
-        )
+        records = _run_with_controls(scenario, directory)
         if not records:
             sys.exit(EXIT_GOOD)
         sys.exit(_finish(records, directory, as_json=as_json, report=report))
@@ -226,6 +218,19 @@ def _warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) 
             err=True,
         )
         return
+
+
+def _run_with_controls(scenario: "Scenario", directory: Path) -> list["RunRecord"]:
+    """Run live under an operator's panel; each run is saved into a folder of its own."""
+    from ffsm_drake.show.meshcat.interactive import run_interactive
+
+    click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
+    folders = (
+        folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists()
+    )
+    return run_interactive(
+        scenario, open_browser=True, keep=lambda record: record.save(next(folders))
+    )
 
 
 def _simulate(scenario: "Scenario") -> "RunRecord":

@@ -38,11 +38,7 @@ def reproduce(
       RecordError: a file cannot be written.
       KeyboardInterrupt: Ctrl-C or SIGTERM during the runs; nothing was written.
     """
-    if what not in PARTS:
-        raise FfsmError(f"what: '{what}' is unknown; choose one of {', '.join(PARTS)}")
-    for name, count in (("seeds", seeds), ("workers", workers)):
-        if count < 1:
-            raise FfsmError(f"{name}: must be at least 1, not {count}")
+    _check(what, seeds=seeds, workers=workers)
     directory = Path(directory)
     # Drawing and templates are slow to import, and PARTS needs neither.
     from ffsm_drake.studies.paper import claims, figures, page, runs, table
@@ -76,3 +72,11 @@ def reproduce(
         *[figure for write in drawing.values() for figure in write(results, directory)],
     ]
     return page.write_page(results, rows, drawn, claims.evaluate(results), directory)
+
+
+def _check(what: str, **counts: int) -> None:
+    if what not in PARTS:
+        raise FfsmError(f"what: '{what}' is unknown; choose one of {', '.join(PARTS)}")
+    for name, count in counts.items():
+        if count < 1:
+            raise FfsmError(f"{name}: must be at least 1, not {count}")
