@@ -19,7 +19,7 @@ def reproduce(
     workers: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Path:
-    """Reproduce the paper, or a part of it, into a directory.
+    """Reproduce the paper, or a part of it, into a directory; returns the main file written.
 
     ``table2`` writes table2.html, .md and .csv; ``fig3`` to ``fig5`` write figures/ as PNG and SVG;
     ``all`` writes these and the summary page, reproduction.html (self-contained) and
@@ -30,8 +30,6 @@ def reproduce(
       seeds: number of noise seeds, from 0 on; more give a better mean and spread in Table 2.
       overrides: ``key=value`` for every run, as for ``load_scenario``; the page lists them.
       workers, progress: as for ``ffsm_drake.common.workers.map_tasks``.
-
-    Returns: the main file written.
 
     Raises:
       FfsmError: an unknown part, no seeds or workers, or an unusable override.
