@@ -14,7 +14,7 @@ import dataclasses
 import json
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import Factory, find_factory
 
 _SAMPLES = 25
+Sample = dict[str, np.ndarray]  # inputs of a controller, by port
 
 
 class ConformanceError(AssertionError):
@@ -185,6 +186,10 @@ class _Candidate:
         )
         return controller
 
+    def run(self, scenario: Scenario, samples: Sequence[Sample]) -> np.ndarray:
+        """The forces (n, nv) of a new controller."""
+        return _Bench(self.build(scenario), scenario.sample_time).run(samples)
+
 
 class _Bench:
     """A controller alone, with given inputs sample by sample."""
@@ -195,9 +200,7 @@ class _Bench:
         self._simulator = Simulator(controller, controller.CreateDefaultContext())
         self._sample = 0
 
-    def step(
-        self, inputs: Mapping[str, np.ndarray], *, later: Mapping[str, np.ndarray] | None = None
-    ) -> np.ndarray:
+    def step(self, inputs: Sample, *, later: Sample | None = None) -> np.ndarray:
         """The force (nv) after one sample with inputs; at mid-period with ``later`` if given."""
         context = self._simulator.get_mutable_context()
         self._set(inputs)
@@ -220,14 +223,18 @@ class _Bench:
             ) from error
         return force
 
-    def _set(self, inputs: Mapping[str, np.ndarray]) -> None:
+    def run(self, samples: Sequence[Sample]) -> np.ndarray:
+        """The forces (n, nv) after each sample."""
+        return np.array([self.step(sample) for sample in samples])
+
+    def _set(self, inputs: Sample) -> None:
         context = self._simulator.get_mutable_context()
         for i in range(self._controller.num_input_ports()):
             port = self._controller.get_input_port(i)
             port.FixValue(context, inputs[port.get_name()])
 
 
-def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
+def _inputs(scenario: Scenario, *, seed: int) -> list[Sample]:
     """Samples along the planned motion with small random errors."""
     nominal = make_nominal_plant(scenario)
     coordinates, frame = nominal.coordinates, goal_frame(scenario, nominal.plant)
@@ -254,9 +261,7 @@ def _inputs(scenario: Scenario, *, seed: int) -> list[dict[str, np.ndarray]]:
     return samples
 
 
-def _reordered(
-    samples: list[dict[str, np.ndarray]], order: np.ndarray
-) -> list[dict[str, np.ndarray]]:
+def _reordered(samples: list[Sample], order: np.ndarray) -> list[Sample]:
     """The same samples for a model with its coordinates in another ``order`` (nv)."""
     # the quaternion has one number more
     states = np.concatenate([[0], 1 + order, order.size + 1 + order])
@@ -268,10 +273,6 @@ def _reordered(
         }
         for sample in samples
     ]
-
-
-def _run(bench: _Bench, samples: list[dict[str, np.ndarray]]) -> np.ndarray:
-    return np.array([bench.step(sample) for sample in samples])
 
 
 def _check_ports(candidate: _Candidate, scenario: Scenario) -> str:
@@ -288,7 +289,7 @@ def _check_finite(candidate: _Candidate, scenario: Scenario) -> str:
         samples = _inputs(scenario, seed=seed)
         at_rest = [sample | {"estimated_state": sample["desired_state"]} for sample in samples]
         for situation, given in (("small errors", samples), ("no error at all", at_rest)):
-            force = _run(_Bench(candidate.build(scenario), scenario.sample_time), given)
+            force = candidate.run(scenario, given)
             if not np.isfinite(force).all():
                 sample = int(np.argmin(np.isfinite(force).all(axis=1)))
                 raise ConformanceError(
@@ -299,46 +300,41 @@ def _check_finite(candidate: _Candidate, scenario: Scenario) -> str:
 
 def _check_sampling(candidate: _Candidate, scenario: Scenario) -> str:
     samples, others = _inputs(scenario, seed=2), _inputs(scenario, seed=3)
-    force = _run(_Bench(candidate.build(scenario), scenario.sample_time), samples)
+    force = candidate.run(scenario, samples)
     bench = _Bench(candidate.build(scenario), scenario.sample_time)
     held = np.array(
         [bench.step(sample, later=other) for sample, other in zip(samples, others, strict=True)]
     )
     if not np.array_equal(force, held):
         raise ConformanceError(
-            f"{candidate.name}: the force follows its inputs between two samples; declare it as "
-            "an output of discrete "
-            "state (DeclareStateOutputPort), updated every sample_time"
+            f"{candidate.name}: the force follows its inputs between two samples; declare it as an "
+            "output of discrete state (DeclareStateOutputPort), updated every sample_time"
         )
     if all(np.array_equal(force[0], later) for later in force[1:]):
         raise ConformanceError(
             f"{candidate.name}: the force never changes; declare a periodic update every "
-            "sample_time "
-            f"({scenario.sample_time:g} s), offset 0"
+            f"sample_time ({scenario.sample_time:g} s), offset 0"
         )
     return "one update per period, the force held in between"
 
 
 def _check_memory(candidate: _Candidate, scenario: Scenario) -> str:
     samples, others = _inputs(scenario, seed=4), _inputs(scenario, seed=5)
-    first = _run(_Bench(candidate.build(scenario), scenario.sample_time), samples)
-    if not np.array_equal(
-        first, _run(_Bench(candidate.build(scenario), scenario.sample_time), samples)
-    ):
+    first = candidate.run(scenario, samples)
+    if not np.array_equal(first, candidate.run(scenario, samples)):
         raise ConformanceError(
             f"{candidate.name}: two new controllers give different forces for the same inputs; "
             "draw random numbers from an input port, and keep no state in the module or class"
         )
     remedy = "a controller must keep its state in the context (discrete state), not on self"
     controller = candidate.build(scenario)
-    _run(_Bench(controller, scenario.sample_time), others)
-    again = _run(_Bench(controller, scenario.sample_time), samples)
+    _Bench(controller, scenario.sample_time).run(others)
+    again = _Bench(controller, scenario.sample_time).run(samples)
     if not np.array_equal(first, again):
         where = int(np.argmin((first == again).all(axis=1)))
         raise ConformanceError(
             f"{candidate.name}: hides state on self: after a reset, the force at sample {where} "
-            "depends on the run "
-            f"before; {remedy}"
+            f"depends on the run before; {remedy}"
         )
     controller = candidate.build(scenario)
     one, two = (_Bench(controller, scenario.sample_time) for _ in range(2))
@@ -362,15 +358,15 @@ def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
         listed, otherwise = (make_nominal_plant(model).coordinates.names for model in (one, two))
         order = np.array([listed.index(name) for name in otherwise])
         samples = _inputs(one, seed=6)
-        first = _run(_Bench(candidate.build(one), one.sample_time), samples)
-        second = _run(_Bench(candidate.build(two), two.sample_time), _reordered(samples, order))
+        first = candidate.run(one, samples)
+        second = candidate.run(two, _reordered(samples, order))
     back = second[:, np.argsort(order)]
     if not np.allclose(first, back, rtol=1e-6, atol=1e-9 * max(1.0, float(np.abs(first).max()))):
         worst = listed[int(np.argmax(np.abs(first - back).max(axis=0)))]
         raise ConformanceError(
             f"{candidate.name}: the force on '{worst}' changes when the model lists its joints in "
-            "another order; "
-            "give gains by name (gain(...), or setup.coordinates.vector), not by index"
+            "another order; give gains by name (gain(...), or setup.coordinates.vector), not by "
+            "index"
         )
     return "forces follow the joints' names, not their order"
 
@@ -430,6 +426,6 @@ def _update_time(candidate: _Candidate, scenario: Scenario) -> float:
         bench = _Bench(candidate.build(scenario), scenario.sample_time)
         bench.step(samples[0])
         start = time.perf_counter()
-        _run(bench, samples)
+        bench.run(samples)
         best = min(best, (time.perf_counter() - start) / len(samples))
     return float(best)

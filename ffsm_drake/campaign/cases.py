@@ -1,6 +1,4 @@
-"""The cases of a campaign: number -> seed and values, and the scenario that follows for a
-controller.
-"""
+"""The cases of a campaign: number -> seed and values, and their scenario for a controller."""
 
 import copy
 import dataclasses
@@ -27,7 +25,7 @@ def make_cases(spec: Spec) -> Iterator[Case]:
     """All cases of a campaign, in their order.
 
     Raises:
-      CampaignError: a rule cannot be applied to what it names.
+      CampaignError: a rule cannot be applied to its sources.
     """
     distributions = spec.distributions
     sampled = [name for name, distribution in distributions.items() if distribution.uses_point]
@@ -46,7 +44,7 @@ def make_case(spec: Spec, index: int, drawn: Mapping[str, Any]) -> Case:
     """The case with given values of all parameters and factors.
 
     Raises:
-      CampaignError: a rule cannot be applied to what it names.
+      CampaignError: a rule cannot be applied to its sources.
     """
     values = dict(drawn)
     for name, rule in spec.derive.items():
@@ -57,11 +55,8 @@ def make_case(spec: Spec, index: int, drawn: Mapping[str, Any]) -> Case:
         except OverflowError:
             values[name] = math.inf
     for name, value in values.items():
-        if not all(
-            math.isfinite(x)
-            for x in (value if isinstance(value, list) else [value])
-            if isinstance(x, float)
-        ):
+        numbers = value if isinstance(value, list) else [value]
+        if not all(math.isfinite(x) for x in numbers if isinstance(x, float)):
             raise CampaignError(f"{name}: is not finite in case {index}: {value}")
     return Case(index=index, seed=case_seed(spec.seed, index), values=values)
 

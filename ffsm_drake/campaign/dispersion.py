@@ -1,15 +1,15 @@
-"""What a campaign disperses: distributions, the points they are sampled at, and rules for derived
-values.
+"""Distributions of a campaign's values, their sampling points, and rules for derived values.
 
 A rule computes a value from others of the same case:
 
-  scale         of (one name or several) multiplied with each other and with ``by`` (a number or a
-  list; default 1) sum           of (several names), added up; lists of the same length element by
-  element relative      of * (1 + error) direction     of * (sqrt(1 - h^2) cos a, sqrt(1 - h^2) sin
-  a, h), with height h and azimuth a (rad): every direction
-                as likely where h is uniform in -1 to 1 and a in 0 to 2 pi
-  solid_cube    inertia of a homogeneous cube: mass side^2 / 6 about each axis
-  solid_sphere  inertia of a homogeneous sphere: 2/5 mass radius^2 about each axis
+- scale: of (one name or several) multiplied with each other and with by (a number or a list;
+  default 1)
+- sum: of (several names), added up; lists of the same length element by element
+- relative: of * (1 + error)
+- direction: of * (sqrt(1 - h^2) cos a, sqrt(1 - h^2) sin a, h), with height h and azimuth a (rad);
+  with h uniform in -1 to 1 and a in 0 to 2 pi all directions are equally likely
+- solid_cube: inertia of a homogeneous cube, mass side^2 / 6 about each axis
+- solid_sphere: inertia of a homogeneous sphere, 2/5 mass radius^2 about each axis
 
 A name is a factor, a parameter, a value derived before, or any other key of the scenario.
 """
@@ -40,7 +40,7 @@ def unit_points(sampling: str, *, cases: int, dimensions: int, seed: int) -> np.
     if sampling == "random":
         points = generator.random((cases, dimensions))
     else:
-        # here: it takes longer to load than all else, and workers are given their cases
+        # here: slow to load, and workers, which are given their cases, do not need it
         from scipy.stats import qmc
 
         kind = qmc.LatinHypercube if sampling == "latin_hypercube" else qmc.Sobol
@@ -49,9 +49,7 @@ def unit_points(sampling: str, *, cases: int, dimensions: int, seed: int) -> np.
 
 
 def case_seed(seed: int, case: int) -> int:
-    """The scenario's random_seed of one case: 31 bits of NumPy's SeedSequence(seed, spawn_key=(1,
-    case)).
-    """
+    """``random_seed`` of a case: 31 bits of NumPy's SeedSequence(seed, spawn_key=(1, case))."""
     return int(np.random.SeedSequence(seed, spawn_key=(1, case)).generate_state(1)[0]) >> 1
 
 
@@ -80,13 +78,8 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
     Raises:
       CampaignError: an unknown distribution or field, a missing one, or numbers out of range.
     """
-    kind = _kind_of(
-        data,
-        "distribution",
-        _DISTRIBUTIONS,
-        place=place,
-        example="distribution: uniform, low: 0, high: 1",
-    )
+    example = "distribution: uniform, low: 0, high: 1"
+    kind = _kind_of(data, "distribution", _DISTRIBUTIONS, place=place, example=example)
     if kind in ("choice", "list"):
         levels = _levels(data["values"], place=f"{place}.values")
         values = list(levels.values())
@@ -94,9 +87,7 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
             return Distribution(
                 value=lambda u, case: values[case % len(values)], uses_point=False, levels=levels
             )
-        return Distribution(
-            value=lambda u, case: values[min(int(u * len(values)), len(values) - 1)]
-        )
+        return Distribution(value=lambda u, case: values[int(u * len(values))])
     first, second = (number(data[name], place=f"{place}.{name}") for name in _DISTRIBUTIONS[kind])
     if kind == "normal":
         if second <= 0.0:
@@ -154,6 +145,7 @@ _RULES = {
     "solid_cube": ("mass", "side"),
     "solid_sphere": ("mass", "radius"),
 }
+_SOLIDS = {"solid_cube": 1.0 / 6.0, "solid_sphere": 0.4}  # inertia over mass times size^2
 
 
 def parse_rule(data: Any, *, place: str) -> Rule:
@@ -177,12 +169,10 @@ def parse_rule(data: Any, *, place: str) -> Rule:
         if len(sources) > 1 or len(places) > 2:
             raise CampaignError(f"{place}: direction takes one name each of of, height and azimuth")
         return Rule(sources=(*sources, *places), apply=_direction)
-    if kind == "solid_cube":
-        side = number(data["side"], place=f"{place}.side")
-        return Rule(sources=sources, apply=lambda m: [_single(m[0]) * side * side / 6.0] * 3)
-    if kind == "solid_sphere":
-        radius = number(data["radius"], place=f"{place}.radius")
-        return Rule(sources=sources, apply=lambda m: [0.4 * _single(m[0]) * radius * radius] * 3)
+    if kind in _SOLIDS:
+        name, factor = _RULES[kind][1], _SOLIDS[kind]
+        size = number(data[name], place=f"{place}.{name}")
+        return Rule(sources=sources, apply=lambda m: [factor * _single(m[0]) * size * size] * 3)
     if kind == "sum":
         return Rule(sources=sources, apply=_sum)
     by = data.get("by", 1.0)
@@ -261,8 +251,8 @@ def check_plain(data: Any, *, place: str) -> None:
             )
     elif not (data is None or isinstance(data, float)):
         raise CampaignError(
-            f"{place}: must be a number, text, list or mapping, not a "
-            f"{type(data).__name__}; quote it"
+            f"{place}: must be a number, text, list or mapping, not a {type(data).__name__}; quote "
+            "it"
         )
 
 
@@ -276,7 +266,7 @@ def check_keys(data: Mapping[str, Any], valid: tuple[str, ...], *, place: str) -
 def _kind_of(
     data: Any, key: str, fields: Mapping[str, tuple[str, ...]], *, place: str, example: str
 ) -> str:
-    """What an entry says under ``key``; its other keys must be the kind's fields, all of them."""
+    """The kind named under ``key``; the entry's other keys must be the fields of that kind."""
     if not isinstance(data, Mapping):
         raise CampaignError(f"{place}: must be a mapping such as {{{example}}}")
     kind = data.get(key)
@@ -298,9 +288,7 @@ def _names(data: Any, *, place: str) -> tuple[str, ...]:
 
 
 def _tidy(value: Any, *, place: str) -> Any:
-    """A value for the scenario; numbers must be finite, also within lists and mappings and where
-    YAML has text.
-    """
+    """A value for the scenario; numbers, also nested ones and those in text, must be finite."""
     if isinstance(value, Mapping):
         return {name: _tidy(item, place=f"{place}.{name}") for name, item in value.items()}
     if isinstance(value, list):
@@ -330,8 +318,7 @@ def get_value(data: Any, key: str) -> Any:
 
 
 def set_value(data: Any, key: str, value: Any) -> None:
-    """Write the value at a dotted key; missing mappings are added; the scenario's schema checks
-    them later.
+    """Write the value at a dotted key; missing mappings are added. The schema is checked later.
 
     Raises:
       CampaignError: the key leads through a single value, or past the end of a list.
@@ -345,7 +332,7 @@ def set_value(data: Any, key: str, value: Any) -> None:
 
 
 def _entry(data: Any, part: str, key: str) -> int | str:
-    """The part of a key as what indexes a mapping or a list."""
+    """Index into a mapping or list for one part of a dotted key."""
     if isinstance(data, dict):
         return part
     if not isinstance(data, list):

@@ -28,7 +28,7 @@ from ffsm_drake.runs.metrics import base_drift
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.tracking import frame_metrics, frame_rows
-from ffsm_drake.scenario import Actuation, Scenario, scenario_from_dict
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.reference import timed
@@ -40,13 +40,13 @@ _BY_GROUP = [
 ]
 METRICS = ("itae", "isv", *(f"{kind}_{group}" for kind, group in _BY_GROUP), "settled_time")
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
-# Further columns where the scenario has a capture. The first limit that a run leaves is text.
+# Further columns of a scenario with a capture; FIRST_LIMIT, which a run exceeds first, is text.
 OF_CAPTURE = ("grasp_impulse", "grasp_angular_impulse", "first_limit_time")
-# Further columns where a frame has a reference: its errors, rad and m; where the base is not
-# driven: how far it is from its start at the end, rad and m.
+# Further columns of a frame with a reference: its errors, rad and m.
 OF_FRAME = {
     part: (f"largest_frame_{part}", f"final_frame_{part}") for part in ("rotation", "position")
 }
+# Further columns of an undriven base: its final drift, rad and m.
 OF_DRIFT = {"base_rotation": "final_drift_rotation", "base_position": "final_drift_position"}
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
 DIVERGENCE = "predicted_divergence"  # with parts that are rehearsed
@@ -54,46 +54,32 @@ DIVERGENCE = "predicted_divergence"  # with parts that are rehearsed
 
 def metrics_of(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign that a run's metrics fill."""
-    of_capture = OF_CAPTURE if spec.base["capture"] is not None else ()
-    of_frame = (name for part in frame_parts(spec) for name in OF_FRAME[part])
-    of_drift = (OF_DRIFT[group] for group in undriven_of(spec))
-    return (*METRICS, *of_capture, *part_columns(spec), *of_frame, *of_drift)
+    metrics = (metric for part in parts_of_campaign(spec) for metric in part.metrics())
+    return (
+        *METRICS,
+        *(OF_CAPTURE if spec.scenario.capture else ()),
+        *(metric.column_name for metric in metrics if metric.column_name),
+        *(name for part in frame_parts(spec) for name in OF_FRAME[part]),
+        *(OF_DRIFT[group] for group in spec.scenario.undriven),
+    )
 
 
 def parts_of_campaign(spec: Spec) -> tuple[Part, ...]:
-    """The parts of its scenario."""
-    scenario = scenario_from_dict(spec.base)
-    return (*section_parts(scenario).values(), *parts_of(scenario).values())
-
-
-def part_columns(spec: Spec) -> tuple[str, ...]:
-    """The columns that the figures of a campaign's parts fill."""
-    metrics = (metric for part in parts_of_campaign(spec) for metric in part.metrics())
-    return tuple(metric.column_name for metric in metrics if metric.column_name)
+    """The parts of a campaign's scenario."""
+    return (*section_parts(spec.scenario).values(), *parts_of(spec.scenario).values())
 
 
 def frame_parts(spec: Spec) -> tuple[str, ...]:
-    """What a campaign's scenario prescribes of a frame: ``rotation``, ``position``, both or
-    nothing.
-    """
-    task = (spec.base["reference"]["frame"] or {"task": "none"})["task"]
-    return {
-        "pose": ("rotation", "position"),
-        "attitude": ("rotation",),
-        "position": ("position",),
-    }.get(task, ())
-
-
-def undriven_of(spec: Spec) -> tuple[str, ...]:
-    """The groups of coordinates that nothing drives in a campaign's scenario."""
-    return Scenario(actuation=Actuation(driven=spec.base["actuation"]["driven"])).undriven
+    """Prescribed parts of a frame's pose: ``rotation``, ``position``, both or none."""
+    frame = spec.scenario.reference.frame
+    parts = {"pose": tuple(OF_FRAME), "attitude": ("rotation",), "position": ("position",)}
+    return () if frame is None else parts.get(frame.task, ())
 
 
 def predictions_of(spec: Spec) -> tuple[str, ...]:
-    """The columns of a campaign that predictions fill: below 1 a run is foreseen to settle."""
-    of_capture = (LOAD,) if spec.base["capture"] is not None else ()
-    rehearsed = is_rehearsed(scenario_from_dict(spec.base))
-    return (*PREDICTIONS, *of_capture, *((DIVERGENCE,) if rehearsed else ()))
+    """The columns of a campaign's predictions; all below 1: the run is predicted to settle."""
+    load = (LOAD,) if spec.scenario.capture else ()
+    return (*PREDICTIONS, *load, *((DIVERGENCE,) if is_rehearsed(spec.scenario) else ()))
 
 
 # Columns that differ between repetitions.
@@ -143,8 +129,9 @@ class Evaluator:
                 # a user-supplied block that cannot be linearised: no prediction
                 with contextlib.suppress(BlockError):
                     row |= dict(zip(self._predictions, predict(scenario), strict=False))
-        except LimitError as error:
-            row = dict.fromkeys(row) | _refused_row(error)
+        except LimitError as error:  # no motion keeps the limits
+            refused = {"outcome": "refused", FIRST_LIMIT: error.limit}
+            row = dict.fromkeys(row) | error_row(str(error)) | refused
         except (Exception, TimeLimit) as error:
             if isinstance(error, TimeLimit):
                 self._rollouts.pop(controller, None)  # it may be half done
@@ -181,7 +168,7 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     values = {"itae": metrics["itae"], "isv": metrics["isv"], "settled_time": settled_time}
     values |= {f"{kind}_{group}": metrics[kind][group] for kind, group in _BY_GROUP}
     text = {"outcome": outcome, "message": message}
-    if spec.base["capture"] is not None:
+    if spec.scenario.capture:
         left = limits_left(log)
         first = min(left, key=lambda name: left[name], default="")
         text[FIRST_LIMIT], values["first_limit_time"] = first, left.get(first)
@@ -190,30 +177,19 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
                 "outcome": "not_settled",
                 "message": f"parts come too near at t = {left[CLEARANCE]:.2f} s",
             }
-        impulse = (
-            np.full(6, np.nan)
-            if log.grasp is None or log.grasp.contact is None
-            else log.grasp.contact.impulse
-        )
-        values["grasp_angular_impulse"], values["grasp_impulse"] = (
-            float(np.linalg.norm(part)) for part in np.split(impulse, 2)
-        )
+        if log.grasp is not None and log.grasp.contact is not None:
+            angular, linear = np.split(log.grasp.contact.impulse, 2)
+            values["grasp_angular_impulse"] = float(np.linalg.norm(angular))
+            values["grasp_impulse"] = float(np.linalg.norm(linear))
     if log.frame_error is not None:
         sizes = frame_metrics(log.frame_error, frame_rows(log.scenario))
         for part in frame_parts(spec):
-            values |= dict(
-                zip(
-                    OF_FRAME[part],
-                    (sizes[moment][part] for moment in ("largest", "final")),
-                    strict=True,
-                )
-            )
-    if undriven := undriven_of(spec):
+            for column, moment in zip(OF_FRAME[part], ("largest", "final"), strict=True):
+                values[column] = sizes[moment][part]
+    if undriven := spec.scenario.undriven:
         drift = base_drift(log.series["state"], undriven)["final"]
         values |= {OF_DRIFT[group]: size for group, size in drift.items()}
-    for figure in log.figures:
-        if figure.column_name:
-            values[figure.column_name] = figure.value
+    values |= {each.column_name: each.value for each in log.figures if each.column_name}
     # The database knows no NaN.
     row = {
         name: None if value is None or math.isnan(value) else float(value)
@@ -233,11 +209,6 @@ def error_row(message: str) -> Row:
     return {"outcome": "error", "outcome_time": None, "message": message, FIRST_LIMIT: None}
 
 
-def _refused_row(error: LimitError) -> Row:
-    """The results in the row of a case for which there is no motion within the limits."""
-    return {**error_row(str(error)), "outcome": "refused", FIRST_LIMIT: error.limit}
-
-
 def resident_memory() -> float:
     """Memory of this process that is in use, MiB; its peak where the system does not report it."""
     try:
@@ -249,10 +220,6 @@ def resident_memory() -> float:
 
 
 def differing_columns(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
-    """Of the columns that a repeated run must reproduce bit for bit, those that differ."""
-    left = {*CIRCUMSTANCES, *PREDICTIONS, LOAD, DIVERGENCE}
-    return [
-        name
-        for name in first
-        if name in second and name not in left and first[name] != second[name]
-    ]
+    """Columns that differ, among those that a repeated run must reproduce bit for bit."""
+    compared = {*first} & {*second} - {*CIRCUMSTANCES, *PREDICTIONS, LOAD, DIVERGENCE}
+    return [name for name in first if name in compared and first[name] != second[name]]

@@ -33,8 +33,7 @@ def plan_text(spec: Spec, *, workers: int) -> str:
     lines = [
         spec.description or "campaign",
         f"{spec.cases} cases ({spec.sampling}, seed {spec.seed}), each with "
-        f"{', '.join(spec.controllers)}: "
-        f"{spec.runs} runs",
+        f"{', '.join(spec.controllers)}: {spec.runs} runs",
         f"settled: |e| within {tolerance} (rad, m) throughout the last {spec.settled.hold:g} s",
         "",
         f"{'value':<{width}}" + "".join(f"{f'case {case.index}':>14}" for case in first),
@@ -77,8 +76,8 @@ def status_text(store: Store) -> str:
             + f"{mean:>9}"
         )
     memory = (
-        "SELECT avg(rss_mib), max(rss_mib) FROM (SELECT rss_mib FROM results ORDER BY "
-        "case_index {} LIMIT ?)"
+        "SELECT avg(rss_mib), max(rss_mib) FROM (SELECT rss_mib FROM results ORDER BY case_index "
+        "{} LIMIT ?)"
     )
     if done:
         first, last = (
@@ -87,10 +86,9 @@ def status_text(store: Store) -> str:
         if first[0] is not None and last[0] is not None:
             lines += [
                 "",
-                f"memory of a worker: mean {first[0]:.0f} MiB, largest {first[1]:.0f} MiB over "
-                "the first "
-                f"{min(done, _WINDOW)} runs; {last[0]:.0f} and {last[1]:.0f} MiB over the last "
-                f"(replaced at {MEMORY_LIMIT:.0f} MiB)",
+                f"memory of a worker: mean {first[0]:.0f} MiB, largest {first[1]:.0f} MiB over the "
+                f"first {min(done, _WINDOW)} runs; {last[0]:.0f} and {last[1]:.0f} MiB over the "
+                f"last (replaced at {MEMORY_LIMIT:.0f} MiB)",
             ]
     return "\n".join(lines)
 

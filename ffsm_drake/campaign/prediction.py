@@ -1,5 +1,4 @@
-"""Stability predicted from the closed loop as it is wired: of one case, cheap enough for every run,
-and over a map.
+"""Stability predicted from the closed loop as it is wired: for every run, and as a map.
 
 A map is the predicted boundary over two of a campaign's values, the others at their medians.
 """
@@ -8,7 +7,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -26,51 +25,46 @@ from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.limits import limits_of
 from ffsm_drake.systems.reference import timed
 
-_ANSWER = 1.0  # s; in which the loop answers to a wrong velocity at the start
+_ANSWER = 1.0  # s; response of the loop to a wrong velocity at the start
 _INSTANTS = 101  # of the plan after that
 POINTS = 11  # along each axis
 REFINEMENT = 3  # finer by this near the boundary
 
 
-def predict_stability(scenario: Scenario, *, postures: int = 1) -> tuple[float, float]:
-    """Spectral radii of the closed loop as it is wired, the worst over the postures looked at;
-    below 1 it is stable.
-
-    The first is at the starting gains, the second with every K_s at the largest value that
-    adaptation is expected to reach. The postures are those of the planned motion with the most
-    over-estimated inertia, ``postures`` of five. Raises ModelError, ScenarioError or BlockError
-    where a value cannot be used or a block cannot be linearised.
-    """
-    scenario = from_grasp(scenario)
-    with Linearizer(scenario) as linearizer:
-        return _radii(linearizer, _most_overestimated(scenario)[:postures])
-
-
 def predict(scenario: Scenario) -> tuple[float, ...]:
-    """What tells of a run beforehand whether it settles: every number below 1.
+    """Predictors of settling; all below 1: the run is predicted to settle.
 
-    The two of ``predict_stability``; with a capture and limits of force also ``predicted_load``;
-    with parts that are rehearsed also whether the linearised loop diverges under their limits, 0 or
-    1 (``rehearse``).
+    The first two are spectral radii of the closed loop as it is wired, in the posture of the
+    planned motion with the most over-estimated inertia: at the starting gains, and with every K_s
+    at the largest value that adaptation is expected to reach. With a capture ``predicted_load``
+    follows; with parts that are rehearsed also whether the linearised loop diverges under their
+    limits, 0 or 1 (``rehearse``).
+
+    Raises ModelError, ScenarioError or BlockError: a value cannot be used, or a block cannot be
+    linearised.
     """
     scenario = from_grasp(scenario)
+    time = _most_overestimated(scenario)
     with Linearizer(scenario) as linearizer:
-        found = list(_radii(linearizer, _most_overestimated(scenario)[:1]))
+        loop = linearizer.at(time)
+        starting = expected = loop.spectral_radius
+        if starting < 1.0 and (held := expected_gains(linearizer, loop)):
+            expected = linearizer.at(time, held=held).spectral_radius
+        found = [starting, expected]
         if scenario.capture is not None:
             found.append(predicted_load(linearizer))
         if is_rehearsed(scenario):
-            stable = max(found[:2]) < 1.0
+            stable = max(starting, expected) < 1.0
             found.append(rehearse(scenario, seeds=1).share_diverged if stable else 1.0)
         return tuple(found)
 
 
 def predicted_load(linearizer: Linearizer) -> float:
-    """The largest share of its limit that a force takes after a grasp, without noise; beyond 1 it
-    saturates.
+    """Largest force after a grasp, without noise, as a fraction of its limit; above 1 it saturates.
 
-    The first second, in which the loop answers to the difference between the true velocity after
-    the grasp and that of the plan, is run without noise and limits. From there on it is what
-    perfect tracking of the plan takes with the true payload, less the disturbance.
+    The first second, in which the loop responds to the difference between true and planned velocity
+    after the grasp, is run without noise and limits. After that it is the force of perfect tracking
+    with the true payload, less the disturbance.
     """
     scenario, motion = linearizer.given, linearizer.motion
     answer = min(round(_ANSWER / scenario.sample_time), scenario.num_control_periods)
@@ -83,31 +77,17 @@ def predicted_load(linearizer: Linearizer) -> float:
     return float(np.nan_to_num(share, nan=np.inf).max())
 
 
-def _radii(linearizer: Linearizer, times: Sequence[float]) -> tuple[float, float]:
-    loops = [linearizer.at(time) for time in times]
-    starting = max(loop.spectral_radius for loop in loops)
-    held = expected_gains(linearizer, loops[0]) if starting < 1.0 else {}
-    return starting, max(
-        linearizer.at(time, held=held).spectral_radius for time in times
-    ) if held else starting
-
-
-def _most_overestimated(scenario: Scenario) -> list[float]:
-    """Times (s) of the postures, the one with the largest inertia ratio first, of equal ones the
-    earliest.
-    """
+def _most_overestimated(scenario: Scenario) -> float:
+    """Time (s) of the posture with the largest inertia ratio, of equal ones the earliest."""
     planned = PlannedDynamics(scenario)
     times = [planned.motion.part(share) for share in POSTURES]
     # beyond nine digits: rounding
-    ratio = {time: round(planned.ratios(time)[-1], 9) for time in times}
-    return sorted(times, key=lambda time: -ratio[time])
+    return max(times, key=lambda time: round(planned.ratios(time)[-1], 9))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class StabilityMap:
-    """The largest of what is predicted (``predict``) over a grid, NaN where there is no
-    prediction.
-    """
+    """The largest predictor (``predict``) over a grid; NaN: no prediction."""
 
     x_name: str
     y_name: str
@@ -119,11 +99,9 @@ class StabilityMap:
     fixed: Mapping[str, object]  # the other sampled values
 
     def side(self, controller: str) -> np.ndarray:
-        """The radius (n, m) clipped to 1 +- 0.1, so that the boundary is drawn midway between
-        points on either side.
-        """
+        """The radius (n, m) clipped to 1 +- 0.1: the boundary lies midway between grid points."""
         radius = self.radius[controller]
-        if np.isnan(radius).all():  # nothing is predicted of this controller: no boundary
+        if np.isnan(radius).all():  # no prediction for this controller, so no boundary
             return np.full_like(radius, 0.9)
         return np.clip(np.nan_to_num(radius, nan=np.inf), 0.9, 1.1)
 
@@ -177,15 +155,9 @@ def predict_map(
         if progress is not None:
             progress(k + 1, len(spec.controllers))
     return StabilityMap(
-        x_name=axes[0],
-        y_name=axes[1],
-        x=x,
-        y=y,
-        x_log=log[0],
-        y_log=log[1],
-        radius=radius,
-        fixed=fixed,
-    )
+        x_name=axes[0], y_name=axes[1], x=x, y=y, x_log=log[0], y_log=log[1],
+        radius=radius, fixed=fixed,
+    )  # fmt: skip
 
 
 def _refined(predict: Callable[[int, int], float], size: int) -> np.ndarray:

@@ -27,8 +27,8 @@ from ffsm_drake.preflight.simulate import make_record
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.record import RunRecord
 
-# A process that has grown to this is replaced: Drake keeps every diagram with a system written in
-# Python alive, some 4 MiB for each closed loop that has to be built anew.
+# Memory at which a process is replaced: Drake keeps every diagram with a Python system alive, some
+# 4 MiB for each closed loop that is built.
 MEMORY_LIMIT = 700.0  # MiB
 _TRIED = 20
 _LOST = {
@@ -42,7 +42,7 @@ _LOST = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Where a campaign stands."""
+    """Progress of a campaign."""
 
     done: int  # runs stored, those of earlier sessions included
     total: int
@@ -82,13 +82,13 @@ def duration_text(seconds: float) -> str:
 
 
 def check_cases(spec: Spec) -> None:
-    """Build a case of every controller, so that a wrong key shows before anything is run.
+    """Build a case of every controller, so that a wrong key is found before anything is run.
 
-    One case may have an impossible value and become an error row; that the first few all have is a
-    mistake.
+    One case may have an impossible value and become an error row; if each of the first few has one,
+    the specification is wrong.
 
     Raises:
-      CampaignError, ModelError, ScenarioError: what would make every run fail.
+      CampaignError, ModelError, ScenarioError: every run would fail.
     """
     check_columns(spec)
     for controller in spec.controllers:
@@ -119,8 +119,8 @@ def run_campaign(
     """Run a campaign on this machine into a new database.
 
     Args:
-      spec: what to run: a shipped name, a file, or what ``load_spec`` gives.
-      database: the file to make.
+      spec: a shipped name, a file, or a specification from ``load_spec``.
+      database: the new file.
       workers: processes; default: one per processor.
       progress: called after every batch of results.
 
@@ -164,7 +164,7 @@ def resume_campaign(
     stop: Stop | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
-    """Run what a database still lacks; arguments and errors as for ``start_campaign``."""
+    """Run the remaining cases of a database; arguments and errors as for ``start_campaign``."""
     with open_store(path, writing=True) as store:
         _drive(store, workers, stop, progress)
 
@@ -206,12 +206,12 @@ def _drive(
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Repeated:
-    """A run made once more, and how it compares with what the database holds."""
+    """A repeated run, compared with the stored row."""
 
-    record: RunRecord | None  # None where the run comes to nothing again
+    record: RunRecord | None  # None: the run failed again
     stored: Row
     repeated: Row
-    differences: list[str]  # columns that are not the same bits
+    differences: list[str]  # columns that differ
 
 
 def repeat_run(store: Store, case: Case, controller: str) -> Repeated:

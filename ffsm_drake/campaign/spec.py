@@ -1,9 +1,8 @@
-"""The specification of a campaign: which scenario, which controllers, what is dispersed, what
-counts as settled.
-"""
+"""The specification of a campaign: scenario, controllers, dispersed values, settling criterion."""
 
 import copy
 import dataclasses
+import functools
 import hashlib
 import itertools
 import json
@@ -32,6 +31,7 @@ from ffsm_drake.scenario import (
     anchor_paths,
     load_scenario,
     relate_paths,
+    scenario_from_dict,
     scenario_to_dict,
     shipped_scenarios,
     shown,
@@ -62,7 +62,7 @@ _KEYS = (
 _MOST_CASES, _MOST_VALUES, _MOST_NUMBERS = 1_000_000, 1000, 20_000_000
 _LARGEST_SEED = 2**53  # beyond, a number read as floating point is another
 _TIME_LIMIT = 600.0  # s
-# What the campaign sets by itself.
+# Keys that the campaign itself sets.
 _RESERVED = {
     "random_seed": "follows from 'seed' and the case's number",
     "controller": "belongs into 'controllers'",
@@ -71,9 +71,7 @@ _RESERVED = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settled:
-    """Every |e| that counts is within its group's tolerance throughout the last ``hold`` seconds of
-    the run.
-    """
+    """Settling: each tracked error stays within its group's tolerance over the last ``hold`` s."""
 
     hold: float  # s; 0: the last sample alone
     tolerance: Mapping[str, float]  # rad or m, by group
@@ -101,9 +99,9 @@ class Settled:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Spec:
-    """A campaign, whole: what follows from it follows from nothing else."""
+    """A campaign's specification; the cases and their results depend on nothing else."""
 
-    # as written, and the scenario as plain data: what ``spec_from_data`` takes back
+    # as written, with the resolved scenario under ``base``; ``spec_from_data`` reads it back
     data: Mapping[str, Any]
     controllers: tuple[str, ...]
     cases: int
@@ -113,13 +111,18 @@ class Spec:
     factors: Mapping[str, Distribution]  # by free name, for ``derive``
     derive: Mapping[str, Rule]  # by dotted scenario key, in the order of evaluation
     settled: Settled
-    time_limit: float  # s of wall time, after which a run is ended and becomes an error row
+    time_limit: float  # s of wall time; a run that takes longer becomes an error row
 
     @property
     def base(self) -> dict[str, Any]:
         """The scenario without any case's values, as plain data; not to be changed."""
         base: dict[str, Any] = self.data["base"]
         return base
+
+    @functools.cached_property
+    def scenario(self) -> Scenario:
+        """The scenario without any case's values."""
+        return scenario_from_dict(self.base)
 
     @property
     def description(self) -> str:
@@ -137,8 +140,8 @@ class Spec:
 
     @property
     def strides(self) -> dict[str, int]:
-        """How many cases in a row have the same value of a list: 1, in a grid as many as the lists
-        after it have combinations.
+        """Number of successive cases with the same value of a list: 1; in a grid, the number of
+        combinations of the lists after it.
         """
         strides, names = {}, tuple(self.distributions)
         for i, name in enumerate(names):
@@ -208,9 +211,7 @@ def load_spec(name_or_path: str | Path) -> Spec:
 
 
 def _with_python_path(spec: Spec) -> Spec:
-    """The specification with the folders of all user-supplied modules: a campaign is resumed from
-    any folder.
-    """
+    """Add the folders of all user-supplied modules, so that any folder can resume the campaign."""
     base = spec.base
     blocks = [(name, base["blocks"][name]) for name in ("reference", "actuation")]
     blocks += [
@@ -226,7 +227,7 @@ def _with_python_path(spec: Spec) -> Spec:
 
 
 def spec_from_json(text: str, folder: Path | None = None) -> Spec:
-    """What ``Spec.to_json`` wrote for the same folder. Raises CampaignError when it is not that."""
+    """The inverse of ``Spec.to_json`` for the same folder. Raises CampaignError for other text."""
     try:
         data = json.loads(text)
     except ValueError as error:
@@ -275,9 +276,7 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
         factors=factors,
         derive=derive,
         settled=parse_settled(
-            data.get("settled", {}),
-            place="settled",
-            base=Scenario(tolerance=data["base"]["tolerance"]),
+            data.get("settled", {}), Scenario(tolerance=data["base"]["tolerance"])
         ),
         time_limit=time_limit,
     )
@@ -285,35 +284,38 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
     return spec
 
 
-def parse_settled(data: Any, *, place: str, base: Scenario | None = None) -> Settled:
-    """The criterion of a specification; what it does not say is the tolerance of the scenario
-    ``base``.
+def parse_settled(data: Any, scenario: Scenario) -> Settled:
+    """The criterion under ``settled``; groups that it leaves out have the scenario's tolerance.
 
     Raises CampaignError for an unknown key or a value out of range.
     """
     if not isinstance(data, Mapping):
-        raise CampaignError(f"{place}: must be a mapping with hold, tolerance and rest")
-    check_keys(data, ("hold", "tolerance", "rest"), place=place)
-    hold = number(data.get("hold", 2.0), place=f"{place}.hold")
+        raise CampaignError("settled: must be a mapping with hold, tolerance and rest")
+    check_keys(data, ("hold", "tolerance", "rest"), place="settled")
+    hold = number(data.get("hold", 2.0), place="settled.hold")
     if hold < 0.0:
-        raise CampaignError(f"{place}.hold: must be >= 0 s, not {hold:g}")
-    base, given = base or Scenario(), data.get("tolerance", {})
+        raise CampaignError(f"settled.hold: must be >= 0 s, not {hold:g}")
+    given = data.get("tolerance", {})
     if not isinstance(given, Mapping):
-        raise CampaignError(f"{place}.tolerance: must be a mapping by group: {', '.join(GROUPS)}")
-    check_keys(given, GROUPS, place=f"{place}.tolerance")
+        raise CampaignError(f"settled.tolerance: must be a mapping by group: {', '.join(GROUPS)}")
+    check_keys(given, GROUPS, place="settled.tolerance")
     tolerance = {
-        group: number(
-            given.get(group, base.tolerance_of(group)), place=f"{place}.tolerance.{group}"
+        group: _positive(
+            given.get(group, scenario.tolerance_of(group)), place=f"settled.tolerance.{group}"
         )
         for group in GROUPS
     }
-    for group, value in tolerance.items():
-        if value <= 0.0:
-            raise CampaignError(f"{place}.tolerance.{group}: must be > 0, not {value:g}")
     rest = data.get("rest")
-    if rest is not None and (rest := number(rest, place=f"{place}.rest")) <= 0.0:
-        raise CampaignError(f"{place}.rest: must be > 0, not {rest:g}")
+    if rest is not None:
+        rest = _positive(rest, place="settled.rest")
     return Settled(hold=hold, tolerance=tolerance, rest=rest)
+
+
+def _positive(data: Any, *, place: str) -> float:
+    value = number(data, place=place)
+    if value <= 0.0:
+        raise CampaignError(f"{place}: must be > 0, not {value:g}")
+    return value
 
 
 def _base(data: Mapping[str, Any], *, folder: Path) -> dict[str, Any]:
@@ -368,7 +370,7 @@ def _controllers(data: Any) -> tuple[str, ...]:
 
 
 def _check_names(spec: Spec) -> None:
-    """Each value is set once, and whatever a rule reads is there by then."""
+    """Raise CampaignError unless each value is set once, and known before a rule reads it."""
     if len(spec.names) > _MOST_VALUES:
         raise CampaignError(
             f"parameters: at most {_MOST_VALUES} values with factors and derived ones, not "

@@ -1,6 +1,4 @@
-"""Statistics of a campaign: success rates, paired differences, sensitivities, agreement with the
-prediction.
-"""
+"""Statistics of a campaign: success, paired differences, sensitivities, quality of predictions."""
 
 import dataclasses
 import functools
@@ -33,9 +31,7 @@ _COMPARED = 10  # fewest pairs for a confidence interval
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Runs:
-    """The stored runs of one controller, by case: arrays (n,) in the order of the cases, NaN for no
-    value.
-    """
+    """The stored runs of one controller: arrays (n,) in the order of the cases; NaN: no value."""
 
     controller: str
     case: np.ndarray
@@ -50,9 +46,7 @@ class Runs:
 
     @functools.cached_property
     def predicted(self) -> np.ndarray:
-        """The largest of what is predicted; below 1 a run is foreseen to settle, NaN without a
-        prediction.
-        """
+        """The largest predictor; below 1: predicted to settle; NaN: no prediction."""
         found = [
             self.metrics[name] for name in (*PREDICTIONS, LOAD, DIVERGENCE) if name in self.metrics
         ]
@@ -73,11 +67,8 @@ def read_table(store: Store) -> Table:
     columns = ("outcome_time", "wall_time", *metrics_of(store.spec), *predictions_of(store.spec))
     runs = {}
     for controller in store.spec.controllers:
-        select = (
-            f"SELECT case_index, outcome, {', '.join(columns)} FROM results WHERE controller "
-            "= ? ORDER BY 1"
-        )
-        rows = store.query(select, (controller,))
+        select = f"SELECT case_index, outcome, {', '.join(columns)} FROM results"
+        rows = store.query(f"{select} WHERE controller = ? ORDER BY 1", (controller,))
         cells = list(zip(*rows, strict=True)) or [()] * (2 + len(columns))
         runs[controller] = Runs(
             controller=controller,
@@ -88,7 +79,7 @@ def read_table(store: Store) -> Table:
                 for name, cell in zip(columns, cells[2:], strict=True)
             },
         )
-        if store.spec.base["capture"] is not None:
+        if store.spec.scenario.capture:
             limits = store.query(
                 f"SELECT coalesce({FIRST_LIMIT}, '') FROM results WHERE controller = ? ORDER BY "
                 "case_index",
@@ -221,20 +212,13 @@ def sensitivities(table: Table, *, seed: int) -> list[Sensitivity]:
 
 def _sensitivity(name: str, values: np.ndarray, runs: Runs, *, seed: int) -> Sensitivity:
     failed = (~runs.settled).astype(float)
+    made = functools.partial(Sensitivity, name=name, controller=runs.controller)
     if failed.size < 2 * BINS or failed.min() == failed.max():
-        return Sensitivity(
-            name=name,
-            controller=runs.controller,
-            correlation=math.nan,
-            share=math.nan,
-            chance=math.nan,
-        )
+        return made(correlation=math.nan, share=math.nan, chance=math.nan)
     bins = np.minimum(((stats.rankdata(values) - 0.5) * BINS / values.size).astype(int), BINS - 1)
     generator = np.random.default_rng(seed)
     by_chance = [_explained(bins, generator.permutation(failed)) for _ in range(_PERMUTATIONS)]
-    return Sensitivity(
-        name=name,
-        controller=runs.controller,
+    return made(
         correlation=float(stats.spearmanr(values, failed).statistic),
         share=_explained(bins, failed),
         chance=float(np.quantile(by_chance, CONFIDENCE)),
@@ -257,9 +241,7 @@ def most_influential(found: list[Sensitivity]) -> list[str]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """Number of runs by prediction and outcome; unstable stands for all that is foreseen to
-    fail.
-    """
+    """Number of runs by prediction and outcome; unstable: predicted to fail for any reason."""
 
     controller: str
     stable_settled: int
@@ -269,9 +251,7 @@ class Agreement:
 
     @property
     def total(self) -> int:
-        return (
-            self.stable_settled + self.stable_failed + self.unstable_settled + self.unstable_failed
-        )
+        return sum(value for value in vars(self).values() if isinstance(value, int))
 
     @property
     def share(self) -> float:
@@ -280,9 +260,7 @@ class Agreement:
 
 
 def agreement(runs: Runs) -> Agreement:
-    """Count predictions and outcomes; what was not run, and runs without a prediction, are left
-    out.
-    """
+    """Count predictions and outcomes, without errors, refused runs and runs without prediction."""
     known = ~np.isin(runs.outcome, ("error", "refused")) & ~np.isnan(runs.predicted)
     stable, settled = (runs.predicted < 1.0)[known], runs.settled[known]
     return Agreement(
@@ -294,10 +272,8 @@ def agreement(runs: Runs) -> Agreement:
     )
 
 
-def worst_runs(runs: Runs, *, count: int = 5) -> np.ndarray:
-    """Positions of the ``count`` worst runs: errors, then the earliest divergences, then the
-    largest final errors.
-    """
+def worst_runs(runs: Runs) -> np.ndarray:
+    """Positions of the five worst runs: errors, earliest divergences, largest final errors."""
     errors = [runs.metrics[name] for name in METRICS if name.startswith("final_error")]
     final = np.nanmax(np.vstack([np.zeros(runs.case.size), *errors]), axis=0)
     kinds = ("error", "diverged", "refused")
@@ -305,7 +281,7 @@ def worst_runs(runs: Runs, *, count: int = 5) -> np.ndarray:
         [*(runs.outcome == kind for kind in kinds), ~runs.settled], [0, 1, 3, 2], default=4
     )
     time = np.where(runs.outcome == "diverged", runs.metrics["outcome_time"], 0.0)
-    return np.lexsort((-final, time, order))[:count]
+    return np.lexsort((-final, time, order))[:5]
 
 
 def quantiles(runs: Runs, metric: str) -> tuple[float, float, float]:
@@ -333,15 +309,18 @@ def grid_points(spec: Spec, table: Table) -> list[GridPoint]:
         return []
     return [
         _grid_point(spec, runs, first)
-        for first in range(math.prod(len(item.levels) for item in spec.distributions.values()))
+        for first in range(_num_combinations(spec))
         for runs in table.runs.values()
         if first in runs.case
     ]
 
 
+def _num_combinations(spec: Spec) -> int:
+    return math.prod(len(item.levels) for item in spec.distributions.values())
+
+
 def _grid_point(spec: Spec, runs: Runs, first: int) -> GridPoint:
-    size = math.prod(len(item.levels) for item in spec.distributions.values())
-    here = runs.case % size == first
+    here = runs.case % _num_combinations(spec) == first
     ended = here & np.isin(runs.outcome, ("settled", "not_settled"))
     names, counts = np.unique(runs.outcome[here], return_counts=True)
     return GridPoint(

@@ -39,6 +39,11 @@ class Store:
         self._connection = connection
         self.path = path
         self.spec = spec
+        self._results = result_columns(spec)
+        # of the view ``runs``
+        self.columns = (
+            *("case_index", "controller", "random_seed"), *spec.names, *self._results, "software",
+        )  # fmt: skip
 
     def query(self, sql: str, parameters: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
         """The rows of any SELECT."""
@@ -75,34 +80,33 @@ class Store:
             try:
                 values[name] = _from_column(cell)
             except (ValueError, RecursionError) as error:
-                raise CampaignError(
-                    f"{self.path}: is damaged: {name} of case {index} is no value"
-                ) from error
+                raise self._damaged(f"{name} of case {index} is no value") from error
         return Case(index=index, seed=seed, values=values)
 
     def check(self) -> None:
-        """Raise CampaignError unless what the tables hold can be this campaign's, of whatever
-        origin the file is.
-        """
+        """Raise CampaignError unless the tables can be those of this campaign."""
+        self._check_columns()
+        cases = next(self.query("SELECT count(*), min(case_index), max(case_index) FROM cases"))
+        if cases != (self.spec.cases, 0, self.spec.cases - 1):
+            raise self._damaged(f"its {cases[0]} cases are not the {self.spec.cases} specified")
+        if (stored := self.num_results()) > self.spec.runs:
+            raise self._damaged(f"it holds {stored} results of {self.spec.runs} runs")
+        self._check_cells()
+
+    def _check_columns(self) -> None:
         columns = {
             "cases": ("case_index", "random_seed", *self.spec.names),
-            "results": ("case_index", "controller", *result_columns(self.spec), "software"),
-            "runs": (
-                "case_index",
-                "controller",
-                "random_seed",
-                *self.spec.names,
-                *result_columns(self.spec),
-                "software",
-            ),
+            "results": ("case_index", "controller", *self._results, "software"),
+            "runs": self.columns,
         }
         for table, names in columns.items():
             with _one_line_errors(self.path):
                 description = self._connection.execute(f"SELECT * FROM {table} LIMIT 0").description
             if tuple(item[0] for item in description) != names:
-                raise CampaignError(
-                    f"{self.path}: is damaged: the columns of {table} are not a campaign's"
-                )
+                raise self._damaged(f"the columns of {table} are not a campaign's")
+
+    def _check_cells(self) -> None:
+        """Raise CampaignError for a cell of a wrong type, or an unknown case, outcome, ..."""
         number = "typeof({0}) NOT IN ('real', 'integer', 'null')"
         text = "typeof({0}) NOT IN ('text', 'null')"
         faults = {
@@ -111,37 +115,22 @@ class Store:
                 *(f"typeof({_quoted(name)}) IN ('blob', 'null')" for name in self.spec.names),
             ),
             "results": (
-                f"outcome IS NULL OR outcome NOT IN ({', '.join('?' * len(OUTCOMES))})",
-                *(
-                    (text if name in _TEXT else number).format(name)
-                    for name in result_columns(self.spec)
-                ),
+                f"outcome IS NULL OR outcome NOT IN ({_places(OUTCOMES)})",
+                *((text if name in _TEXT else number).format(name) for name in self._results),
                 "case_index NOT IN (SELECT case_index FROM cases)",
                 "software IS NULL OR software NOT IN (SELECT id FROM software)",
-                "controller IS NULL OR controller NOT IN "
-                f"({', '.join('?' * len(self.spec.controllers))})",
+                f"controller IS NULL OR controller NOT IN ({_places(self.spec.controllers)})",
             ),
         }
         given = {"cases": (), "results": (*OUTCOMES, *self.spec.controllers)}
-        found = next(self.query("SELECT count(*), min(case_index), max(case_index) FROM cases"))
-        if found != (self.spec.cases, 0, self.spec.cases - 1):
-            raise CampaignError(
-                f"{self.path}: is damaged: its {found[0]} cases are not the {self.spec.cases} "
-                "specified"
-            )
-        if (stored := self.num_results()) > self.spec.runs:
-            raise CampaignError(
-                f"{self.path}: is damaged: it holds {stored} results of {self.spec.runs} runs"
-            )
         for table, conditions in faults.items():
             where = " OR ".join(f"({condition})" for condition in conditions)
-            for row in self.query(
-                f"SELECT case_index FROM {table} WHERE {where} LIMIT 1", given[table]
-            ):
-                raise CampaignError(
-                    f"{self.path}: is damaged: the {table} of case {row[0]} are "
-                    "not what a run stores"
-                )
+            select = f"SELECT case_index FROM {table} WHERE {where} LIMIT 1"
+            for (index,) in self.query(select, given[table]):
+                raise self._damaged(f"the {table} of case {index} are not what a run stores")
+
+    def _damaged(self, problem: str) -> CampaignError:
+        return CampaignError(f"{self.path}: is damaged: {problem}")
 
     def sampled(self, name: str) -> list[Any]:
         """A sampled or derived value as the database keeps it, for every case in order."""
@@ -151,20 +140,15 @@ class Store:
 
     def add(self, case: Case, controller: str, row: Row) -> None:
         """Store one result."""
-        cells = (
-            case.index,
-            controller,
-            *(row.get(name) for name in result_columns(self.spec)),
-            row["software"],
-        )
-        values = (
-            f"{', '.join('?' * (len(cells) - 1))}, (SELECT id FROM software WHERE versions = ?)"
-        )
+        cells = (case.index, controller, *map(row.get, self._results))
+        values = f"{_places(cells)}, (SELECT id FROM software WHERE versions = ?)"
         with _one_line_errors(self.path), self._connection:
             self._connection.execute(
                 "INSERT OR IGNORE INTO software (versions) VALUES (?)", (row["software"],)
             )
-            self._connection.execute(f"INSERT INTO results VALUES ({values})", cells)
+            self._connection.execute(
+                f"INSERT INTO results VALUES ({values})", (*cells, row["software"])
+            )
 
     def result(self, case: int, controller: str) -> dict[str, Any]:
         """The stored row of one run, by column of the view ``runs``. Raises CampaignError when it
@@ -187,15 +171,6 @@ class Store:
 
     def num_results(self) -> int:
         return int(next(self.query("SELECT count(*) FROM results"))[0])
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """The columns of the view ``runs``."""
-        with _one_line_errors(self.path):
-            return tuple(
-                item[0]
-                for item in self._connection.execute("SELECT * FROM runs LIMIT 0").description
-            )
 
     def export(self, path: Path) -> None:
         """Write the view ``runs`` as CSV or Parquet, by the file's suffix; a chunk of rows is held
@@ -248,9 +223,7 @@ class Store:
 
 
 def check_columns(spec: Spec) -> None:
-    """Raise CampaignError unless every value of a case can have a column; SQL does not tell A from
-    a.
-    """
+    """Raise CampaignError unless every value of a case can have a column; SQL ignores case."""
     taken = dict.fromkeys(
         ("case_index", "controller", "random_seed", "software", *result_columns(spec)),
         "of the results",
@@ -259,8 +232,8 @@ def check_columns(spec: Spec) -> None:
         if owner := taken.get(name.lower()):
             place = "factors." if name in spec.factors else ""
             raise CampaignError(
-                f"{place}{name}: is the name of a column {owner}, but for upper "
-                "case; choose another"
+                f"{place}{name}: is the name of a column {owner}, but for upper case; choose "
+                "another"
             )
         taken[name.lower()] = f"already, '{name}'"
 
@@ -279,8 +252,7 @@ def create_store(path: Path, spec: Spec, cases: Iterable[Case]) -> Iterator[Stor
             if store.spec.fingerprint != spec.fingerprint:
                 raise CampaignError(
                     f"{path}: holds another campaign (fingerprint {store.spec.fingerprint[:12]}, "
-                    "not "
-                    f"{spec.fingerprint[:12]}); choose another file with --database"
+                    f"not {spec.fingerprint[:12]}); choose another file with --database"
                 )
         raise CampaignError(
             f"{path}: exists; finish it with 'ffsm campaign resume {path}', or choose --database"
@@ -330,24 +302,18 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
             connection.rollback()
         try:
             spec = spec_from_json(notes["specification"], path.parent)
+            store = Store(connection, path, spec)
         except (
-            LookupError,
-            TypeError,
-            AttributeError,
-            ValueError,
-            RecursionError,
-            FfsmError,
-        ) as error:
+            LookupError, TypeError, AttributeError, ValueError, RecursionError, FfsmError,
+        ) as error:  # fmt: skip
             raise CampaignError(
                 f"{path}: is damaged: it holds no usable specification: {one_line(error)}"
             ) from error
-        store = Store(connection, path, spec)
         store.check()
         try:
             yield store
         finally:
-            # back to a single file, which can be read where nothing may be written; unless others
-            # read it
+            # back to a single file, readable in a write-protected folder; unless others read it
             if writing:
                 with contextlib.suppress(sqlite3.Error):
                     connection.execute("PRAGMA busy_timeout = 0")
@@ -358,11 +324,9 @@ def _fill(
     connection: sqlite3.Connection, spec: Spec, cases: Iterable[Case], *, folder: Path
 ) -> None:
     values = [_quoted(name) for name in spec.names]
-    results = [f"{name} {'TEXT' if name in _TEXT else 'REAL'}" for name in result_columns(spec)]
-    shown = [
-        *(f"cases.{name}" for name in values),
-        *(f"results.{name}" for name in result_columns(spec)),
-    ]
+    columns = result_columns(spec)
+    results = [f"{name} {'TEXT' if name in _TEXT else 'REAL'}" for name in columns]
+    shown = [*(f"cases.{name}" for name in values), *(f"results.{name}" for name in columns)]
     with connection:
         connection.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
         connection.execute("CREATE TABLE campaign (key TEXT PRIMARY KEY, value TEXT)")
@@ -373,15 +337,13 @@ def _fill(
         connection.execute("CREATE TABLE software (id INTEGER PRIMARY KEY, versions TEXT UNIQUE)")
         connection.execute(
             "CREATE TABLE results (case_index INTEGER REFERENCES cases, controller TEXT, "
-            f"{', '.join(results)}, "
-            "software INTEGER REFERENCES software, PRIMARY KEY (case_index, controller)) WITHOUT "
-            "ROWID"
+            f"{', '.join(results)}, software INTEGER REFERENCES software, PRIMARY KEY (case_index, "
+            "controller)) WITHOUT ROWID"
         )
         connection.execute(
             "CREATE VIEW runs AS SELECT cases.case_index, results.controller, cases.random_seed, "
-            f"{', '.join(shown)}, "
-            "software.versions AS software FROM results JOIN cases USING (case_index) "
-            "JOIN software ON software.id = results.software"
+            f"{', '.join(shown)}, software.versions AS software FROM results JOIN cases USING "
+            "(case_index) JOIN software ON software.id = results.software"
         )
         notes = {
             "format": str(FORMAT),
@@ -391,7 +353,7 @@ def _fill(
         }
         connection.executemany("INSERT INTO campaign VALUES (?, ?)", notes.items())
         connection.executemany(
-            f"INSERT INTO cases VALUES ({', '.join('?' * (2 + len(values)))})",
+            f"INSERT INTO cases VALUES (?, ?, {_places(values)})",
             ((case.index, case.seed, *map(_to_column, case.values.values())) for case in cases),
         )
 
@@ -442,22 +404,21 @@ def _one_line_errors(path: Path) -> Iterator[None]:
 
 def result_columns(spec: Spec) -> tuple[str, ...]:
     """The columns of a campaign's results, in their order."""
-    text = () if spec.base["capture"] is None else (FIRST_LIMIT,)
+    text = (FIRST_LIMIT,) if spec.scenario.capture else ()
     numbers = (*metrics_of(spec), *predictions_of(spec))
     return ("outcome", "outcome_time", "message", *text, *numbers, "wall_time", "worker", "rss_mib")
 
 
 def _to_column(value: Any) -> Any:
-    """A value as SQLite keeps it: numbers and text as they are; all else, and text that looks like
-    it, as JSON text.
+    """A value as SQLite stores it: a number or text as it is, anything else as JSON text.
+
+    Text that looks like JSON is written as JSON too.
     """
     if isinstance(value, str):
-        return json.dumps(value) if _looks_like_json(value) else value
-    return (
-        value
-        if isinstance(value, (int, float)) and not isinstance(value, bool)
-        else json.dumps(value)
-    )
+        plain = not _looks_like_json(value)
+    else:
+        plain = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return value if plain else json.dumps(value)
 
 
 def _looks_like_json(text: str) -> bool:
@@ -467,6 +428,11 @@ def _looks_like_json(text: str) -> bool:
 def _from_column(value: Any) -> Any:
     """The inverse of _to_column."""
     return json.loads(value) if isinstance(value, str) and _looks_like_json(value) else value
+
+
+def _places(values: Sequence[Any]) -> str:
+    """Placeholders of values in SQL."""
+    return ", ".join("?" * len(values))
 
 
 def _quoted(name: str) -> str:

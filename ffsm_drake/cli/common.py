@@ -223,6 +223,22 @@ def print_json(data: Any) -> None:
     click.echo(to_json(data), nl=False)
 
 
+def print_result(as_json: bool, data: Any, text: str) -> None:
+    """Print a command's result: its data as JSON, or its text."""
+    if as_json:
+        print_json(data)
+    else:
+        click.echo(text)
+
+
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a Matplotlib figure whole as PNG."""
+    from ffsm_drake.common.files import written_whole
+
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, dpi=130)
+
+
 class FiniteFloat(click.FloatRange):
     """A number that is neither NaN nor infinite."""
 

@@ -13,8 +13,9 @@ from ffsm_drake.cli.common import (
     count_progress,
     json_option,
     out_option,
-    print_json,
+    print_result,
     run_argument,
+    save_figure,
     scenario_options,
 )
 
@@ -38,7 +39,7 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
       ffsm stability paper --set simulator_config.integration_scheme=runge_kutta3
       ffsm stability --set payload.nominal.mass=125 --out out/stability
     """
-    from ffsm_drake.common.files import check_writable, written_whole
+    from ffsm_drake.common.files import check_writable
     from ffsm_drake.control_design.stability import stability as find_margins
     from ffsm_drake.control_design.stability.boundaries import find_boundaries
     from ffsm_drake.show.tables import boundaries_table, margins_data, margins_table
@@ -47,19 +48,14 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
         check_writable(out)
     margins = find_margins(scenario)
     boundaries = find_boundaries(scenario, time=margins.edge_time)
-    if as_json:
-        print_json(margins_data(margins) | {"boundaries": dataclasses.asdict(boundaries)})
-    else:
-        click.echo(
-            f"{margins_table(margins)}\n\n"
-            f"{boundaries_table(boundaries, scenario)}\n\n{margins.verdict}"
-        )
+    tables = margins_table(margins), boundaries_table(boundaries, scenario), margins.verdict
+    data = margins_data(margins) | {"boundaries": dataclasses.asdict(boundaries)}
+    print_result(as_json, data, "\n\n".join(tables))
     if out is not None:
         from ffsm_drake.show.figures.stability import plot_margins
 
         path = out / "stability.png"
-        with written_whole(path) as temporary:
-            plot_margins(margins).savefig(temporary, dpi=130)
+        save_figure(plot_margins(margins), path)
         click.echo(f"Written to {path}", err=as_json)
     sys.exit(0 if margins.is_stable else EXIT_UNSTABLE)
 
@@ -79,7 +75,7 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
       ffsm analyze out/mine
     """
     from ffsm_drake.analysis import analyze as analyze_record
-    from ffsm_drake.common.files import check_writable, write_text, written_whole
+    from ffsm_drake.common.files import check_writable, write_text
     from ffsm_drake.runs.record import RunRecord, to_json
     from ffsm_drake.show.figures.analysis import plot_analysis
 
@@ -87,13 +83,9 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     check_writable(directory)
     analysis = analyze_record(RunRecord.load(run))
     findings = {finding.key: dataclasses.asdict(finding) for finding in analysis.findings}
-    if as_json:
-        print_json(findings)
-    else:
-        click.echo(str(analysis))
+    print_result(as_json, findings, str(analysis))
     write_text(directory / "analysis.json", to_json(findings))
-    with written_whole(directory / "analysis.png") as temporary:
-        plot_analysis(analysis).savefig(temporary, dpi=130)
+    save_figure(plot_analysis(analysis), directory / "analysis.png")
     click.echo(f"Written to {directory}: analysis.json, analysis.png", err=as_json)
 
 
@@ -132,7 +124,7 @@ def design(
       ffsm design flight_sensors --controller tde_aismc --budget 410 --out out/mine
       ffsm run out/mine/design.yaml
     """
-    from ffsm_drake.common.files import check_writable, write_text, written_whole
+    from ffsm_drake.common.files import check_writable, write_text
     from ffsm_drake.control_design.gains import design as design_gains
     from ffsm_drake.scenario import scenario_to_yaml
     from ffsm_drake.show.figures.design import plot_design
@@ -142,13 +134,9 @@ def design(
     found = design_gains(
         scenario, budget=budget, payload_range=payload_range, progress=count_progress("steps")
     )
-    if as_json:
-        print_json(design_data(found))
-    else:
-        click.echo(design_table(found))
+    print_result(as_json, design_data(found), design_table(found))
     write_text(out / "design.yaml", scenario_to_yaml(found.chosen.scenario))
-    with written_whole(out / "design.png") as temporary:
-        plot_design(found).savefig(temporary, dpi=130)
+    save_figure(plot_design(found), out / "design.png")
     click.echo(f"\nWritten to {out}: design.yaml, design.png", err=as_json)
     stable = max(found.chosen.radius_by_mass.values()) < 1.0
     sys.exit(0 if stable else EXIT_UNSTABLE)

@@ -8,7 +8,8 @@ import click
 from ffsm_drake.cli.common import (
     json_option,
     out_option,
-    print_json,
+    print_result,
+    save_figure,
     scenario_options,
     scenario_stem,
 )
@@ -35,7 +36,7 @@ def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
       ffsm plan mine.yaml --set reference.goal=stop --set planning.effort_weight=0.1
       ffsm run mine.yaml --set reference.kind=optimal --set reference.plan=out/mine_plan/plan.yaml
     """
-    from ffsm_drake.common.files import check_writable, written_whole
+    from ffsm_drake.common.files import check_writable
     from ffsm_drake.control_design.planning import plan_motion
     from ffsm_drake.show.figures.plan import plot_plan
     from ffsm_drake.show.tables import plan_data, plan_table
@@ -50,12 +51,10 @@ def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
         files.append(Path(named))
     for file in files:
         found.plan.save(file, title=title)
-    with written_whole(directory / "plan.png") as temporary:
-        plot_plan(found, scenario).savefig(temporary, dpi=130)
-    if as_json:
-        print_json(plan_data(found) | {"files": list(map(str, files))})
-    else:
-        click.echo(
-            f"{plan_table(found)}\n\nWritten to {', '.join(map(str, files))}; "
-            f"{directory / 'plan.png'}"
-        )
+    figure, names = directory / "plan.png", list(map(str, files))
+    save_figure(plot_plan(found, scenario), figure)
+    print_result(
+        as_json,
+        plan_data(found) | {"files": names},
+        f"{plan_table(found)}\n\nWritten to {', '.join(names)}; {figure}",
+    )

@@ -84,28 +84,27 @@ def run(
     check_writable(directory)  # before the slow run
     if report or meshcat or controls:
         check_pictures(scenario.model)
-    if not controls:
-        _warn_replaced([(directory, scenario)], directory)
-        record = _watch(scenario) if meshcat else _simulate(scenario)
-        record.save(directory)
-        code = _finish([record], directory, as_json=as_json, report=report)
-        if repeated is not None:
-            from ffsm_drake.runs.record import RunRecord
+    if controls:
+        records = _run_with_controls(scenario, directory)
+        if not records:
+            sys.exit(EXIT_GOOD)
+        sys.exit(_finish(records, directory, as_json=as_json, report=report))
+    _warn_replaced([(directory, scenario)], directory)
+    if meshcat:
+        from ffsm_drake.show.meshcat.interactive import watch
 
-            same = RunRecord.load(repeated).dataset.identical(record.dataset)
-            remark = "same record, bit for bit" if same else "different record"
-            click.echo(f"{remark}: {repeated}", err=as_json)
-        sys.exit(code)
-    from ffsm_drake.show.meshcat.interactive import run_interactive
+        record = watch(scenario, open_browser=True)
+    else:
+        record = _simulate(scenario)
+    record.save(directory)
+    code = _finish([record], directory, as_json=as_json, report=report)
+    if repeated is not None:
+        from ffsm_drake.runs.record import RunRecord
 
-    click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
-    folders = (
-        folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists()
-    )
-    records = run_interactive(
-        scenario, open_browser=True, keep=lambda record: record.save(next(folders))
-    )
-    sys.exit(_finish(records, directory, as_json=as_json, report=report) if records else EXIT_GOOD)
+        same = RunRecord.load(repeated).dataset.identical(record.dataset)
+        remark = "same record, bit for bit" if same else "different record"
+        click.echo(f"{remark}: {repeated}", err=as_json)
+    sys.exit(code)
 
 
 @click.command()
@@ -221,10 +220,17 @@ def _warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) 
         return
 
 
-def _watch(scenario: "Scenario") -> "RunRecord":
-    from ffsm_drake.show.meshcat.interactive import watch
+def _run_with_controls(scenario: "Scenario", directory: Path) -> list["RunRecord"]:
+    """Run live under an operator's panel; each run is saved into a folder of its own."""
+    from ffsm_drake.show.meshcat.interactive import run_interactive
 
-    return watch(scenario, open_browser=True)
+    click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
+    folders = (
+        folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists()
+    )
+    return run_interactive(
+        scenario, open_browser=True, keep=lambda record: record.save(next(folders))
+    )
 
 
 def _simulate(scenario: "Scenario") -> "RunRecord":
@@ -242,9 +248,8 @@ def _places(records: Sequence["RunRecord"]) -> list[int]:
 
     def key(k: int) -> tuple[int, float]:
         outcome = records[k].outcome
-        return order.index(outcome.status), records[k].metrics[
-            "itae"
-        ] if outcome.completed else -outcome.time
+        value = records[k].metrics["itae"] if outcome.completed else -outcome.time
+        return order.index(outcome.status), value
 
     return sorted(range(len(records)), key=key)
 

@@ -19,6 +19,7 @@ from ffsm_drake.cli.common import (
     located_errors,
     overrides_option,
     print_json,
+    print_result,
 )
 
 
@@ -32,7 +33,7 @@ def _packages(
             raise click.BadParameter(f"'{value}' must have the form NAME=FOLDER")
         if name in found:
             raise click.BadParameter(f"'{name}' is given more than once")
-        found[name] = Path(folder)
+        found[name] = Path(folder).expanduser()
     return found
 
 
@@ -125,22 +126,18 @@ def new(
     """
     from ffsm_drake.control_design.first_scenario import new_scenario
 
-    folders = {name: folder.expanduser() for name, folder in packages.items()}
     mass, file = _target(target)
     made = new_scenario(
         urdf,
         directory,
         tip=tip,
-        packages=folders,
+        packages=packages,
         payload_mass=mass,
         target=file,
         bus_mass=bus_mass,
         bus_size=bus_size,
     )
-    if as_json:
-        print_json(made.data())
-    else:
-        click.echo(made.summary())
+    print_result(as_json, made.data(), made.summary())
 
 
 @click.command()
@@ -165,12 +162,9 @@ def scenarios(name: str | None, as_json: bool) -> None:
             click.echo(path.read_text(encoding="utf-8"), nl=False)
         return
     found = {name: load_scenario(name).description for name in shipped_scenarios()}
-    if as_json:
-        print_json(found)
-        return
     width = max(map(len, found)) + 2
-    for name, description in found.items():
-        click.echo(f"{name:<{width}}{description}")
+    lines = [f"{name:<{width}}{description}" for name, description in found.items()]
+    print_result(as_json, found, "\n".join(lines))
 
 
 @click.command()
@@ -271,11 +265,8 @@ def doctor(as_json: bool) -> None:
     from ffsm_drake.cli.doctor import examine
 
     checks = examine()
-    if as_json:
-        print_json(checks)
-    else:
-        for check in checks:
-            click.echo(f"[{check['status']:^7}] {check['name']}: {check['detail']}")
+    lines = [f"[{check['status']:^7}] {check['name']}: {check['detail']}" for check in checks]
+    print_result(as_json, checks, "\n".join(lines))
     sys.exit(EXIT_BAD_INPUT if any(check["status"] == "missing" for check in checks) else 0)
 
 

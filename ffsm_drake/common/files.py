@@ -3,15 +3,11 @@
 A reader never sees half a file or half a set of files; a failed write keeps the old ones.
 """
 
-import csv
-import io
-import math
 import os
 import stat
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from ffsm_drake.common.errors import RecordError, one_line
 from ffsm_drake.common.interrupts import undisturbed, unfinished
@@ -132,8 +128,8 @@ def check_writable(directory: Path) -> None:
             )
         if not os.access(place, os.W_OK | os.X_OK):
             raise RecordError(
-                f"{directory}: cannot be written: no permission to write into "
-                f"{place}; give another one"
+                f"{directory}: cannot be written: no permission to write into {place}; give "
+                "another one"
             )
     except (OSError, ValueError) as error:  # too long, holds a null character, ...
         raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
@@ -154,22 +150,3 @@ def write_text(path: Path, text: str) -> None:
     """Write a UTF-8 text file whole."""
     with written_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows of equal columns as CSV; numbers with eight digits, empty if not finite."""
-
-    def cell(value: Any) -> Any:
-        return (
-            value
-            if not isinstance(value, float)
-            else f"{value:.8g}"
-            if math.isfinite(value)
-            else ""
-        )
-
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: cell(value) for name, value in row.items()} for row in rows)
-    return text.getvalue()

@@ -11,11 +11,17 @@ def number(value: float | None, digits: int = 4) -> str:
     """Such as 12.35 or 1.235×10⁻⁶; a dash where there is none."""
     if value is None or not math.isfinite(value):
         return NONE
+    if 1e-3 <= abs(value) < 1e5:
+        power = int(f"{value:.{digits - 1}e}".split("e")[1])
+        return f"{value:.{max(digits - 1 - power, 0)}f}"
+    return scientific(value, digits)
+
+
+def scientific(value: float, digits: int) -> str:
+    """A finite number such as 1.70×10⁻⁴."""
     if value == 0.0:
         return "0"
     mantissa, power = f"{value:.{digits - 1}e}".split("e")
-    if 1e-3 <= abs(value) < 1e5:
-        return f"{value:.{max(digits - 1 - int(power), 0)}f}"
     return f"{mantissa}{power_of_ten(int(power))}"
 
 

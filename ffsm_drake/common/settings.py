@@ -7,14 +7,15 @@
         regime: str = setting("free", "", "of the flow", one_of=("free", "slip"))
 
 Loading, checks and their errors, the JSON Schema and the scenario reference are derived from them.
-What no single setting can say is a method ``check(key, scenario)`` of the dataclass, which yields
-``(key, problem)`` pairs.
+Conditions on several settings go into a method ``check(key, scenario)`` of the dataclass, which
+yields ``(key, problem)`` pairs.
 """
 
 import copy
 import dataclasses
+import functools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
@@ -26,7 +27,7 @@ Problems = Iterator[tuple[str, str]]  # key and problem
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Setting:
-    """What a field may hold. Limits hold for a number, and for each of a list or mapping."""
+    """Allowed values of a field. Limits apply to a number, and to each of a list or mapping."""
 
     unit: str = ""
     meaning: str = ""
@@ -50,13 +51,13 @@ class Setting:
         return ", ".join(filter(None, (lower, upper or (most and f"at most {most}"))))
 
     def problems(self, value: Any, key: str) -> Problems:
-        """What is wrong with a value: the key, or that of an entry, and the problem."""
-        if isinstance(value, Mapping):
+        """Key (the value's, or an entry's) and problem of everything that is wrong with a value."""
+        if isinstance(value, dict):
             entries = {f"{key}.{name}": item for name, item in value.items()}
         elif isinstance(value, (list, tuple)):
             entries = {f"{key}[{index}]": item for index, item in enumerate(value)}
         else:
-            yield from self._problems_of_entry(value, key)
+            yield from self._entry_problems(value, key)
             return
         low, high = self.size
         if not low <= len(entries) <= high:
@@ -67,7 +68,7 @@ class Setting:
         for place, item in entries.items():
             yield from self.problems(item, place)
 
-    def _problems_of_entry(self, value: Any, key: str) -> Problems:
+    def _entry_problems(self, value: Any, key: str) -> Problems:
         if isinstance(value, str) and self.one_of and value not in self.one_of:
             yield key, unknown(value, self.one_of)
         if isinstance(value, (int, float)) and not (
@@ -97,6 +98,7 @@ def setting(default: Any, unit: str = "", meaning: str = "", **limits: Any) -> A
     return dataclasses.field(default_factory=lambda: copy.deepcopy(default), metadata=metadata)
 
 
+@functools.cache  # asked of every part whenever a scenario is loaded
 def settings_of(kind: Any) -> dict[str, Setting]:
     """Name -> setting, of a dataclass or Drake's ``SimulatorConfig``; empty for anything else."""
     if kind is SimulatorConfig:
@@ -108,12 +110,13 @@ def settings_of(kind: Any) -> dict[str, Setting]:
 
 
 def problems(value: Any, key: str = "", scenario: Any = None) -> Problems:
-    """Everything that is wrong with a dataclass of settings and those within it: first of single
-    settings; then, with a scenario, what each ``check`` finds.
+    """All problems of a dataclass of settings and those nested in it.
+
+    Those of single settings come first; then, with a scenario, those that each ``check`` yields.
     """
     parts = list(_parts(value, key))
     for place, part in parts:
-        for name, declared in settings_of(type(part)).items():
+        for name, declared in settings_of(part.__class__).items():
             yield from declared.problems(getattr(part, name), join(place, name))
     for place, part in parts:
         if scenario is not None and hasattr(part, "check"):
@@ -127,7 +130,7 @@ def require_valid(value: Any, key: str = "", scenario: Any = None) -> None:
 
 
 def unknown(name: str, valid: Iterable[str]) -> str:
-    """The problem with a name that is none of the valid ones."""
+    """The problem with a name that is not valid."""
     valid = list(valid)
     return f"'{name}' is unknown; choose one of {', '.join(valid)}{did_you_mean(name, valid)}"
 
@@ -139,11 +142,11 @@ def join(path: str, key: Any) -> str:
 
 def _parts(value: Any, key: str) -> Iterator[tuple[str, Any]]:
     """Key and object of everything with settings in a value, outermost first."""
-    names = settings_of(type(value))
+    names = settings_of(value.__class__)
     if names or hasattr(value, "check"):
         yield key, value
         value = {name: getattr(value, name) for name in names}
-    for name, item in value.items() if isinstance(value, Mapping) else ():
+    for name, item in value.items() if isinstance(value, dict) else ():
         yield from _parts(item, join(key, name))
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from pydrake.geometry import Meshcat
 
@@ -151,13 +152,12 @@ def repeatable_scenario(scenario: Scenario, blocks: Mapping[str, Factory]) -> Sc
     for name, factory in blocks.items():
         block = Block(system=address_of(factory))
         if isinstance(factory, Part):
-            settings = {
-                name: as_dict(getattr(factory, name)) for name in settings_of(type(factory))
-            }
-            block = Block(system=address_of(type(factory)), settings=settings)
-        kind, _, own = name.partition(".")
+            own: Any = type(factory)
+            settings = {name: as_dict(getattr(factory, name)) for name in settings_of(own)}
+            block = Block(system=address_of(own), settings=settings)
+        kind, _, label = name.partition(".")
         if kind in ("forces", "sensing"):
-            getattr(named, kind)[own or kind] = block
+            getattr(named, kind)[label or kind] = block
         elif name != "controller":
             setattr(named, name, block)
     scenario = dataclasses.replace(scenario, blocks=named)

@@ -1,12 +1,14 @@
 """A scenario's capture: motion of target and servicer before the grasp, and velocities after it."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
-from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
+from pydrake.multibody.tree import RigidBody
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Capture, Scenario
+from ffsm_drake.scenario.schema import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, StateSplit
 from ffsm_drake.spacecraft.grasp import (
     CompliantGrasp,
@@ -98,10 +100,7 @@ def servicer_velocity(
     effector = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
     p_WP = target_body(scenario, model).EvalPoseInWorld(context).translation()
     twist[3:] += np.cross(twist[:3], effector.CalcPoseInWorld(context).translation() - p_WP)
-    world = plant.world_frame()
-    jacobian = plant.CalcJacobianSpatialVelocity(
-        context, JacobianWrtVariable.kV, effector, np.zeros(3), world, world
-    )
+    jacobian = model.calc_jacobian(model.split.whole_positions(q), effector)
     jacobian = model.split.known_velocities(jacobian)
     moving = slice(NUM_BASE_VELOCITIES if capture.servicer == "track_joints" else 0, None)
     weight = np.array([capture.tracking_length] * 3 + [1.0] * 3)
@@ -134,52 +133,63 @@ def contact_at(
     body = target_body(scenario, model)
     X_WP = body.EvalPoseInWorld(context)
     inertia = body.CalcSpatialInertiaInBodyFrame(context).ReExpress(X_WP.rotation())
-    world, origin = plant.world_frame(), np.zeros(3)
-    jacobian = plant.CalcJacobianSpatialVelocity(
-        context, JacobianWrtVariable.kV, body.body_frame(), origin, world, world
-    )
-    target_inertia = inertia.CopyToFullMatrix6()
     known = model.split.known_velocities(np.arange(velocity.size))
-    braked = known[NUM_BASE_VELOCITIES:].tolist() if capture.joints == "braked" else ()
-    grasp = plastic_grasp(
+    situation = _Situation(
         mass_matrix=mass_matrix,
-        jacobian=jacobian,
-        target_inertia=target_inertia,
+        jacobian=model.calc_jacobian(q, body.body_frame()),
+        target_inertia=inertia.CopyToFullMatrix6(),
         velocity=velocity,
         target_velocity=target_velocity,
-        braked=braked,
+        braked=known[NUM_BASE_VELOCITIES:].tolist() if capture.joints == "braked" else (),
     )
+    grasp = plastic_grasp(**vars(situation))
     effector = find_frame(plant, scenario.model.end_effector, key="model.end_effector")
-    p_WE = effector.CalcPoseInWorld(context).translation()
-    compliant = None
-    if capture.compliance is not None:
-        # [w; v_E] = moved [w; v_P]
-        moved, back = (_shift_twist(sign * (p_WE - X_WP.translation())) for sign in (1.0, -1.0))
-        of = capture.compliance
-        compliant = compliant_grasp(
-            mass_matrix=mass_matrix,
-            jacobian=moved @ jacobian,
-            target_inertia=back.T @ target_inertia @ back,
-            velocity=velocity,
-            target_velocity=moved @ target_velocity,
-            stiffness=np.repeat([of.rotational_stiffness, of.stiffness], 3),
-            damping=np.repeat([of.rotational_damping, of.damping], 3),
-            braked=braked,
-        )
-    p_WC = plant.CalcCenterOfMassPositionInWorld(context)
+    p_PE_W = effector.CalcPoseInWorld(context).translation() - X_WP.translation()
     p_WB = q[4:7]
+    p_BC_W = plant.CalcCenterOfMassPositionInWorld(context) - p_WB
     return Contact(
         q=q,
         velocity=velocity,
         target_velocity=target_velocity,
         grasp=grasp,
-        impulse=shift_moment(grasp.impulse, p_WE - X_WP.translation()),
+        impulse=shift_moment(grasp.impulse, p_PE_W),
         momentum_before=shift_moment(grasp.momentum_before, -p_WB),
         momentum_after=shift_moment(grasp.momentum_after, -p_WB),
-        spin_before=shift_moment(grasp.momentum_before, p_WC - p_WB)[:3],
-        spin_after=shift_moment(grasp.momentum_after, p_WC - p_WB)[:3],
-        compliant=compliant,
+        spin_before=shift_moment(grasp.momentum_before, p_BC_W)[:3],
+        spin_after=shift_moment(grasp.momentum_after, p_BC_W)[:3],
+        compliant=None
+        if capture.compliance is None
+        else _compliant(situation, capture.compliance, p_PE_W),
         split=model.split,
+    )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Situation:
+    """The arguments of ``plastic_grasp``."""
+
+    mass_matrix: np.ndarray
+    jacobian: np.ndarray
+    target_inertia: np.ndarray
+    velocity: np.ndarray
+    target_velocity: np.ndarray
+    braked: Sequence[int]
+
+
+def _compliant(situation: _Situation, gripper: Compliance, p_PE: np.ndarray) -> CompliantGrasp:
+    """The grasp by a compliant gripper at E, ``p_PE`` (3; m, world axes) from the target's P."""
+    # [w; v_E] = moved [w; v_P]
+    moved, back = (_shift_twist(sign * p_PE) for sign in (1.0, -1.0))
+    at_gripper = dataclasses.replace(
+        situation,
+        jacobian=moved @ situation.jacobian,
+        target_inertia=back.T @ situation.target_inertia @ back,
+        target_velocity=moved @ situation.target_velocity,
+    )
+    return compliant_grasp(
+        **vars(at_gripper),
+        stiffness=np.repeat([gripper.rotational_stiffness, gripper.stiffness], 3),
+        damping=np.repeat([gripper.rotational_damping, gripper.damping], 3),
     )
 
 

@@ -24,6 +24,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Model
+from ffsm_drake.spacecraft.coordinates import joints_of
 from ffsm_drake.spacecraft.plant import (
     DRAKE_ERRORS,
     add_combined_plant,
@@ -157,11 +158,10 @@ class Clearance:
                 part_of |= {each.index(): number for each in plant.GetBodiesWeldedTo(body)}
         # rigid part -> the parts beyond its joints
         joints_at: dict[int, list[tuple[int, Joint]]] = {}
-        for joint in map(plant.get_joint, plant.GetJointIndices()):
-            if joint.num_velocities() == 1:
-                ends = part_of[joint.parent_body().index()], part_of[joint.child_body().index()]
-                for here, there in (ends, ends[::-1]):
-                    joints_at.setdefault(here, []).append((there, joint))
+        for joint in joints_of(plant):
+            ends = part_of[joint.parent_body().index()], part_of[joint.child_body().index()]
+            for here, there in (ends, ends[::-1]):
+                joints_at.setdefault(here, []).append((there, joint))
         pairs = []
         shaped = [body for body in self._bodies[1:] if self._shapes_of[body.index()]]
         for first, second in itertools.combinations(shaped, 2):
@@ -202,15 +202,10 @@ class Clearance:
         generator = np.random.default_rng(0)
         for _ in range(_TRIALS):
             for joint in joints:
-                lower, upper = (
-                    float(joint.position_lower_limits()[0]),
-                    float(joint.position_upper_limits()[0]),
-                )
-                if not np.isfinite([lower, upper]).all():
-                    lower, upper = (
-                        (-1.0, 1.0) if joint.type_name() == "prismatic" else (-np.pi, np.pi)
-                    )
-                q[joint.position_start()] = generator.uniform(lower, upper)
+                limits = [*joint.position_lower_limits(), *joint.position_upper_limits()]
+                if not np.isfinite(limits).all():
+                    limits = [-1.0, 1.0] if joint.type_name() == "prismatic" else [-np.pi, np.pi]
+                q[joint.position_start()] = generator.uniform(*limits)
             self.plant.SetPositions(self.plant_context, q)
             query = self._query.Eval(self._shapes)
             if all(

@@ -9,6 +9,8 @@ import functools
 from collections.abc import Iterable, Mapping
 
 import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Joint
 
 from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
@@ -25,6 +27,15 @@ GROUPS = ("base_rotation", "base_position", "joints")
 
 NUM_BASE_POSITIONS = 7  # quaternion (w, x, y, z) of R_WB, then p_WB
 NUM_BASE_VELOCITIES = 6  # w_WB, v_WB, both in the world frame
+
+
+def joints_of(plant: MultibodyPlant) -> list[Joint]:
+    """The joints of a finalized plant with one degree of freedom, in the order of v."""
+    joints = map(plant.get_joint, plant.GetJointIndices())
+    return sorted(
+        (joint for joint in joints if joint.num_velocities() == 1),
+        key=lambda joint: joint.velocity_start(),
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,14 +127,7 @@ class Coordinates:
         wanted = dict.fromkeys(names)
         self.check_names(wanted, key=key)
         both = zip(self.names, self.group_of, strict=True)
-        return np.array(
-            [
-                i
-                for i, (name, group) in enumerate(both)
-                if not wanted.keys().isdisjoint((name, group, "all"))
-            ],
-            dtype=int,
-        )
+        return np.flatnonzero([not wanted.keys().isdisjoint((*each, "all")) for each in both])
 
     def check_names(self, names: Mapping[str, object], *, key: str) -> None:
         """Raise ScenarioError when a key is neither ``all``, nor a group, nor a coordinate."""

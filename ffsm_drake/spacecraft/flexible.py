@@ -1,7 +1,6 @@
-"""What moves in the true spacecraft besides base and joints: panels, beams, slosh, passive joints,
-flexible gears.
+"""Flexible parts of the true spacecraft: panels, beams, slosh, passive joints, flexible gears.
 
-``model.flexible`` names these parts. Each adds hidden coordinates to the true plant, held by
+``model.flexible`` names them. Each adds hidden coordinates to the true plant, held by
 springs and dampers; with them at zero and locked it is the spacecraft that the controller knows. A
 beam stands as the equivalent masses of its cantilever modes: mode i is a point mass m_i that slides
 across the beam at the distance h_i from the root, and gives the force and the moment at the root
@@ -10,7 +9,7 @@ that the bending mode gives (modal effective masses; the rest is rigid).
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,7 +34,8 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import ModelError, did_you_mean
 from ffsm_drake.scenario import Flexible, Model
-from ffsm_drake.spacecraft.coordinates import StateSplit
+from ffsm_drake.spacecraft.coordinates import StateSplit, joints_of
+from ffsm_drake.spacecraft.inertia import spatial_inertia_about
 
 # Names of the joints of hidden coordinates begin with it.
 HIDDEN = "flexible."
@@ -54,9 +54,7 @@ _CANTILEVER = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BeamMode:
-    """The equivalent of a bending mode of a uniform cantilever, in shares of its mass and
-    length.
-    """
+    """Equivalent mass of a bending mode of a uniform cantilever, as fractions of the beam's."""
 
     mass: float  # of the beam's mass
     distance: float  # from the root, of the beam's length
@@ -101,7 +99,7 @@ def add_flexible(plant: MultibodyPlant, model: Model) -> None:
         if part.kind in _OF_A_JOINT
     }
     for joint in loose.values():
-        _add_spring(plant, joint)
+        plant.AddForceElement(RevoluteSpring(joint, 0.0, 0.0))
     for name, part in model.flexible.items():
         if part.kind in _OF_A_JOINT:
             continue
@@ -109,14 +107,13 @@ def add_flexible(plant: MultibodyPlant, model: Model) -> None:
         for label, added in zip(labels_of(name, part), _bodies(part), strict=True):
             link = plant.AddRigidBody(label, instance, added.inertia)
             place = plant.AddFrame(FixedOffsetFrame(f"{label}_place", at, X_AB @ added.place))
+            frames = f"{HIDDEN}{label}", place, link.body_frame()
             if added.stiffness is None:
-                hinge = RevoluteJoint(f"{HIDDEN}{label}", place, link.body_frame(), [1.0, 0.0, 0.0])
-                _add_spring(plant, plant.AddJoint(hinge))
+                hinge = plant.AddJoint(RevoluteJoint(*frames, [1.0, 0.0, 0.0]))
+                plant.AddForceElement(RevoluteSpring(hinge, 0.0, 0.0))
             else:
-                slide = PrismaticJoint(
-                    f"{HIDDEN}{label}", place, link.body_frame(), [0.0, 0.0, 1.0]
-                )
-                plant.AddForceElement(PrismaticSpring(plant.AddJoint(slide), 0.0, added.stiffness))
+                slide = plant.AddJoint(PrismaticJoint(*frames, [0.0, 0.0, 1.0]))
+                plant.AddForceElement(PrismaticSpring(slide, 0.0, added.stiffness))
             if plant.geometry_source_is_registered():
                 plant.RegisterVisualGeometry(
                     link, added.drawn_at, added.drawn, f"{label}_visual", _COLOR
@@ -145,7 +142,7 @@ def set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:
     Call it once for a context, after the masses of the bodies are set; all coordinates must be
     zero.
 
-    Raises ModelError: a body has less mass or inertia than what it carries.
+    Raises ModelError: a body has less mass or inertia than the parts that it carries.
     """
     if not model.flexible:
         return
@@ -154,7 +151,7 @@ def set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:
     ):
         take_masses(plant, context, model, body=name)
     springs = {spring.joint().index(): spring for spring in _springs(plant)}
-    matrix = plant.CalcMassMatrix(context)  # at rest: what the springs hold
+    matrix = plant.CalcMassMatrix(context)  # at rest: the inertia on the springs
     for name, part in model.flexible.items():
         joints = [plant.GetJointByName(f"{HIDDEN}{label}") for label in labels_of(name, part)]
         rows = [joint.velocity_start() for joint in joints]
@@ -176,7 +173,7 @@ def take_masses(plant: MultibodyPlant, context: Context, model: Model, *, body: 
     """Take the masses of the parts that a body (scoped name) carries out of its own, in one
     context.
 
-    Raises ModelError: the body has less mass or inertia than what it carries.
+    Raises ModelError: the body has less mass or inertia than the parts that it carries.
     """
     carrier, carried = None, list[SpatialInertia]()
     for name, part in model.flexible.items():
@@ -198,8 +195,8 @@ def take_masses(plant: MultibodyPlant, context: Context, model: Model, *, body: 
         mass = sum(each.get_mass() for each in carried)
         raise ModelError(
             f"model.flexible: '{body}' carries {mass:g} kg on springs as a part of its own "
-            f"{total.get_mass():g} kg, "
-            "and what is left has no physical mass or inertia; make the parts lighter or shorter"
+            f"{total.get_mass():g} kg, and the rest has no physical mass or inertia; make the "
+            "parts lighter or shorter"
         ) from error
 
 
@@ -223,9 +220,7 @@ class VibrationMode:
     clamped_frequency: float  # Hz; of the same shape with all known coordinates held
     damping_ratio: float  # of the free mode, as far as it does not couple others
     shape: np.ndarray  # (nh) of the hidden coordinates, the largest 1
-    # (nv) which part of each known coordinate's inertia the mode carries: 1 where nothing of it
-    # would be left
-    share: np.ndarray
+    share: np.ndarray  # (nv) fraction of each known coordinate's inertia that the mode carries
 
 
 def modes_of(plant: MultibodyPlant, context: Context, split: StateSplit) -> list[VibrationMode]:
@@ -238,9 +233,7 @@ def modes_of(plant: MultibodyPlant, context: Context, split: StateSplit) -> list
     mass_matrix = plant.CalcMassMatrix(context)
     own, across = mass_matrix[np.ix_(hidden, hidden)], mass_matrix[np.ix_(known, hidden)]
     free = own - across.T @ np.linalg.solve(mass_matrix[np.ix_(known, known)], across)
-    joints = {
-        joint.velocity_start(): joint for joint in map(plant.get_joint, plant.GetJointIndices())
-    }
+    joints = {joint.velocity_start(): joint for joint in joints_of(plant)}
     springs = {spring.joint().index(): spring.GetStiffness(context) for spring in _springs(plant)}
     for spring in _springs(plant, PrismaticSpring):
         springs[spring.joint().index()] = spring.stiffness()
@@ -280,42 +273,38 @@ class _Added:
     carries_next: bool = False  # the next body of the part
 
 
-def _bodies(part: Flexible) -> list[_Added]:
+def _bodies(part: Flexible) -> Iterator[_Added]:
+    """The bodies that a part adds, from the root outward."""
     if part.kind == "mass":
         stiffness = part.stiffness
         if part.frequency is not None:
             stiffness = (2.0 * math.pi * part.frequency) ** 2 * part.mass
-        return [_Added(inertia=_point(part.mass), drawn=Sphere(0.12), stiffness=stiffness)]
-    if part.kind == "beam":
-        found = []
-        for mode, frequency in zip(
-            cantilever_modes(len(part.frequencies)), part.frequencies, strict=True
-        ):
-            mass, place = (
-                mode.mass * part.mass,
-                RigidTransform([0.0, mode.distance * part.length, 0.0]),
+        yield _Added(inertia=_point(part.mass), drawn=Sphere(0.12), stiffness=stiffness)
+    elif part.kind == "beam":
+        modes = cantilever_modes(len(part.frequencies))
+        for mode, frequency in zip(modes, part.frequencies, strict=True):
+            mass = mode.mass * part.mass
+            yield _Added(
+                inertia=_point(mass),
+                drawn=Sphere(0.06),
+                place=RigidTransform([0.0, mode.distance * part.length, 0.0]),
+                stiffness=(2.0 * math.pi * frequency) ** 2 * mass,
             )
-            stiffness = (2.0 * math.pi * frequency) ** 2 * mass
-            found.append(
-                _Added(inertia=_point(mass), drawn=Sphere(0.06), place=place, stiffness=stiffness)
-            )
-        return found
-    if part.kind == "pendulum":
+    elif part.kind == "pendulum":
         end = np.array([0.0, part.length, 0.0])
-        return [
-            _Added(inertia=_point(part.mass, end), drawn=Sphere(0.12), drawn_at=RigidTransform(end))
-        ]
-    length = part.length / part.plates
-    plate = _Added(
-        inertia=_plate(part.mass / part.plates, length, part.width),
-        drawn=Box(part.width, length, 0.03),
-        drawn_at=RigidTransform([0.0, 0.5 * length, 0.0]),
-        carries_next=True,
-    )
-    return [
-        plate,
-        *[dataclasses.replace(plate, place=RigidTransform([0.0, length, 0.0]))] * (part.plates - 1),
-    ]
+        yield _Added(
+            inertia=_point(part.mass, end), drawn=Sphere(0.12), drawn_at=RigidTransform(end)
+        )
+    else:
+        length = part.length / part.plates
+        for k in range(part.plates):
+            yield _Added(
+                inertia=_plate(part.mass / part.plates, length, part.width),
+                drawn=Box(part.width, length, 0.03),
+                drawn_at=RigidTransform([0.0, 0.5 * length, 0.0]),
+                place=RigidTransform([0.0, length if k else 0.0, 0.0]),
+                carries_next=True,
+            )
 
 
 def _point(mass: float, place: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> SpatialInertia:
@@ -344,9 +333,7 @@ def _axes(part: Flexible) -> RotationMatrix:
 
 
 def _less(total: SpatialInertia, parts: Iterable[SpatialInertia]) -> SpatialInertia:
-    """A spatial inertia without some that are part of it, all about one point and in the same
-    axes.
-    """
+    """A spatial inertia less some of its parts, all about the same point and in the same axes."""
     mass, moment = total.get_mass(), total.get_mass() * total.get_com()
     inertia = total.CalcRotationalInertia().CopyToFullMatrix3()
     for part in parts:
@@ -354,23 +341,15 @@ def _less(total: SpatialInertia, parts: Iterable[SpatialInertia]) -> SpatialIner
         inertia = inertia - part.CalcRotationalInertia().CopyToFullMatrix3()
     if not mass > 0.0:
         raise ValueError("no mass is left")
-    unit = UnitInertia(RotationalInertia(
-        Ixx=inertia[0, 0], Iyy=inertia[1, 1], Izz=inertia[2, 2],
-        Ixy=inertia[0, 1], Ixz=inertia[0, 2], Iyz=inertia[1, 2],
-    ) / mass)  # fmt: skip
-    return SpatialInertia(mass=mass, p_PScm_E=moment / mass, G_SP_E=unit)
+    return spatial_inertia_about(mass, moment / mass, inertia)
 
 
 def _loosen(plant: MultibodyPlant, name: str, part: Flexible) -> RevoluteJoint:
     """The hidden joint in place of one of the model, or between it and its link."""
     joint = _joint(plant, name, part)
     parent, child, axis = joint.frame_on_parent(), joint.frame_on_child(), joint.revolute_axis()
-    lower, upper, damping = (
-        joint.position_lower_limit(),
-        joint.position_upper_limit(),
-        joint.default_damping(),
-    )
-    label = joint.name()
+    lower, upper = joint.position_lower_limit(), joint.position_upper_limit()
+    label, damping = joint.name(), joint.default_damping()
     plant.RemoveJoint(joint)
     if part.kind == "gear":
         rotor = plant.AddRigidBody(
@@ -382,10 +361,6 @@ def _loosen(plant: MultibodyPlant, name: str, part: Flexible) -> RevoluteJoint:
         parent = rotor.body_frame()
     loose: RevoluteJoint = plant.AddJoint(RevoluteJoint(f"{HIDDEN}{name}", parent, child, axis))
     return loose
-
-
-def _add_spring(plant: MultibodyPlant, joint: RevoluteJoint) -> None:
-    plant.AddForceElement(RevoluteSpring(joint, 0.0, 0.0))
 
 
 def _springs(plant: MultibodyPlant, kind: type = RevoluteSpring) -> list[Any]:
@@ -403,8 +378,8 @@ def _body(plant: MultibodyPlant, name: str, part: Flexible) -> RigidBody:
     }
     if part.body not in found:
         raise ModelError(
-            f"model.flexible.{name}.body: no body '{part.body}'; choose one of {', '.join(found)}"
-            f"{did_you_mean(part.body, found)}"
+            f"model.flexible.{name}.body: no body '{part.body}'; choose one of "
+            f"{', '.join(found)}{did_you_mean(part.body, found)}"
         )
     return found[part.body]
 
@@ -419,8 +394,8 @@ def _joint(plant: MultibodyPlant, name: str, part: Flexible) -> RevoluteJoint:
     found = {str(joint.name()): joint for joint in joints if isinstance(joint, RevoluteJoint)}
     if part.joint not in found:
         raise ModelError(
-            f"{place}: no revolute joint '{part.joint}'; choose one of {', '.join(found) or 'none'}"
-            f"{did_you_mean(part.joint or '', found)}"
+            f"{place}: no revolute joint '{part.joint}'; choose one of "
+            f"{', '.join(found) or 'none'}{did_you_mean(part.joint or '', found)}"
         )
     joint = found[part.joint]
     if any(

@@ -20,7 +20,7 @@ import numpy as np
 from pydrake.multibody.tree import Frame
 
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.nominal import PlantModel, stacked
 
 _RANK = 1e-9  # ratio of singular values: above rounding errors, below that of any arm
 _BASE = Coordinates((), ())
@@ -181,8 +181,8 @@ class FreeFloating:
     def _check_conserved(self) -> None:
         if self.undriven.tolist() not in ([0, 1, 2, 3, 4, 5], [3, 4, 5], []):
             raise ValueError(
-                "undriven coordinates follow from momentum only if they are the whole base or "
-                "its position"
+                "undriven coordinates follow from momentum only if they are the whole base or its "
+                "position"
             )
 
 
@@ -219,20 +219,19 @@ class ReducedModel(PlantModel):
 
     # The formulas of FreeFloating for one configuration, fast enough for every control sample.
 
+    @stacked
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """H* and ones (..., nv, nv) in configurations q (..., nq)."""
-        whole = super().calc_mass_matrix(q)  # if there are several, each is reduced already
-        return whole if q.ndim > 1 else self._reduced(whole)
+        return self._reduced(super().calc_mass_matrix(q))
 
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """As PlantModel: H* of the apparent mass matrix."""
         return self._reduced(super().calc_apparent_mass_matrix(q))
 
+    @stacked
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """C* and zeros (..., nv), N m and N, for velocities v (..., nv)."""
         whole = super().calc_bias(q, v)
-        if q.ndim > 1:
-            return whole
         across, own, _ = self._blocks
         H = PlantModel.calc_mass_matrix(self, q)
         driven, undriven = self.coordinates.driven, own[1][0]

@@ -20,7 +20,7 @@ from pydrake.multibody.tree import Joint
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.so3 import attitude_motion, cross
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, joints_of
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body
 
@@ -84,22 +84,17 @@ class InverseDynamics:
         q[0] = 1.0
         plant.SetPositions(context, q)
         self._first = first.matrix()
-        joints = [
-            joint
-            for joint in map(plant.get_joint, plant.GetJointIndices())
-            if joint.num_velocities() == 1
-        ]
-        joints.sort(key=lambda joint: joint.velocity_start())
-        base = base_body(plant)
+        joints, base = joints_of(plant), base_body(plant)
         link_of = {body.index(): 0 for body in plant.GetBodiesWeldedTo(base)}
         for number, joint in enumerate(joints, start=1):
             link_of |= {
                 body.index(): number for body in plant.GetBodiesWeldedTo(joint.child_body())
             }
         frames = [base.body_frame(), *(joint.frame_on_child() for joint in joints)]
-        rotors = {}
-        for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
-            rotors[actuator.joint().index()] = actuator.calc_reflected_inertia(context)
+        rotors = {
+            actuator.joint().index(): actuator.calc_reflected_inertia(context)
+            for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+        }
         self._links = []
         for number, frame in enumerate(frames):
             bodies = [index for index, link in link_of.items() if link == number]

@@ -2,11 +2,12 @@
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import RotationalInertia, SpatialInertia, UnitInertia
+from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import ModelError, ScenarioError
 from ffsm_drake.scenario import Drives, MassProperties, Scenario, Wheels, inertia_matrix
+from ffsm_drake.spacecraft.inertia import rotational_inertia, spatial_inertia_about
 from ffsm_drake.spacecraft.plant import (
     DRAKE_ERRORS,
     base_body,
@@ -25,17 +26,10 @@ def spatial_inertia(properties: MassProperties) -> SpatialInertia:
     """
     if properties.mass == 0.0:
         return SpatialInertia.Zero()
-    inertia = inertia_matrix(properties)
-    central = RotationalInertia(
-        Ixx=inertia[0, 0],
-        Iyy=inertia[1, 1],
-        Izz=inertia[2, 2],
-        Ixy=inertia[0, 1],
-        Ixz=inertia[0, 2],
-        Iyz=inertia[1, 2],
-    )
     return SpatialInertia.MakeFromCentralInertia(
-        mass=properties.mass, p_PScm_E=properties.center_of_mass, I_SScm_E=central
+        mass=properties.mass,
+        p_PScm_E=properties.center_of_mass,
+        I_SScm_E=rotational_inertia(inertia_matrix(properties)),
     )
 
 
@@ -53,14 +47,8 @@ def set_wheels(plant: MultibodyPlant, context: Context, wheels: Wheels | None) -
         axis = np.array(unit.axis, dtype=float) / np.linalg.norm(unit.axis)
         inertia -= unit.inertia * np.outer(axis, axis)
     try:
-        rest = UnitInertia(RotationalInertia(
-            Ixx=inertia[0, 0], Iyy=inertia[1, 1], Izz=inertia[2, 2],
-            Ixy=inertia[0, 1], Ixz=inertia[0, 2], Iyz=inertia[1, 2],
-        ) / M_BBo_B.get_mass())  # fmt: skip
-        base.SetSpatialInertiaInBodyFrame(
-            context,
-            SpatialInertia(mass=M_BBo_B.get_mass(), p_PScm_E=M_BBo_B.get_com(), G_SP_E=rest),
-        )
+        rest = spatial_inertia_about(M_BBo_B.get_mass(), M_BBo_B.get_com(), inertia)
+        base.SetSpatialInertiaInBodyFrame(context, rest)
     except DRAKE_ERRORS as error:
         raise ScenarioError(
             "actuation.wheels",
@@ -123,11 +111,9 @@ def set_payload(
         what = f"joint '{weakest}'" if weakest in coordinates.joints else weakest
         raise ModelError(
             f"payload.body: with {properties.mass:g} kg on {body} the mass matrix is singular "
-            "(eigenvalues "
-            f"{eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves no "
-            "inertia to speak of; "
-            "give every link of the URDF and the payload a mass and inertia of similar "
-            "size, or fix the joint"
+            f"(eigenvalues {eigenvalues[0]:.2g} to {eigenvalues[-1]:.2g}): {what} moves no inertia "
+            "to speak of; give every link of the URDF and the payload a mass and inertia of "
+            "similar size, or fix the joint"
         )
 
 
@@ -139,11 +125,8 @@ def set_masses(
     *,
     nominal: bool = False,
 ) -> None:
-    """Give a plant the payload, and what a scenario's actuators have of mass, in a new context.
-
-    Errors as for the functions that it calls.
-    """
-    # first: a rotor may be all that a joint moves
+    """Set payload, wheels and drives in a new context; errors as for the functions called."""
+    # first: a rotor may be the only inertia that a joint moves
     set_drives(plant, context, scenario.drives, nominal=nominal)
     set_payload(plant, context, body=scenario.payload.body, properties=payload)
     set_wheels(plant, context, scenario.wheels)

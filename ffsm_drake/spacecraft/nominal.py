@@ -1,7 +1,10 @@
 """Plants for computations outside a simulation: nominal (the controller's) and true."""
 
 import dataclasses
+import functools
 import math
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -9,7 +12,7 @@ from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.systems.framework import Context
 
 from ffsm_drake.scenario import MassProperties, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
+from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of
 from ffsm_drake.spacecraft.flexible import (
     VibrationMode,
     apparent_mass_matrix,
@@ -19,6 +22,22 @@ from ffsm_drake.spacecraft.flexible import (
 )
 from ffsm_drake.spacecraft.mass_properties import set_masses, set_payload
 from ffsm_drake.spacecraft.plant import coordinates_of, find_frame, make_plant, split_of
+
+Calc = TypeVar("Calc", bound=Callable[..., np.ndarray])
+
+
+def stacked(calc: Calc) -> Calc:
+    """A method of one configuration (and velocity), made to take arrays (..., nq) of many, too."""
+
+    @functools.wraps(calc)
+    def calc_each(model: "PlantModel", q: np.ndarray, *rest: Any) -> np.ndarray:
+        if q.ndim == 1:
+            return calc(model, q, *rest)
+        velocities = [item for item in rest if isinstance(item, np.ndarray)]
+        states, frame = zip(q, *velocities, strict=True), rest[len(velocities) :]
+        return np.stack([calc_each(model, *state, *frame) for state in states])
+
+    return cast("Calc", calc_each)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -34,11 +53,10 @@ class PlantModel:
     # not trivial with ``make_flexible_plant`` only
     split: StateSplit = dataclasses.field(default_factory=StateSplit)
 
+    @stacked
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """The mass matrix H (..., nv, nv) in configurations q (..., nq)."""
-        if q.ndim > 1:
-            return np.stack([self.calc_mass_matrix(one) for one in q])
-        self._set_positions(q)
+        self._set_state(q)
         return self.plant.CalcMassMatrix(self.context)
 
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
@@ -54,17 +72,16 @@ class PlantModel:
         """Modes of vibration at rest in configuration q (nq), slowest first."""
         if not self.split.names:
             return []
-        self._set_positions(self.split.whole_positions(q))
+        self._set_state(self.split.whole_positions(q))
         return modes_of(self.plant, self.context, self.split)
 
+    @stacked
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The Coriolis and centrifugal term C (..., nv) of H dv/dt + C = tau + tau_d, N m and N."""
-        if q.ndim > 1:
-            return np.stack([self.calc_bias(*one) for one in zip(q, v, strict=True)])
-        self._set_positions(q)
-        self._set_velocities(v)
+        self._set_state(q, v)
         return self.plant.CalcBiasTerm(self.context)
 
+    @stacked
     def calc_jacobian(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
         """The Jacobian J (..., 6, nv) of a frame F in configurations q (..., nq): [w_WF; v_WF] = J
         v, world axes.
@@ -76,16 +93,13 @@ class PlantModel:
 
         Raises ModelError when there is no such frame.
         """
-        if isinstance(frame, str):
-            frame = find_frame(self.plant, frame, key="frame")
-        if q.ndim > 1:
-            return np.stack([self.calc_jacobian(one, frame) for one in q])
-        self._set_positions(q)
+        self._set_state(q)
         world = self.plant.world_frame()
         return self.plant.CalcJacobianSpatialVelocity(
-            self.context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
+            self.context, JacobianWrtVariable.kV, self._frame(frame), np.zeros(3), world, world
         )
 
+    @stacked
     def calc_bias_acceleration(
         self, q: np.ndarray, v: np.ndarray, frame: Frame | str
     ) -> np.ndarray:
@@ -93,31 +107,21 @@ class PlantModel:
 
         a_WF is the acceleration of F's origin; world axes. Args and errors as ``calc_jacobian``.
         """
-        if isinstance(frame, str):
-            frame = find_frame(self.plant, frame, key="frame")
-        if q.ndim > 1:
-            return np.stack(
-                [self.calc_bias_acceleration(*one, frame) for one in zip(q, v, strict=True)]
-            )
-        self._set_positions(q)
-        self._set_velocities(v)
+        self._set_state(q, v)
         world = self.plant.world_frame()
         bias = self.plant.CalcBiasSpatialAcceleration(
-            self.context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
+            self.context, JacobianWrtVariable.kV, self._frame(frame), np.zeros(3), world, world
         )
         return np.array(bias.get_coeffs())
 
+    @stacked
     def calc_frame_pose(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
         """[quaternion (w, x, y, z) of R_WF; p_WF] (..., 7) of a frame F; p_WF in m.
 
         Args and errors as ``calc_jacobian``.
         """
-        if isinstance(frame, str):
-            frame = find_frame(self.plant, frame, key="frame")
-        if q.ndim > 1:
-            return np.stack([self.calc_frame_pose(one, frame) for one in q])
-        self._set_positions(q)
-        X_WF = frame.CalcPoseInWorld(self.context)
+        self._set_state(q)
+        X_WF = self._frame(frame).CalcPoseInWorld(self.context)
         return np.concatenate([X_WF.rotation().ToQuaternion().wxyz(), X_WF.translation()])
 
     def calc_frame_motion(
@@ -140,40 +144,31 @@ class PlantModel:
     def calc_tracking_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Actuator force (..., nv) along a motion: inverse dynamics and the joints' damping."""
         damping = np.zeros(v.shape[-1])
-        for joint in map(self.plant.get_joint, self.plant.GetJointIndices()):
-            if joint.num_velocities() == 1:
-                damping[joint.velocity_start()] = joint.default_damping()
+        for joint in joints_of(self.plant):
+            damping[joint.velocity_start()] = joint.default_damping()
         return self.calc_inverse_dynamics(q, v, a) + damping * v
 
-    def _set_positions(self, q: np.ndarray) -> None:
+    def _frame(self, frame: Frame | str) -> Frame:
+        return find_frame(self.plant, frame, key="frame") if isinstance(frame, str) else frame
+
+    def _set_state(self, q: np.ndarray, v: np.ndarray | None = None) -> None:
         if not math.isfinite(q.dot(q)):  # Drake would end the process
             raise ValueError("the configuration q is not finite")
         self.plant.SetPositions(self.context, q)
-
-    def _set_velocities(self, v: np.ndarray) -> None:
-        if not math.isfinite(v.dot(v)):
-            raise ValueError("the velocity v is not finite")
-        self.plant.SetVelocities(self.context, v)
+        if v is not None:
+            if not math.isfinite(v.dot(v)):
+                raise ValueError("the velocity v is not finite")
+            self.plant.SetVelocities(self.context, v)
 
 
 def make_nominal_plant(scenario: Scenario) -> PlantModel:
     """The plant with the nominal payload (``payload.nominal``), whose mass matrix is Hhat."""
-    plant = make_plant(scenario.model)
-    context = plant.CreateDefaultContext()
-    set_masses(plant, context, scenario, scenario.payload.nominal, nominal=True)
-    return PlantModel(
-        plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven)
-    )
+    return _make(scenario, scenario.payload.nominal, nominal=True)
 
 
 def make_true_plant(scenario: Scenario) -> PlantModel:
     """The plant with the true payload (``payload.truth``), flexible parts locked."""
-    plant = make_plant(scenario.model)
-    context = plant.CreateDefaultContext()
-    set_masses(plant, context, scenario, scenario.payload.truth)
-    return PlantModel(
-        plant=plant, context=context, coordinates=coordinates_of(plant, undriven=scenario.undriven)
-    )
+    return _make(scenario, scenario.payload.truth)
 
 
 def make_flexible_plant(scenario: Scenario) -> PlantModel:
@@ -181,21 +176,23 @@ def make_flexible_plant(scenario: Scenario) -> PlantModel:
 
     Its q and v hold those of flexible parts too (``PlantModel.split``).
     """
-    plant = make_plant(scenario.model, flexible=True)
+    model = _make(scenario, scenario.payload.truth, flexible=True)
+    set_flexible(model.plant, model.context, scenario.model)
+    return model
+
+
+def _make(
+    scenario: Scenario, payload: MassProperties, *, nominal: bool = False, flexible: bool = False
+) -> PlantModel:
+    plant = make_plant(scenario.model, flexible=flexible)
     context = plant.CreateDefaultContext()
-    set_true_masses(plant, context, scenario)
-    return PlantModel(
-        plant=plant,
-        context=context,
-        coordinates=coordinates_of(plant, undriven=scenario.undriven),
-        split=split_of(plant),
-    )
+    set_masses(plant, context, scenario, payload, nominal=nominal)
+    coordinates = coordinates_of(plant, undriven=scenario.undriven)
+    return PlantModel(plant=plant, context=context, coordinates=coordinates, split=split_of(plant))
 
 
 def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario) -> None:
-    """Give a plant with flexible parts its true masses and springs, in a new
-    context.
-    """
+    """Set true masses and springs of a plant with flexible parts in a new context."""
     set_masses(plant, context, scenario, scenario.payload.truth)
     set_flexible(plant, context, scenario.model)
 

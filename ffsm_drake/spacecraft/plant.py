@@ -25,6 +25,7 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_VELOCITIES,
     Coordinates,
     StateSplit,
+    joints_of,
 )
 from ffsm_drake.spacecraft.flexible import HIDDEN, add_flexible, lock_joints
 from ffsm_drake.spacecraft.model_files import DRAWABLE, check_collada, files_of
@@ -129,9 +130,10 @@ def check_pictures(model: Model) -> None:
                 f"{', '.join(DRAWABLE)}"
             )
         try:
-            check_collada(
-                path
-            ) if path.suffix.lower() == ".dae" else inspector.GetObbInGeometryFrame(geometry)
+            if path.suffix.lower() == ".dae":
+                check_collada(path)
+            else:
+                inspector.GetObbInGeometryFrame(geometry)
         except DRAKE_ERRORS as error:
             raise ModelError(f"model: mesh {path}: cannot be drawn: {cause_of(error)}") from error
 
@@ -148,44 +150,10 @@ def make_plant(model: Model, *, flexible: bool = False) -> MultibodyPlant:
 def _load(
     plant: MultibodyPlant, model: Model, *, apart: str | None = None, flexible: bool = False
 ) -> None:
-    parser = Parser(plant)
-    parser.SetStrictParsing()  # else Drake replaces a non-physical inertia by a solid sphere
-    folders = _package_folders(model)
-    packages = parser.package_map()
-    for name, folder in folders.items():
-        if packages.Contains(name):
-            packages.Remove(name)
-        packages.Add(name, folder)
-    if model.servicer is None:
-        source = f"model.directives: {model.directives}"
-        _add_models(parser, model.directives or "", source, folders)
-    else:
-        source = f"model.servicer: {model.servicer}"
-        for name, file in (("servicer", model.servicer), ("debris", model.debris)):
-            instances = _add_models(parser, file, f"model.{name}: {file}", folders)
-            if len(instances) != 1:
-                raise ModelError(f"model.{name}: {file}: must hold one model, not {len(instances)}")
-            plant.RenameModelInstance(instances[0], name)
-        end_effector = find_frame(plant, model.end_effector, key="model.end_effector")
-        grasp = find_frame(plant, model.grasp, key="model.grasp")
-        for key, frame, instance in (
-            ("end_effector", end_effector, "servicer"),
-            ("grasp", grasp, "debris"),
-        ):
-            if frame.model_instance() != plant.GetModelInstanceByName(instance):
-                raise ModelError(
-                    f"model.{key}: '{frame.scoped_name()}' is not a frame of the {instance}; name "
-                    "one that is"
-                )
-        try:
-            plant.WeldFrames(end_effector, grasp)
-        except DRAKE_ERRORS as error:
-            raise ModelError(f"model.grasp: {model.grasp}: {cause_of(error)}") from error
+    """Parse the model into an empty plant, finalize and check it; see ``add_combined_plant``."""
+    source = _parse(plant, model)
     if apart is not None:
-        body = find_body(plant, apart, key="payload.body")
-        for joint in [plant.get_joint(index) for index in plant.GetJointIndices()]:
-            if body.index() in (joint.parent_body().index(), joint.child_body().index()):
-                plant.RemoveJoint(joint)
+        _free(plant, apart)
     try:
         add_flexible(plant, model) if flexible else lock_joints(plant, model)
     except DRAKE_ERRORS as error:
@@ -198,9 +166,8 @@ def _load(
         raise ModelError(f"{source}: {cause_of(error)}") from error
     if plant.num_constraints():
         raise ModelError(
-            f"{source}: joints or bodies are coupled by <mimic> or a "
-            "constraint; "
-            "remove it: each joint is controlled on its own"
+            f"{source}: joints or bodies are coupled by <mimic> or a constraint; remove it: each "
+            "joint is controlled on its own"
         )
     if not plant.GetFloatingBaseBodies():
         raise ModelError(f"{source}: no floating base; the base must not be welded to world")
@@ -210,6 +177,57 @@ def _load(
         except ModelError as error:
             raise ModelError(f"{source}: {error}") from None
     find_frame(plant, model.end_effector, key="model.end_effector")
+
+
+def _parse(plant: MultibodyPlant, model: Model) -> str:
+    """Parse the model's files. Returns the main file with its key, for errors."""
+    parser = Parser(plant)
+    parser.SetStrictParsing()  # else Drake replaces a non-physical inertia by a solid sphere
+    folders = _package_folders(model)
+    packages = parser.package_map()
+    for name, folder in folders.items():
+        if packages.Contains(name):
+            packages.Remove(name)
+        packages.Add(name, folder)
+    if model.servicer is None:
+        source = f"model.directives: {model.directives}"
+        _add_models(parser, model.directives or "", source, folders)
+        return source
+    for name, file in (("servicer", model.servicer), ("debris", model.debris)):
+        instances = _add_models(parser, file, f"model.{name}: {file}", folders)
+        if len(instances) != 1:
+            raise ModelError(f"model.{name}: {file}: must hold one model, not {len(instances)}")
+        plant.RenameModelInstance(instances[0], name)
+    _weld(plant, model)
+    return f"model.servicer: {model.servicer}"
+
+
+def _weld(plant: MultibodyPlant, model: Model) -> None:
+    """Weld the grasp frame of the debris to the end effector of the servicer."""
+    frames = []
+    for key, name, instance in (
+        ("end_effector", model.end_effector, "servicer"),
+        ("grasp", model.grasp, "debris"),
+    ):
+        frame = find_frame(plant, name, key=f"model.{key}")
+        if frame.model_instance() != plant.GetModelInstanceByName(instance):
+            raise ModelError(
+                f"model.{key}: '{frame.scoped_name()}' is not a frame of the {instance}; name one "
+                "that is"
+            )
+        frames.append(frame)
+    try:
+        plant.WeldFrames(*frames)
+    except DRAKE_ERRORS as error:
+        raise ModelError(f"model.grasp: {model.grasp}: {cause_of(error)}") from error
+
+
+def _free(plant: MultibodyPlant, name: str) -> None:
+    """Remove the joints of a body (scoped name)."""
+    body = find_body(plant, name, key="payload.body")
+    for joint in [plant.get_joint(index) for index in plant.GetJointIndices()]:
+        if body.index() in (joint.parent_body().index(), joint.child_body().index()):
+            plant.RemoveJoint(joint)
 
 
 def _add_drives(plant: MultibodyPlant) -> None:
@@ -314,16 +332,9 @@ def coordinates_of(plant: MultibodyPlant, *, undriven: tuple[str, ...] = ()) -> 
             f"the model must have one floating base, not {len(floating)} "
             f"({', '.join(names) or 'none'})"
         )
-    moving = [
-        joint
-        for joint in map(plant.get_joint, plant.GetJointIndices())
-        if joint.num_velocities() > 0
-    ]
-    known = [joint for joint in moving if not joint.name().startswith(HIDDEN)]
-    joints = [joint for joint in known if joint.velocity_start() >= NUM_BASE_VELOCITIES]
-    joints.sort(key=lambda joint: joint.velocity_start())
-    for joint in joints:
-        if joint.num_velocities() != 1:
+    joints = [joint for joint in joints_of(plant) if not joint.name().startswith(HIDDEN)]
+    for joint in map(plant.get_joint, plant.GetJointIndices()):
+        if joint.num_velocities() > 1 and joint.velocity_start() >= NUM_BASE_VELOCITIES:
             raise ModelError(
                 f"joint '{joint.name()}' has {joint.num_velocities()} degrees of freedom; it must "
                 "have one"
@@ -346,13 +357,11 @@ def coordinates_of(plant: MultibodyPlant, *, undriven: tuple[str, ...] = ()) -> 
 
 def split_of(plant: MultibodyPlant) -> StateSplit:
     """The hidden coordinates of a plant; empty if it was made without them."""
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-    moving = [joint for joint in joints if joint.num_velocities() == 1]
-    moving.sort(key=lambda joint: joint.velocity_start())
-    hidden = [joint for joint in moving if joint.name().startswith(HIDDEN)]
+    joints = joints_of(plant)
+    hidden = [joint for joint in joints if joint.name().startswith(HIDDEN)]
     if not hidden:
         return StateSplit()
-    known = [joint for joint in moving if joint not in hidden]
+    known = [joint for joint in joints if joint not in hidden]
     nq = plant.num_positions()
     base_q, base_v = list(range(NUM_BASE_POSITIONS)), list(range(NUM_BASE_VELOCITIES))
     known_v = [*base_v, *(joint.velocity_start() for joint in known)]

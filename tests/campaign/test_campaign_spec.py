@@ -11,7 +11,7 @@ from campaign_tools import SMALL, write_spec
 from click.testing import CliRunner
 from scipy.stats import kstest
 
-from ffsm_drake import load_scenario
+from ffsm_drake import Scenario, load_scenario
 from ffsm_drake.campaign.cases import make_cases, scenario_of
 from ffsm_drake.campaign.dispersion import (
     case_seed,
@@ -388,7 +388,7 @@ def test_settled_means_until_the_end():
         return Tracked(error=error, names=groups, groups=groups, units=units)
 
     criterion = parse_settled(
-        {"hold": 2.0, "tolerance": {"joints": 0.1, "base_position": 1.0}}, place="settled"
+        {"hold": 2.0, "tolerance": {"joints": 0.1, "base_position": 1.0}}, Scenario()
     )
     time = np.arange(0.0, 10.5, 0.5)
     groups, units = ("base_position", "joints"), ("m", "rad")
@@ -400,16 +400,14 @@ def test_settled_means_until_the_end():
     error[time == 8.0, 1] = -0.2
     assert criterion.time(time, tracked(error), velocity=still) is None
     assert (
-        parse_settled({"hold": 0.0}, place="s").time(time, tracked(error * 0.0), velocity=still)
+        parse_settled({"hold": 0.0}, Scenario()).time(time, tracked(error * 0.0), velocity=still)
         == 0.0
     )
     moving = np.where(time < 7.0, 0.1, 0.01)[:, None] * [0.0, -1.0]
-    at_rest = parse_settled({"hold": 2.0, "rest": 0.05}, place="settled")
+    at_rest = parse_settled({"hold": 2.0, "rest": 0.05}, Scenario())
     assert at_rest.time(time, tracked(0.0 * error), velocity=moving) == 7.0
     assert at_rest.time(time, tracked(0.0 * error), velocity=10.0 * moving) is None
-    own = parse_settled(
-        {"tolerance": {"joints": 0.1}}, place="s", base=load_scenario("slow_navigation")
-    ).tolerance
+    own = parse_settled({"tolerance": {"joints": 0.1}}, load_scenario("slow_navigation")).tolerance
     assert own == {"base_rotation": 1e-3, "base_position": 5e-3, "joints": 0.1}
     error[time == 8.0, 1] = 0.0
     error[-1, 0] = np.nan

@@ -14,7 +14,6 @@ from ffsm_drake.campaign.evaluate import (
     OUTCOMES,
     frame_parts,
     parts_of_campaign,
-    undriven_of,
 )
 from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.campaign.statistics import (
@@ -162,7 +161,7 @@ def _metric_tables(spec: Spec) -> list[dict[str, str]]:
         shown = {each.column_name: each.column_heading for each in part.metrics()}
         tables.append({name: heading for name, heading in shown.items() if name and heading})
     tables += [_OF_FRAME[part] for part in frame_parts(spec)]
-    tables += [_OF_DRIFT[group] for group in undriven_of(spec)]
+    tables += [_OF_DRIFT[group] for group in spec.scenario.undriven]
     return [table for table in tables if table]
 
 

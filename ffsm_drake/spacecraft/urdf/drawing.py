@@ -7,7 +7,14 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from ffsm_drake.spacecraft.urdf.elements import end_of, name_of, read_joint, vector
+from ffsm_drake.spacecraft.urdf.elements import (
+    end_of,
+    name_of,
+    read_inertia,
+    read_joint,
+    read_mass,
+    vector,
+)
 
 _COLORS = {"box": "0.83 0.62 0.20 1", "cylinder": "0.92 0.92 0.94 1", "sphere": "0.48 0.50 0.54 1"}
 
@@ -88,13 +95,9 @@ def color_visual(visual: Element, name: str, rgba: str) -> None:
 
 def _equivalent_box(link: Element) -> str | None:
     """Sides of the solid box with a link's moments of inertia, m; None if there is no such box."""
-    inertia, mass = link.find("inertial/inertia"), link.find("inertial/mass")
-    if inertia is None or mass is None:
+    mass = read_mass(link)
+    if not mass:
         return None
-    ixx, iyy, izz = (float(inertia.get(key, 0.0)) for key in ("ixx", "iyy", "izz"))
-    squares = (
-        np.array([iyy + izz - ixx, ixx + izz - iyy, ixx + iyy - izz])
-        * 6.0
-        / float(mass.get("value", 0.0))
-    )
+    moments = np.diagonal(read_inertia(link))
+    squares = (moments.sum() - 2.0 * moments) * 6.0 / mass
     return " ".join(f"{side:.4g}" for side in np.sqrt(squares)) if min(squares) > 0.0 else None

@@ -148,24 +148,26 @@ def check_kind(joint: Joint) -> None:
     require(
         joint.moves or joint.kind == "fixed",
         f"joint '{joint.name}' must be {', '.join(_MOVING)} or fixed, not '{joint.kind}'; replace "
-        "several degrees of "
-        "freedom by single joints, with links without <inertial> between them",
+        "several degrees of freedom by single joints, with links without <inertial> between them",
     )
+
+
+def read_inertia(link: Element) -> np.ndarray:
+    """Inertia matrix (3, 3) of a link about its centre of mass, kg m^2; zero without <inertia>."""
+    rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+    inertia = link.find("inertial/inertia")
+    if inertia is None:
+        return np.zeros((3, 3))
+    place = f"link '{name_of(link)}'"
+    return np.array([[number(inertia, key, place, "0") for key in row] for row in rows])
 
 
 def read_mass(link: Element) -> float:
     """Mass of a link, kg; zero without <inertial>. Raises ModelError for a non-physical inertia."""
     place = f"link '{name_of(link)}'"
-    mass_element, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
+    mass_element, matrix = link.find("inertial/mass"), read_inertia(link)
     mass = 0.0 if mass_element is None else number(mass_element, "value", place)
     require(0.0 <= mass < math.inf, f"{place}: mass {mass:g} kg must be positive")
-    rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
-    matrix = np.array(
-        [
-            [0.0 if inertia is None else number(inertia, key, place, "0") for key in row]
-            for row in rows
-        ]
-    )
     require(np.isfinite(matrix).all(), f"{place}: its inertia must be finite")
     require(
         mass or not matrix.any(),
@@ -175,8 +177,8 @@ def read_mass(link: Element) -> float:
     slack = 1e-9 * max(abs(principal).max(), 1e-12)
     require(
         principal[0] >= -slack and principal[0] + principal[1] >= principal[2] - slack,
-        f"{place}: no body has the principal moments {', '.join(f'{p:.4g}' for p in principal)} "
-        "kg m^2; they must "
-        "be positive, and the largest at most the sum of the others: correct its <inertia>",
+        f"{place}: no body has the principal moments {', '.join(f'{p:.4g}' for p in principal)} kg "
+        "m^2; they must be positive, and the largest at most the sum of the others: correct its "
+        "<inertia>",
     )
     return mass

@@ -51,13 +51,8 @@ def mount(root: Element, bus: Bus) -> str:
     Returns: the link of the bus. Raises ModelError if the arm's foot is ambiguous.
     """
     links = [name_of(link) for link in root.findall("link")]
-    joints = [joint for joint in root.iter("joint") if joint in list(root)]
-    for joint in joints:
-        if (
-            joint.find("parent") is not None
-            and end_of(joint, "parent") == WORLD
-            and joint.get("type") == "floating"
-        ):
+    for joint in root.findall("joint[@type='floating']"):
+        if joint.find(f"parent[@link='{WORLD}']") is not None:
             root.remove(joint)
     joints = root.findall("joint")
     name, mount_name = _free(_NAME, links), _free(_MOUNT, [name_of(joint) for joint in joints])

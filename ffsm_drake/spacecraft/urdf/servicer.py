@@ -87,8 +87,8 @@ def read_urdf(path: Path, *, tip: str | None = None, bus: Bus | None = None) -> 
     if base_mass < 0.5 * total:
         remarks.append(
             f"the base '{tree.base}' has {base_mass:.3g} of {total:.3g} kg: if it is the arm's "
-            "foot, join it to a "
-            "link for the spacecraft by a fixed joint, or mount it on a bus with --bus-mass KG"
+            "foot, join it to a link for the spacecraft by a fixed joint, or mount it on a bus "
+            "with --bus-mass KG"
         )
     return Servicer(
         source=path,
@@ -113,20 +113,16 @@ class _Tree:
     def __init__(self, root: Element) -> None:
         self.links = _by_name("link", root.findall("link"))
         self.frames = _by_name("frame", root.findall("frame"))
-        joints = [
-            read_joint(e)
-            for e in _by_name(
-                "joint", (*root.findall("joint"), *root.findall(f"{DRAKE}joint"))
-            ).values()
-        ]
+        elements = (*root.findall("joint"), *root.findall(f"{DRAKE}joint"))
+        joints = [read_joint(element) for element in _by_name("joint", elements).values()]
         self.joints = [joint for joint in joints if joint.parent != WORLD]
         self.links.pop(WORLD, None)
         for joint in joints:
             require(
                 joint.parent != WORLD or joint.kind == "floating",
                 f"the base '{joint.child}' is attached to the world; remove joint '{joint.name}' "
-                f"and link '{WORLD}' "
-                "from the URDF, so that the base is free, or mount it on a bus with --bus-mass KG",
+                f"and link '{WORLD}' from the URDF, so that the base is free, or mount it on a bus "
+                "with --bus-mass KG",
             )
         for joint in self.joints:
             for role, link in (("parent", joint.parent), ("child", joint.child)):
@@ -214,8 +210,7 @@ class _Tree:
             require(
                 not joint.moves or joint.name in tip.joints or self.mass_below(joint.child),
                 f"link '{joint.child}' moves but has no mass, and carries none; give it an "
-                "<inertial>, "
-                f"or make joint '{joint.name}' fixed",
+                f"<inertial>, or make joint '{joint.name}' fixed",
             )
 
     def tips(self, chosen: str | None) -> list[Tip]:

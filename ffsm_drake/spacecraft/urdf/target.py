@@ -8,7 +8,14 @@ import numpy as np
 from pydrake.math import RollPitchYaw
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.spacecraft.urdf.elements import name_of, number, parse, read_mass, require, vector
+from ffsm_drake.spacecraft.urdf.elements import (
+    name_of,
+    parse,
+    read_inertia,
+    read_mass,
+    require,
+    vector,
+)
 
 GRASP = "grasp"
 
@@ -57,12 +64,12 @@ def read_target(path: Path) -> Target:
             f'<frame name="{GRASP}" link="{body}" xyz="0 0 -0.5" rpy="0 0 0"/>, with z into the '
             "target",
         )
-        origin, element = heavy[0].find("inertial/origin"), heavy[0].find("inertial/inertia")
-        place = f"link '{body}'"
-        require(element is not None, f"{place}: has mass but no <inertia>; give it both")
-        assert element is not None
-        rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
-        tensor = np.array([[number(element, key, place, "0") for key in row] for row in rows])
+        origin, place = heavy[0].find("inertial/origin"), f"link '{body}'"
+        require(
+            heavy[0].find("inertial/inertia") is not None,
+            f"{place}: has mass but no <inertia>; give it both",
+        )
+        tensor = read_inertia(heavy[0])
         rotation = RollPitchYaw(vector(origin, "rpy", place)).ToRotationMatrix().matrix()
         tensor = rotation @ tensor @ rotation.T
         scale = max(float(np.abs(tensor).max()), 1e-300)

@@ -46,14 +46,12 @@ def values_of_isv(results: Results) -> Evaluated:
         by_name = {name: [values[name] for values in found] for name in found[0]}
         return named(by_name, lambda values: between(values, lambda value: f"{value:+.1f}"))
 
-    printed = [above_tdc(values) for values in paper.ISV.values()]
+    printed = [above_tdc(values) for values in paper.TABLE_2["isv"].values()]
     return (
         f"Ours over the paper's, all twelve cells: {ratio.text(times_span)}. Within 3 % counts as "
-        "reproduced. What the "
-        "paper leaves open (geometry, sign of the disturbance, noise level) was chosen to meet "
-        "these values. The "
-        f"differences are another matter. Beyond TDC's, the paper has {written(printed)}; ours: "
-        f"{both(differences).text(written)}.",
+        "reproduced. What the paper leaves open (geometry, sign of the disturbance, noise level) "
+        "was chosen to meet these values. The differences are another matter. Beyond TDC's, the "
+        f"paper has {written(printed)}; ours: {both(differences).text(written)}.",
         ratio.ruling(lambda values: all(abs(value - 1.0) <= paper.REPRODUCED for value in values)),
     )
 
@@ -68,7 +66,8 @@ def order_of_effort(results: Results) -> Evaluated:
     def count(setting: str) -> tuple[int, int, int]:
         orders = results.rankings("isv", setting)
         printed = [
-            sorted(CONTROLLERS, key=paper.ISV[disturbance].__getitem__) for disturbance, _ in cases
+            sorted(CONTROLLERS, key=paper.TABLE_2["isv"][disturbance].__getitem__)
+            for disturbance, _ in cases
         ]
         pairs = ((PROPOSED, "aismc"), ("asmc", "tdc"))
         return (
@@ -96,12 +95,11 @@ def effort_is_slightly_larger(results: Results) -> Evaluated:
     ratio = ratios_in_both(results, "isv", PROPOSED, "aismc")
     noisy = both(lambda setting: results.ratios("isv", setting, PROPOSED, (PROPOSED, "G = 0"))[:1])
     quiet = ratios_in_both(results, "isv", (PROPOSED, "no noise"), (PROPOSED, "G = 0, no noise"))
-    printed = [values[PROPOSED] / values["aismc"] for values in paper.ISV.values()]
+    printed = [values[PROPOSED] / values["aismc"] for values in paper.TABLE_2["isv"].values()]
     return (
         f"ISV over AISMC's: {ratio.text(times_span)} (the paper's: {times_span(printed)}). The "
-        "switching term alone: "
-        f"{noisy.pair(times_span)} times, without noise {quiet.pair(times_span)}. Slightly: up to "
-        "5 %.",
+        f"switching term alone: {noisy.pair(times_span)} times, without noise "
+        f"{quiet.pair(times_span)}. Slightly: up to 5 %.",
         ratio.ruling(lambda values: min(values) > 1.0 and max(values) <= 1.0 + paper.SLIGHTLY),
     )
 
@@ -126,9 +124,8 @@ def chattering_is_local(results: Results) -> Evaluated:
     share = both(share_doubled)
     return (
         "Rms change of the force from sample to sample, with G over without it: "
-        f"{growth('', 'G = 0').text(fixed)}; "
-        f"without noise {growth('no noise', 'G = 0, no noise').pair(fixed)}. There it more than "
-        "doubles in "
+        f"{growth('', 'G = 0').text(fixed)}; without noise "
+        f"{growth('no noise', 'G = 0, no noise').pair(fixed)}. There it more than doubles in "
         f"{share.pair(percent)} of all seconds and coordinates; locally: in less than half.",
         share.ruling(lambda value: value < paper.LOCALLY),
     )
@@ -153,8 +150,7 @@ def epsilon_trades_accuracy_for_smoothness(results: Results) -> Evaluated:
     parts = effect.text(lambda e: f"{signed(e[0])} and {signed(e[1])}")
     return (
         f"Change of the force's rms step by ε/10, and of the ITAE by 10 ε: {parts}. (‖s‖∞ exceeds "
-        "the published ε = "
-        f"{scientific(epsilon, 1)} in {percent(above)} of the samples, Euler.) Below 2 % counts "
-        "as none.",
+        f"the published ε = {scientific(epsilon, 1)} in {percent(above)} of the samples, Euler.) "
+        "Below 2 % counts as none.",
         effect.ruling(lambda e: min(e) > paper.NOTICEABLE),
     )

@@ -3,7 +3,7 @@
 import base64
 import datetime
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,19 +22,15 @@ from ffsm_drake.studies.paper.verdict import Kind, Verdict
 from ffsm_drake.studies.paper.wording import listed, span, times_span
 from ffsm_drake.systems.controllers import complete_gains
 
-TITLE = "How far the paper holds"
 _TALLY: dict[Kind, str] = {
     "holds": "hold", "holds only": "hold only under a condition", "does not hold": "do not hold",
     "not reproduced": "not reproduced", "not tested": "not tested",
 }  # fmt: skip
 _MINOR_STEPS = (
     "The proposed controller with the published gains, τ_d1, seed 0, in steps of the control "
-    "period. The paper does "
-    "not say how its simulation coupled law and plant: a block diagram in continuous time "
-    "evaluates the law in every "
-    "minor step of the integrator, a digital controller holds its force over the period. Table "
-    "2's ISV is "
-    f"{paper.ISV['tau_d1'][PROPOSED]}."
+    "period. The paper does not say how its simulation coupled law and plant: a block diagram in "
+    "continuous time evaluates the law in every minor step of the integrator, a digital controller "
+    f"holds its force over the period. Table 2's ISV is {paper.TABLE_2['isv']['tau_d1'][PROPOSED]}."
 )
 _PIXELS = ("fig4", "fig5")  # embedded as PNG; the other figures are small as vectors
 
@@ -42,12 +38,8 @@ _PIXELS = ("fig4", "fig5")  # embedded as PNG; the other figures are small as ve
 def write_table(rows: list[Row], results: Results, directory: Path) -> Path:
     """Write table2.csv, table2.md and table2.html; returns the last."""
     write_text(directory / "table2.csv", table_csv(rows))
-    title = "Table 2, the paper's and ours"
-    text = [f"# {title}", "", *_markdown_table_2(rows, level=2), f"Paper: {paper.CITATION}", ""]
-    write_text(directory / "table2.md", "\n".join(text))
-    path = directory / "table2.html"
-    write_text(path, _render(title, rows, results))
-    return path
+    content = _content("Table 2, the paper's and ours", rows, results)
+    return _write(directory / "table2.html", content)
 
 
 def write_page(
@@ -58,9 +50,15 @@ def write_page(
     directory: Path,
 ) -> Path:
     """Write reproduction.md and reproduction.html; returns the latter."""
-    write_text(directory / "reproduction.md", _markdown(results, rows, figures, verdicts))
-    path = directory / "reproduction.html"
-    write_text(path, _render(TITLE, rows, results, figures, verdicts))
+    content = _content("How far the paper holds", rows, results, figures, verdicts)
+    return _write(directory / "reproduction.html", content)
+
+
+def _write(path: Path, content: dict[str, Any]) -> Path:
+    """Write a page as HTML to ``path`` and as Markdown beside it."""
+    for kind in (".md", ".html"):
+        text = render(f"reproduction{kind}.j2", content, package="ffsm_drake.studies.paper")
+        write_text(path.with_suffix(kind), text)
     return path
 
 
@@ -79,15 +77,12 @@ def summary(results: Results, rows: list[Row]) -> list[str]:
     when = f", after {span(diverged, 2)} s" if diverged else ""
     return [
         f"With explicit Euler at the control period, our effort (ISV) is {times_span(isv)} times "
-        "Table 2's, our ITAE "
-        f"{span(itae, 2)} times; the proposed controller is the most accurate in {first['euler']} "
-        f"of {total} "
-        "comparisons (three disturbances, each with every noise seed).",
-        "On an exactly integrated plant with the published gains, the proposed controller "
-        "diverges in "
-        f"{len(diverged)} of {total} runs{when}. With K_s bounded it is the most accurate in "
-        f"{first['bounded']} of "
-        f"{total}.",
+        f"Table 2's, our ITAE {span(itae, 2)} times; the proposed controller is the most accurate "
+        f"in {first['euler']} of {total} comparisons (three disturbances, each with every noise "
+        "seed).",
+        "On an exactly integrated plant with the published gains, the proposed controller diverges "
+        f"in {len(diverged)} of {total} runs{when}. With K_s bounded it is the most accurate in "
+        f"{first['bounded']} of {total}.",
     ]
 
 
@@ -122,33 +117,32 @@ def runs_made(results: Results) -> list[str]:
     )
     lines = [
         f"{len(results.runs)} simulations, {seconds:.0f} s of flight: {table} for Table 2 (four "
-        "controllers, three "
-        f"disturbances, three settings, {results.num_seeds} seeds, shared runs made once) and "
-        f"{len(results.runs) - table} for single claims. {diverged} of them diverged.",
+        f"controllers, three disturbances, three settings, {results.num_seeds} seeds, shared runs "
+        f"made once) and {len(results.runs) - table} for single claims. {diverged} of them "
+        "diverged.",
         f"In all settings: control period {period:g} ms, white noise of {span(noise, 1)} µrad/s "
-        "and µm/s on the "
-        "measured velocities, disturbance as an external generalized force, H q̈ + C = τ + τ_d "
-        "(with the sign of "
-        f"equation (1) Table 2 cannot be met). Where K_s is bounded it starts at {starting} and "
-        f"stays below {highest} "
-        "1/s.",
+        "and µm/s on the measured velocities, disturbance as an external generalized force, H q̈ + "
+        "C = τ + τ_d (with the sign of equation (1) Table 2 cannot be met). Where K_s is bounded "
+        f"it starts at {starting} and stays below {highest} 1/s.",
     ]
     if results.overrides:
         lines.append(f"Not the reproduction proper: every run had {', '.join(results.overrides)}.")
     return lines
 
 
-def _render(
+def _content(
     title: str,
     rows: list[Row],
     results: Results,
     figures: Sequence[FigureFile] = (),
     verdicts: Sequence[Verdict] = (),
-) -> str:
+) -> dict[str, Any]:
+    """The variables of both templates."""
     by_setting = {setting: [row for row in rows if row.setting == setting] for setting in SETTINGS}
-    content: dict[str, Any] = {
+    return {
         "title": title,
         "rows": by_setting,
+        "header": HEADER,
         "cells": {setting: markdown_rows(found) for setting, found in by_setting.items()},
         "settings": SETTINGS,
         "notes": table_notes(),
@@ -165,7 +159,6 @@ def _render(
         "minor_steps": minor_step_table(results.overrides) if verdicts else None,
         "nominal_payloads": nominal_payload_table(results) if verdicts else None,
     }
-    return render("reproduction.html.j2", content, package="ffsm_drake.studies.paper")
 
 
 def _data_address(figure: FigureFile) -> str:
@@ -175,72 +168,3 @@ def _data_address(figure: FigureFile) -> str:
         return ""
     kind = "image/png" if path.suffix == ".png" else "image/svg+xml"
     return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-
-
-def _markdown(
-    results: Results, rows: list[Row], figures: Sequence[FigureFile], verdicts: list[Verdict]
-) -> str:
-    tally = ", ".join(f"{number} {_TALLY[kind]}" for kind, number in counts(verdicts).items())
-    lines = [
-        f"# {TITLE}",
-        "",
-        *_paragraphs([paper.CITATION, *summary(results, rows), f"Claims: {tally}."]),
-    ]
-    lines += ["## The claims, one by one", ""]
-    header = ["claim", "place", "what we measured", "verdict"]
-    for topic, group in by_topic(verdicts):
-        cells = [[item.claim, item.place, item.measured, f"**{item.verdict}**"] for item in group]
-        lines += [f"### {topic}", "", *_markdown_lines(header, cells)]
-    lines += ["## Table 2", "", *_markdown_table_2(rows, level=3)]
-    condition = "ITAE under τ_d1, exact integration, the proposed controller's K_s bounded."
-    lines += [
-        "## Nominal payloads",
-        "",
-        condition,
-        "",
-        *_markdown_lines(*nominal_payload_table(results)),
-    ]
-    lines += [
-        "## Where the law is evaluated",
-        "",
-        _MINOR_STEPS,
-        "",
-        *_markdown_lines(*minor_step_table(results.overrides)),
-    ]
-    lines += ["## Figures", ""]
-    for figure in figures:
-        path = figure.png or figure.svg
-        picture = [f"![{figure.title}](figures/{path.name})"] if path else []
-        lines += _paragraphs([f"### {figure.title}", *picture, figure.caption])
-    lines += ["## What was run", "", *_paragraphs(runs_made(results))]
-    lines += [
-        f"- **{one.title}** (scenario `{one.scenario}`): {one.description}"
-        for one in SETTINGS.values()
-    ]
-    lines += [
-        "",
-        "## Provenance",
-        "",
-        *[f"- {label}: {text}" for label, text in provenance(results, "all")],
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _markdown_table_2(rows: list[Row], *, level: int) -> list[str]:
-    lines = []
-    for key, setting in SETTINGS.items():
-        lines += [f"{'#' * level} {setting.title}", ""]
-        lines += _markdown_lines(HEADER, markdown_rows([row for row in rows if row.setting == key]))
-    return [*lines, *_paragraphs(table_notes())]
-
-
-def _markdown_lines(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    def line(cells: Sequence[str]) -> str:
-        return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
-
-    return [line(header), line(["---"] * len(header)), *map(line, rows), ""]
-
-
-def _paragraphs(texts: Iterable[str]) -> list[str]:
-    return [line for text in texts for line in (text, "")]

@@ -36,13 +36,10 @@ def published_gains_are_stable(results: Results) -> Evaluated:
         )
     return (
         f"With explicit Euler {len(euler)} of {total} runs diverge. With exact integration "
-        f"{len(exact)} of {total} "
-        f"do{when}: the force is held over the period, and law (9) carries K_s from "
-        f"{fixed(starting, 2)} to "
-        f"{fixed(highest)} 1/s (τ_d1); such a loop with a perfect mass matrix tolerates K_s < 2/L "
-        "- K_D = "
-        f"{fixed(_tolerated_k_s(results, 1.0))} 1/s. Not held, but evaluated in every minor step "
-        "of L: "
+        f"{len(exact)} of {total} do{when}: the force is held over the period, and law (9) carries "
+        f"K_s from {fixed(starting, 2)} to {fixed(highest)} 1/s (τ_d1); such a loop with a perfect "
+        f"mass matrix tolerates K_s < 2/L - K_D = {fixed(_tolerated_k_s(results, 1.0))} 1/s. Not "
+        "held, but evaluated in every minor step of L: "
         f"{'; '.join(f'{made.scheme.title} {made.fate}' for made in minor[1:])}.",
         ruling,
     )
@@ -73,11 +70,9 @@ def condition_8_protects(results: Results) -> Evaluated:
     none = "none of those tested"
     return (
         "Exact integration, K_s bounded, payload of 100 kg; in brackets the largest ‖E − H⁻¹Ĥ‖₂ "
-        "(m, rad). (8) "
-        f"satisfied, yet diverging: {'; '.join(fatal) or none}. Violated, yet the proposed "
-        "controller completes: "
-        f"nominal {listed(harmless) or none}. The paper's own: {fixed(ratios[''].norm)}; it "
-        "depends on the unit.",
+        f"(m, rad). (8) satisfied, yet diverging: {'; '.join(fatal) or none}. Violated, yet the "
+        f"proposed controller completes: nominal {listed(harmless) or none}. The paper's own: "
+        f"{fixed(ratios[''].norm)}; it depends on the unit.",
         holds_if(not fatal),
     )
 
@@ -91,9 +86,8 @@ def payload_uncertainty_is_tolerated(results: Results) -> Evaluated:
         ruling = ("holds only", f"for nominal masses of {completed.bounded} kg of those tried")
     return (
         f"Truly 100 kg. Of nominal payloads of {tested} kg (the paper tests 80 kg only) it "
-        "completes at "
-        f"{completed.bounded} with exact integration and K_s bounded, at {completed.euler} with "
-        "explicit Euler.",
+        f"completes at {completed.bounded} with exact integration and K_s bounded, at "
+        f"{completed.euler} with explicit Euler.",
         ruling,
     )
 
@@ -102,28 +96,26 @@ def payload_uncertainty_is_tolerated(results: Results) -> Evaluated:
 def more_robust_than_its_rivals(results: Results) -> Evaluated:
     survived = {name: _completed(results, "bounded", name) for name in CONTROLLERS}
     rivals = max(len(survived[name]) for name in CONTROLLERS if name != PROPOSED)
+
+    def gains(*named_gains: tuple[str, str]) -> str:
+        """Smallest and largest gain of some controllers."""
+        return span(
+            (
+                gain_of(results.record("bounded", name).scenario, gain, name)
+                for name, gain in named_gains
+            ),
+            2,
+        )
+
+    starting = gains(("aismc", "k_s_initial"), ("asmc", "k_s"))
+    bounded = gains((PROPOSED, "k_s_initial"), (PROPOSED, "k_s_max"))
     return (
         "Nominal payloads (kg, truly 100) with which each completes, exact integration, K_s "
-        "bounded: "
-        f"{named(survived, _kilograms, '; ')}. A large estimate multiplies K_D + K_s, and K_s is "
-        "not the same for all: "
-        f"{_starting_k_s(results)} 1/s of AISMC and ASMC, {_bounded_k_s(results)} of the proposed "
-        "controller, whose "
-        "bound is ours, none of TDC.",
+        f"bounded: {named(survived, _kilograms, '; ')}. A large estimate multiplies K_D + K_s, and "
+        f"K_s is not the same for all: {starting} 1/s of AISMC and ASMC, {bounded} of the proposed "
+        "controller, whose bound is ours, none of TDC.",
         holds_if(len(survived[PROPOSED]) > rivals),
     )
-
-
-def _starting_k_s(results: Results) -> str:
-    gains = (("aismc", "k_s_initial"), ("asmc", "k_s"))
-    return span(
-        (gain_of(results.record("bounded", name).scenario, gain, name) for name, gain in gains), 2
-    )
-
-
-def _bounded_k_s(results: Results) -> str:
-    scenario = results.record("bounded", PROPOSED).scenario
-    return span((gain_of(scenario, gain) for gain in ("k_s_initial", "k_s_max")), 2)
 
 
 def _completed(results: Results, setting: str, name: str) -> list[str]:

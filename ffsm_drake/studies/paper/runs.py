@@ -5,6 +5,7 @@ import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from ffsm_drake.common.workers import map_tasks
 from ffsm_drake.preflight.simulate import simulate
 from ffsm_drake.runs.log import Outcome
 from ffsm_drake.runs.record import RunRecord, software_versions
-from ffsm_drake.scenario import Scenario, load_scenario
+from ffsm_drake.scenario import Scenario, load_scenario, read_yaml
 from ffsm_drake.systems.controllers import complete_gains
 
 if TYPE_CHECKING:
@@ -25,6 +26,9 @@ INTEGRAL_SURFACE = (PROPOSED, "aismc")
 Side = str | tuple[str, str]  # a controller, or a controller and a variant of its runs
 
 
+STUDY = read_yaml(Path(__file__).with_name("study.yaml").read_text(encoding="utf-8"))
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Setting:
     """An interpretation of the paper's simulation."""
@@ -32,72 +36,14 @@ class Setting:
     title: str
     description: str
     scenario: str
-    overrides: tuple[str, ...] = ()
+    overrides: Sequence[str] = ()
 
 
-SETTINGS = {
-    "euler": Setting(
-        title="Explicit Euler, published gains",
-        description="The paper's simulation as far as it is known: explicit Euler at the "
-        "control period, 10 ms.",
-        scenario="paper",
-    ),
-    "exact": Setting(
-        title="Exact integration, published gains",
-        description="The same with the plant integrated between the samples by a third-order "
-        "Runge-Kutta method.",
-        scenario="paper",
-        overrides=("simulator_config.integration_scheme=runge_kutta3",),
-    ),
-    "bounded": Setting(
-        title="Exact integration, K_s bounded",
-        description="The same with the proposed controller's K_s bounded and starting lower; the "
-        "others are as before.",
-        scenario="postcapture",
-    ),
-}
-
-DISTURBANCES: dict[str, tuple[str, ...]] = {
-    "tau_d1": (),
-    "tau_d2": ("disturbance.frequency_scale=3",),
-    "tau_d3": ("disturbance.amplitude_scale=3",),
-}
-
-_NO_NOISE = ("sensing.velocity_noise=0", "sensing.position_noise=0")
-_NO_SWITCHING = (
-    "controllers.tde_aismc.g_initial=0",
-    "controllers.tde_aismc.phi=0",
-    "controllers.asmc.g_initial=0",
-    "controllers.asmc.a=0",
-)
-
-
-def _nominal(fraction: float) -> tuple[str, ...]:
-    """A nominal payload that is a fraction of Table 1's target (100 kg, 16.7 kg m^2)."""
-    return (
-        f"payload.nominal.mass={100.0 * fraction}",
-        f"payload.nominal.inertia=[{', '.join([str(16.7 * fraction)] * 3)}]",
-    )
-
-
-NOMINALS = {
-    f"nominal {round(100 * fraction)} kg": fraction for fraction in (0.3, 0.5, 1.0, 1.1, 1.25)
-}
-
-# Variants for single claims: name -> overrides of the scenario.
-VARIANTS: dict[str, tuple[str, ...]] = {
-    "": (),
-    "no noise": _NO_NOISE,
-    "G = 0": _NO_SWITCHING,
-    "G = 0, no noise": (*_NO_SWITCHING, *_NO_NOISE),
-    "epsilon / 10": ("controllers.tde_aismc.epsilon=1e-5",),
-    "epsilon x 10": ("controllers.tde_aismc.epsilon=1e-3",),
-    # The motion ends at 20 s, the disturbance is constant: an error at 30 s is steady-state.
-    "at rest": ("duration=30", "disturbance.frequency_scale=0", *_NO_NOISE),
-    # TDC with ASMC's K_D + K_s and K_s K_D as gains: ASMC without its switching term.
-    "stiffness of ASMC": ("controllers.tdc.k_d=180", "controllers.tdc.k_p=8000"),
-    **{name: _nominal(fraction) for name, fraction in NOMINALS.items()},
-}
+SETTINGS = {name: Setting(**entry) for name, entry in STUDY["settings"].items()}
+# name -> overrides of the scenario
+DISTURBANCES: dict[str, list[str]] = STUDY["disturbances"]
+VARIANTS: dict[str, list[str]] = STUDY["variants"]
+NOMINALS = tuple(name for name in VARIANTS if name.startswith("nominal"))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -149,7 +95,7 @@ class Run:
 
     @property
     def isv(self) -> float:
-        """As ``itae``."""
+        """ISV; infinite if the run did not complete."""
         return float(self.metrics["isv"]) if self.outcome.completed else math.inf
 
     @property
@@ -166,23 +112,9 @@ class Results:
     num_seeds: int
     overrides: tuple[str, ...] = ()  # applied to every run; empty for the reproduction proper
 
-    def run(
-        self,
-        setting: str,
-        controller: str,
-        *,
-        disturbance: str = "tau_d1",
-        seed: int = 0,
-        variant: str = "",
-    ) -> Run:
-        """The run of a case, possibly shared with another case."""
-        case = Case(
-            setting=setting,
-            controller=controller,
-            disturbance=disturbance,
-            seed=seed,
-            variant=variant,
-        )
+    def run(self, setting: str, controller: str, *, seed: int = 0, variant: str = "") -> Run:
+        """The run of a case under tau_d1, possibly shared with another case."""
+        case = Case(setting=setting, controller=controller, seed=seed, variant=variant)
         return self.runs[case.canonical]
 
     def runs_of(
@@ -199,9 +131,8 @@ class Results:
 
     def record(self, setting: str, controller: str, *, variant: str = "") -> RunRecord:
         """The full record of a case that ``keeps_record``."""
-        return self._records[
-            Case(setting=setting, controller=controller, variant=variant).canonical
-        ]
+        case = Case(setting=setting, controller=controller, variant=variant)
+        return self._records[case.canonical]
 
     @property
     def comparisons(self) -> list[tuple[str, int]]:
@@ -223,17 +154,19 @@ class Results:
         Infinite where the first diverged, NaN where the second did.
         """
         first, second = (
-            self.runs_of(setting, name, variant=variant)
+            {
+                key: getattr(run, metric)
+                for key, run in self.runs_of(setting, name, variant=variant).items()
+            }
             for name, variant in (
                 (side, "") if isinstance(side, str) else side for side in (over, under)
             )
         )
-        pairs = [
-            (getattr(run, metric), getattr(second[key], metric))
-            for key, run in first.items()
+        return [
+            value / second[key] if math.isfinite(second[key]) else math.nan
+            for key, value in first.items()
             if key in second
         ]
-        return [a / b if math.isfinite(b) else math.nan for a, b in pairs]
 
     def divergence_times(self, setting: str, controller: str, **which: str) -> list[float]:
         """Times at which runs of a controller diverged, s; ``which`` as for ``runs_of``."""
@@ -242,20 +175,18 @@ class Results:
 
     @functools.cached_property
     def _records(self) -> dict[Case, RunRecord]:
-        kept = {
-            case: (run.outcome, run.dataset)
+        versions = software_versions()
+        return {
+            case: RunRecord(
+                scenario=complete_gains(case.scenario(self.overrides)),
+                outcome=run.outcome,
+                dataset=run.dataset,
+                wall_time={},
+                software=versions,
+            )
             for case, run in self.runs.items()
             if run.dataset is not None
         }
-        versions = software_versions()
-
-        def record(case: Case, outcome: Outcome, dataset: "xr.Dataset") -> RunRecord:
-            scenario = complete_gains(case.scenario(self.overrides))
-            return RunRecord(
-                scenario=scenario, outcome=outcome, dataset=dataset, wall_time={}, software=versions
-            )
-
-        return {case: record(case, *parts) for case, parts in kept.items()}
 
 
 def gain_of(scenario: Scenario, gain: str, controller: str = PROPOSED) -> float:
@@ -288,17 +219,12 @@ def figure_cases(settings: Iterable[str], controllers: Iterable[str]) -> list[Ca
 
 def claim_cases(num_seeds: int) -> list[Case]:
     """The runs for single claims, in addition to Table 2."""
-    both = ("euler", "bounded")
-    wanted = [
-        *product(both, CONTROLLERS, ("no noise", "at rest")),
-        *product(both, [PROPOSED], ("G = 0, no noise", "epsilon / 10", "epsilon x 10")),
-        *product(both, ["asmc"], ["G = 0"]),
-        *product(both, ["tdc"], ["stiffness of ASMC"]),
-        *product(["bounded"], CONTROLLERS, NOMINALS),
-        *product(["euler"], [PROPOSED], NOMINALS),
-    ]
     cases = [
-        Case(setting=setting, controller=name, variant=variant) for setting, name, variant in wanted
+        Case(setting=setting, controller=name, variant=variant)
+        for claim in STUDY["claims"]
+        for setting, name, variant in product(
+            claim["settings"], claim["controllers"], claim["variants"]
+        )
     ]
     without_g = product(SETTINGS, range(num_seeds))
     cases += [

@@ -24,10 +24,8 @@ def comparison_is_fair(results: Results) -> Evaluated:
     after = ratios_in_both(results, "itae", ("tdc", "stiffness of ASMC"), "asmc")
     return (
         f"Stiffness (1/s²): TDC {span(tdc.k_p)}, ASMC K_s K_D = {span(asmc_stiffness, 4)}, AISMC "
-        "and proposed K_P + "
-        f"K_s K_D = {span(stiffness, 4)} at the start. ITAE of TDC over ASMC: "
-        f"{before.text(fixed)}; with ASMC's "
-        f"stiffness {after.pair(times_span)}.",
+        f"and proposed K_P + K_s K_D = {span(stiffness, 4)} at the start. ITAE of TDC over ASMC: "
+        f"{before.text(fixed)}; with ASMC's stiffness {after.pair(times_span)}.",
         holds_if(min(asmc_stiffness) <= 2.0 * max(tdc.k_p)),
     )
 
@@ -47,9 +45,8 @@ def without_g_it_is_aismc(results: Results) -> Evaluated:
     )
     return (
         f"For the same K_s the two laws differ by {percent(gap)} of the command over random "
-        "errors. But (6) comes "
-        f"with law (9): with G = 0 its ITAE is {euler} times AISMC's with explicit Euler; exactly "
-        f"integrated {fate}.",
+        f"errors. But (6) comes with law (9): with G = 0 its ITAE is {euler} times AISMC's with "
+        f"explicit Euler; exactly integrated {fate}.",
         ("holds only", "with law (21) in place of (9)") if gap == 0.0 else ("does not hold", ""),
     )
 
@@ -67,10 +64,9 @@ def without_k_p_surfaces_become_ordinary(results: Results) -> Evaluated:
         ruling = ("holds only", "for (6) and (18), with the same K_s and G, not for (20) and (17)")
     return (
         "Largest difference of the commands over random errors with K_P = 0 and equal K_s and G: "
-        "(6) and (18) "
-        f"{percent(robust)}, (20) and (17) {percent(plain)}: (20) keeps K_s s, which TDC lacks. "
-        "The adaptation laws "
-        "differ, too: K_s is constant in (18), and G follows (19), not (10).",
+        f"(6) and (18) {percent(robust)}, (20) and (17) {percent(plain)}: (20) keeps K_s s, which "
+        "TDC lacks. The adaptation laws differ, too: K_s is constant in (18), and G follows (19), "
+        "not (10).",
         ruling,
     )
 

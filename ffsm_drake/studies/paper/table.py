@@ -6,14 +6,14 @@ import math
 import statistics
 from itertools import product
 
-from ffsm_drake.common.files import csv_text
+import pandas as pd  # type: ignore[import-untyped]
+
 from ffsm_drake.common.numbers import power_of_ten
 from ffsm_drake.studies.paper import paper
 from ffsm_drake.studies.paper.runs import CONTROLLERS, DISTURBANCES, SETTINGS, Results, Run
 from ffsm_drake.studies.paper.wording import DISTURBANCE_NAMES, NAMES, scientific, span, times
 
 METRICS = {"itae": "ITAE", "isv": "ISV"}
-_PRINTED = {"itae": paper.ITAE, "isv": paper.ISV}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -57,51 +57,39 @@ def make_table(results: Results) -> list[Row]:
         itae, isv = (_cells(metric, disturbance, runs) for metric in METRICS)
         for name in CONTROLLERS:
             ended = [run for run in runs[name] if not run.outcome.completed]
-            which = (
-                ""
-                if len(ended) == len(runs[name])
-                else (f" ({len(ended)} of {len(runs[name])} runs)")
-            )
-            times_ended = span((run.outcome.time for run in ended), 2)
-            ending_text = f"{ended[0].outcome.status} at {times_ended} s{which}" if ended else ""
-            rows.append(
-                Row(
-                    setting,
-                    disturbance,
-                    name,
-                    len(runs[name]),
-                    len(ended),
-                    ending_text,
-                    itae[name],
-                    isv[name],
-                )
-            )
+            text = ""
+            if ended:
+                times_ended = span((run.outcome.time for run in ended), 2)
+                text = f"{ended[0].outcome.status} at {times_ended} s"
+                if len(ended) < len(runs[name]):
+                    text += f" ({len(ended)} of {len(runs[name])} runs)"
+            counts = len(runs[name]), len(ended)
+            rows.append(Row(setting, disturbance, name, *counts, text, itae[name], isv[name]))
     return rows
 
 
 def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[str, Cell]:
-    means = {
-        name: statistics.fmean(getattr(run, metric) for run in runs[name]) for name in CONTROLLERS
-    }
-    printed = _PRINTED[metric][disturbance]
+    values = {name: [getattr(run, metric) for run in runs[name]] for name in CONTROLLERS}
+    means = {name: statistics.fmean(found) for name, found in values.items()}
+    printed = paper.TABLE_2[metric][disturbance]
     cells = {}
     for name, mean in means.items():
-        values = [getattr(run, metric) for run in runs[name]]
         finite = math.isfinite(mean)
-        spread = statistics.stdev(values) if finite and len(values) > 1 else math.nan
-        rank = 1 + sum(other < mean for other in means.values())
-        paper_rank = 1 + sum(other < printed[name] for other in printed.values())
-        correction = paper.CORRECTIONS.get((metric, disturbance, name), "")
         shown = mean if finite else math.nan
         cells[name] = Cell(
-            mean=shown, spread=spread, paper=printed[name], ratio=shown / printed[name], rank=rank,
-            paper_rank=paper_rank, correction=correction,
-        )  # fmt: skip
+            mean=shown,
+            spread=statistics.stdev(values[name]) if finite and len(values[name]) > 1 else math.nan,
+            paper=printed[name],
+            ratio=shown / printed[name],
+            rank=1 + sum(other < mean for other in means.values()),
+            paper_rank=1 + sum(other < printed[name] for other in printed.values()),
+            correction=paper.CORRECTIONS.get((metric, disturbance, name), ""),
+        )
     return cells
 
 
 def table_csv(rows: list[Row]) -> str:
-    """The table as comma-separated values, full precision; empty if runs diverged."""
+    """The table as comma-separated values, eight digits; empty if runs diverged."""
     lines = []
     for row in rows:
         line = dict(vars(row))
@@ -115,7 +103,8 @@ def table_csv(rows: list[Row]) -> str:
             for field, value in cell.items()
         }
         lines.append(line | figures | corrections)
-    return csv_text(lines)
+    text: str = pd.DataFrame(lines).to_csv(index=False, float_format="%.8g", lineterminator="\n")
+    return text
 
 
 def shown(metric: str, value: float) -> str:
@@ -176,9 +165,8 @@ def table_notes() -> list[str]:
     """Notes below the table."""
     return [
         "Ours: mean over the noise seeds, ± standard deviation if there are several. Ratio: ours "
-        "over the paper's. "
-        "Rank: ours among the four controllers, 1 for the smallest value, diverged runs last; in "
-        "brackets the paper's.",
+        "over the paper's. Rank: ours among the four controllers, 1 for the smallest value, "
+        "diverged runs last; in brackets the paper's.",
         *[
             f"† {METRICS[metric]}, {DISTURBANCE_NAMES[disturbance]}, {NAMES[controller]}: {why}."
             for (metric, disturbance, controller), why in paper.CORRECTIONS.items()

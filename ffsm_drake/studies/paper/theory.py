@@ -50,16 +50,13 @@ def proof_is_conclusive(results: Results) -> Evaluated:
     limit, euler_limit = (float(np.nanmin(axes.k_s_limit)) for axes in (exact.axes, euler.axes))
     agreement = f"except for {listed(wrong)}" if wrong else f"in all {len(margins)} cases"
     return (
-        f"The proof needs Lemma 1, whose premise is true of {premise.pair(percent)} of the "
-        "samples (explicit Euler; "
-        f"exact, K_s bounded) and whose conclusion of {conclusion.pair(percent)} of the gains. It "
-        "is in continuous "
-        "time, too: with the force held, the published gains' run "
-        f"{fate(results.run('exact', PROPOSED))}. The "
-        f"sampled loop predicts the outcome, {agreement}: it is stable for K_s below "
-        f"{fixed(limit)} 1/s on the exactly "
-        f"integrated plant and {fixed(euler_limit)} 1/s on the Euler plant. That runs complete "
-        "proves nothing.",
+        f"The proof needs Lemma 1, whose premise is true of {premise.pair(percent)} of the samples "
+        f"(explicit Euler; exact, K_s bounded) and whose conclusion of {conclusion.pair(percent)} "
+        "of the gains. It is in continuous time, too: with the force held, the published gains' "
+        f"run {fate(results.run('exact', PROPOSED))}. The sampled loop predicts the outcome, "
+        f"{agreement}: it is stable for K_s below {fixed(limit)} 1/s on the exactly integrated "
+        f"plant and {fixed(euler_limit)} 1/s on the Euler plant. That runs complete proves "
+        "nothing.",
         holds_if(
             min(premise.euler, premise.bounded) == 1.0
             and results.run("exact", PROPOSED).outcome.completed

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import TypeVar
 
-from ffsm_drake.common.numbers import number, power_of_ten
+from ffsm_drake.common import numbers
 from ffsm_drake.studies.paper.runs import Run
 
 T = TypeVar("T")
@@ -19,17 +19,12 @@ DISTURBANCE_NAMES = {
 
 def scientific(value: float, digits: int = 3) -> str:
     """A number such as 1.70×10⁻⁴; infinity, for a diverged run, becomes words."""
-    if not math.isfinite(value):
-        return "diverged"
-    if value == 0.0:
-        return "0"
-    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-    return f"{mantissa}{power_of_ten(int(exponent))}"
+    return numbers.scientific(value, digits) if math.isfinite(value) else "diverged"
 
 
 def fixed(value: float, digits: int = 3) -> str:
-    """As ``number``; infinity as in ``scientific``."""
-    return number(value, digits) if math.isfinite(value) else "diverged"
+    """A number such as 12.3; infinity as in ``scientific``."""
+    return numbers.number(value, digits) if math.isfinite(value) else "diverged"
 
 
 def percent(share: float) -> str:

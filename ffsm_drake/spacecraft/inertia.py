@@ -1,0 +1,21 @@
+"""Inertia matrices as Drake's types."""
+
+import numpy as np
+from pydrake.multibody.tree import RotationalInertia, SpatialInertia, UnitInertia
+
+_ROWS, _COLUMNS = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]  # of Ixx, Iyy, Izz, Ixy, Ixz, Iyz
+
+
+def rotational_inertia(matrix: np.ndarray) -> RotationalInertia:
+    """The inertia of a symmetric matrix (3, 3), kg m^2. Raises RuntimeError: it is not physical."""
+    return RotationalInertia(*matrix[_ROWS, _COLUMNS])
+
+
+def spatial_inertia_about(mass: float, center: np.ndarray, matrix: np.ndarray) -> SpatialInertia:
+    """M_PPo from the mass, kg, the centre of mass p_PoPcm (3), m, and the inertia about Po (3, 3).
+
+    Raises RuntimeError: it is not physical.
+    """
+    return SpatialInertia(
+        mass=mass, p_PScm_E=center, G_SP_E=UnitInertia(rotational_inertia(matrix) / mass)
+    )
