@@ -23,21 +23,26 @@ that predicts over the delay with the force that acted.
 
 *Coupled*: what disturbs is a force, and H couples what it does to attitude and joints: d = -Hhat^-1
 f, with f a random walk. One filter of all their measurements then knows more of each than one for
-each.
+each. H changes along a motion, and the gain of a posture with H_0 makes the filter unstable where
+an eigenvalue of H^-1 H_0 passes about 2.4. So there are gains for as many postures of the plan as
+it takes, and that of the one nearest to the desired posture is used.
 """
 
 import dataclasses
 import functools
+import math
+from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, one_line
-from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.common.memo import memoized
+from ffsm_drake.scenario import Scenario, planned_part
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.controllers.filter_gains import (
     LateAxis,
     coupled_gain,
@@ -45,7 +50,14 @@ from ffsm_drake.systems.controllers.filter_gains import (
     late_gains,
 )
 from ffsm_drake.systems.controllers.law import Sample, State
+from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.sensing import measurement_times
+
+_NEIGHBOURS = (
+    1.15  # largest ratio of inertias between neighbouring postures with a gain of their own
+)
+_MOST_POSTURES = 41  # 3 to 4 ms each
+_INSTANTS = 201  # of a plan, from which those are taken
 
 
 class Estimate(NamedTuple):
@@ -280,10 +292,22 @@ class CoupledEstimator:
     by_axis: ClassVar[bool] = False
     separate: KalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
-    gain: np.ndarray  # (3 n, 2 n): correction of [e, e', f] per unit of innovation of [e, e']
+    postures: np.ndarray  # (m, nq) for which there are gains
+    # (m, 3 n, 2 n): correction of [e, e', f] per unit of innovation of [e, e']
+    gain: np.ndarray
 
     def initial_state(self) -> State:
         return {**self.separate.initial_state(), "estimated_force": np.zeros(self.axes.size)}
+
+    def gain_at(self, q_d: np.ndarray) -> np.ndarray:
+        """The gain (..., 3 n, 2 n) of the posture nearest to q_d (..., nq) by the angle of the
+        base's rotation and the joints' positions, rad or m.
+        """
+        joints = q_d[..., None, NUM_BASE_POSITIONS:] - self.postures[:, NUM_BASE_POSITIONS:]
+        cosine = np.abs((q_d[..., None, :4] * self.postures[:, :4]).sum(axis=-1))  # of half of it
+        away = (joints * joints).sum(axis=-1) + 8.0 * (1.0 - cosine)
+        nearest: np.ndarray = self.gain[away.argmin(axis=-1)]
+        return nearest
 
     def step(
         self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
@@ -297,7 +321,7 @@ class CoupledEstimator:
             (sample.e[..., self.axes] - old_e, sample.e_dot[..., self.axes] - old_rate), axis=-1
         )
         of_e, of_rate, of_force = np.split(
-            np.einsum("ij,...j->...i", self.gain, innovation), 3, axis=-1
+            np.einsum("...ij,...j->...i", self.gain_at(sample.q_d), innovation), 3, axis=-1
         )
         force = state["estimated_force"] + of_force
         # Its effect on the other coordinates is theirs to estimate.
@@ -445,21 +469,45 @@ def _make_coupled(
     position_noise: np.ndarray,
     velocity_noise: np.ndarray,
 ) -> CoupledEstimator:
-    """With the gain of the initial posture: that of any other on the way differs by less than its
-    tuning matters.
-    """
-    nominal = driven_model(make_nominal_plant(scenario))
-    q = configuration(nominal.plant, scenario.initial_posture, key="initial_posture")
     axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
-    inverse = np.linalg.inv(nominal.calc_mass_matrix(q))
-    gain = coupled_gain(
-        inverse[np.ix_(axes, axes)],
+    postures, gain = _gains_along(
+        planned_part(scenario),
+        files_read(scenario),
+        axes=axes,
         position_noise=position_noise[axes],
         velocity_noise=velocity_noise[axes],
         walk=coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")[axes],
-        sample_time=scenario.sample_time,
     )
-    return CoupledEstimator(separate=separate, axes=axes, gain=gain)
+    return CoupledEstimator(separate=separate, axes=axes, postures=postures, gain=gain)
+
+
+@memoized(maxsize=16)  # a run's check, the run and its report make the same law
+def _gains_along(
+    scenario: Scenario, files: tuple[Path, ...], *, axes: np.ndarray, **noises: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Postures (m, nq) of a scenario's plan, with the coupled gain of each (m, 3 n, 2 n).
+
+    Of a capture it is the plan of one leg: up to the grasp where nothing is in the gripper, else
+    from there on. Neighbours are so near that the eigenvalues of the one's inertia relative to the
+    other's stay within ``_NEIGHBOURS``, if ``_MOST_POSTURES`` are enough for that.
+
+    Args: a scenario whose model and plan are made from ``files``; as for ``coupled_gain`` the rest.
+    """
+    model = driven_model(make_nominal_plant(scenario))
+    motion = make_motion(scenario, model.coordinates)
+    ends = (motion.begin, motion.end) if scenario.payload.nominal.mass else (0.0, motion.begin)
+    q = motion.rows(np.linspace(*ends, _INSTANTS))[:, : len(model.coordinates.position_names)]
+    inverse = np.linalg.inv(model.calc_mass_matrix(q))[:, axes[:, None], axes]
+    # Distances by the logarithm of the eigenvalue farthest from one: they add up along the motion.
+    ratios = np.linalg.eigvals(np.linalg.solve(inverse[1:], inverse[:-1])).real
+    passed = np.cumsum([0.0, *np.abs(np.log(ratios)).max(axis=1)])
+    steps = passed[-1] / math.log(_NEIGHBOURS) - 1e-9  # but for rounding
+    count = min(math.ceil(steps) + 1, _MOST_POSTURES)
+    chosen = np.abs(passed - np.linspace(0.0, passed[-1], count)[:, None]).argmin(axis=1)
+    gains = [
+        coupled_gain(each, sample_time=scenario.sample_time, **noises) for each in inverse[chosen]
+    ]
+    return q[chosen], np.array(gains)
 
 
 def assumed_noise(scenario: Scenario, coordinates: Coordinates) -> tuple[np.ndarray, np.ndarray]:
