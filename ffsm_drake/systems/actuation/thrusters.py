@@ -131,14 +131,19 @@ class ThrusterSet:
 
     def most(self, direction: np.ndarray) -> float:
         """The largest multiple of a wrench (6; base's axes, N m and N) that they give."""
-        beyond = 10.0 * float(self.force.sum()) * float(np.linalg.norm(direction))
-        return beyond * self._allocation.solve(beyond * direction)[1]
+        beyond = 10.0 * float(self.force.sum()) / float(np.linalg.norm(direction))
+        return beyond * self._allocation.solve(beyond * direction, self._leak)[1]
 
     def allocate(self, wrench: np.ndarray, memory: ThrusterMemory) -> ThrusterMemory:
         """The start of a frame: memory with what a wanted wrench (6; base's axes, N m and N)
         opens.
+
+        A wrench that is not finite gives forces that are none either: such a run has diverged.
         """
-        forces, given = self._allocation.solve(wrench - self._leak)
+        if not np.isfinite(wrench).all():
+            unknown = np.full(len(self.names), np.nan)
+            return dataclasses.replace(memory, wanted=unknown, given=np.nan, open_for=unknown)
+        forces, given = self._allocation.solve(wrench, self._leak)
         wanted = np.zeros(len(self.names))
         wanted[self._works] = forces
         if not self.carries_over:
