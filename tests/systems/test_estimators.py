@@ -19,7 +19,7 @@ from ffsm_drake.systems.controllers.estimators import (
     make_estimator,
 )
 from ffsm_drake.systems.controllers.filter_gains import (
-    LateAxis,
+    SensedAxis,
     coupled_gain,
     kalman_gain,
     late_gains,
@@ -282,7 +282,7 @@ def test_late_gains_are_those_of_the_whole_filter(period, delay):
     """Of the time-varying filter for [e, e', d, b] and everything that was, in SI; the mean by what
     is new.
     """
-    axis = LateAxis(
+    axis = SensedAxis(
         position_noise=1e-3,
         velocity_noise=2e-3,
         walk=0.3,

@@ -10,6 +10,7 @@ from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, sc
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import PAPER_LAWS, declared_gains
+from ffsm_drake.systems.controllers.estimators import KINDS
 
 # Prices and factors that other laws' gains are varied with.
 PRICES_VARIED = (0.08, 0.022, 0.006)
@@ -76,8 +77,8 @@ def _tunable(scenario: Scenario) -> list[str]:
     names = [
         name for name, gain in gains.items() if gain.feedback and not gain.bound and not gain.scalar
     ]
-    walks = {"kalman": ["walk"], "coupled": ["walk", "force_walk"]}.get(scenario.estimator.kind, [])
-    return [*names, *(walks if scenario.controller in PAPER_LAWS else [])]
+    walks = KINDS[scenario.estimator.kind].walks
+    return [*names, *(walks if scenario.controller in PAPER_LAWS else ())]
 
 
 def _scaled(scenario: Scenario, name: str, factors: Mapping[str, float]) -> Scenario:

@@ -28,11 +28,13 @@ an eigenvalue of H^-1 H_0 passes about 2.4. So there are gains for as many postu
 it takes, and that of the one nearest to the desired posture is used.
 """
 
+import abc
 import dataclasses
 import functools
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -44,7 +46,7 @@ from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.controllers.filter_gains import (
-    LateAxis,
+    SensedAxis,
     coupled_gain,
     kalman_gain,
     late_gains,
@@ -69,15 +71,27 @@ class Estimate(NamedTuple):
     base_acceleration: np.ndarray
 
 
-class Estimator(Protocol):
-    """An estimator as a pure function of arrays."""
+class Estimator(abc.ABC):
+    """An estimator as a pure function of arrays; a subclass is a frozen dataclass."""
 
-    by_axis: ClassVar[bool]  # whether it treats every coordinate by itself, with no delay
+    by_axis: ClassVar[bool] = False  # whether it treats every coordinate by itself, with no delay
+    # settings of the scenario's section ``estimator`` that decide how fast it follows
+    walks: ClassVar[tuple[str, ...]] = ()
 
+    @classmethod
+    @abc.abstractmethod
+    def make(
+        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+    ) -> "Estimator":
+        """That of a scenario; see ``make_estimator``. Raises LinAlgError without a stationary
+        filter.
+        """
+
+    @abc.abstractmethod
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the estimator's memory."""
-        ...
 
+    @abc.abstractmethod
     def step(
         self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
     ) -> tuple[Estimate, State]:
@@ -88,8 +102,8 @@ class Estimator(Protocol):
           nominal_mass_matrix: Hhat (..., nv, nv) at this sample.
           state: the memory at this sample, by name; must not be changed in place.
         """
-        ...
 
+    @abc.abstractmethod
     def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
         """What changes of the memory at the grasp of a target, by name; the next sample counts as a
         first one.
@@ -101,16 +115,22 @@ class Estimator(Protocol):
             momentum.
           v_d: (nv) the reference's velocity after the grasp.
         """
-        ...
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class OneSampleEstimator:
+class OneSampleEstimator(Estimator):
     """Time-delay estimation as published: N(t - L) for N(t), equation (5)."""
 
     by_axis: ClassVar[bool] = True
     sample_time: float
     num_velocities: int
+
+    @classmethod
+    def make(
+        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+    ) -> Self:
+        size = len(coordinates.names if jacobian is None else jacobian)
+        return cls(sample_time=scenario.sample_time, num_velocities=size)
 
     def initial_state(self) -> State:
         return {"delayed_velocity": np.zeros(self.num_velocities)}
@@ -138,15 +158,33 @@ class OneSampleEstimator:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class KalmanEstimator:
+class KalmanEstimator(Estimator):
     """Stationary Kalman estimate of [e, e', d] per coordinate, d = -N.
 
     It starts from zero error: the planned motion begins at the nominal initial posture.
     """
 
     by_axis: ClassVar[bool] = True
+    walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
     gain: np.ndarray  # (nv, 3, 2): correction of [e, e', d] per unit of innovation of (e, e')
+
+    @classmethod
+    def make(
+        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+    ) -> Estimator:
+        axes, step = _axes(scenario, coordinates), scenario.sample_time
+        if not all(axis.is_plain for axis in axes):
+            return LateKalmanEstimator.make(scenario, coordinates, jacobian)
+        noises = np.array([[axis.position_noise, axis.velocity_noise, axis.walk] for axis in axes])
+        if jacobian is not None:
+            noises = np.sqrt(jacobian**2 @ noises**2)
+        solve = functools.cache(kalman_gain)
+        gains = [
+            solve(position_noise=position, velocity_noise=velocity, walk=walk, sample_time=step)
+            for position, velocity, walk in noises.tolist()
+        ]
+        return cls(sample_time=step, gain=np.array(gains))
 
     def initial_state(self) -> State:
         zeros = np.zeros(self.gain.shape[0])
@@ -181,7 +219,7 @@ class KalmanEstimator:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class LateKalmanEstimator:
+class LateKalmanEstimator(Estimator):
     """Kalman estimate of [e, e', d], and b where the velocity has a bias, from measurements that
     are late or slow.
 
@@ -190,13 +228,31 @@ class LateKalmanEstimator:
     then, [q_d(t_k) - q(t_(k-j)), ...].
     """
 
-    by_axis: ClassVar[bool] = False
     sample_time: float
     delay: np.ndarray  # (2 nv) of e, then e': whole control samples
     # (4, 4 nv + sum of the delays, 2): correction of x per unit of innovation of its coordinate's e
     # and e'; the first index says what is new of that coordinate: nothing, the velocity, the
     # position, both
     gain: np.ndarray
+
+    @classmethod
+    def make(
+        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+    ) -> Self:
+        _refuse_frame(jacobian)
+        axes, solve = _axes(scenario, coordinates), functools.cache(late_gains)
+        gains = [solve(axis, sample_time=scenario.sample_time) for axis in axes]
+        delays = np.array([axis.delay for axis in axes])
+        # From coordinate by coordinate to entry by entry: all e, all e', all d, all b, the past of
+        # all e, of all e'.
+        present = [np.stack([of[:, entry] for of in gains], axis=1) for entry in range(4)]
+        of_e = [of[:, 4 : 4 + lag] for of, (lag, _) in zip(gains, delays, strict=True)]
+        of_rate = [of[:, 4 + lag :] for of, (lag, _) in zip(gains, delays, strict=True)]
+        return cls(
+            sample_time=scenario.sample_time,
+            delay=delays.T.ravel(),
+            gain=np.concatenate([*present, *of_e, *of_rate], axis=1),
+        )
 
     @functools.cached_property
     def _owner(self) -> np.ndarray:
@@ -284,17 +340,40 @@ class LateKalmanEstimator:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class CoupledEstimator:
+class CoupledEstimator(Estimator):
     """Kalman estimate of [e, e', f] of several coordinates together, d = -(Hhat^-1 f), and of the
     others one by one.
     """
 
-    by_axis: ClassVar[bool] = False
+    walks: ClassVar[tuple[str, ...]] = ("walk", "force_walk")
     separate: KalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
     postures: np.ndarray  # (m, nq) for which there are gains
     # (m, 3 n, 2 n): correction of [e, e', f] per unit of innovation of [e, e']
     gain: np.ndarray
+
+    @classmethod
+    def make(
+        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+    ) -> Self:
+        _refuse_frame(jacobian)
+        separate = KalmanEstimator.make(scenario, coordinates, None)
+        if not isinstance(separate, KalmanEstimator):
+            raise ScenarioError(
+                "estimator.kind", "coupled takes no slow or late sensors and no bias; use kalman"
+            )
+        axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
+        position, velocity = assumed_noise(scenario, coordinates)
+        walk = coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")
+        postures, gain = _gains_along(
+            planned_part(scenario),
+            files_read(scenario),
+            axes=axes,
+            position_noise=position[axes],
+            velocity_noise=velocity[axes],
+            walk=walk[axes],
+        )
+        return cls(separate=separate, axes=axes, postures=postures, gain=gain)
 
     def initial_state(self) -> State:
         return {**self.separate.initial_state(), "estimated_force": np.zeros(self.axes.size)}
@@ -359,11 +438,48 @@ def _predict(
     return e, e_dot, d
 
 
-def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
-    """The scenario's estimator. Raises ScenarioError for unknown or missing coordinates."""
-    settings, sample_time = scenario.estimator, scenario.sample_time
-    if settings.kind == "one_sample":
-        return OneSampleEstimator(sample_time=sample_time, num_velocities=len(coordinates.names))
+KINDS: Mapping[str, type[Estimator]] = {
+    "one_sample": OneSampleEstimator,
+    "kalman": KalmanEstimator,
+    "coupled": CoupledEstimator,
+}
+
+
+def make_estimator(
+    scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None = None
+) -> Estimator:
+    """The scenario's estimator, for the spacecraft's coordinates, or for m whose velocities are
+    J v, with the Jacobian J (m, nv).
+
+    A Kalman filter of those takes what it assumes of noise and walk from the spacecraft's,
+    independent of each other, through J.
+
+    Raises ScenarioError: unknown or missing coordinates, sensors that it cannot take, or no
+    stationary filter.
+    """
+    try:
+        return KINDS[scenario.estimator.kind].make(scenario, coordinates, jacobian)
+    except np.linalg.LinAlgError as error:
+        remedy = (
+            "bring walk and noises, or periods and delays, of position and velocity closer together"
+        )
+        raise ScenarioError(
+            "estimator", f"has no stationary filter ({one_line(error)}); {remedy}"
+        ) from error
+
+
+def _refuse_frame(jacobian: np.ndarray | None) -> None:
+    if jacobian is not None:
+        problem = (
+            "of a frame must be one_sample, or kalman of sensors that are neither slow nor "
+            "late and have no bias"
+        )
+        raise ScenarioError("estimator", problem)
+
+
+def _axes(scenario: Scenario, coordinates: Coordinates) -> list[SensedAxis]:
+    """What a filter assumes of each coordinate."""
+    settings, nv = scenario.estimator, len(coordinates.names)
     walk = coordinates.vector(settings.walk, key="estimator.walk")
     bias_walk = coordinates.vector(
         settings.velocity_bias_walk, key="estimator.velocity_bias_walk", default=0.0
@@ -371,11 +487,9 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
     period, delay = measurement_times(scenario.sensing, coordinates)
     if settings.delay is not None:
         delay = delay - scenario.sensing.delay + settings.delay
-    nv = len(coordinates.names)
     position, velocity = assumed_noise(scenario, coordinates)
-    plain = not (bias_walk.any() or (period > 1).any() or delay.any())
-    axes = [
-        LateAxis(
+    return [
+        SensedAxis(
             position_noise=float(position[i]),
             velocity_noise=float(velocity[i]),
             walk=float(walk[i]),
@@ -385,100 +499,6 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
         )
         for i in range(nv)
     ]
-    try:
-        gains = {  # the equation is solved once for all coordinates that share their sensors
-            axis: kalman_gain(
-                position_noise=axis.position_noise,
-                velocity_noise=axis.velocity_noise,
-                walk=axis.walk,
-                sample_time=sample_time,
-            )
-            if plain
-            else late_gains(axis, sample_time=sample_time)
-            for axis in dict.fromkeys(axes)
-        }
-        if settings.kind == "coupled":
-            if not plain:
-                raise ScenarioError(
-                    "estimator.kind",
-                    "coupled takes no slow or late sensors and no bias; use kalman",
-                )
-            separate = KalmanEstimator(
-                sample_time=sample_time, gain=np.array([gains[axis] for axis in axes])
-            )
-            return _make_coupled(scenario, coordinates, separate, position, velocity)
-    except np.linalg.LinAlgError as error:
-        remedy = (
-            "bring walk and noises, or periods and delays, of position and velocity closer together"
-        )
-        raise ScenarioError(
-            "estimator", f"has no stationary filter ({one_line(error)}); {remedy}"
-        ) from error
-    by_axis = [gains[axis] for axis in axes]
-    if plain:
-        return KalmanEstimator(sample_time=sample_time, gain=np.array(by_axis))
-    # From coordinate by coordinate to entry by entry: all e, all e', all d, all b, the past of all
-    # e, of all e'.
-    parts = [np.stack([of[:, entry] for of in by_axis], axis=1) for entry in range(4)]
-    parts += [of[:, 4 : 4 + axis.delay[0]] for axis, of in zip(axes, by_axis, strict=True)]
-    parts += [of[:, 4 + axis.delay[0] :] for axis, of in zip(axes, by_axis, strict=True)]
-    return LateKalmanEstimator(
-        sample_time=sample_time, delay=delay, gain=np.concatenate(parts, axis=1)
-    )
-
-
-def make_task_estimator(
-    scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray
-) -> Estimator:
-    """The scenario's estimator for m coordinates whose velocities are J v, with the Jacobian J (m,
-    nv).
-
-    A Kalman filter takes what it assumes of noise and walk from the spacecraft's coordinates,
-    independent of each other, through J. Raises ScenarioError as ``make_estimator``, and where the
-    measurements of coordinates come late or slowly, have a bias or are taken together.
-    """
-    estimator, settings = make_estimator(scenario, coordinates), scenario.estimator
-    if settings.kind == "one_sample":
-        return OneSampleEstimator(sample_time=scenario.sample_time, num_velocities=len(jacobian))
-    if not isinstance(estimator, KalmanEstimator):
-        problem = (
-            "of a frame must be one_sample, or kalman of sensors that are neither slow nor "
-            "late and have no bias"
-        )
-        raise ScenarioError("estimator", problem)
-    walk = coordinates.vector(settings.walk, key="estimator.walk")
-    of_frame = np.sqrt(
-        jacobian**2 @ np.stack([*assumed_noise(scenario, coordinates), walk], axis=1) ** 2
-    )
-    gains = [
-        kalman_gain(
-            position_noise=position,
-            velocity_noise=velocity,
-            walk=walk,
-            sample_time=scenario.sample_time,
-        )
-        for position, velocity, walk in of_frame.tolist()
-    ]
-    return KalmanEstimator(sample_time=scenario.sample_time, gain=np.array(gains))
-
-
-def _make_coupled(
-    scenario: Scenario,
-    coordinates: Coordinates,
-    separate: KalmanEstimator,
-    position_noise: np.ndarray,
-    velocity_noise: np.ndarray,
-) -> CoupledEstimator:
-    axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
-    postures, gain = _gains_along(
-        planned_part(scenario),
-        files_read(scenario),
-        axes=axes,
-        position_noise=position_noise[axes],
-        velocity_noise=velocity_noise[axes],
-        walk=coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")[axes],
-    )
-    return CoupledEstimator(separate=separate, axes=axes, postures=postures, gain=gain)
 
 
 @memoized(maxsize=16)  # a run's check, the run and its report make the same law

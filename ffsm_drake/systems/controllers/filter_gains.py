@@ -81,18 +81,23 @@ def coupled_gain(
 
 
 @dataclasses.dataclass(frozen=True)
-class LateAxis:
-    """One coordinate's sensors and model, for ``late_gains``."""
+class SensedAxis:
+    """What a filter assumes of one coordinate."""
 
     position_noise: float  # standard deviations of the measured e and e'
     velocity_noise: float
     walk: float  # intensity of N's random walk, per sqrt(s)
-    bias_walk: float  # that of the velocity's bias; 0: none is estimated
-    period: tuple[int, int]  # of position and velocity, control samples
-    delay: tuple[int, int]
+    bias_walk: float = 0.0  # that of the velocity's bias; 0: none is estimated
+    period: tuple[int, int] = (1, 1)  # of position and velocity, control samples
+    delay: tuple[int, int] = (0, 0)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether its measurements are new at every sample, at once and without bias."""
+        return self.bias_walk == 0.0 and self.period == (1, 1) and self.delay == (0, 0)
 
 
-def late_gains(axis: LateAxis, *, sample_time: float) -> np.ndarray:
+def late_gains(axis: SensedAxis, *, sample_time: float) -> np.ndarray:
     """Gains (4, 4 + sum of the delays, 2) of one coordinate of a LateKalmanEstimator, on [e, e', d,
     b, past].
 
@@ -125,7 +130,7 @@ class _LateFilter:
     process: np.ndarray  # likewise
 
     @classmethod
-    def of(cls, axis: LateAxis, *, step: float) -> "_LateFilter":
+    def of(cls, axis: SensedAxis, *, step: float) -> "_LateFilter":
         late = axis.delay[0] - min(axis.delay), axis.delay[1] - min(axis.delay)
         size = 4 + sum(late)
         transition = np.zeros((size, size))
@@ -200,7 +205,7 @@ class _LateFilter:
             raise np.linalg.LinAlgError("the mean gains of its slow sensors are unstable")
 
 
-def _at_present(gains: np.ndarray, axis: LateAxis, *, step: float) -> np.ndarray:
+def _at_present(gains: np.ndarray, axis: SensedAxis, *, step: float) -> np.ndarray:
     """Gains of the present, and of all that was, from those (4, size, 2) at the time of the younger
     measurement; in SI units.
     """
