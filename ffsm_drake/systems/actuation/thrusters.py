@@ -250,72 +250,50 @@ class FiredThrusters(Part):
         takes less for it.
         """
 
-        def by_name(key: str, unit: str, of: Callable[[View], list[float]]) -> Metric:
-            return Metric(
-                key=f"thrusters.{key}",
-                unit=unit,
-                label="",
-                column="",
-                of=lambda run: dict(zip(self.units, of(run), strict=True)),
-            )
-
         return (
-            Metric(
-                key="thrusters.propellant",
-                unit="kg",
-                label="Propellant",
-                column="propellant",
-                heading="propellant [kg]",
-                shown="g",
-                factor=1e3,
-                ranked=True,
-                of=lambda run: (self._impulse(run) / self._exhaust).sum(),
-            ),
-            Metric(
-                key="thrusters.propellant_of_force",
-                unit="kg",
-                label="At least, for the commanded force",
-                column="",
-                shown="g",
-                factor=1e3,
-                of=self._least_propellant,
-            ),
-            by_name("impulse", "N s", lambda run: self._impulse(run).tolist()),
-            Metric(
-                key="",
-                unit="N s",
-                label="Impulse",
-                column="thruster_impulse",
-                heading="",
-                of=lambda run: self._impulse(run).sum(),
-            ),
-            by_name("pulses", "1", lambda run: [each.size for each in _pulses(run)]),
-            Metric(
-                key="",
-                unit="1",
-                label="Pulses",
-                column="thruster_pulses",
-                heading="pulses",
-                of=lambda run: sum(each.size for each in _pulses(run)),
-            ),
-            by_name("on_time", "s", lambda run: (_opened(run).sum(axis=0) * _period(run)).tolist()),
-            Metric(
-                key="thrusters.shortest_pulse",
-                unit="s",
-                label="",
-                column="",
-                of=_shortest,
-            ),
+            *self._propellant_metrics(),
+            self._of_each("impulse", "N s", self._impulse),
+            _of_all("impulse", "N s", self._impulse),
+            self._of_each("pulses", "1", _count),
+            _of_all("pulses", "1", _count, heading="pulses"),
+            self._of_each("on_time", "s", lambda run: _opened(run).sum(axis=0) * _period(run)),
+            Metric(key="thrusters.shortest_pulse", unit="s", label="", column="", of=_shortest),
             Metric(
                 key="thrusters.saturated",
                 unit="1",
                 label="Samples with less than was wanted",
                 heading="thrusters saturated [share]",
                 shown="%",
-                of=lambda run: (
-                    (run["thruster_given"][:-1] < _WHOLE).mean() if len(run.time) > 1 else 0.0
-                ),
+                of=_saturated,
             ),
+        )
+
+    def _propellant_metrics(self) -> Sequence[Metric]:
+        grams = functools.partial(Metric, unit="kg", shown="g", factor=1e3)
+        return (
+            grams(
+                key="thrusters.propellant",
+                label="Propellant",
+                column="propellant",
+                heading="propellant [kg]",
+                ranked=True,
+                of=lambda run: (self._impulse(run) / self._exhaust).sum(),
+            ),
+            grams(
+                key="thrusters.propellant_of_force",
+                label="At least, for the commanded force",
+                column="",
+                of=self._least_propellant,
+            ),
+        )
+
+    def _of_each(self, key: str, unit: str, of: Callable[[View], np.ndarray]) -> Metric:
+        return Metric(
+            key=f"thrusters.{key}",
+            unit=unit,
+            label="",
+            column="",
+            of=lambda run: dict(zip(self.units, of(run).tolist(), strict=True)),
         )
 
     def most(self, scenario: Scenario, directions: np.ndarray) -> Mapping[str, np.ndarray]:
@@ -371,6 +349,17 @@ class FiredThrusters(Part):
         return wanted / float(self._exhaust.max())
 
 
+def _of_all(name: str, unit: str, of: Callable[[View], np.ndarray], *, heading: str = "") -> Metric:
+    return Metric(
+        key="",
+        unit=unit,
+        label=name.capitalize(),
+        column=f"thruster_{name}",
+        heading=heading,
+        of=lambda run: of(run).sum(),
+    )
+
+
 def _period(run: View) -> float:
     return run.scenario.sample_time
 
@@ -382,6 +371,17 @@ def _opened(run: View) -> np.ndarray:
 def _pulses(run: View) -> list[np.ndarray]:
     """Lengths of the pulses of each thruster, s."""
     return [pulses_of(column, _period(run))[1] for column in _opened(run).T]
+
+
+def _count(run: View) -> np.ndarray:
+    """The pulses of each thruster."""
+    return np.array([each.size for each in _pulses(run)])
+
+
+def _saturated(run: View) -> float:
+    """Share of the samples with less than was wanted."""
+    given = run["thruster_given"][:-1]
+    return float((given < _WHOLE).mean()) if given.size else 0.0
 
 
 def _shortest(run: View) -> float | None:

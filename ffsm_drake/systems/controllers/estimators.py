@@ -1,7 +1,7 @@
 """Estimators of the lumped uncertainty N in q'' = N + Hhat^-1 tau (equation (2)), for all
 time-delay laws.
 
-Both give, each sample, what the law works on (error and its rate) and a pair (base force, base
+Each gives, at a sample, what the law works on (error and its rate) and a pair (base force, base
 acceleration) that turns the law's acceleration u into the force tau = base force + Hhat (u - base
 acceleration).
 
@@ -55,9 +55,8 @@ from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.sensing import measurement_times
 
-_NEIGHBOURS = (
-    1.15  # largest ratio of inertias between neighbouring postures with a gain of their own
-)
+# Largest eigenvalue of the inertia of a posture with a gain of its own relative to its neighbour's.
+_NEIGHBOURS = 1.15
 _MOST_POSTURES = 41  # 3 to 4 ms each
 _INSTANTS = 201  # of a plan, from which those are taken
 
