@@ -10,8 +10,10 @@ from flight_settings import FLIGHT, NO_NOISE
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.scenario.schema import ESTIMATOR_KINDS
 from ffsm_drake.systems.controllers import Sample, gain_vectors
 from ffsm_drake.systems.controllers.estimators import (
+    KINDS,
     CoupledEstimator,
     KalmanEstimator,
     LateKalmanEstimator,
@@ -152,6 +154,10 @@ def test_gain_is_the_steady_state_of_the_riccati_iteration():
             assert found == pytest.approx(gain[i], rel=1e-7), (i, step)
             error_map = (np.eye(3) - found @ np.eye(3)[:2]) @ transition
             assert np.abs(np.linalg.eigvals(error_map)).max() < 1.0
+
+
+def test_every_kind_that_a_scenario_can_name_is_there():
+    assert tuple(KINDS) == ESTIMATOR_KINDS
 
 
 def test_a_more_trusted_sensor_and_a_faster_walk_weigh_more():

@@ -102,10 +102,9 @@ class Estimator(abc.ABC):
           state: the memory at this sample, by name; must not be changed in place.
         """
 
-    @abc.abstractmethod
     def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
         """What changes of the memory at the grasp of a target, by name; the next sample counts as a
-        first one.
+        first one. The force of the last sample, and one that is estimated, go on by themselves.
 
         Args:
           state: the memory up to then.
@@ -114,6 +113,8 @@ class Estimator(abc.ABC):
             momentum.
           v_d: (nv) the reference's velocity after the grasp.
         """
+        names = ("estimated_error_rate", "estimated_negative_n")
+        return {name: ratio @ state[name] for name in names if name in state}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -148,12 +149,6 @@ class OneSampleEstimator(Estimator):
             sample.e, sample.e_dot, base_force=sample.applied_force, base_acceleration=acceleration
         )
         return estimate, {"delayed_velocity": sample.v}
-
-    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
-        """See Estimator. The force of the last sample goes on by itself, and what was before a
-        first is not used.
-        """
-        return {}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -210,11 +205,6 @@ class KalmanEstimator(Estimator):
             "estimated_negative_n": d,
             "delayed_desired_velocity": sample.v_d,
         }
-
-    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
-        """See Estimator."""
-        names = ("estimated_error_rate", "estimated_negative_n")
-        return {name: ratio @ state[name] for name in names}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -322,10 +312,7 @@ class LateKalmanEstimator(Estimator):
         """See Estimator. What is measured late is from before the grasp for a while, against the
         velocity after it.
         """
-        names = ("estimated_error_rate", "estimated_negative_n")
-        return {name: ratio @ state[name] for name in names} | {
-            "past": self._moved_past(state, v_d),
-        }
+        return {**super().resume(state, ratio, v_d), "past": self._moved_past(state, v_d)}
 
     def _moved_past(self, state: State, v_d: np.ndarray) -> np.ndarray:
         """What was is as it was, against a reference that has moved on to the velocity v_d."""
@@ -381,11 +368,20 @@ class CoupledEstimator(Estimator):
         """The gain (..., 3 n, 2 n) of the posture nearest to q_d (..., nq) by the angle of the
         base's rotation and the joints' positions, rad or m.
         """
-        joints = q_d[..., None, NUM_BASE_POSITIONS:] - self.postures[:, NUM_BASE_POSITIONS:]
-        cosine = np.abs((q_d[..., None, :4] * self.postures[:, :4]).sum(axis=-1))  # of half of it
-        away = (joints * joints).sum(axis=-1) + 8.0 * (1.0 - cosine)
-        nearest: np.ndarray = self.gain[away.argmin(axis=-1)]
+        # Squared distances less what all have in common; the cosine is that of half the angle.
+        joints = self._squares - 2.0 * (q_d[..., NUM_BASE_POSITIONS:] @ self._joints.T)
+        cosine = np.abs(q_d[..., :4] @ self.postures[:, :4].T)
+        nearest: np.ndarray = self.gain[(joints - 8.0 * cosine).argmin(axis=-1)]
         return nearest
+
+    @functools.cached_property
+    def _joints(self) -> np.ndarray:
+        return self.postures[:, NUM_BASE_POSITIONS:]
+
+    @functools.cached_property
+    def _squares(self) -> np.ndarray:
+        squares: np.ndarray = (self._joints**2).sum(axis=1)
+        return squares
 
     def step(
         self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
@@ -415,10 +411,6 @@ class CoupledEstimator(Estimator):
             **kept,
             "estimated_force": force,
         }
-
-    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
-        """See Estimator. The force that is estimated goes on as it is."""
-        return self.separate.resume(state, ratio, v_d)
 
 
 def _predict(

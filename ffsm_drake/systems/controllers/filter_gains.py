@@ -108,7 +108,7 @@ def late_gains(axis: SensedAxis, *, sample_time: float) -> np.ndarray:
     filter_ = _LateFilter.of(axis, step=sample_time)
     kinds = filter_.kinds(axis.period)
     gains = filter_.mean_gains(kinds)
-    filter_.check(gains, kinds, with_bias=axis.bias_walk > 0.0)
+    filter_.check(gains, kinds)
     return _at_present(gains, axis, step=sample_time)
 
 
@@ -167,7 +167,7 @@ class _LateFilter:
         """The stationary filter's gains (4, size, 2) by what is new: the mean over the period."""
         covariance, sums = self._stationary(kinds), np.zeros((4, *self.output.T.shape))
         for kind in kinds:
-            seen = [i for i, is_new in enumerate((kind // 2, kind % 2)) if is_new]
+            seen = np.flatnonzero([kind // 2, kind % 2])
             of = self.output[seen]
             innovation = of @ covariance @ of.T + np.diag(self.noise[seen])
             gain = np.linalg.solve(innovation, of @ covariance).T
@@ -178,30 +178,25 @@ class _LateFilter:
 
     def _stationary(self, kinds: list[int]) -> np.ndarray:
         """The covariance before the first sample of the common period."""
-        size, output = len(self.transition), self.output
-        information = {
-            kind: output.T * ([kind // 2, kind % 2] / self.noise) @ output for kind in set(kinds)
-        }
-        whole = _Riccati(np.eye(size), np.zeros((size, size)), np.zeros((size, size)))
+        one, output = np.eye(len(self.transition)), self.output
+        whole = _Riccati(one, 0.0 * one, 0.0 * one)
         for kind in kinds:
-            whole = whole.then(_Riccati(self.transition, information[kind], self.process))
+            information = output.T * ([kind // 2, kind % 2] / self.noise) @ output
+            whole = whole.then(_Riccati(self.transition, information, self.process))
         for _ in range(60):
-            twice = whole.then(whole)
-            done = np.allclose(twice.h, whole.h, rtol=1e-12, atol=0.0)
-            whole = twice
-            if done:
+            before, whole = whole.h, whole.then(whole)
+            if np.allclose(whole.h, before, rtol=1e-12, atol=0.0):
                 break
         return whole.h
 
-    def check(self, gains: np.ndarray, kinds: list[int], *, with_bias: bool) -> None:
+    def check(self, gains: np.ndarray, kinds: list[int]) -> None:
         """Raise LinAlgError if the filter with these gains is unstable."""
-        size = len(self.transition)
-        error, kept = np.eye(size), np.arange(size)
+        error = one = np.eye(len(self.transition))
         for kind in kinds:
-            error = self.transition @ (np.eye(size) - gains[kind] @ self.output) @ error
-        if not with_bias:
-            kept = np.delete(kept, 3)
-        if not np.abs(np.linalg.eigvals(error[np.ix_(kept, kept)])).max() < 1.0:
+            error = self.transition @ (one - gains[kind] @ self.output) @ error
+        if not self.output[1, 3]:  # no bias is measured
+            error = np.delete(np.delete(error, 3, axis=0), 3, axis=1)
+        if not np.abs(np.linalg.eigvals(error)).max() < 1.0:
             raise np.linalg.LinAlgError("the mean gains of its slow sensors are unstable")
 
 
