@@ -131,6 +131,19 @@ def test_beside_a_thruster_that_is_stuck_on_a_wrench_keeps_its_direction(layout,
     assert max(parts) == 1.0
 
 
+@pytest.mark.parametrize("failures", [{}, {"top_1_x": "stuck_on"}])
+def test_however_large_a_wrench_all_that_can_be_given_is(failures):
+    thrusters = ThrusterSet(Thrusters(layout="16x22N", failures=failures), sample_time=0.01)
+    direction = np.array([1.0, -2.0, 3.0, 2.0, -1.0, 1.0])
+    sizes = (1e2, 1e4, 1e6, 1e9, 1e300)
+    start = thrusters.initial_memory()
+    memories = [thrusters.allocate(size * direction, start) for size in sizes]
+    most = thrusters.most(direction)
+    for size, memory in zip(sizes, memories, strict=True):
+        assert size * memory.given == pytest.approx(most, rel=1e-6)
+        assert memory.wanted == pytest.approx(memories[0].wanted, abs=1e-5)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Failing(ControlLaw):
     """No force, from a sample on one that is not a number, or infinite."""

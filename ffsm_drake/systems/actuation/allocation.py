@@ -92,17 +92,18 @@ class Allocation:
         self, wrench: np.ndarray, leak: np.ndarray | float
     ) -> tuple[np.ndarray, float]:
         """As ``solve``: the largest part s with W f = s w - leak at the least cost, in one program
-        in which the part outweighs any cost.
+        in which the part outweighs any cost, whatever the size of w.
         """
         program, count = MathematicalProgram(), self._largest.size
+        scale = max(1.0, float(np.abs(wrench).max() / self._largest.sum()))
         unknown = program.NewContinuousVariables(count + 1)
         program.AddLinearCost(np.r_[self._cost, -_PRICE * self._largest.sum()], unknown)
-        program.AddBoundingBoxConstraint(np.zeros(count + 1), np.r_[self._largest, 1.0], unknown)
+        program.AddBoundingBoxConstraint(np.zeros(count + 1), np.r_[self._largest, scale], unknown)
         program.AddLinearEqualityConstraint(
-            np.c_[self._wrenches, -wrench], np.zeros(6) - leak, unknown
+            np.c_[self._wrenches, -wrench / scale], np.zeros(6) - leak, unknown
         )
         found = ClpSolver().Solve(program).GetSolution(unknown)
-        return np.clip(found[:-1], 0.0, self._largest), float(found[-1])
+        return np.clip(found[:-1], 0.0, self._largest), float(found[-1]) / scale
 
 
 def lost_direction(wrenches: np.ndarray) -> np.ndarray | None:

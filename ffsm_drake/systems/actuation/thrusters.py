@@ -86,27 +86,7 @@ class ThrusterSet:
         self._works, self._stuck_on = failures == "", failures == "stuck_on"
         self._leak = self.wrenches[:, self._stuck_on] @ self.force[self._stuck_on]
         cost = 1.0 / np.array([unit.specific_impulse for unit in units.values()])
-        try:
-            self._allocation = Allocation(
-                self.wrenches[:, self._works],
-                largest=self.force[self._works],
-                cost=cost[self._works],
-            )
-        except ValueError as error:
-            if settings.failures:
-                without = ", ".join(
-                    f"{name} {failure}" for name, failure in settings.failures.items()
-                )
-                raise ScenarioError(
-                    f"{_KEY}.failures", f"with {without} no thrusters give {error}"
-                ) from error
-            key = "layout" if settings.layout is not None else "units"
-            raise ScenarioError(f"{_KEY}.{key}", f"no thrusters give {error}; add some") from error
-        if self._stuck_on.any() and self._allocation.solve(-self._leak)[1] < 1.0:
-            stuck = ", ".join(np.array(self.names)[self._stuck_on])
-            raise ScenarioError(
-                f"{_KEY}.failures", f"the others cannot hold against {stuck} stuck on"
-            )
+        self._allocation = self._make_allocation(cost)
         pwpf = settings.pwpf
         self._trigger = SchmittTrigger(
             gain=pwpf.gain,
@@ -116,6 +96,25 @@ class ThrusterSet:
             sample_time=sample_time,
         )
         self._shortest = max(settings.minimum_on_time, sample_time)
+
+    def _make_allocation(self, cost: np.ndarray) -> Allocation:
+        """Among those that work. Raises ScenarioError as the constructor does."""
+        works, settings, key = self._works, self.settings, f"{_KEY}.failures"
+        try:
+            allocation = Allocation(
+                self.wrenches[:, works], largest=self.force[works], cost=cost[works]
+            )
+        except ValueError as error:
+            without = ", ".join(f"{name} {failure}" for name, failure in settings.failures.items())
+            problem = f"with {without} no thrusters give {error}"
+            if not without:
+                key = f"{_KEY}.{'units' if settings.layout is None else 'layout'}"
+                problem = f"no thrusters give {error}; add some"
+            raise ScenarioError(key, problem) from error
+        if self._stuck_on.any() and allocation.solve(-self._leak)[1] < 1.0:
+            stuck = ", ".join(np.array(self.names)[self._stuck_on])
+            raise ScenarioError(key, f"the others cannot hold against {stuck} stuck on")
+        return allocation
 
     @property
     def carries_over(self) -> bool:
