@@ -2,13 +2,18 @@
 them.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
 from flight_settings import FLIGHT, NO_NOISE
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
+from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.scenario.schema import ESTIMATOR_KINDS
 from ffsm_drake.systems.controllers import Sample, gain_vectors
 from ffsm_drake.systems.controllers.estimators import (
+    KINDS,
     CoupledEstimator,
     KalmanEstimator,
     LateKalmanEstimator,
@@ -16,12 +21,13 @@ from ffsm_drake.systems.controllers.estimators import (
     make_estimator,
 )
 from ffsm_drake.systems.controllers.filter_gains import (
-    LateAxis,
+    SensedAxis,
     coupled_gain,
     kalman_gain,
     late_gains,
 )
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
+from ffsm_drake.systems.reference import make_motion
 
 PERIOD = 0.01
 SIZE = 11
@@ -148,6 +154,10 @@ def test_gain_is_the_steady_state_of_the_riccati_iteration():
             assert found == pytest.approx(gain[i], rel=1e-7), (i, step)
             error_map = (np.eye(3) - found @ np.eye(3)[:2]) @ transition
             assert np.abs(np.linalg.eigvals(error_map)).max() < 1.0
+
+
+def test_every_kind_that_a_scenario_can_name_is_there():
+    assert tuple(KINDS) == ESTIMATOR_KINDS
 
 
 def test_a_more_trusted_sensor_and_a_faster_walk_weigh_more():
@@ -278,7 +288,7 @@ def test_late_gains_are_those_of_the_whole_filter(period, delay):
     """Of the time-varying filter for [e, e', d, b] and everything that was, in SI; the mean by what
     is new.
     """
-    axis = LateAxis(
+    axis = SensedAxis(
         position_noise=1e-3,
         velocity_noise=2e-3,
         walk=0.3,
@@ -346,13 +356,20 @@ def test_coupled_is_separate_where_nothing_couples():
         walk=(mass * walk)[axes],
         sample_time=PERIOD,
     )
-    coupled = CoupledEstimator(separate=separate, axes=axes, gain=together)
+    q_d = np.arange(1.0, 13.0)
+    coupled = CoupledEstimator(
+        separate=separate,
+        axes=axes,
+        postures=np.stack([q_d, -2.0 * q_d]),
+        gain=np.stack([together, np.zeros_like(together)]),
+    )
     states = [dict(separate.initial_state()), dict(coupled.initial_state())]
     states.append({name: np.stack([value, value]) for name, value in states[1].items()})
     _, v_d, e, e_dot, force = smooth_motion(rng, 60)
     for k in range(60):
         given = {"v_d": v_d[k], "e": e[k], "e_dot": e_dot[k], "applied_force": force[k]}
-        sample = Sample(q=None, v=None, q_d=None, a_d=None, is_first=k == 0, **given)
+        given["q_d"] = q_d
+        sample = Sample(q=None, v=None, a_d=None, is_first=k == 0, **given)
         both = sample._replace(**{name: np.stack([value, value]) for name, value in given.items()})
         expected, states[0] = separate.step(sample, np.diag(mass), states[0])
         estimate, states[1] = coupled.step(sample, np.diag(mass), states[1])
@@ -363,6 +380,111 @@ def test_coupled_is_separate_where_nothing_couples():
             assert getattr(estimates, name) == pytest.approx(
                 np.stack([of, of]), rel=1e-12, abs=1e-15
             )
+
+
+def test_the_gain_is_that_of_the_nearest_posture():
+    """By joints and attitude, of which a quaternion's sign says nothing; of several runs, each as
+    alone.
+    """
+    rng = np.random.default_rng(0)
+    postures, gain = rng.normal(size=(5, 12)), rng.normal(size=(5, 6, 4))
+    postures[:, :4] /= np.linalg.norm(postures[:, :4], axis=1)[:, None]
+    estimator = CoupledEstimator(separate=None, axes=np.arange(2), postures=postures, gain=gain)
+    near = postures + 1e-3
+    near[:, :4] *= -1.0
+    near[:, 4:7] += 100.0
+    assert np.array_equal(estimator.gain_at(near), gain)
+    assert np.array_equal(estimator.gain_at(near[3]), gain[3])
+    turned = postures[[0, 0]].copy()
+    turned[1, :4] = postures[1, :4]
+    apart = dataclasses.replace(estimator, postures=turned, gain=gain[:2])
+    assert np.array_equal(apart.gain_at(turned), gain[:2])
+
+
+def posture(joints):
+    return {f"joint_{i}": angle for i, angle in enumerate(joints, 1)}
+
+
+FAR = [
+    "estimator.kind=coupled",
+    "actuation.limit=null",
+    f"initial_posture.joints={posture([-1.5, 0.1, 0.1, -2.1, 2.4])}",
+    f"target_posture.joints={posture([0.4, -2.5, 1.4, 2.4, 0.4])}",
+]
+
+
+def filter_radius(estimator, inverse, gain):
+    """Of the error of [e, e', f], frozen in a posture with Hhat^-1 (n, n)."""
+    size = len(estimator.axes)
+    transition, one = np.eye(3 * size), np.eye(size)
+    transition[:size, size:] = np.hstack([PERIOD * one, -(PERIOD**2) / 2 * inverse])
+    transition[size : 2 * size, 2 * size :] = -PERIOD * inverse
+    corrected = np.eye(3 * size) - gain @ np.eye(2 * size, 3 * size)
+    return np.abs(np.linalg.eigvals(transition @ corrected)).max()
+
+
+def test_the_coupled_filter_is_stable_all_along_a_motion():
+    """The gain of its start alone is not."""
+    scenario = load_scenario("flight_sensors", FAR)
+    model = make_nominal_plant(scenario)
+    estimator = make_estimator(scenario, model.coordinates)
+    q_d = make_motion(scenario, model.coordinates).rows(np.linspace(0.0, 20.0, 41))[:, :12]
+    axes = estimator.axes
+    inverses = np.linalg.inv(model.calc_mass_matrix(q_d))[:, axes[:, None], axes]
+    along = [
+        filter_radius(estimator, inverse, estimator.gain_at(q))
+        for q, inverse in zip(q_d, inverses, strict=True)
+    ]
+    at_start = [filter_radius(estimator, inverse, estimator.gain[0]) for inverse in inverses]
+    assert max(along) < 1.0
+    assert max(at_start) > 1.2
+
+
+def test_gains_are_as_many_as_a_motion_takes():
+    """Neighbours' inertias are within 15 % of each other; a mild motion takes few, the largest 41,
+    none one.
+    """
+    counts = []
+    for overrides in (FAR[:2], FAR, [*FAR, "reference.goal=stop"]):
+        scenario = load_scenario("flight_sensors", overrides)
+        model = make_nominal_plant(scenario)
+        estimator = make_estimator(scenario, model.coordinates)
+        counts.append(len(estimator.gain))
+        axes = estimator.axes
+        inverses = np.linalg.inv(model.calc_mass_matrix(estimator.postures))
+        inverses = inverses[:, axes[:, None], axes]
+        ratios = np.linalg.eigvals(np.linalg.solve(inverses[1:], inverses[:-1])).real
+        if counts[-1] < 41:
+            assert np.abs(np.log(ratios)).max(initial=0.0) < np.log(1.16)
+    assert 5 < counts[0] < 20
+    assert counts[1:] == [41, 1]
+
+
+def test_a_capture_whose_approach_changes_the_wrists_inertia_is_followed():
+    """Its approach diverged at 13.0 s with the gain of the grasp's posture."""
+    body = "{mass: 20, center_of_mass: [0, 0, 0], inertia: [3.3, 3.3, 3.3]}"
+    overrides = [
+        "capture.rate=[0.23, 0.133, -0.123]",
+        f"payload={{truth: {body}, nominal: {body}}}",
+        "capture.joints=braked",
+        "reference.duration=40",
+        "duration=65",
+    ]
+    log = make_rollout(load_scenario("tumbling_capture", overrides)).run()
+    assert log.outcome.completed, log.outcome.message
+    assert np.abs(log.error[-500:, :3]).max() < 2e-5
+    assert np.abs(log.error[-500:, 6:]).max() < 2e-4
+
+
+@pytest.mark.slow
+def test_no_random_motion_of_the_joints_makes_the_coupled_filter_diverge():
+    """Ten of these thirty diverged with the gain of the initial posture."""
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        start, end = (posture(rng.uniform(-2.5, 2.5, 5).tolist()) for _ in range(2))
+        overrides = [f"initial_posture.joints={start}", f"target_posture.joints={end}"]
+        log = make_rollout(load_scenario("flight_sensors", [*FAR[:2], *overrides])).run()
+        assert log.outcome.completed, (start, end)
 
 
 def test_what_is_not_new_is_not_looked_at():

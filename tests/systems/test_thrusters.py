@@ -2,6 +2,7 @@
 failures.
 """
 
+import dataclasses
 import itertools
 
 import flight_settings
@@ -14,6 +15,7 @@ from scipy.signal import lsim
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, make_closed_loop
 from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.runs.metrics import momentum_residual
+from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Thrusters, thruster_layouts, thrusters_of
 from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.report.comparison import rankings, table
@@ -29,7 +31,8 @@ from ffsm_drake.systems.actuation.modulation import (
     pulse_widths,
     whole_frames,
 )
-from ffsm_drake.systems.actuation.thrusters import STANDARD_GRAVITY
+from ffsm_drake.systems.actuation.thrusters import STANDARD_GRAVITY, ThrusterSet
+from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.part import pulses_of
 
 LAYOUTS = tuple(thruster_layouts())
@@ -86,6 +89,86 @@ def test_layouts_tolerate_failures(layout, failures):
     wrenches, largest, _ = wrenches_of(layout)
     for failed in itertools.combinations(range(largest.size), failures):
         assert lost_direction(np.delete(wrenches, failed, axis=1)) is None
+
+
+@pytest.mark.parametrize(
+    ("layout", "failures"),
+    [
+        ("16x22N", {"top_1_x": "stuck_on"}),
+        ("16x22N", {"top_1_x": "stuck_off", "bottom_2_y": "stuck_on"}),
+    ],
+)
+def test_beside_a_thruster_that_is_stuck_on_a_wrench_keeps_its_direction(layout, failures):
+    """With it the others give the largest multiple of what is wanted, not more than once."""
+    settings = Thrusters(layout=layout, failures=failures)
+    thrusters = ThrusterSet(settings, sample_time=0.01)
+    wrenches, largest, _ = wrenches_of(layout)
+    states = [failures.get(name) for name in thrusters.names]
+    bounds = [
+        {None: (0.0, most), "stuck_off": (0.0, 0.0), "stuck_on": (most, most)}[state]
+        for most, state in zip(largest, states, strict=True)
+    ]
+    stuck = largest * [state == "stuck_on" for state in states]
+    rng, parts = np.random.default_rng(0), []
+    for _ in range(40):
+        wanted = rng.normal(size=6) * 10 ** rng.uniform(-1.0, 2.5)
+        memory = thrusters.allocate(wanted, thrusters.initial_memory())
+        firing, _ = thrusters.fire(memory)
+        assert firing.given == memory.given
+        parts.append(firing.given)
+        total = wrenches @ (memory.wanted + stuck)
+        assert total == pytest.approx(firing.given * wanted, abs=1e-6)
+        best = linprog(
+            [*np.zeros(largest.size), -1.0],
+            A_eq=np.c_[wrenches, -wanted],
+            b_eq=np.zeros(6),
+            bounds=[*bounds, (0.0, 1.0)],
+        )
+        assert firing.given == pytest.approx(best.x[-1], abs=1e-6)
+        if firing.given < 1.0:
+            assert thrusters.most(wanted) == pytest.approx(firing.given, rel=1e-6)
+    assert min(parts) < 0.2
+    assert max(parts) == 1.0
+
+
+@pytest.mark.parametrize("failures", [{}, {"top_1_x": "stuck_on"}])
+def test_however_large_a_wrench_all_that_can_be_given_is(failures):
+    thrusters = ThrusterSet(Thrusters(layout="16x22N", failures=failures), sample_time=0.01)
+    direction = np.array([1.0, -2.0, 3.0, 2.0, -1.0, 1.0])
+    sizes = (1e2, 1e4, 1e6, 1e9, 1e300)
+    start = thrusters.initial_memory()
+    memories = [thrusters.allocate(size * direction, start) for size in sizes]
+    most = thrusters.most(direction)
+    for size, memory in zip(sizes, memories, strict=True):
+        assert size * memory.given == pytest.approx(most, rel=1e-6)
+        assert memory.wanted == pytest.approx(memories[0].wanted, abs=1e-5)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Failing(ControlLaw):
+    """No force, from a sample on one that is not a number, or infinite."""
+
+    torque: float
+
+    def initial_state(self):
+        return {"samples": np.zeros(1)}
+
+    def step(self, sample, state):
+        force = np.zeros_like(sample.v)
+        if state["samples"] >= 30:
+            force[2] = self.torque
+        return force, {"samples": state["samples"] + 1}
+
+
+@pytest.mark.parametrize("modulator", ["sigma_delta", "pulse_width", "pwpf"])
+@pytest.mark.parametrize("torque", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["thrusters_only", "thrusters_and_wheels"])
+def test_a_wrench_that_is_not_finite_is_a_run_that_diverged(name, torque, modulator):
+    overrides = ["duration=1", f"actuation.thrusters.modulator={modulator}"]
+    scenario = load_scenario(name, overrides)
+    log = Rollout(scenario, blocks={"controller": lambda setup: Failing(torque=torque)}).run()
+    assert log.outcome.status == "diverged"
+    assert 0.29 < log.outcome.time < 0.35
 
 
 def test_a_lost_direction_is_one_that_no_thruster_helps_along():

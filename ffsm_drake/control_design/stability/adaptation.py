@@ -35,7 +35,7 @@ def axis_law(linearizer: Linearizer) -> TimeDelayControl | None:
         or any(value > 1 for values in slow for value in values.values())
     ):
         return None
-    return None if linearizer.law is None else linearizer.law.by_axis
+    return getattr(linearizer.law, "by_axis", None)
 
 
 def is_euler(scenario: Scenario) -> bool:

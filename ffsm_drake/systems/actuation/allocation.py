@@ -57,20 +57,24 @@ class Allocation:
         _, optimal = vertices(self._cost)
         self._bases, self._inverses = bases[optimal], inverses[optimal].reshape(-1, 6)
 
-    def solve(self, wrench: np.ndarray) -> tuple[np.ndarray, float]:
+    def solve(self, wrench: np.ndarray, leak: np.ndarray | float = 0.0) -> tuple[np.ndarray, float]:
         """The forces (n, N) of the largest part of a wrench (6, N m and N) that can be given, and
         that part, 0 to 1.
+
+        Args: the wrench; the part of it that is there already (6), such as of a thruster that is
+          stuck on, which the others must be able to cancel.
         """
-        least = -_SLACK * (1.0 + np.abs(wrench).max())
-        found = self._share(wrench).dot(wrench)
+        left = wrench - leak
+        least = -_SLACK * (1.0 + np.abs(left).max())
+        found = self._share(left).dot(left)
         if found.min() < least:
-            forces = self._inverses.dot(wrench).reshape(-1, 6)
+            forces = self._inverses.dot(left).reshape(-1, 6)
             best = forces.min(axis=1).argmax()
             found = np.zeros(self._largest.size)
             found[self._bases[best]] = forces[best]
         if found.min() >= least and (found <= self._largest * (1.0 + _SLACK)).all():
             return np.maximum(found, 0.0), 1.0
-        return self._solve_within_bounds(wrench)
+        return self._solve_within_bounds(wrench, leak)
 
     def _share(self, wrench: np.ndarray) -> np.ndarray:
         """The map (n, 6) of least squares with the thrusters whose bound is touched by every best
@@ -84,17 +88,22 @@ class Allocation:
             self._shares[key] = np.linalg.pinv(self._wrenches * may_fire, rcond=1e-9)
         return self._shares[key]
 
-    def _solve_within_bounds(self, wrench: np.ndarray) -> tuple[np.ndarray, float]:
-        """As ``solve``: the largest part at the least cost, in one program in which the part
-        outweighs any cost.
+    def _solve_within_bounds(
+        self, wrench: np.ndarray, leak: np.ndarray | float
+    ) -> tuple[np.ndarray, float]:
+        """As ``solve``: the largest part s with W f = s w - leak at the least cost, in one program
+        in which the part outweighs any cost, whatever the size of w.
         """
         program, count = MathematicalProgram(), self._largest.size
+        scale = max(1.0, float(np.abs(wrench).max() / self._largest.sum()))
         unknown = program.NewContinuousVariables(count + 1)
         program.AddLinearCost(np.r_[self._cost, -_PRICE * self._largest.sum()], unknown)
-        program.AddBoundingBoxConstraint(np.zeros(count + 1), np.r_[self._largest, 1.0], unknown)
-        program.AddLinearEqualityConstraint(np.c_[self._wrenches, -wrench], np.zeros(6), unknown)
+        program.AddBoundingBoxConstraint(np.zeros(count + 1), np.r_[self._largest, scale], unknown)
+        program.AddLinearEqualityConstraint(
+            np.c_[self._wrenches, -wrench / scale], np.zeros(6) - leak, unknown
+        )
         found = ClpSolver().Solve(program).GetSolution(unknown)
-        return np.clip(found[:-1], 0.0, self._largest), float(found[-1])
+        return np.clip(found[:-1], 0.0, self._largest), float(found[-1]) / scale
 
 
 def lost_direction(wrenches: np.ndarray) -> np.ndarray | None:

@@ -88,27 +88,7 @@ class ThrusterSet:
         self._works, self._stuck_on = failures == "", failures == "stuck_on"
         self._leak = self.wrenches[:, self._stuck_on] @ self.force[self._stuck_on]
         cost = 1.0 / np.array([unit.specific_impulse for unit in units.values()])
-        try:
-            self._allocation = Allocation(
-                self.wrenches[:, self._works],
-                largest=self.force[self._works],
-                cost=cost[self._works],
-            )
-        except ValueError as error:
-            if settings.failures:
-                without = ", ".join(
-                    f"{name} {failure}" for name, failure in settings.failures.items()
-                )
-                raise ScenarioError(
-                    f"{_KEY}.failures", f"with {without} no thrusters give {error}"
-                ) from error
-            key = "layout" if settings.layout is not None else "units"
-            raise ScenarioError(f"{_KEY}.{key}", f"no thrusters give {error}; add some") from error
-        if self._stuck_on.any() and self._allocation.solve(-self._leak)[1] < 1.0:
-            stuck = ", ".join(np.array(self.names)[self._stuck_on])
-            raise ScenarioError(
-                f"{_KEY}.failures", f"the others cannot hold against {stuck} stuck on"
-            )
+        self._allocation = self._make_allocation(cost)
         pwpf = settings.pwpf
         self._trigger = SchmittTrigger(
             gain=pwpf.gain,
@@ -118,6 +98,25 @@ class ThrusterSet:
             sample_time=sample_time,
         )
         self._shortest = max(settings.minimum_on_time, sample_time)
+
+    def _make_allocation(self, cost: np.ndarray) -> Allocation:
+        """Among those that work. Raises ScenarioError as the constructor does."""
+        works, settings, key = self._works, self.settings, f"{_KEY}.failures"
+        try:
+            allocation = Allocation(
+                self.wrenches[:, works], largest=self.force[works], cost=cost[works]
+            )
+        except ValueError as error:
+            without = ", ".join(f"{name} {failure}" for name, failure in settings.failures.items())
+            problem = f"with {without} no thrusters give {error}"
+            if not without:
+                key = f"{_KEY}.{'units' if settings.layout is None else 'layout'}"
+                problem = f"no thrusters give {error}; add some"
+            raise ScenarioError(key, problem) from error
+        if self._stuck_on.any() and allocation.solve(-self._leak)[1] < 1.0:
+            stuck = ", ".join(np.array(self.names)[self._stuck_on])
+            raise ScenarioError(key, f"the others cannot hold against {stuck} stuck on")
+        return allocation
 
     @property
     def carries_over(self) -> bool:
@@ -133,14 +132,19 @@ class ThrusterSet:
 
     def most(self, direction: np.ndarray) -> float:
         """The largest multiple of a wrench (6; base's axes, N m and N) that they give."""
-        beyond = 10.0 * float(self.force.sum()) * float(np.linalg.norm(direction))
-        return beyond * self._allocation.solve(beyond * direction)[1]
+        beyond = 10.0 * float(self.force.sum()) / float(np.linalg.norm(direction))
+        return beyond * self._allocation.solve(beyond * direction, self._leak)[1]
 
     def allocate(self, wrench: np.ndarray, memory: ThrusterMemory) -> ThrusterMemory:
         """The start of a frame: memory with what a wanted wrench (6; base's axes, N m and N)
         opens.
+
+        A wrench that is not finite gives forces that are none either: such a run has diverged.
         """
-        forces, given = self._allocation.solve(wrench - self._leak)
+        if not np.isfinite(wrench).all():
+            unknown = np.full(len(self.names), np.nan)
+            return dataclasses.replace(memory, wanted=unknown, given=np.nan, open_for=unknown)
+        forces, given = self._allocation.solve(wrench, self._leak)
         wanted = np.zeros(len(self.names))
         wanted[self._works] = forces
         if not self.carries_over:
@@ -247,62 +251,14 @@ class FiredThrusters(Part):
         takes less for it.
         """
 
-        def by_name(key: str, unit: str, of: Callable[[View], list[float]]) -> Metric:
-            return Metric(
-                key=f"thrusters.{key}",
-                unit=unit,
-                label="",
-                column="",
-                of=lambda run: dict(zip(self.units, of(run), strict=True)),
-            )
-
         return (
-            Metric(
-                key="thrusters.propellant",
-                unit="kg",
-                label="Propellant",
-                column="propellant",
-                heading="propellant [kg]",
-                shown="g",
-                factor=1e3,
-                ranked=True,
-                of=lambda run: (self._impulse(run) / self._exhaust).sum(),
-            ),
-            Metric(
-                key="thrusters.propellant_of_force",
-                unit="kg",
-                label="At least, for the commanded force",
-                column="",
-                shown="g",
-                factor=1e3,
-                of=self._least_propellant,
-            ),
-            by_name("impulse", "N s", lambda run: self._impulse(run).tolist()),
-            Metric(
-                key="",
-                unit="N s",
-                label="Impulse",
-                column="thruster_impulse",
-                heading="",
-                of=lambda run: self._impulse(run).sum(),
-            ),
-            by_name("pulses", "1", lambda run: [each.size for each in _pulses(run)]),
-            Metric(
-                key="",
-                unit="1",
-                label="Pulses",
-                column="thruster_pulses",
-                heading="pulses",
-                of=lambda run: sum(each.size for each in _pulses(run)),
-            ),
-            by_name("on_time", "s", lambda run: (_opened(run).sum(axis=0) * _period(run)).tolist()),
-            Metric(
-                key="thrusters.shortest_pulse",
-                unit="s",
-                label="",
-                column="",
-                of=_shortest,
-            ),
+            *self._propellant_metrics(),
+            self._of_each("impulse", "N s", self._impulse),
+            _of_all("impulse", "N s", self._impulse),
+            self._of_each("pulses", "1", _count),
+            _of_all("pulses", "1", _count, heading="pulses"),
+            self._of_each("on_time", "s", lambda run: _opened(run).sum(axis=0) * _period(run)),
+            Metric(key="thrusters.shortest_pulse", unit="s", label="", column="", of=_shortest),
             Metric(
                 key="thrusters.saturated",
                 unit="1",
@@ -311,6 +267,34 @@ class FiredThrusters(Part):
                 shown="%",
                 of=lambda run: self.saturated(run)[:-1].mean() if len(run.time) > 1 else 0.0,
             ),
+        )
+
+    def _propellant_metrics(self) -> Sequence[Metric]:
+        grams = functools.partial(Metric, unit="kg", shown="g", factor=1e3)
+        return (
+            grams(
+                key="thrusters.propellant",
+                label="Propellant",
+                column="propellant",
+                heading="propellant [kg]",
+                ranked=True,
+                of=lambda run: (self._impulse(run) / self._exhaust).sum(),
+            ),
+            grams(
+                key="thrusters.propellant_of_force",
+                label="At least, for the commanded force",
+                column="",
+                of=self._least_propellant,
+            ),
+        )
+
+    def _of_each(self, key: str, unit: str, of: Callable[[View], np.ndarray]) -> Metric:
+        return Metric(
+            key=f"thrusters.{key}",
+            unit=unit,
+            label="",
+            column="",
+            of=lambda run: dict(zip(self.units, of(run).tolist(), strict=True)),
         )
 
     def solids(self) -> Iterator[Solid]:
@@ -390,6 +374,17 @@ class FiredThrusters(Part):
         return wanted / float(self._exhaust.max())
 
 
+def _of_all(name: str, unit: str, of: Callable[[View], np.ndarray], *, heading: str = "") -> Metric:
+    return Metric(
+        key="",
+        unit=unit,
+        label=name.capitalize(),
+        column=f"thruster_{name}",
+        heading=heading,
+        of=lambda run: of(run).sum(),
+    )
+
+
 def _period(run: View) -> float:
     return run.scenario.sample_time
 
@@ -401,6 +396,11 @@ def _opened(run: View) -> np.ndarray:
 def _pulses(run: View) -> list[np.ndarray]:
     """Lengths of the pulses of each thruster, s."""
     return [pulses_of(column, _period(run))[1] for column in _opened(run).T]
+
+
+def _count(run: View) -> np.ndarray:
+    """The pulses of each thruster."""
+    return np.array([each.size for each in _pulses(run)])
 
 
 def _shortest(run: View) -> float | None:

@@ -1,7 +1,7 @@
 """Estimators of the lumped uncertainty N in q'' = N + Hhat^-1 tau (equation (2)), for all
 time-delay laws.
 
-Both give, each sample, what the law works on (error and its rate) and a pair (base force, base
+Each gives, at a sample, what the law works on (error and its rate) and a pair (base force, base
 acceleration) that turns the law's acceleration u into the force tau = base force + Hhat (u - base
 acceleration).
 
@@ -23,29 +23,42 @@ that predicts over the delay with the force that acted.
 
 *Coupled*: what disturbs is a force, and H couples what it does to attitude and joints: d = -Hhat^-1
 f, with f a random walk. One filter of all their measurements then knows more of each than one for
-each.
+each. H changes along a motion, and the gain of a posture with H_0 makes the filter unstable where
+an eigenvalue of H^-1 H_0 passes about 2.4. So there are gains for as many postures of the plan as
+it takes, and that of the one nearest to the desired posture is used.
 """
 
+import abc
 import dataclasses
 import functools
-from typing import ClassVar, NamedTuple, Protocol
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, one_line
-from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.common.memo import memoized
+from ffsm_drake.scenario import Scenario, planned_part
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.controllers.filter_gains import (
-    LateAxis,
+    SensedAxis,
     coupled_gain,
     kalman_gain,
     late_gains,
 )
 from ffsm_drake.systems.controllers.law import Sample, State
+from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.sensing import measurement_times
+
+# Largest eigenvalue of the inertia of a posture with a gain of its own relative to its neighbour's.
+_NEIGHBOURS = 1.15
+_MOST_POSTURES = 41  # 3 to 4 ms each
+_INSTANTS = 201  # of a plan, from which those are taken
 
 
 class Estimate(NamedTuple):
@@ -57,17 +70,27 @@ class Estimate(NamedTuple):
     base_acceleration: np.ndarray
 
 
-class Estimator(Protocol):
-    """An estimator as a pure function of arrays."""
+class Estimator(abc.ABC):
+    """An estimator as a pure function of arrays; a subclass is a frozen dataclass."""
 
-    by_axis: ClassVar[bool]  # whether it treats every coordinate by itself, with no delay
+    by_axis: ClassVar[bool] = False  # whether it treats every coordinate by itself, with no delay
     # keys of the scenario's ``estimator`` that are designed: intensities of random walks
-    random_walks: ClassVar[tuple[str, ...]]
+    random_walks: ClassVar[tuple[str, ...]] = ()
 
+    @classmethod
+    @abc.abstractmethod
+    def make(
+        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+    ) -> "Estimator":
+        """That of a scenario; see ``make_estimator``. Raises LinAlgError without a stationary
+        filter.
+        """
+
+    @abc.abstractmethod
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the estimator's memory."""
-        ...
 
+    @abc.abstractmethod
     def step(
         self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
     ) -> tuple[Estimate, State]:
@@ -78,11 +101,10 @@ class Estimator(Protocol):
           nominal_mass_matrix: Hhat (..., nv, nv) at this sample.
           state: the memory at this sample, by name; must not be changed in place.
         """
-        ...
 
     def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
         """What changes of the memory at the grasp of a target, by name; the next sample counts as a
-        first one.
+        first one. The force of the last sample, and one that is estimated, go on by themselves.
 
         Args:
           state: the memory up to then.
@@ -91,17 +113,24 @@ class Estimator(Protocol):
             momentum.
           v_d: (nv) the reference's velocity after the grasp.
         """
-        ...
+        names = ("estimated_error_rate", "estimated_negative_n")
+        return {name: ratio @ state[name] for name in names if name in state}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class OneSampleEstimator:
+class OneSampleEstimator(Estimator):
     """Time-delay estimation as published: N(t - L) for N(t), equation (5)."""
 
     by_axis: ClassVar[bool] = True
-    random_walks: ClassVar[tuple[str, ...]] = ()
     sample_time: float
     num_velocities: int
+
+    @classmethod
+    def make(
+        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+    ) -> Self:
+        size = len(coordinates.names if jacobian is None else jacobian)
+        return cls(sample_time=scenario.sample_time, num_velocities=size)
 
     def initial_state(self) -> State:
         return {"delayed_velocity": np.zeros(self.num_velocities)}
@@ -121,15 +150,9 @@ class OneSampleEstimator:
         )
         return estimate, {"delayed_velocity": sample.v}
 
-    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
-        """See Estimator. The force of the last sample goes on by itself, and what was before a
-        first is not used.
-        """
-        return {}
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class KalmanEstimator:
+class KalmanEstimator(Estimator):
     """Stationary Kalman estimate of [e, e', d] per coordinate, d = -N.
 
     It starts from zero error: the planned motion begins at the nominal initial posture.
@@ -139,6 +162,23 @@ class KalmanEstimator:
     random_walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
     gain: np.ndarray  # (nv, 3, 2): correction of [e, e', d] per unit of innovation of (e, e')
+
+    @classmethod
+    def make(
+        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+    ) -> Estimator:
+        axes, step = _axes(scenario, coordinates), scenario.sample_time
+        if not all(axis.is_plain for axis in axes):
+            return LateKalmanEstimator.make(scenario, coordinates, jacobian)
+        noises = np.array([[axis.position_noise, axis.velocity_noise, axis.walk] for axis in axes])
+        if jacobian is not None:
+            noises = np.sqrt(jacobian**2 @ noises**2)
+        solve = functools.cache(kalman_gain)
+        gains = [
+            solve(position_noise=position, velocity_noise=velocity, walk=walk, sample_time=step)
+            for position, velocity, walk in noises.tolist()
+        ]
+        return cls(sample_time=step, gain=np.array(gains))
 
     def initial_state(self) -> State:
         zeros = np.zeros(self.gain.shape[0])
@@ -166,14 +206,9 @@ class KalmanEstimator:
             "delayed_desired_velocity": sample.v_d,
         }
 
-    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
-        """See Estimator."""
-        names = ("estimated_error_rate", "estimated_negative_n")
-        return {name: ratio @ state[name] for name in names}
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class LateKalmanEstimator:
+class LateKalmanEstimator(Estimator):
     """Kalman estimate of [e, e', d], and b where the velocity has a bias, from measurements that
     are late or slow.
 
@@ -182,7 +217,6 @@ class LateKalmanEstimator:
     then, [q_d(t_k) - q(t_(k-j)), ...].
     """
 
-    by_axis: ClassVar[bool] = False
     random_walks: ClassVar[tuple[str, ...]] = ("walk",)
     sample_time: float
     delay: np.ndarray  # (2 nv) of e, then e': whole control samples
@@ -190,6 +224,25 @@ class LateKalmanEstimator:
     # and e'; the first index says what is new of that coordinate: nothing, the velocity, the
     # position, both
     gain: np.ndarray
+
+    @classmethod
+    def make(
+        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+    ) -> Self:
+        _refuse_frame(jacobian)
+        axes, solve = _axes(scenario, coordinates), functools.cache(late_gains)
+        gains = [solve(axis, sample_time=scenario.sample_time) for axis in axes]
+        delays = np.array([axis.delay for axis in axes])
+        # From coordinate by coordinate to entry by entry: all e, all e', all d, all b, the past of
+        # all e, of all e'.
+        present = [np.stack([of[:, entry] for of in gains], axis=1) for entry in range(4)]
+        of_e = [of[:, 4 : 4 + lag] for of, (lag, _) in zip(gains, delays, strict=True)]
+        of_rate = [of[:, 4 + lag :] for of, (lag, _) in zip(gains, delays, strict=True)]
+        return cls(
+            sample_time=scenario.sample_time,
+            delay=delays.T.ravel(),
+            gain=np.concatenate([*present, *of_e, *of_rate], axis=1),
+        )
 
     @functools.cached_property
     def _owner(self) -> np.ndarray:
@@ -260,10 +313,7 @@ class LateKalmanEstimator:
         """See Estimator. What is measured late is from before the grasp for a while, against the
         velocity after it.
         """
-        names = ("estimated_error_rate", "estimated_negative_n")
-        return {name: ratio @ state[name] for name in names} | {
-            "past": self._moved_past(state, v_d),
-        }
+        return {**super().resume(state, ratio, v_d), "past": self._moved_past(state, v_d)}
 
     def _moved_past(self, state: State, v_d: np.ndarray) -> np.ndarray:
         """What was is as it was, against a reference that has moved on to the velocity v_d."""
@@ -277,19 +327,62 @@ class LateKalmanEstimator:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class CoupledEstimator:
+class CoupledEstimator(Estimator):
     """Kalman estimate of [e, e', f] of several coordinates together, d = -(Hhat^-1 f), and of the
     others one by one.
     """
 
-    by_axis: ClassVar[bool] = False
     random_walks: ClassVar[tuple[str, ...]] = ("walk", "force_walk")
     separate: KalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
-    gain: np.ndarray  # (3 n, 2 n): correction of [e, e', f] per unit of innovation of [e, e']
+    postures: np.ndarray  # (m, nq) for which there are gains
+    # (m, 3 n, 2 n): correction of [e, e', f] per unit of innovation of [e, e']
+    gain: np.ndarray
+
+    @classmethod
+    def make(
+        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+    ) -> Self:
+        _refuse_frame(jacobian)
+        separate = KalmanEstimator.make(scenario, coordinates, None)
+        if not isinstance(separate, KalmanEstimator):
+            raise ScenarioError(
+                "estimator.kind", "coupled takes no slow or late sensors and no bias; use kalman"
+            )
+        axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
+        position, velocity = assumed_noise(scenario, coordinates)
+        walk = coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")
+        postures, gain = _gains_along(
+            planned_part(scenario),
+            files_read(scenario),
+            axes=axes,
+            position_noise=position[axes],
+            velocity_noise=velocity[axes],
+            walk=walk[axes],
+        )
+        return cls(separate=separate, axes=axes, postures=postures, gain=gain)
 
     def initial_state(self) -> State:
         return {**self.separate.initial_state(), "estimated_force": np.zeros(self.axes.size)}
+
+    def gain_at(self, q_d: np.ndarray) -> np.ndarray:
+        """The gain (..., 3 n, 2 n) of the posture nearest to q_d (..., nq) by the angle of the
+        base's rotation and the joints' positions, rad or m.
+        """
+        # Squared distances less what all have in common; the cosine is that of half the angle.
+        joints = self._squares - 2.0 * (q_d[..., NUM_BASE_POSITIONS:] @ self._joints.T)
+        cosine = np.abs(q_d[..., :4] @ self.postures[:, :4].T)
+        nearest: np.ndarray = self.gain[(joints - 8.0 * cosine).argmin(axis=-1)]
+        return nearest
+
+    @functools.cached_property
+    def _joints(self) -> np.ndarray:
+        return self.postures[:, NUM_BASE_POSITIONS:]
+
+    @functools.cached_property
+    def _squares(self) -> np.ndarray:
+        squares: np.ndarray = (self._joints**2).sum(axis=1)
+        return squares
 
     def step(
         self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
@@ -303,7 +396,7 @@ class CoupledEstimator:
             (sample.e[..., self.axes] - old_e, sample.e_dot[..., self.axes] - old_rate), axis=-1
         )
         of_e, of_rate, of_force = np.split(
-            np.einsum("ij,...j->...i", self.gain, innovation), 3, axis=-1
+            np.einsum("...ij,...j->...i", self.gain_at(sample.q_d), innovation), 3, axis=-1
         )
         force = state["estimated_force"] + of_force
         # Its effect on the other coordinates is theirs to estimate.
@@ -319,10 +412,6 @@ class CoupledEstimator:
             **kept,
             "estimated_force": force,
         }
-
-    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
-        """See Estimator. The force that is estimated goes on as it is."""
-        return self.separate.resume(state, ratio, v_d)
 
 
 def _predict(
@@ -341,11 +430,48 @@ def _predict(
     return e, e_dot, d
 
 
-def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
-    """The scenario's estimator. Raises ScenarioError for unknown or missing coordinates."""
-    settings, sample_time = scenario.estimator, scenario.sample_time
-    if settings.kind == "one_sample":
-        return OneSampleEstimator(sample_time=sample_time, num_velocities=len(coordinates.names))
+KINDS: Mapping[str, type[Estimator]] = {
+    "one_sample": OneSampleEstimator,
+    "kalman": KalmanEstimator,
+    "coupled": CoupledEstimator,
+}
+
+
+def make_estimator(
+    scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None = None
+) -> Estimator:
+    """The scenario's estimator, for the spacecraft's coordinates, or for m whose velocities are
+    J v, with the Jacobian J (m, nv).
+
+    A Kalman filter of those takes what it assumes of noise and walk from the spacecraft's,
+    independent of each other, through J.
+
+    Raises ScenarioError: unknown or missing coordinates, sensors that it cannot take, or no
+    stationary filter.
+    """
+    try:
+        return KINDS[scenario.estimator.kind].make(scenario, coordinates, jacobian)
+    except np.linalg.LinAlgError as error:
+        remedy = (
+            "bring walk and noises, or periods and delays, of position and velocity closer together"
+        )
+        raise ScenarioError(
+            "estimator", f"has no stationary filter ({one_line(error)}); {remedy}"
+        ) from error
+
+
+def _refuse_frame(jacobian: np.ndarray | None) -> None:
+    if jacobian is not None:
+        problem = (
+            "of a frame must be one_sample, or kalman of sensors that are neither slow nor "
+            "late and have no bias"
+        )
+        raise ScenarioError("estimator", problem)
+
+
+def _axes(scenario: Scenario, coordinates: Coordinates) -> list[SensedAxis]:
+    """What a filter assumes of each coordinate."""
+    settings, nv = scenario.estimator, len(coordinates.names)
     walk = coordinates.vector(settings.walk, key="estimator.walk")
     bias_walk = coordinates.vector(
         settings.velocity_bias_walk, key="estimator.velocity_bias_walk", default=0.0
@@ -353,11 +479,9 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
     period, delay = measurement_times(scenario.sensing, coordinates)
     if settings.delay is not None:
         delay = delay - scenario.sensing.delay + settings.delay
-    nv = len(coordinates.names)
     position, velocity = assumed_noise(scenario, coordinates)
-    plain = not (bias_walk.any() or (period > 1).any() or delay.any())
-    axes = [
-        LateAxis(
+    return [
+        SensedAxis(
             position_noise=float(position[i]),
             velocity_noise=float(velocity[i]),
             walk=float(walk[i]),
@@ -367,105 +491,35 @@ def make_estimator(scenario: Scenario, coordinates: Coordinates) -> Estimator:
         )
         for i in range(nv)
     ]
-    try:
-        gains = {  # the equation is solved once for all coordinates that share their sensors
-            axis: kalman_gain(
-                position_noise=axis.position_noise,
-                velocity_noise=axis.velocity_noise,
-                walk=axis.walk,
-                sample_time=sample_time,
-            )
-            if plain
-            else late_gains(axis, sample_time=sample_time)
-            for axis in dict.fromkeys(axes)
-        }
-        if settings.kind == "coupled":
-            if not plain:
-                raise ScenarioError(
-                    "estimator.kind",
-                    "coupled takes no slow or late sensors and no bias; use kalman",
-                )
-            separate = KalmanEstimator(
-                sample_time=sample_time, gain=np.array([gains[axis] for axis in axes])
-            )
-            return _make_coupled(scenario, coordinates, separate, position, velocity)
-    except np.linalg.LinAlgError as error:
-        remedy = (
-            "bring walk and noises, or periods and delays, of position and velocity closer together"
-        )
-        raise ScenarioError(
-            "estimator", f"has no stationary filter ({one_line(error)}); {remedy}"
-        ) from error
-    by_axis = [gains[axis] for axis in axes]
-    if plain:
-        return KalmanEstimator(sample_time=sample_time, gain=np.array(by_axis))
-    # From coordinate by coordinate to entry by entry: all e, all e', all d, all b, the past of all
-    # e, of all e'.
-    parts = [np.stack([of[:, entry] for of in by_axis], axis=1) for entry in range(4)]
-    parts += [of[:, 4 : 4 + axis.delay[0]] for axis, of in zip(axes, by_axis, strict=True)]
-    parts += [of[:, 4 + axis.delay[0] :] for axis, of in zip(axes, by_axis, strict=True)]
-    return LateKalmanEstimator(
-        sample_time=sample_time, delay=delay, gain=np.concatenate(parts, axis=1)
-    )
 
 
-def make_task_estimator(
-    scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray
-) -> Estimator:
-    """The scenario's estimator for m coordinates whose velocities are J v, with the Jacobian J (m,
-    nv).
+@memoized(maxsize=16)  # a run's check, the run and its report make the same law
+def _gains_along(
+    scenario: Scenario, files: tuple[Path, ...], *, axes: np.ndarray, **noises: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Postures (m, nq) of a scenario's plan, with the coupled gain of each (m, 3 n, 2 n).
 
-    A Kalman filter takes what it assumes of noise and walk from the spacecraft's coordinates,
-    independent of each other, through J. Raises ScenarioError as ``make_estimator``, and where the
-    measurements of coordinates come late or slowly, have a bias or are taken together.
+    Of a capture it is the plan of one leg: up to the grasp where nothing is in the gripper, else
+    from there on. Neighbours are so near that the eigenvalues of the one's inertia relative to the
+    other's stay within ``_NEIGHBOURS``, if ``_MOST_POSTURES`` are enough for that.
+
+    Args: a scenario whose model and plan are made from ``files``; as for ``coupled_gain`` the rest.
     """
-    estimator, settings = make_estimator(scenario, coordinates), scenario.estimator
-    if settings.kind == "one_sample":
-        return OneSampleEstimator(sample_time=scenario.sample_time, num_velocities=len(jacobian))
-    if not isinstance(estimator, KalmanEstimator):
-        problem = (
-            "of a frame must be one_sample, or kalman of sensors that are neither slow nor "
-            "late and have no bias"
-        )
-        raise ScenarioError("estimator", problem)
-    walk = coordinates.vector(settings.walk, key="estimator.walk")
-    of_frame = np.sqrt(
-        jacobian**2 @ np.stack([*assumed_noise(scenario, coordinates), walk], axis=1) ** 2
-    )
+    model = driven_model(make_nominal_plant(scenario))
+    motion = make_motion(scenario, model.coordinates)
+    ends = (motion.begin, motion.end) if scenario.payload.nominal.mass else (0.0, motion.begin)
+    q = motion.rows(np.linspace(*ends, _INSTANTS))[:, : len(model.coordinates.position_names)]
+    inverse = np.linalg.inv(model.calc_mass_matrix(q))[:, axes[:, None], axes]
+    # Distances by the logarithm of the eigenvalue farthest from one: they add up along the motion.
+    ratios = np.linalg.eigvals(np.linalg.solve(inverse[1:], inverse[:-1])).real
+    passed = np.cumsum([0.0, *np.abs(np.log(ratios)).max(axis=1)])
+    steps = passed[-1] / math.log(_NEIGHBOURS) - 1e-9  # but for rounding
+    count = min(math.ceil(steps) + 1, _MOST_POSTURES)
+    chosen = np.abs(passed - np.linspace(0.0, passed[-1], count)[:, None]).argmin(axis=1)
     gains = [
-        kalman_gain(
-            position_noise=position,
-            velocity_noise=velocity,
-            walk=walk,
-            sample_time=scenario.sample_time,
-        )
-        for position, velocity, walk in of_frame.tolist()
+        coupled_gain(each, sample_time=scenario.sample_time, **noises) for each in inverse[chosen]
     ]
-    return KalmanEstimator(sample_time=scenario.sample_time, gain=np.array(gains))
-
-
-def _make_coupled(
-    scenario: Scenario,
-    coordinates: Coordinates,
-    separate: KalmanEstimator,
-    position_noise: np.ndarray,
-    velocity_noise: np.ndarray,
-) -> CoupledEstimator:
-    """With the gain of the initial posture: that of any other on the way differs by less than its
-    tuning matters.
-    """
-    nominal = driven_model(make_nominal_plant(scenario))
-    q = configuration(nominal.plant, scenario.initial_posture, key="initial_posture")
-    axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
-    inverse = np.linalg.inv(nominal.calc_mass_matrix(q))
-    gain = coupled_gain(
-        inverse[np.ix_(axes, axes)],
-        position_noise=position_noise[axes],
-        velocity_noise=velocity_noise[axes],
-        walk=coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")[axes],
-        sample_time=scenario.sample_time,
-    )
-    return CoupledEstimator(separate=separate, axes=axes, gain=gain)
+    return q[chosen], np.array(gains)
 
 
 def assumed_noise(scenario: Scenario, coordinates: Coordinates) -> tuple[np.ndarray, np.ndarray]:

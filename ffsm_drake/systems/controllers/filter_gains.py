@@ -81,18 +81,23 @@ def coupled_gain(
 
 
 @dataclasses.dataclass(frozen=True)
-class LateAxis:
-    """One coordinate's sensors and model, for ``late_gains``."""
+class SensedAxis:
+    """What a filter assumes of one coordinate."""
 
     position_noise: float  # standard deviations of the measured e and e'
     velocity_noise: float
     walk: float  # intensity of N's random walk, per sqrt(s)
-    bias_walk: float  # that of the velocity's bias; 0: none is estimated
-    period: tuple[int, int]  # of position and velocity, control samples
-    delay: tuple[int, int]
+    bias_walk: float = 0.0  # that of the velocity's bias; 0: none is estimated
+    period: tuple[int, int] = (1, 1)  # of position and velocity, control samples
+    delay: tuple[int, int] = (0, 0)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether its measurements are new at every sample, at once and without bias."""
+        return self.bias_walk == 0.0 and self.period == (1, 1) and self.delay == (0, 0)
 
 
-def late_gains(axis: LateAxis, *, sample_time: float) -> np.ndarray:
+def late_gains(axis: SensedAxis, *, sample_time: float) -> np.ndarray:
     """Gains (4, 4 + sum of the delays, 2) of one coordinate of a LateKalmanEstimator, on [e, e', d,
     b, past].
 
@@ -100,88 +105,115 @@ def late_gains(axis: LateAxis, *, sample_time: float) -> np.ndarray:
     gain differs between samples of one kind, it is the mean over the sensors' common period.
     Raises LinAlgError if that filter is unstable.
     """
-    step, (lag_e, lag_v) = sample_time, axis.delay
-    common = min(axis.delay)
-    extra = lag_e - common, lag_v - common  # one of them is 0
-    size = 4 + sum(extra)
-    # In units of acceleration, as in ``kalman_gain``. The measurements' common delay needs only
-    # prediction: the filter runs at the time of the younger measurement.
-    core = np.array(
-        [[1.0, 1.0, 0.5, 0.0], [0.0, 1.0, 1.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-    )
-    transition = np.zeros((size, size))
-    transition[:4, :4] = core
-    if size > 4:
-        transition[4, 0 if extra[0] else 1] = 1.0
-        transition[np.arange(5, size), np.arange(4, size - 1)] = 1.0
-    output = np.zeros((2, size))
-    output[0, size - 1 if extra[0] else 0] = 1.0
-    output[1, size - 1 if extra[1] else 1] = 1.0
-    output[1, 3] = -1.0 if axis.bias_walk > 0.0 else 0.0
-    sigma = np.array([axis.position_noise / step**2, axis.velocity_noise / step])
-    walks = np.array([axis.walk, axis.bias_walk / step]) * math.sqrt(step)
-    noise = np.maximum(sigma, SMALLEST_RATIO * max(*sigma, walks[0])) ** 2
-    process = np.zeros((size, size))
-    process[2, 2], process[3, 3] = walks**2 / noise.min()
-    noise = noise / noise.min()
+    filter_ = _LateFilter.of(axis, step=sample_time)
+    kinds = filter_.kinds(axis.period)
+    gains = filter_.mean_gains(kinds)
+    filter_.check(gains, kinds)
+    return _at_present(gains, axis, step=sample_time)
 
-    samples = np.arange(math.lcm(*axis.period))
-    if (samples.size + 60) * (size**3 + 10_000) > _LARGEST:
-        raise np.linalg.LinAlgError(
-            f"a common period of {samples.size} samples and {size} states are too many"
+
+# The model of e, e', d and b, in units of acceleration as in ``kalman_gain``.
+_CORE = np.eye(4)
+_CORE[:2, 1:3] = [[1.0, 0.5], [1.0, 1.0]]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _LateFilter:
+    """The filter at the time of the younger measurement, on [e, e', d, b, past]: what both are late
+    by needs only prediction.
+    """
+
+    late: tuple[int, int]  # samples by which the position, or the velocity, is the older
+    transition: np.ndarray
+    output: np.ndarray
+    noise: np.ndarray  # (2) variances of the measurements, relative to the smaller
+    process: np.ndarray  # likewise
+
+    @classmethod
+    def of(cls, axis: SensedAxis, *, step: float) -> "_LateFilter":
+        late = axis.delay[0] - min(axis.delay), axis.delay[1] - min(axis.delay)
+        size = 4 + sum(late)
+        transition = np.zeros((size, size))
+        transition[:4, :4] = _CORE
+        if size > 4:
+            transition[4, 0 if late[0] else 1] = 1.0
+            transition[np.arange(5, size), np.arange(4, size - 1)] = 1.0
+        output = np.zeros((2, size))
+        output[0, size - 1 if late[0] else 0] = 1.0
+        output[1, size - 1 if late[1] else 1] = 1.0
+        output[1, 3] = -1.0 if axis.bias_walk > 0.0 else 0.0
+        sigma = np.array([axis.position_noise / step**2, axis.velocity_noise / step])
+        walks = np.array([axis.walk, axis.bias_walk / step]) * math.sqrt(step)
+        noise = np.maximum(sigma, SMALLEST_RATIO * max(*sigma, walks[0])) ** 2
+        process = np.zeros((size, size))
+        process[2, 2], process[3, 3] = walks**2 / noise.min()
+        noise = noise / noise.min()
+        return cls(late=late, transition=transition, output=output, noise=noise, process=process)
+
+    def kinds(self, period: tuple[int, int]) -> list[int]:
+        """What is new at each sample of the common period. Raises LinAlgError if it is too long."""
+        samples, size = np.arange(math.lcm(*period)), len(self.transition)
+        if (samples.size + 60) * (size**3 + 10_000) > _LARGEST:
+            raise np.linalg.LinAlgError(
+                f"a common period of {samples.size} samples and {size} states are too many"
+            )
+        position, velocity = (
+            (samples - late) % each == 0 for late, each in zip(self.late, period, strict=True)
         )
-    new = np.stack(
-        [(samples - late) % period == 0 for late, period in zip(extra, axis.period, strict=True)],
-        axis=1,
-    )
-    kinds = 2 * new[:, 0] + new[:, 1]
-    information = {
-        kind: output.T * ([kind // 2, kind % 2] / noise) @ output for kind in set(kinds.tolist())
-    }
-    whole = _Riccati(np.eye(size), np.zeros((size, size)), np.zeros((size, size)))
-    for kind in kinds.tolist():
-        whole = whole.then(_Riccati(transition, information[kind], process))
-    for _ in range(60):
-        twice = whole.then(whole)
-        done = np.allclose(twice.h, whole.h, rtol=1e-12, atol=0.0)
-        whole = twice
-        if done:
-            break
-    covariance, sums = whole.h, np.zeros((4, size, 2))
-    for kind in kinds.tolist():
-        seen = [i for i, is_new in enumerate((kind // 2, kind % 2)) if is_new]
-        of = output[seen]
-        gain = np.linalg.solve(of @ covariance @ of.T + np.diag(noise[seen]), of @ covariance).T
-        sums[kind][:, seen] += gain
-        covariance = transition @ (covariance - gain @ of @ covariance) @ transition.T + process
-    gains = sums / np.maximum(np.bincount(kinds, minlength=4), 1)[:, None, None]
-    error = np.eye(size)
-    for kind in kinds.tolist():
-        error = transition @ (np.eye(size) - gains[kind] @ output) @ error
-    kept = np.delete(np.arange(size), 3) if axis.bias_walk == 0.0 else np.arange(size)
-    if not np.abs(np.linalg.eigvals(error[np.ix_(kept, kept)])).max() < 1.0:
-        raise np.linalg.LinAlgError("the mean gains of its slow sensors are unstable")
+        found: list[int] = (2 * position + velocity).tolist()
+        return found
 
-    # From the time of the younger measurement to the present.
-    steps = [np.linalg.matrix_power(core, count) @ gains[:, :4] for count in range(common + 1)]
-    rows = [steps[common]]
+    def mean_gains(self, kinds: list[int]) -> np.ndarray:
+        """The stationary filter's gains (4, size, 2) by what is new: the mean over the period."""
+        covariance, sums = self._stationary(kinds), np.zeros((4, *self.output.T.shape))
+        for kind in kinds:
+            seen = np.flatnonzero([kind // 2, kind % 2])
+            of = self.output[seen]
+            innovation = of @ covariance @ of.T + np.diag(self.noise[seen])
+            gain = np.linalg.solve(innovation, of @ covariance).T
+            sums[kind][:, seen] += gain
+            covariance = covariance - gain @ of @ covariance
+            covariance = self.transition @ covariance @ self.transition.T + self.process
+        return sums / np.maximum(np.bincount(kinds, minlength=4), 1)[:, None, None]
+
+    def _stationary(self, kinds: list[int]) -> np.ndarray:
+        """The covariance before the first sample of the common period."""
+        one, output = np.eye(len(self.transition)), self.output
+        whole = _Riccati(one, 0.0 * one, 0.0 * one)
+        for kind in kinds:
+            information = output.T * ([kind // 2, kind % 2] / self.noise) @ output
+            whole = whole.then(_Riccati(self.transition, information, self.process))
+        for _ in range(60):
+            before, whole = whole.h, whole.then(whole)
+            if np.allclose(whole.h, before, rtol=1e-12, atol=0.0):
+                break
+        return whole.h
+
+    def check(self, gains: np.ndarray, kinds: list[int]) -> None:
+        """Raise LinAlgError if the filter with these gains is unstable."""
+        error = one = np.eye(len(self.transition))
+        for kind in kinds:
+            error = self.transition @ (one - gains[kind] @ self.output) @ error
+        if not self.output[1, 3]:  # no bias is measured
+            error = np.delete(np.delete(error, 3, axis=0), 3, axis=1)
+        if not np.abs(np.linalg.eigvals(error)).max() < 1.0:
+            raise np.linalg.LinAlgError("the mean gains of its slow sensors are unstable")
+
+
+def _at_present(gains: np.ndarray, axis: SensedAxis, *, step: float) -> np.ndarray:
+    """Gains of the present, and of all that was, from those (4, size, 2) at the time of the younger
+    measurement; in SI units.
+    """
+    common = min(axis.delay)
+    steps = [np.linalg.matrix_power(_CORE, count) @ gains[:, :4] for count in range(common + 1)]
+    rows, first = [steps[common]], 4
     for entry, lag in enumerate(axis.delay):
         rows += [steps[common - j][:, entry : entry + 1] for j in range(1, min(lag, common) + 1)]
-        rows += [gains[:, 4 : 4 + extra[entry]]]
-    size_of_e, size_of_rate = step**2, step
-    sizes = [
-        size_of_e,
-        size_of_rate,
-        1.0,
-        size_of_rate,
-        *[size_of_e] * lag_e,
-        *[size_of_rate] * lag_v,
-    ]
-    return (
-        np.concatenate(rows, axis=1)
-        * np.array(sizes)[:, None]
-        / np.array([size_of_e, size_of_rate])
-    )
+        rows += [gains[:, first : first + lag - common]]
+        first += lag - common
+    units = np.array([step**2, step])
+    sizes = np.concatenate([units, [1.0, step], np.repeat(units, axis.delay)])
+    return np.concatenate(rows, axis=1) * sizes[:, None] / units
 
 
 class _Riccati(NamedTuple):

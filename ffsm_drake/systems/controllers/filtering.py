@@ -11,7 +11,6 @@ from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import CommandFilter
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
-from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 _KEY = "command_filter"
 
@@ -44,7 +43,7 @@ class FilteredLaw(ControlLaw):
         return self.law.held()
 
     @property
-    def by_axis(self) -> TimeDelayControl | None:
+    def by_axis(self) -> ControlLaw | None:
         """The law's, without filters."""
         return self.law.by_axis
 

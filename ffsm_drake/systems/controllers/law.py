@@ -21,7 +21,7 @@ import dataclasses
 import inspect
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -30,9 +30,6 @@ from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import GROUPS, Coordinates
 from ffsm_drake.systems.setup import BlockSetup
-
-if TYPE_CHECKING:
-    from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 State = Mapping[str, np.ndarray]
 
@@ -138,9 +135,9 @@ class ControlLaw(abc.ABC):
         return {}
 
     @property
-    def by_axis(self) -> "TimeDelayControl | None":
-        """The law as one that treats every coordinate alike and by itself, linear while ``held`` is
-        held; None: it is not one.
+    def by_axis(self) -> "ControlLaw | None":
+        """The time-delay law that treats every coordinate alike and by itself, linear while
+        ``held`` is held; None: it is not one.
         """
         return None
 

@@ -130,7 +130,7 @@ class TimeDelayControl(ControlLaw):
         return self.dynamics.held()
 
     @property
-    def by_axis(self) -> "TimeDelayControl | None":
+    def by_axis(self) -> Self | None:
         return self if self.dynamics.by_axis and self.estimator.by_axis else None
 
     @property

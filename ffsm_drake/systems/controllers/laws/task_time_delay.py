@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.controllers.estimators import Estimator, make_task_estimator
+from ffsm_drake.systems.controllers.estimators import Estimator, make_estimator
 from ffsm_drake.systems.controllers.law import State, field_values, gain
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.controllers.task_space import AccelerationLaw, TaskPoint, TaskSpace
@@ -93,7 +93,7 @@ class TaskTimeDelay(AccelerationLaw):
             task_space.model.plant, setup.scenario.initial_posture, key="initial_posture"
         )
         jacobian = task_space.model.calc_jacobian(q, task_space.frame)[task_space.rows]
-        estimator = make_task_estimator(setup.scenario, setup.coordinates, jacobian)
+        estimator = make_estimator(setup.scenario, setup.coordinates, jacobian)
         return cls(**field_values(cls, setup, task_space=task_space, estimator=estimator))
 
 
