@@ -3,6 +3,7 @@ diverged, interrupted.
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
@@ -10,16 +11,31 @@ from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.tracking import Tracked
 from ffsm_drake.scenario import Scenario
 
+# Statuses of an outcome; those but the first are endings too.
 COMPLETED, MISSED, DIVERGED, INTERRUPTED = "completed", "missed", "diverged", "interrupted"
+OUTCOMES = (COMPLETED, MISSED, DIVERGED, INTERRUPTED)
 SETTLED, NOT_SETTLED, GROWING = "settled", "not settled", "growing"
 # A completed run is one of the first three; best first.
 ENDINGS = (SETTLED, NOT_SETTLED, GROWING, MISSED, DIVERGED, INTERRUPTED)
-UNSTABLE = (GROWING, DIVERGED)
 SETTLED_OVER = 1.0  # s, at the end of the run; over which errors are compared with the tolerance
 _WINDOWS = 3  # of that length, at the end, whose peaks show whether errors grow
 _GROWTH = 1.5  # times, from each to the next
 _FAST_GROWTH = 5.0  # times, from the largest before to the last
 _NOTABLE = 0.3  # of the tolerance; below it a rising peak is no growth
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What ended a run."""
+
+    status: str  # COMPLETED, MISSED, DIVERGED or INTERRUPTED
+    time: float  # s, end of the record
+    message: str  # one line
+    coordinate: str = ""  # the coordinate that diverged
+
+    @property
+    def completed(self) -> bool:
+        return self.status == COMPLETED
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -37,9 +53,28 @@ class Ending:
         return self.status == SETTLED
 
     @property
-    def is_unstable(self) -> bool:
-        """Whether it diverged, or was about to."""
-        return self.status in UNSTABLE
+    def is_failure(self) -> bool:
+        """Whether it diverged, was about to, or missed its target."""
+        return self.status in (GROWING, MISSED, DIVERGED)
+
+
+def ending_of(
+    outcome: Outcome, scenario: Scenario, time: np.ndarray, tracked: Callable[[], Tracked]
+) -> Ending:
+    """The ending of a run with an outcome; other arguments as for ``ending_of_completed``."""
+    if outcome.completed:
+        return ending_of_completed(scenario, time, tracked())
+    message = outcome.message
+    if outcome.status == INTERRUPTED:
+        count = time.size or "no"
+        message += f"; {count} sample{'s were' if time.size > 1 else ' was'} recorded"
+    # a controller's name at the beginning stays as it is written
+    first = (
+        message if message.startswith(scenario.controller) else message[:1].upper() + message[1:]
+    )
+    return Ending(
+        status=outcome.status, sentence=f"{first.rstrip('.')}.", coordinate=outcome.coordinate
+    )
 
 
 def ending_of_completed(scenario: Scenario, time: np.ndarray, tracked: Tracked) -> Ending:

@@ -49,7 +49,7 @@ def test_errors_within_their_tolerance_have_settled(size, frequency, seed):
 def test_errors_that_grow_exponentially_are_seen(rate, last, frequency):
     found = ending(lambda t: last * np.exp(rate * (t - 30.0)) * np.cos(frequency * (t - 30.0)))
     assert found.status == "growing"
-    assert found.is_unstable
+    assert found.is_failure
     assert "base_rotation_x" in found.sentence
 
 
@@ -58,7 +58,7 @@ def test_errors_that_stay_or_decay_beyond_it_have_not_settled(size, rate, freque
     decay = lambda t: np.exp(rate * (30.0 - t))  # noqa: E731
     found = ending(lambda t: size * decay(t) * (2.0 + np.cos(2.0 * np.pi * frequency * t)))
     assert found.status == "not settled"
-    assert not found.is_unstable
+    assert not found.is_failure
     assert found.excess > 1.0
 
 
