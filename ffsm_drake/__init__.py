@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from ffsm_drake.control_design.stability import stability
     from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, make_closed_loop
     from ffsm_drake.preflight.simulate import compare, simulate
-    from ffsm_drake.runs.log import Outcome, RunLog
+    from ffsm_drake.runs.ending import Ending, Outcome
+    from ffsm_drake.runs.log import RunLog
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.runs.rollout import Rollout
     from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
@@ -44,7 +45,8 @@ _HOMES = {
     "control_design.gains": ("design",),
     "control_design.stability": ("stability",),
     "loop.closed_loop": ("ClosedLoop", "add_closed_loop", "make_closed_loop"),
-    "runs.log": ("Outcome", "RunLog"),
+    "runs.ending": ("Ending", "Outcome"),
+    "runs.log": ("RunLog",),
     "runs.record": ("RunRecord",),
     "runs.rollout": ("Rollout",),
     "preflight.simulate": ("compare", "simulate"),
@@ -64,6 +66,7 @@ __all__ = [
     "BlockSetup",
     "ClosedLoop",
     "ControlLaw",
+    "Ending",
     "FfsmError",
     "FreeFloating",
     "InjectedDynamics",

@@ -22,6 +22,7 @@ from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of, section_parts
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
+from ffsm_drake.runs.ending import GROWING
 from ffsm_drake.runs.limits import CLEARANCE, limits_left
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import base_drift
@@ -34,7 +35,8 @@ from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.reference import timed
 
 # refused: no motion keeps the limits
-OUTCOMES = ("settled", "not_settled", "diverged", "refused", "error")
+UNSETTLED = ("not_settled", "growing", "missed", "diverged")
+OUTCOMES = ("settled", *UNSETTLED, "refused", "error")
 _BY_GROUP = [
     (kind, group) for kind in ("peak_error", "final_error", "peak_effort") for group in GROUPS
 ]
@@ -157,13 +159,15 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     """Outcome and metrics of a run."""
     if log.outcome.status == "interrupted":
         raise RuntimeError("the run was interrupted")
-    settled_time, outcome, message = None, "diverged", log.outcome.message
+    settled_time, outcome, message = None, log.outcome.status, log.outcome.message
     if log.outcome.completed:
         velocity = log.series["state"][:, len(log.coordinates.position_names) :][
             :, log.coordinates.driven
         ]
         settled_time = spec.settled.time(log.time, log.tracked, velocity=velocity)
         outcome, message = "not_settled" if settled_time is None else "settled", ""
+        if log.ending.status == GROWING:
+            outcome, message = "growing", log.ending.sentence
     metrics = log.metrics
     values = {"itae": metrics["itae"], "isv": metrics["isv"], "settled_time": settled_time}
     values |= {f"{kind}_{group}": metrics[kind][group] for kind, group in _BY_GROUP}

@@ -11,6 +11,7 @@ from pathlib import Path
 from ffsm_drake.campaign.cases import Case, make_cases, scenario_of
 from ffsm_drake.campaign.evaluate import (
     CIRCUMSTANCES,
+    UNSETTLED,
     Row,
     described,
     differing_columns,
@@ -49,7 +50,7 @@ class Progress:
     elapsed: float  # s of this session
     session: int  # runs of this session
     failed: int  # runs of this session that ended in an error
-    unsettled: int  # runs of this session that diverged or did not settle
+    unsettled: int  # runs of this session that ended without settling
 
     @property
     def remaining(self) -> float | None:
@@ -198,7 +199,7 @@ def _drive(
             store.add(case, controller, row)
             counted["session"] += 1
             counted["failed"] += row["outcome"] == "error"
-            counted["unsettled"] += row["outcome"] in ("diverged", "not_settled")
+            counted["unsettled"] += row["outcome"] in UNSETTLED
             report()
     if before + counted["session"] < total:
         raise InterruptedCampaign(before + counted["session"], total)

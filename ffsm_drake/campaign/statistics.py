@@ -276,9 +276,9 @@ def worst_runs(runs: Runs) -> np.ndarray:
     """Positions of the five worst runs: errors, earliest divergences, largest final errors."""
     errors = [runs.metrics[name] for name in METRICS if name.startswith("final_error")]
     final = np.nanmax(np.vstack([np.zeros(runs.case.size), *errors]), axis=0)
-    kinds = ("error", "diverged", "refused")
+    kinds = ("error", "diverged", "missed", "growing", "not_settled", "refused")
     order = np.select(
-        [*(runs.outcome == kind for kind in kinds), ~runs.settled], [0, 1, 3, 2], default=4
+        [runs.outcome == kind for kind in kinds], range(len(kinds)), default=len(kinds)
     )
     time = np.where(runs.outcome == "diverged", runs.metrics["outcome_time"], 0.0)
     return np.lexsort((-final, time, order))[:5]
@@ -321,7 +321,7 @@ def _num_combinations(spec: Spec) -> int:
 
 def _grid_point(spec: Spec, runs: Runs, first: int) -> GridPoint:
     here = runs.case % _num_combinations(spec) == first
-    ended = here & np.isin(runs.outcome, ("settled", "not_settled"))
+    ended = here & np.isin(runs.outcome, ("settled", "not_settled", "growing"))
     names, counts = np.unique(runs.outcome[here], return_counts=True)
     return GridPoint(
         levels={name: spec.level(name, first) for name in spec.distributions},

@@ -40,12 +40,20 @@ _report = click.option(
     "--report/--no-report", default=True, show_default=True, help="Write report.html."
 )
 
+_require = click.option(
+    "--require",
+    type=click.Choice(["settled"]),
+    help="Exit with 3 unless every run has settled: over its last second every tracked error is "
+    "within 'tolerance'.",
+)
+
 
 @click.command()
 @scenario_options
 @_out
 @json_option
 @_report
+@_require
 @click.option("--meshcat", is_flag=True, help="Run live in the browser, at real time.")
 @click.option(
     "--controls",
@@ -57,6 +65,7 @@ def run(
     out: Path | None,
     as_json: bool,
     report: bool,
+    require: str | None,
     meshcat: bool,
     controls: bool,
 ) -> None:
@@ -65,7 +74,8 @@ def run(
     SCENARIO is a shipped name (see 'ffsm scenarios'), a YAML file, or the folder of a run, which is
     then repeated in out/NAME_again and compared with the first record. The folder then holds
     record.nc, metrics.json, manifest.json and report.html, one page with results, plots, recording,
-    findings and margins. With --controls each run has its own folder.
+    findings and margins. With --controls each run has its own folder. Exits with 3 when the run
+    diverges, its errors grow at the end, or the target is missed.
 
     \b
     Examples:
@@ -88,7 +98,7 @@ def run(
         records = _run_with_controls(scenario, directory)
         if not records:
             sys.exit(EXIT_GOOD)
-        sys.exit(_finish(records, directory, as_json=as_json, report=report))
+        sys.exit(_finish(records, directory, as_json=as_json, report=report, require=require))
     _warn_replaced([(directory, scenario)], directory)
     if meshcat:
         from ffsm_drake.show.meshcat.interactive import watch
@@ -97,7 +107,7 @@ def run(
     else:
         record = _simulate(scenario)
     record.save(directory)
-    code = _finish([record], directory, as_json=as_json, report=report)
+    code = _finish([record], directory, as_json=as_json, report=report, require=require)
     if repeated is not None:
         from ffsm_drake.runs.record import RunRecord
 
@@ -115,6 +125,7 @@ def run(
 @_out
 @json_option
 @_report
+@_require
 def compare(
     scenario: str,
     controller: tuple[str, ...],
@@ -123,6 +134,7 @@ def compare(
     out: Path | None,
     as_json: bool,
     report: bool,
+    require: str | None,
 ) -> None:
     """Run several controllers on one scenario with the same noise; overlay them, ranked best first.
 
@@ -164,7 +176,14 @@ def compare(
         if record.outcome.status == "interrupted":
             break
     sys.exit(
-        _finish(records, directory, as_json=as_json, report=report, distances=_distances(records))
+        _finish(
+            records,
+            directory,
+            as_json=as_json,
+            report=report,
+            require=require,
+            distances=_distances(records),
+        )
     )
 
 
@@ -244,7 +263,7 @@ def _simulate(scenario: "Scenario") -> "RunRecord":
 
 def _places(records: Sequence["RunRecord"]) -> list[int]:
     """Ranks of the records by accuracy (ITAE), best first; runs that ended early come last."""
-    order = ("completed", "interrupted", "diverged")
+    order = ("completed", "interrupted", "missed", "diverged")
 
     def key(k: int) -> tuple[int, float]:
         outcome = records[k].outcome
@@ -260,6 +279,7 @@ def _finish(
     *,
     as_json: bool,
     report: bool,
+    require: str | None,
     distances: Sequence[float] | None = None,
 ) -> int:
     """Write the report, print the table and set the exit code of finished runs."""
@@ -289,7 +309,13 @@ def _finish(
         click.echo(
             f"\nWritten to {directory}" + (f"; open {directory / REPORT_FILE}" if report else "")
         )
-    statuses = {record.outcome.status for record in records}
-    if "interrupted" in statuses:
+    for record in records:
+        name = f"{record.scenario.controller}: " if len(records) > 1 else ""
+        click.echo(f"{name}{record.ending.sentence}", err=as_json)
+    if any(record.outcome.status == "interrupted" for record in records):
         return exit_code()
-    return EXIT_UNSTABLE if "diverged" in statuses else EXIT_GOOD
+    failed = any(
+        record.ending.is_failure or (require is not None and not record.ending.is_settled)
+        for record in records
+    )
+    return EXIT_UNSTABLE if failed else EXIT_GOOD

@@ -44,6 +44,8 @@ _SAME_START = 1e-6  # rad, m, and per second
 # Integrator with fixed steps -> power of w h in its numerical damping ratio, and divisor.
 _STEP_ERRORS = {"explicit_euler": (1, 2.0), "runge_kutta2": (3, 8.0), "runge_kutta3": (3, 24.0)}
 _LEAST_DAMPING = 1e-4
+# rad that a harmonic may turn in a step: a third-order scheme integrates it to 1e-4
+_PHASE = 0.5
 
 
 class LimitWarning(UserWarning):
@@ -66,6 +68,7 @@ def plan_remarks(scenario: Scenario) -> list[str]:
         *_cut_short(scenario),
         *_overridden_mass(scenario, model.plant),
         *_coarse_steps(scenario),
+        *_fast_disturbances(scenario),
     ]
     for name, posture in scenario.postures.items():
         held = {POSITION: configuration(model.plant, posture, key=name)[None, 1:]}
@@ -243,6 +246,30 @@ def _coarse_steps(scenario: Scenario) -> Iterator[str]:
             "flexible mode at "
             f"{mode.frequency:.3g} Hz by {added:.2g}, its own is {mode.damping_ratio:.2g}; take "
             f"{finer:g} s or less"
+        )
+
+
+def _fast_disturbances(scenario: Scenario) -> Iterator[str]:
+    """Harmonics that the integrator's fixed steps sample too coarsely.
+
+    Near a whole number of periods a step, a mean force appears that no harmonic has.
+    """
+    config = scenario.simulator_config
+    if config.use_error_control or "disturbance" in scenario.blocks.forces:
+        return
+    given, step = scenario.disturbance, min(config.max_step_size, scenario.sample_time)
+    rates = {
+        name: given.frequency_scale * abs(each.frequency)
+        for name, each in given.harmonics.items()
+        if given.amplitude_scale * each.amplitude
+    }
+    fast = {name: rate for name, rate in rates.items() if rate * step > _PHASE}
+    if fast:
+        name = max(fast, key=lambda each: fast[each])
+        yield (
+            f"disturbance.harmonics.{name}.frequency: {fast[name]:.3g} rad/s turns by "
+            f"{fast[name] * step:.2g} rad in each step of {step:g} s, and is integrated as a force "
+            f"that it is not; take simulator_config.max_step_size <= {_PHASE / fast[name]:.1g} s"
         )
 
 

@@ -20,6 +20,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
 from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.runs.ending import MISSED, Outcome
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
@@ -114,10 +115,15 @@ class CaptureRollout:
             progress=progress,
             leg=Leg(last=sample, begin=handover.start, end=handover.keep),
         )
+        ungrasped = handover.ungrasped(approach.time.size)
         if not approach.outcome.completed:
-            return dataclasses.replace(
-                approach, scenario=chosen, grasp=handover.ungrasped(approach.time.size)
-            )
+            return dataclasses.replace(approach, scenario=chosen, grasp=ungrasped)
+        handover.meet(self._stop.loop)
+        if beyond := handover.beyond_envelope():
+            last = float(approach.time[-1])
+            message = f"the target is missed at t = {chosen.grasp_time:g} s: {beyond}"
+            missed = Outcome(status=MISSED, time=last, message=message)
+            return dataclasses.replace(approach, scenario=chosen, outcome=missed, grasp=ungrasped)
         log = self._stop.run(
             scenario, progress=progress, leg=Leg(first=sample, begin=handover.grasp)
         )
@@ -186,33 +192,63 @@ class _Handover:
         """Keep the loop before the grasp, and its context at the grasp."""
         self._before, self._context_before = loop, root_context
 
-    def grasp(self, loop: ClosedLoop, root_context: Context) -> None:
-        """Grasp the target; the run continues from the state after the grasp."""
+    def meet(self, loop: ClosedLoop) -> None:
+        """Find how the gripper meets the target, with the loop in which it is held."""
         scenario, plant = self._scenario, loop.plant
-        context = plant.GetMyMutableContextFromRoot(root_context)
         state = self._before.plant.GetPositionsAndVelocities(
             self._before.plant.GetMyContextFromRoot(self._context_before)
         )
-        q, v = np.split(state, [plant.num_positions()])
+        self._q, self._v = np.split(state, [plant.num_positions()])
+        context = plant.CreateDefaultContext()
+        plant.SetPositions(context, self._q)
+        model = loop.model(context)
+        # X_WQ: where the model welds the target's frame P
+        self._X_WQ = RigidTransform(target_body(scenario, model).EvalPoseInWorld(context))
+        offset = self._X_WQ.translation() - self._X_WP.translation()
+        self._twist_Q = self._twist.copy()
+        self._twist_Q[3:] += np.cross(self._twist_Q[:3], offset)
+        turn = (self._X_WP.rotation() @ self._X_WQ.rotation().inverse()).ToAngleAxis()
+        self._offset = np.concatenate([turn.angle() * turn.axis(), -offset])
+        self._mismatch = _mismatch(scenario, model, self._q, self._v, self._twist_Q)
+
+    def beyond_envelope(self) -> str:
+        """The part of the miss beyond ``capture.envelope``; empty where the gripper holds."""
+        capture = self._scenario.capture
+        if capture is None:
+            return ""
+        (angle, distance), (rate, speed) = (
+            np.linalg.norm(part.reshape(2, 3), axis=1).tolist()
+            for part in (self._offset, self._mismatch)
+        )
+        sizes = {
+            "position": (distance, "m"),
+            "angle": (angle, "rad"),
+            "velocity": (speed, "m/s"),
+            "angular_velocity": (rate, "rad/s"),
+        }
+        limits = {name: getattr(capture.envelope, name) for name in sizes}
+        return ", ".join(
+            f"{name} {size:.3g} {unit} (capture.envelope.{name}: {limits[name]:g})"
+            for name, (size, unit) in sizes.items()
+            if limits[name] is not None and size > limits[name]
+        )
+
+    def grasp(self, loop: ClosedLoop, root_context: Context) -> None:
+        """Grasp the target; the run continues from the state after the grasp."""
+        scenario, plant, q = self._scenario, loop.plant, self._q
+        context = plant.GetMyMutableContextFromRoot(root_context)
         model = loop.model(context)
         plant.SetPositions(context, q)
-        X_WQ = RigidTransform(
-            target_body(scenario, model).EvalPoseInWorld(context)
-        )  # where the model welds the target's frame P
-        payload = seen_from(scenario.payload.truth, X_WQ.InvertAndCompose(self._X_WP))
+        payload = seen_from(scenario.payload.truth, self._X_WQ.InvertAndCompose(self._X_WP))
         set_payload(plant, context, body=scenario.payload.body, properties=payload)
-        twist = self._twist.copy()
-        offset = X_WQ.translation() - self._X_WP.translation()
-        twist[3:] += np.cross(twist[:3], offset)
-        contact = contact_at(scenario, model, q=q, velocity=v, target_velocity=twist)
-        turn = (self._X_WP.rotation() @ X_WQ.rotation().inverse()).ToAngleAxis()
+        contact = contact_at(scenario, model, q=q, velocity=self._v, target_velocity=self._twist_Q)
         self.log = GraspLog(
             sample=self.sample,
             contact=contact,
             payload=payload,
             target=self._path,
-            offset=np.concatenate([turn.angle() * turn.axis(), -offset]),
-            mismatch=_mismatch(scenario, model, q, v, twist),
+            offset=self._offset,
+            mismatch=self._mismatch,
         )
         loop.set_whole_state(root_context, np.concatenate([q, contact.grasp.velocity]))
         loop.resume(root_context, self._before, self._context_before, self._reference)

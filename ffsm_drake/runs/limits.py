@@ -12,6 +12,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Model, Scenario
@@ -26,7 +27,8 @@ INSTANTS = 51  # at which the clearance of a plan is evaluated; twice as many fo
 
 
 def run_remarks(record: RunRecord) -> list[str]:
-    """A line for each kind of limit that a run exceeded, and one for saturated forces.
+    """A line for each kind of limit that a run exceeded, one for saturated forces, and one for each
+    balance that the integrator broke.
 
     Raises:
       ModelError: the scenario's model does not load any more.
@@ -51,7 +53,7 @@ def run_remarks(record: RunRecord) -> list[str]:
     shares = [f"{name} in {100.0 * share:.3g} %" for name, share in saturation(record).items()]
     if shares:
         remarks.append(f"saturated at actuation.limit: {', '.join(shares)} of the samples")
-    return remarks
+    return [*remarks, *integration_remarks(record)]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

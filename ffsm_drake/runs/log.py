@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.runs.ending import Ending, Outcome, ending_of
 from ffsm_drake.runs.metrics import tracking_metrics
 from ffsm_drake.runs.tracking import Tracked, frame_error, frame_rows, tracked
 from ffsm_drake.scenario import MassProperties, Scenario
@@ -24,20 +25,6 @@ from ffsm_drake.systems.part import (
     values_of,
     with_role,
 )
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """How a run ended."""
-
-    status: str  # "completed", "diverged" or "interrupted"
-    time: float  # s, end of the record
-    message: str  # one line
-    coordinate: str = ""  # the coordinate that diverged
-
-    @property
-    def completed(self) -> bool:
-        return self.status == "completed"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -233,6 +220,11 @@ class RunLog:
             frame=self.frame_error,
             rows=self.frame_tracked,
         )
+
+    @functools.cached_property
+    def ending(self) -> Ending:
+        """How the run ended: settled, not settled, growing, missed, diverged, interrupted."""
+        return ending_of(self.outcome, self.scenario, self.time, lambda: self.tracked)
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import check_regular, published
-from ffsm_drake.runs.log import Outcome
+from ffsm_drake.runs.ending import NOT_SETTLED, OUTCOMES, Ending, Outcome, ending_of
 from ffsm_drake.runs.metrics import compute_metrics
 from ffsm_drake.runs.table import OF_LAWS, VARIABLES, Table
+from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario, scenario_from_dict
 from ffsm_drake.systems.part import Figure, PartRecord, nested
 
@@ -42,7 +43,6 @@ OUTPUTS = (
     *(f"{name}.png" for name in ("trajectories", "errors", "efforts", "gains")),
 )  # fmt: skip
 _COORDINATES = ("time", "coordinate", "position_name", "axis", "group", "unit")
-_STATUSES = ("completed", "diverged", "interrupted")
 
 
 class StaleReportWarning(UserWarning):
@@ -95,10 +95,20 @@ class RunRecord:
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
-        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.compute_metrics``, and
-        those of its parts.
+        """Figures of merit; the keys are those of ``ffsm_drake.runs.metrics.compute_metrics``,
+        ``ending`` (``status``, ``excess``: see ``Ending``), and those of its parts.
         """
-        return compute_metrics(vars(self)["_given"]) | nested(self.figures)
+        ending = {"status": self.ending.status, "excess": self.ending.excess}
+        return compute_metrics(vars(self)["_given"]) | {"ending": ending} | nested(self.figures)
+
+    @functools.cached_property
+    def ending(self) -> Ending:
+        """How the run ended: settled, not settled, growing, missed, diverged, interrupted."""
+        data = vars(self)["_given"]
+        if self.outcome.completed and "error" not in data:
+            sentence = f"Completed {self.outcome.time:g} s; the record holds no errors."
+            return Ending(status=NOT_SETTLED, sentence=sentence)
+        return ending_of(self.outcome, self.scenario, data["time"].values, lambda: tracked_of(data))
 
     @property
     def realtime_factor(self) -> float:
@@ -260,9 +270,9 @@ def _read_dataset(path: Path, scenario: Scenario) -> tuple["xr.Dataset", str]:
 def _checked_outcome(data: Any) -> Outcome:
     """The outcome of a manifest. Raises TypeError or ValueError for one that no run writes."""
     outcome = Outcome(**data)
-    if outcome.status not in _STATUSES:
+    if outcome.status not in OUTCOMES:
         raise ValueError(
-            f"outcome.status must be one of {', '.join(_STATUSES)}, not {outcome.status!r:.40}"
+            f"outcome.status must be one of {', '.join(OUTCOMES)}, not {outcome.status!r:.40}"
         )
     if not isinstance(outcome.time, (int, float)) or isinstance(outcome.time, bool):
         raise TypeError(f"outcome.time must be a number, not {outcome.time!r:.40}")

@@ -26,7 +26,8 @@ from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.loop.blocks import block_choices, kind_of
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
-from ffsm_drake.runs.log import Outcome, RunLog
+from ffsm_drake.runs.ending import COMPLETED, DIVERGED, INTERRUPTED, Outcome
+from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
@@ -292,11 +293,11 @@ def _outcome(monitor: Monitor, time: float, *, interrupted: bool) -> Outcome:
     """The outcome of a run whose log ends at a time, s."""
     if monitor.coordinate:
         return Outcome(
-            status="diverged", time=time, coordinate=monitor.coordinate, message=monitor.message
+            status=DIVERGED, time=time, coordinate=monitor.coordinate, message=monitor.message
         )
     if interrupted:
-        return Outcome(status="interrupted", time=time, message=f"interrupted at t = {time:.2f} s")
-    return Outcome(status="completed", time=time, message=f"completed {time:g} s")
+        return Outcome(status=INTERRUPTED, time=time, message=f"interrupted at t = {time:.2f} s")
+    return Outcome(status=COMPLETED, time=time, message=f"completed {time:g} s")
 
 
 def _show_apart(builder: DiagramBuilder, loop: ClosedLoop, target: np.ndarray) -> None:

@@ -311,6 +311,27 @@ class Compliance:
 
 
 @dataclass
+class Envelope:
+    """The largest miss with which the gripper still holds the target at the end of an approach.
+
+    Position and angle by default, and the velocity, are what a docking mechanism takes at first
+    contact (International Docking System Standard, interface definition document, revision E,
+    initial contact conditions; there 0.2 deg/s of relative rate too).
+    """
+
+    position: float | None = setting(
+        0.1, "m", "distance of the grasp frame from the target's; null: any", above=0
+    )
+    angle: float | None = setting(0.07, "rad", "likewise, the angle between them", above=0)
+    velocity: float | None = setting(
+        0.1, "m/s", "velocity of the target from the end effector; null: any", above=0
+    )
+    angular_velocity: float | None = setting(
+        None, "rad/s", "likewise, of its rotation; null: any", above=0
+    )
+
+
+@dataclass
 class Capture:
     """The grasp of a moving target, in ``initial_posture``; the run continues from the state after
     the grasp.
@@ -362,6 +383,7 @@ class Capture:
     approach: Approach | None = _unitless(
         None, "the motion up to the grasp; null: the run begins with the grasp"
     )
+    envelope: Envelope = setting(Envelope())
     accepted_drift: PerCoordinate | None = setting(
         None,
         "rad or m",

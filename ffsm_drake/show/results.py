@@ -3,20 +3,15 @@
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal
 
 import numpy as np
 
-from ffsm_drake.common.numbers import number
+from ffsm_drake.runs.ending import COMPLETED, DIVERGED, INTERRUPTED, MISSED
 from ffsm_drake.runs.metrics import isv, itae
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.style import Style, labels_of, styles_of
 
-Status = Literal["settled", "unsettled", "interrupted", "diverged"]
-
-# A run has settled when over its last second every error stays within its scenario's tolerance.
-SETTLED_OVER = 1.0  # s
 HELD = ("generalized_force", "applied_force")  # from one sample to the next
 
 
@@ -43,7 +38,7 @@ class Result:
     record: RunRecord
     label: str
     style: Style
-    status: Status
+    status: str  # of ``Ending``
     verdict: str  # one sentence
     itae: float
     isv: float
@@ -75,14 +70,14 @@ def results_of(records: Sequence[RunRecord]) -> list[Result]:
 
 
 def ranking(results: Sequence[Result], figure: Callable[[Result], float]) -> list[Result]:
-    """The best first: completed runs by their figure, then interrupted ones, then diverged ones."""
-    order = {"completed": 0, "interrupted": 1, "diverged": 2}
+    """The best first: completed runs by their figure, then interrupted ones, then those that missed
+    the target or diverged.
+    """
+    order = {COMPLETED: 0, INTERRUPTED: 1, MISSED: 2, DIVERGED: 3}
 
     def key(result: Result) -> tuple[int, float]:
         value = figure(result) if result.comparable else -result.record.outcome.time
-        return order.get(result.record.outcome.status, 3), value if math.isfinite(
-            value
-        ) else math.inf
+        return order[result.record.outcome.status], value if math.isfinite(value) else math.inf
 
     return sorted(results, key=key)
 
@@ -105,7 +100,6 @@ def values_of(record: RunRecord, name: str) -> np.ndarray | None:
 
 
 def _result(record: RunRecord, label: str, style: Style) -> Result:
-    status, verdict = _evaluate(record)
     period = record.scenario.sample_time
     error, effort = values_of(record, "error"), values_of(record, "generalized_force")
     accuracy = math.nan
@@ -119,8 +113,8 @@ def _result(record: RunRecord, label: str, style: Style) -> Result:
         record=record,
         label=label,
         style=style,
-        status=status,
-        verdict=verdict,
+        status=record.ending.status,
+        verdict=record.ending.sentence,
         itae=accuracy,
         isv=cost,
         magnitudes=magnitudes,
@@ -146,58 +140,3 @@ def _magnitudes(
         )
         magnitudes.append(Magnitude(group, unit, *(largest(one, members) for one in values)))
     return magnitudes
-
-
-def _evaluate(record: RunRecord) -> tuple[Status, str]:
-    outcome, scenario = record.outcome, record.scenario
-    samples = record.dataset.sizes.get("time", 0)
-    if outcome.status == "diverged":
-        return "diverged", _sentence(outcome.message, scenario.controller)
-    if not outcome.completed:
-        counted = (
-            "no sample was"
-            if samples == 0
-            else "1 sample was"
-            if samples == 1
-            else f"{samples} samples were"
-        )
-        return "interrupted", _sentence(
-            f"{outcome.message}; {counted} recorded", scenario.controller
-        )
-    if values_of(record, "error") is None:
-        return "unsettled", f"Completed {outcome.time:g} s; the record holds no errors."
-    end = scenario.planned_end
-    if end is not None and outcome.time < end - 1e-9:
-        return "unsettled", (
-            f"Completed {outcome.time:g} s, before the planned motion ends at {end:g} s."
-        )
-    late = record.dataset["time"].values >= outcome.time - SETTLED_OVER - 1e-9
-    tracked = tracked_of(record.dataset)
-    peaks, names, units = (
-        np.abs(tracked.error[late]).max(axis=0),
-        tracked.names,
-        np.array(tracked.units),
-    )
-    by_unit = {unit: peaks[units == unit] for unit in ("rad", "m")}
-    largest = ", ".join(
-        f"{number(float(each.max()), 3)} {unit}" for unit, each in by_unit.items() if each.size
-    )
-    tolerance = [
-        scenario.tolerance_of(name, group)
-        for name, group in zip(names, tracked.groups, strict=True)
-    ]
-    excess = peaks / np.array(tolerance)
-    if excess.max() <= 1.0:
-        return "settled", f"Settled: over the last second no error exceeds {largest}."
-    worst = int(np.argmax(excess))
-    return "unsettled", (
-        f"Completed {outcome.time:g} s but not settled: over the last second the error of "
-        f"{names[worst]} reaches "
-        f"{number(float(peaks[worst]), 3)} {units[worst]}."
-    )
-
-
-def _sentence(text: str, controller: str) -> str:
-    """A message as a sentence; a controller's name at its beginning stays as it is written."""
-    first = text if text.startswith(controller) else f"{text[:1].upper()}{text[1:]}"
-    return f"{first.rstrip('.')}."

@@ -192,6 +192,7 @@ def results_data(
             "status": record.outcome.status,
             "time": record.outcome.time,
             "message": record.outcome.message,
+            "ending": dataclasses.asdict(record.ending),
             "metrics": record.metrics,
             **({} if record.grasp is None else {"grasp": record.grasp}),
             **distance,

@@ -147,8 +147,10 @@ def test_a_failing_case_is_a_row(tmp_path):
     )
     path = run_here(spec, tmp_path / "x.db")
     with open_store(path) as store:
-        assert store.counts() == {
-            "tdc": {"settled": 1, "not_settled": 0, "diverged": 0, "refused": 0, "error": 1}
+        counts = store.counts()["tdc"]
+        assert {name: count for name, count in counts.items() if count} == {
+            "settled": 1,
+            "error": 1,
         }
         assert store.result(1, "tdc")["message"] == (
             "ScenarioError: payload.truth.mass: must be > 0 kg, not -1"

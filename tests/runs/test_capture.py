@@ -58,6 +58,29 @@ def record(log):
     return make_record(log, start=0.0)
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (["sensing.position_bias={base_position_x: 0.3}"], "position 0.1"),
+        (["sensing.position_bias={base_rotation_x: 0.2}"], "angle 0."),
+        (["capture.envelope.velocity=1e-6"], "velocity "),
+        (["capture.envelope.angular_velocity=1e-7"], "angular_velocity "),
+    ],
+)
+def test_a_target_beyond_the_envelope_is_missed(given, words):
+    missed = simulate(override_scenario(SCENARIO, given), check_stability=False)
+    assert missed.ending.status == missed.outcome.status == "missed"
+    assert missed.ending.is_failure
+    assert f"{words}" in missed.ending.sentence
+    assert "capture.envelope." in missed.ending.sentence
+    assert missed.grasp is None
+    assert set(missed.dataset["phase"].values.tolist()) == {"approach"}
+    wide = "capture.envelope={position: null, angle: null, velocity: null, angular_velocity: null}"
+    held = simulate(override_scenario(SCENARIO, [*given, wide]), check_stability=False)
+    assert held.outcome.status != "missed"
+    assert "stop" in held.dataset["phase"].values.tolist()
+
+
 def test_one_run_goes_through_the_grasp(log, record):
     data = record.dataset
     assert record.outcome.message == "completed 6 s"

@@ -197,12 +197,12 @@ def test_verdicts_in_words(short, diverged):
         results_of([with_scenario(short, reference=load_scenario("postcapture").reference)])[
             0
         ].status
-        == "unsettled"
+        == "not settled"
     )
     off = short.dataset.copy(deep=True)
     off["error"].loc[{"coordinate": "joint_2"}] = 0.0021
     result = results_of([dataclasses.replace(short, dataset=off)])[0]
-    assert result.status == "unsettled"
+    assert result.status == "not settled"
     assert "the error of joint_2 reaches 0.00210 rad" in result.verdict
     lenient = with_scenario(
         dataclasses.replace(short, dataset=off), tolerance={"all": 1e-3, "joint_2": 0.003}

@@ -14,6 +14,15 @@ from ffsm_drake.common.errors import FfsmError, RecordError, one_line
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.control_design.stability import Margins, stability
+from ffsm_drake.runs.ending import (
+    DIVERGED,
+    GROWING,
+    INTERRUPTED,
+    MISSED,
+    NOT_SETTLED,
+    SETTLED,
+    SETTLED_OVER,
+)
 from ffsm_drake.runs.record import IDENTIFIER, RunRecord
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.show.page import embedded, render
@@ -24,13 +33,17 @@ from ffsm_drake.show.report.part_panels import part_sections, part_tables, part_
 from ffsm_drake.show.report.provenance import provenance, software
 from ffsm_drake.show.report.stability_panels import stability_views
 from ffsm_drake.show.report.time_panels import points_per_curve, run_views
-from ffsm_drake.show.results import SETTLED_OVER, Result, results_of
+from ffsm_drake.show.results import Result, results_of
 from ffsm_drake.show.style import GROUP_TITLES
 from ffsm_drake.show.tables import margins_data
 
-_STATUS_TONES = {"settled": "good", "unsettled": "warn", "interrupted": "warn", "diverged": "bad"}
-_STATUS_WORDS = {
-    status: "not settled" if status == "unsettled" else status for status in _STATUS_TONES
+_STATUS_TONES = {
+    SETTLED: "good",
+    NOT_SETTLED: "warn",
+    INTERRUPTED: "warn",
+    GROWING: "bad",
+    MISSED: "bad",
+    DIVERGED: "bad",
 }
 _FINDING_TONES = {
     "holds": "good",
@@ -158,7 +171,6 @@ def render_report(
         ],
         "provenance": provenance(results, folder),
         "software": software(records),
-        "words": _STATUS_WORDS,
         "tones": _STATUS_TONES,
         "finding_tones": _FINDING_TONES,
         "plots": embedded(views),
@@ -213,8 +225,7 @@ def _summary(results: Sequence[Result]) -> str:
     if len(results) == 1:
         return f"One run of {results[0].label}, {results[0].record.outcome.time:g} s of flight."
     counted = {
-        word: sum(result.status == status for result in results)
-        for status, word in _STATUS_WORDS.items()
+        status: sum(result.status == status for result in results) for status in _STATUS_TONES
     }
     return f"{len(results)} runs compared: {_tally(counted)}."
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ffsm_drake.common.workers import map_tasks
 from ffsm_drake.preflight.simulate import simulate
-from ffsm_drake.runs.log import Outcome
+from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.scenario import Scenario, load_scenario, read_yaml
 from ffsm_drake.systems.controllers import complete_gains

@@ -1,0 +1,162 @@
+"""How a run ended, in one word that says what it covers: settled, not settled, growing, missed,
+diverged, interrupted.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from ffsm_drake.common.numbers import number
+from ffsm_drake.runs.tracking import Tracked
+from ffsm_drake.scenario import Scenario
+
+# Statuses of an outcome; those but the first are endings too.
+COMPLETED, MISSED, DIVERGED, INTERRUPTED = "completed", "missed", "diverged", "interrupted"
+OUTCOMES = (COMPLETED, MISSED, DIVERGED, INTERRUPTED)
+SETTLED, NOT_SETTLED, GROWING = "settled", "not settled", "growing"
+# A completed run is one of the first three; best first.
+ENDINGS = (SETTLED, NOT_SETTLED, GROWING, MISSED, DIVERGED, INTERRUPTED)
+SETTLED_OVER = 1.0  # s, at the end of the run; over which errors are compared with the tolerance
+_WINDOWS = 3  # of that length, at the end, whose peaks show whether errors grow
+_GROWTH = 1.5  # times, from each to the next
+_FAST_GROWTH = 5.0  # times, from the largest before to the last
+_NOTABLE = 0.3  # of the tolerance; below it a rising peak is no growth
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What ended a run."""
+
+    status: str  # COMPLETED, MISSED, DIVERGED or INTERRUPTED
+    time: float  # s, end of the record
+    message: str  # one line
+    coordinate: str = ""  # the coordinate that diverged
+
+    @property
+    def completed(self) -> bool:
+        return self.status == COMPLETED
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Ending:
+    """How a run ended, by its errors and their tolerances."""
+
+    status: str  # one of ENDINGS
+    sentence: str  # which errors, and how large
+    coordinate: str = ""  # the one furthest beyond its tolerance, or that diverged
+    # largest error over the last second, in tolerances; NaN where the run did not complete
+    excess: float = float("nan")
+
+    @property
+    def is_settled(self) -> bool:
+        return self.status == SETTLED
+
+    @property
+    def is_failure(self) -> bool:
+        """Whether it diverged, was about to, or missed its target."""
+        return self.status in (GROWING, MISSED, DIVERGED)
+
+
+def ending_of(
+    outcome: Outcome, scenario: Scenario, time: np.ndarray, tracked: Callable[[], Tracked]
+) -> Ending:
+    """The ending of a run with an outcome; other arguments as for ``ending_of_completed``."""
+    if outcome.completed:
+        return ending_of_completed(scenario, time, tracked())
+    message = outcome.message
+    if outcome.status == INTERRUPTED:
+        count = time.size or "no"
+        message += f"; {count} sample{'s were' if time.size > 1 else ' was'} recorded"
+    # a controller's name at the beginning stays as it is written
+    first = (
+        message if message.startswith(scenario.controller) else message[:1].upper() + message[1:]
+    )
+    return Ending(
+        status=outcome.status, sentence=f"{first.rstrip('.')}.", coordinate=outcome.coordinate
+    )
+
+
+def ending_of_completed(scenario: Scenario, time: np.ndarray, tracked: Tracked) -> Ending:
+    """The ending of a run that was completed.
+
+    Settled: over the last second every tracked error is within its tolerance. Growing: from each of
+    the last three seconds to the next the peak of a coordinate rises by half, or fivefold at once,
+    up to at least a third of its tolerance; while the planned motion lasts, beyond it.
+
+    Args:
+      scenario: what was run: its tolerances and the end of its planned motion.
+      time: control samples (n,), s.
+      tracked: the errors that count.
+    """
+    tolerance = np.array([
+        scenario.tolerance_of(name, group)
+        for name, group in zip(tracked.names, tracked.groups, strict=True)
+    ])  # fmt: skip
+    size = np.abs(tracked.error) / tolerance
+    end, planned_end = float(time[-1]), scenario.planned_end
+    last = _peaks(size, time, end, SETTLED_OVER)
+    worst = int(np.argmax(last))
+    name, unit = tracked.names[worst], tracked.units[worst]
+    reached = f"the error of {name} reaches {number(last[worst] * tolerance[worst], 3)} {unit}"
+    moves = planned_end is not None and end < planned_end - 1e-9
+    excess = float(last[worst])
+
+    def ending(status: str, sentence: str) -> Ending:
+        return Ending(status=status, sentence=sentence, coordinate=name, excess=excess)
+
+    growing = _growing(size, time, notable=1.0 if moves else _NOTABLE)
+    if growing.any():
+        i = int(np.argmax(np.where(growing, last, -1.0)))
+        return Ending(
+            status=GROWING,
+            sentence=f"Completed {end:g} s, but errors grow at the end: that of {tracked.names[i]} "
+            f"to {number(last[i] * tolerance[i], 3)} {tracked.units[i]}, tolerance "
+            f"{tolerance[i]:g}.",
+            coordinate=tracked.names[i],
+            excess=excess,
+        )
+    if moves:
+        return ending(
+            NOT_SETTLED,
+            f"Completed {end:g} s, before the planned motion ends at {planned_end:g} s.",
+        )
+    if excess <= 1.0:
+        by_unit = {
+            each: np.array([
+                last[i] * tolerance[i] for i, other in enumerate(tracked.units) if other == each
+            ])
+            for each in ("rad", "m")
+        }  # fmt: skip
+        largest = ", ".join(
+            f"{number(float(values.max()), 3)} {each}"
+            for each, values in by_unit.items()
+            if values.size
+        )
+        return ending(SETTLED, f"Settled: over the last second no error exceeds {largest}.")
+    return ending(
+        NOT_SETTLED,
+        f"Completed {end:g} s but not settled: over the last second {reached}, tolerance "
+        f"{tolerance[worst]:g}.",
+    )
+
+
+def _peaks(size: np.ndarray, time: np.ndarray, end: float, length: float) -> np.ndarray:
+    """The largest of each column (k) over the samples from ``end - length`` to ``end``."""
+    chosen = (time >= end - length - 1e-9) & (time <= end + 1e-9)
+    peaks: np.ndarray = size[chosen].max(axis=0, initial=0.0)
+    return peaks
+
+
+def _growing(size: np.ndarray, time: np.ndarray, *, notable: float) -> np.ndarray:
+    """Which columns (k) grow at the end."""
+    end = float(time[-1])
+    length = min(SETTLED_OVER, (end - float(time[0])) / (_WINDOWS + 1))
+    if not length > 0.0:
+        return np.zeros(size.shape[1], dtype=bool)
+    first, second, last = (
+        _peaks(size, time, end - length * back, length) for back in reversed(range(_WINDOWS))
+    )
+    steadily = (last > _GROWTH * second) & (second > _GROWTH * first)
+    at_once = last > _FAST_GROWTH * np.maximum(first, second)
+    return (last > notable) & (steadily | at_once)
