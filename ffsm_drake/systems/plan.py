@@ -1,8 +1,9 @@
 """A plan: a motion as a cubic spline, in a small text file written by ``ffsm plan``.
 
 The curve is z(t) = [phi, p_WB, joints] (see ``spacecraft.inverse_dynamics``), a cubic B-spline on
-[0, duration]. A plan may end with small rates; these then die away over ``settle``. q_d, v_d and
-dv_d/dt are computed from z, z' and z'', so that each is the exact derivative of the one before.
+[0, duration] whose segments need not be equally long. A plan may end with small rates; these then
+die away over ``settle``. q_d, v_d and dv_d/dt are computed from z, z' and z'', so that each is the
+exact derivative of the one before.
 """
 
 import dataclasses
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from pydrake.math import BsplineBasis, KnotVectorType
+from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 
 from ffsm_drake.common.errors import ScenarioError, one_line
@@ -34,6 +35,7 @@ class Plan:
     settle: float  # s; time for the rates at its end to die away; 0 if they are zero
     first_attitude: tuple[float, float, float, float]  # quaternion (w, x, y, z) of R_0
     coordinates: tuple[str, ...]  # names of z, which are those of v (nv)
+    knots: np.ndarray  # (segments + 1,), between segments, as shares of the duration: 0 to 1
     control_points: np.ndarray  # (segments + 3, nv), rad and m
 
     @property
@@ -45,7 +47,8 @@ class Plan:
     def _curves(self) -> tuple[BsplineTrajectory, ...]:
         """z as a function of t / duration, and its derivatives."""
         points = np.asfortranarray(self.control_points.T)
-        basis = BsplineBasis(DEGREE + 1, points.shape[1], KnotVectorType.kClampedUniform, 0.0, 1.0)
+        knots = np.r_[np.zeros(DEGREE), self.knots, np.ones(DEGREE)]
+        basis = BsplineBasis(DEGREE + 1, knots.tolist())
         curve = BsplineTrajectory(basis, [column[:, None] for column in points.T])
         rate = curve.MakeDerivative()
         return curve, rate, rate.MakeDerivative()
@@ -68,6 +71,14 @@ class Plan:
             rate[:, after] = acceleration[:, after] = 0.0
         return z, rate, acceleration
 
+    def instants(self, per_segment: int) -> np.ndarray:
+        """Times that divide each segment, and ``settle``, into so many equal parts (n,), s."""
+        marks = np.r_[self.duration * self.knots, [self.end] * (self.settle > 0.0)]
+        count = len(marks) - 1
+        parts = np.linspace(0.0, count, count * per_segment + 1)
+        times: np.ndarray = np.interp(parts, np.arange(count + 1), marks)
+        return times
+
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,), s."""
         z, rate, acceleration = self.curve(times)
@@ -82,12 +93,12 @@ class Plan:
             "settle": self.settle,
             "first_attitude": list(self.first_attitude),
             "coordinates": list(self.coordinates),
+            "knots": self.knots.tolist(),
         }
         rows = "".join(f"- [{', '.join(map(repr, row))}]\n" for row in self.control_points.tolist())
         head = "".join(f"# {line}\n" for line in title.splitlines())
-        write_text(
-            path, f"{head}{yaml.safe_dump(data, sort_keys=False, width=120)}control_points:\n{rows}"
-        )
+        text = yaml.safe_dump(data, sort_keys=False, width=120, default_flow_style=None)
+        write_text(path, f"{head}{text}control_points:\n{rows}")
 
 
 def load_plan(address: str, coordinates: Coordinates) -> Plan:
@@ -109,24 +120,17 @@ def load_plan(address: str, coordinates: Coordinates) -> Plan:
         if missing:
             raise ValueError(f"lacks {', '.join(missing)}")
         w, x, y, z = map(float, data["first_attitude"])
+        points = np.array(data["control_points"], dtype=float)
         plan = Plan(
             duration=float(data["duration"]),
             settle=float(data["settle"]),
             first_attitude=(w, x, y, z),
             coordinates=tuple(map(str, data["coordinates"])),
-            control_points=np.array(data["control_points"], dtype=float),
+            # before they were written, segments were equally long
+            knots=np.array(data.get("knots", np.linspace(0.0, 1.0, len(points) - DEGREE + 1))),
+            control_points=points,
         )
-        points = plan.control_points
-        if not (
-            points.ndim == 2
-            and points.shape[0] > DEGREE
-            and points.shape[1] == len(plan.coordinates)
-            and np.isfinite(points).all()
-            and abs(float(np.linalg.norm(plan.first_attitude)) - 1.0) < 1e-6
-        ):
-            raise ValueError("its numbers do not form a valid plan")
-        if not (0.0 < plan.duration < np.inf and 0.0 <= plan.settle < np.inf):
-            raise ValueError("its duration is not > 0 s")
+        _check(plan)
     except FileNotFoundError:
         raise ScenarioError(key, f"{path}: no such file; 'ffsm plan' writes it") from None
     except (OSError, ValueError, TypeError, StrictYamlError) as error:
@@ -140,3 +144,21 @@ def load_plan(address: str, coordinates: Coordinates) -> Plan:
             f"{', '.join(coordinates.names)}",
         )
     return plan
+
+
+def _check(plan: Plan) -> None:
+    """Raise ValueError unless the numbers form a plan."""
+    points, knots = plan.control_points, plan.knots
+    sound = (
+        points.ndim == 2
+        and points.shape == (len(knots) - 1 + DEGREE, len(plan.coordinates))
+        and len(knots) > 1
+        and np.isfinite(points).all()
+        and (knots[0], knots[-1]) == (0.0, 1.0)
+        and (np.diff(knots) > 0.0).all()
+        and abs(np.linalg.norm(plan.first_attitude) - 1.0) < 1e-6
+    )
+    if not sound:
+        raise ValueError("its numbers do not form a valid plan")
+    if not (0.0 < plan.duration < np.inf and 0.0 <= plan.settle < np.inf):
+        raise ValueError("its duration is not > 0 s")

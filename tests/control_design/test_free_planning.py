@@ -77,7 +77,8 @@ def test_small_rotations_add_up_and_their_derivatives_are_exact():
         times = np.linspace(0.0, 2.0, count)
         by = np.zeros((count, 6, 1))
         by[:, 1, 0], by[:, 4, 0] = times, 1.0
-        rotation, turning = turned(*rates(times, extra), by, times[1])
+        steps = np.diff(times)
+        rotation, turning = turned(*rates(times, extra), by, steps, np.zeros((count - 1, 1)))
         return rotation_vector(rotation)[-1], rotation[-1], turning[-1, :, 0]
 
     finest = last(3201, 0.1)[0]

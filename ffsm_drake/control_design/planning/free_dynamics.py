@@ -69,9 +69,9 @@ class FreeDynamics:
 
 
 def turned(
-    w: np.ndarray, alpha: np.ndarray, by: np.ndarray, step: float
+    w: np.ndarray, alpha: np.ndarray, by: np.ndarray, steps: np.ndarray, by_steps: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The rotations of a body since the first of equally spaced instants, and how they change.
+    """The rotations of a body since the first of some instants, and how they change.
 
     Each step is a rotation by h/2 (w_0 + w_1) + h^2/12 (alpha_0 - alpha_1 + w_0 x w_1), of fourth
     order.
@@ -79,19 +79,20 @@ def turned(
     Args:
       w, alpha: (n, 3), rad/s and rad/s^2, in the body's axes.
       by: derivatives of both (n, 6, unknowns).
-      step: h, s.
+      steps, by_steps: h (n - 1,), s, and its derivatives (n - 1, unknowns).
 
     Returns: rotation matrices (n, 3, 3) in the first axes, and the small rotations from there, in
     those axes too, by the unknowns (n, 3, unknowns).
     """
-    first, last = w[:-1], w[1:]
-    sixth = step**2 / 12.0
-    vectors = 0.5 * step * (first + last) + sixth * (alpha[:-1] - alpha[1:] + np.cross(first, last))
-    slope = 0.5 * step * (by[:-1, :3] + by[1:, :3]) + sixth * (by[:-1, 3:] - by[1:, 3:])
-    slope += sixth * (
-        np.cross(first[..., None], by[1:, :3], axis=1)
-        - np.cross(last[..., None], by[:-1, :3], axis=1)
-    )
+    first, last, half = w[:-1], w[1:], 0.5 * steps[:, None]
+    bend = (alpha[:-1] - alpha[1:] + np.cross(first, last)) / 3.0
+    vectors = half * (first + last + half * bend)
+    by_bend = by[:-1, 3:] - by[1:, 3:]
+    by_bend += np.cross(first[..., None], by[1:, :3], axis=1)
+    by_bend -= np.cross(last[..., None], by[:-1, :3], axis=1)
+    half = half[..., None]
+    slope = half * (by[:-1, :3] + by[1:, :3] + half * by_bend / 3.0)
+    slope += (0.5 * (first + last) + half[..., 0] * bend)[..., None] * by_steps[:, None]
     none = np.zeros_like(vectors.T)
     small = attitude_motion(vectors.T, none, none)[0]
     # The left Jacobian, whose columns are the angular velocities of unit rates of the vector.

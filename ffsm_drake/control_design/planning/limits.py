@@ -12,22 +12,21 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.limits import limits_of
 
 _ACCURACY = 1e-3  # m; of Drake's distances between cylinders
-# relative; by which a solved plan may pass a limit between the instants that the solver looks at
-_SLACK = 1e-3
+_SLACK = 1e-3  # relative; by which a plan may exceed a limit between the solver's instants
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MotionLimits:
     """Limits by coordinate, in the order of v (nv); infinite where there are none."""
 
-    force: np.ndarray  # N m or N, either way
+    force: np.ndarray  # N m or N, either way; without ``planning.reserve``
     rate: np.ndarray  # rad/s or m/s, either way
     lower: np.ndarray  # rad or m
     upper: np.ndarray
     impulse: np.ndarray  # N m s or N s; integral of the force's size
 
     def of(self, indices: np.ndarray) -> "MotionLimits":
-        """Of some coordinates alone."""
+        """Limits of a subset of coordinates."""
         return MotionLimits(
             **{field.name: getattr(self, field.name)[indices] for field in dataclasses.fields(self)}
         )
@@ -37,25 +36,34 @@ class MotionLimits:
 class Margin:
     """How near a motion comes to a limit."""
 
-    quantity: str  # "force", "rate", "position", "turn", "impulse" or "clearance"
+    # "force", "rate", "end rate", "position", "turn", "impulse" or "clearance"
+    quantity: str
     name: str  # of the coordinate, or of the two bodies
     value: float  # the nearest to the limit
-    limit: float
+    limit: float  # of force: without ``planning.reserve``
     time: float  # s; when
     unit: str
+    at_least: bool = False  # the limit is a lower one
+
+    @property
+    def excess(self) -> float:
+        """By how much the limit is exceeded; negative if it is kept."""
+        if self.at_least:
+            return self.limit - self.value
+        return (self.value if self.quantity == "position" else abs(self.value)) - self.limit
 
     @property
     def kept(self) -> bool:
         """Whether the limit is kept, but for what interpolation may add."""
         slack = _SLACK * max(abs(self.limit), 1e-3)
-        if self.quantity == "clearance":
-            return self.value >= self.limit - _ACCURACY
-        return abs(self.value) <= abs(self.limit) + slack
+        return self.excess <= (_ACCURACY if self.quantity == "clearance" else slack)
 
     def __str__(self) -> str:
-        side = "below" if self.quantity == "clearance" else "beyond"
-        what = f"{self.name}: {self.quantity} {self.value:.4g} {self.unit}"
-        return f"{what} at t = {self.time:.3g} s, {side} {self.limit:.4g}"
+        reserve = " (reserve included)" if self.quantity == "force" else ""
+        return (
+            f"{self.name}: {self.quantity} {self.value:.4g} {self.unit} at t = {self.time:.3g} s, "
+            f"{'below' if self.at_least else 'beyond'} {self.limit:.4g}{reserve}"
+        )
 
 
 def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:
@@ -82,7 +90,7 @@ def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:
     limits = limits_of(scenario, model.plant)
     force, rate, position = (tightest(limits, each) for each in (FORCE, RATE, POSITION))
     return MotionLimits(
-        force=np.where(coordinates.is_driven, force.upper, np.inf),
+        force=np.where(coordinates.is_driven, (1.0 - planning.reserve) * force.upper, np.inf),
         rate=np.minimum(vector(planning.velocity_limit, "planning.velocity_limit"), rate.upper),
         lower=position.lower,
         upper=position.upper,
@@ -96,8 +104,9 @@ def margins(
     times: np.ndarray,
     rows: np.ndarray,
     force: np.ndarray,
+    impulse: np.ndarray,
 ) -> list[Margin]:
-    """How near a motion comes to each finite limit, by quantity and coordinate.
+    """How near a motion comes to each finite limit, by coordinate and quantity.
 
     Args:
       limits: of force, rate, position and impulse.
@@ -105,48 +114,35 @@ def margins(
       times: instants (n,), s.
       rows: [q; v; dv/dt] (n, nq + 2 nv).
       force: (n, nv).
+      impulse: (nv,).
     """
     coordinates = model.coordinates
     num_positions = len(coordinates.position_names)
-    units = np.array(coordinates.units)
-    rate = rows[:, num_positions : num_positions + len(coordinates.names)]
     found = []
-    for i, name in enumerate(coordinates.names):
-        force_unit = "N m" if units[i] == "rad" else "N"
-        for quantity, values, limit, unit in (
-            ("force", force[:, i], limits.force[i], force_unit),
-            ("rate", rate[:, i], limits.rate[i], f"{units[i]}/s"),
-        ):
-            if np.isfinite(limit):
-                k = int(np.argmax(np.abs(values)))
-                found.append(
-                    _margin(quantity, name, float(values[k]), float(limit), float(times[k]), unit)
-                )
+    for i, (name, unit) in enumerate(zip(coordinates.names, coordinates.units, strict=True)):
+        force_unit = "N m" if unit == "rad" else "N"
+        rate = rows[:, num_positions + i]
+        quantities = [
+            ("force", force[:, i], limits.force[i], force_unit, False),
+            ("rate", rate, limits.rate[i], f"{unit}/s", False),
+            ("impulse", impulse[[i]], limits.impulse[i], f"{force_unit} s", False),
+        ]
         if i >= NUM_BASE_VELOCITIES:
             position = rows[:, NUM_BASE_POSITIONS + i - NUM_BASE_VELOCITIES]
-            for bound, k in (
-                (limits.lower[i], int(np.argmin(position))),
-                (limits.upper[i], int(np.argmax(position))),
-            ):
-                if np.isfinite(bound):
-                    found.append(
-                        _margin(
-                            "position",
-                            name,
-                            float(position[k]),
-                            float(bound),
-                            float(times[k]),
-                            units[i],
-                        )
-                    )
-        if np.isfinite(limits.impulse[i]):
-            impulse = float(np.trapezoid(np.abs(force[:, i]), times))
-            limit = float(limits.impulse[i])
+            quantities += [
+                ("position", position, limits.lower[i], unit, True),
+                ("position", position, limits.upper[i], unit, False),
+            ]
+        for quantity, values, limit, given_unit, at_least in quantities:
+            if not np.isfinite(limit):
+                continue
+            size = values if quantity == "position" else np.abs(values)
+            k = int(np.argmin(size) if at_least else np.argmax(size))
             found.append(
-                _margin("impulse", name, impulse, limit, float(times[-1]), f"{force_unit} s")
-            )
+                Margin(
+                    quantity=quantity, name=name, value=float(values[k]), limit=float(limit),
+                    time=float(times[-1] if quantity == "impulse" else times[k]),
+                    unit=given_unit, at_least=at_least,
+                )
+            )  # fmt: skip
     return found
-
-
-def _margin(quantity: str, name: str, value: float, limit: float, time: float, unit: str) -> Margin:
-    return Margin(quantity=quantity, name=name, value=value, limit=limit, time=time, unit=unit)
