@@ -117,6 +117,30 @@ def test_a_run_turns_the_base_as_planned(arm, tmp_path):
     assert record.dataset.position.values[-1, 7:] == pytest.approx([-0.65, 1.15, 0.6], abs=1e-5)
 
 
+def test_a_run_starts_where_the_plan_does(tmp_path):
+    path = tmp_path / "plan.yaml"
+    place = "initial_posture.base_position=[0.08, 0.2, -0.08]"
+    over = [*ARM, place, "target_posture.base_position=[0.08, 0.2, -0.08]"]
+    plan_motion(load_scenario("planar_detumble", over)).plan.save(path, title="from elsewhere")
+    over += ["reference.kind=optimal", f"reference.plan={path}", "duration=1"]
+    over += ["controller=computed_torque"]
+    record = simulate(load_scenario("planar_detumble", over), check_stability=False)
+    assert np.abs(record.dataset.error.values).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_the_solver_stops_when_it_gains_no_more():
+    """Without, this one took 4303 evaluations."""
+    found = plan_motion(
+        load_scenario(
+            "planar_detumble",
+            [*ARM, "reference.duration=20", "planning.base_attitude_limit=0.0053"],
+        )
+    )
+    assert found.evaluations < 1500
+    assert not found.exceeded
+
+
 def test_the_base_turns_no_further_than_it_may(arm):
     limit = 0.8 * turn(arm.rows)
     found = plan_motion(

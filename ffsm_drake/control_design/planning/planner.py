@@ -250,7 +250,7 @@ class _Planner:
             unknowns, said = problem.solve(unknowns, moving=attempt == 0)
             self._evaluations = before + problem.evaluations
             found = self._evaluated(self._plan_of(unknowns))
-            if not found.exceeded or attempt == _ATTEMPTS - 1:
+            if not found.exceeded or said == "InfeasibleConstraints" or attempt == _ATTEMPTS - 1:
                 break
             driven = self._model.coordinates.driven
             used = {margin.quantity: margin for margin in found.margins}
