@@ -52,7 +52,6 @@ from ffsm_drake.scenario.schema import (
     Scenario,
     controller_key,
     from_grasp,
-    own_thrusters,
     planned_part,
 )
 from ffsm_drake.scenario.sensing import ESTIMATOR_KINDS, CommandFilter, Estimator, Sensing
@@ -116,7 +115,6 @@ __all__ = [
     "schema_fields",
     "shown",
     "shipped_scenarios",
-    "own_thrusters",
     "thruster_layouts",
     "thrusters_of",
 ]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pydrake.systems.analysis import SimulatorConfig
 
 from ffsm_drake.common.settings import Problems, setting
-from ffsm_drake.scenario.actuation import DRIVEN, Actuation, Drives, Thruster, Wheels, thrusters_of
+from ffsm_drake.scenario.actuation import DRIVEN, Actuation, Drives, Wheels
 from ffsm_drake.scenario.blocks import Blocks
 from ffsm_drake.scenario.capture import Capture
 from ffsm_drake.scenario.fields import ZERO, PerCoordinate, name_problems, unitless
@@ -253,13 +253,3 @@ def controller_key(controller: str) -> str:
     ``module:attribute``.
     """
     return controller.rpartition(":")[2]
-
-
-def own_thrusters(scenario: Scenario) -> dict[str, Thruster]:
-    """The thrusters of a scenario's own actuators, by name; empty where it has none, or a
-    user-supplied block.
-    """
-    settings = scenario.actuation.thrusters
-    return (
-        {} if settings is None or scenario.blocks.actuation is not None else thrusters_of(settings)
-    )
