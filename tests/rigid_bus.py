@@ -17,7 +17,16 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Adder, LogVectorOutput, MatrixGain
 
-from ffsm_drake.scenario import Flexible, Model, schema, thruster_layouts
+from ffsm_drake.scenario import (
+    Actuation,
+    Flexible,
+    Model,
+    Thruster,
+    Thrusters,
+    Wheel,
+    Wheels,
+    thruster_layouts,
+)
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.flexible import add_flexible, set_flexible
 from ffsm_drake.spacecraft.mass_properties import set_wheels
@@ -111,7 +120,7 @@ class _BusAxes(LeafSystem):
 
 
 def simulate(
-    actuation: schema.Actuation,
+    actuation: Actuation,
     commands: np.ndarray,
     *,
     period: float = PERIOD,
@@ -204,16 +213,16 @@ def simulate(
 
 def wheel_settings(
     *, coulomb: float = 0.0, viscous: float = 0.0, torque_limit: float = 10.0
-) -> schema.Actuation:
+) -> Actuation:
     momenta = SPIN * (WHEEL_RATES + AXES @ RATE)
     units = {
-        f"wheel_{i}": schema.Wheel(
+        f"wheel_{i}": Wheel(
             axis=axis.tolist(), inertia=SPIN, torque_limit=torque_limit, initial_momentum=momentum,
             coulomb_friction=coulomb, viscous_friction=viscous,
         )
         for i, (axis, momentum) in enumerate(zip(AXES, momenta, strict=True))
     }  # fmt: skip
-    return schema.Actuation(wheels=schema.Wheels(units=units))
+    return Actuation(wheels=Wheels(units=units))
 
 
 def with_wheel_speeds(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -247,9 +256,7 @@ def coasting(
 @functools.cache
 def thrusters() -> dict[str, np.ndarray]:
     """The twelve thrusters give the torques and forces in pulses."""
-    return simulate(
-        schema.Actuation(thrusters=schema.Thrusters(layout=LAYOUT)), np.c_[torques(), forces()]
-    )
+    return simulate(Actuation(thrusters=Thrusters(layout=LAYOUT)), np.c_[torques(), forces()])
 
 
 def pulses() -> list[list[list[int]]]:
@@ -265,7 +272,7 @@ def pulses() -> list[list[list[int]]]:
     return result
 
 
-def units() -> list[schema.Thruster]:
+def units() -> list[Thruster]:
     return list(thruster_layouts()[LAYOUT].values())
 
 

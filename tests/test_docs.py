@@ -238,7 +238,7 @@ def test_every_scenario_key_is_in_the_reference_with_a_meaning():
             sections.add(path.removesuffix("."))  # one that may be null is a key too
         elif line.startswith("| `"):
             key, *_, meaning = (cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1])
-            assert meaning, f"{path}{key}: write its meaning beside the field in scenario/schema.py"
+            assert meaning, f"{path}{key}: write its meaning beside the field in scenario/"
             documented.add(path + key.strip("`"))
 
     def keys(value, place=""):

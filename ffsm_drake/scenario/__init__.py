@@ -1,5 +1,19 @@
 """The scenario: everything that defines a run, as plain data with units."""
 
+from ffsm_drake.scenario.actuation import (
+    Actuation,
+    Drives,
+    Thruster,
+    Thrusters,
+    Wheel,
+    Wheels,
+    thruster_layouts,
+    thrusters_of,
+)
+from ffsm_drake.scenario.blocks import Block, Blocks
+from ffsm_drake.scenario.capture import CAPTURE_AXES, Approach, Capture
+from ffsm_drake.scenario.fields import PerCoordinate
+from ffsm_drake.scenario.forces import Disturbance, Environment, Harmonic, SolarPressure
 from ffsm_drake.scenario.loading import (
     MANIFEST_FILE,
     anchor_paths,
@@ -16,49 +30,31 @@ from ffsm_drake.scenario.loading import (
     scenario_to_yaml,
     shipped_scenarios,
 )
-from ffsm_drake.scenario.resolving import as_dict, build_settings, schema_fields, shown
-from ffsm_drake.scenario.schema import (
-    BASE_ROTATIONS,
-    CAPTURE_AXES,
-    ESTIMATOR_KINDS,
-    GOALS,
-    REFERENCE_KINDS,
-    Actuation,
-    Approach,
-    Block,
-    Blocks,
-    Capture,
-    CommandFilter,
-    Disturbance,
-    Drives,
-    Environment,
-    Estimator,
+from ffsm_drake.scenario.model import (
     Flexible,
-    FrameGoal,
-    Harmonic,
     MassProperties,
     Model,
     Payload,
-    PerCoordinate,
-    Planning,
     Posture,
+    inertia_matrix,
+)
+from ffsm_drake.scenario.reference import (
+    BASE_ROTATIONS,
+    GOALS,
+    REFERENCE_KINDS,
+    FrameGoal,
+    Planning,
     Reference,
-    Scenario,
-    Sensing,
     Shaper,
-    SolarPressure,
-    Thruster,
-    Thrusters,
-    Wheel,
-    Wheels,
+)
+from ffsm_drake.scenario.resolving import as_dict, build_settings, schema_fields, shown
+from ffsm_drake.scenario.schema import (
+    Scenario,
     controller_key,
     from_grasp,
-    inertia_matrix,
-    own_thrusters,
     planned_part,
-    thruster_layouts,
-    thrusters_of,
 )
+from ffsm_drake.scenario.sensing import ESTIMATOR_KINDS, CommandFilter, Estimator, Sensing
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 
 __all__ = [
@@ -119,7 +115,6 @@ __all__ = [
     "schema_fields",
     "shown",
     "shipped_scenarios",
-    "own_thrusters",
     "thruster_layouts",
     "thrusters_of",
 ]

@@ -8,7 +8,7 @@ from pydrake.multibody.tree import RigidBody
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.scenario import Capture, Scenario
-from ffsm_drake.scenario.schema import Compliance
+from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, StateSplit
 from ffsm_drake.spacecraft.grasp import (
     CompliantGrasp,

@@ -4,7 +4,7 @@ import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import AffineSystem, Sine
 
-from ffsm_drake.scenario import schema
+from ffsm_drake.scenario import Disturbance
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup
@@ -20,7 +20,7 @@ class HarmonicDisturbance(Part):
         return make_disturbance(setup.scenario.disturbance, setup.coordinates)
 
 
-def make_disturbance(settings: schema.Disturbance, coordinates: Coordinates) -> Diagram:
+def make_disturbance(settings: Disturbance, coordinates: Coordinates) -> Diagram:
     """A source with output ``generalized_force`` (nv): amplitude sin(frequency t + phase) + bias, N
     m and N.
 

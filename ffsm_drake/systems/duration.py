@@ -46,8 +46,8 @@ def shortest_duration(
     if not np.isfinite(np.concatenate([force.upper, rate.upper])).any():
         raise ScenarioError(
             key,
-            "auto needs a limit of force or velocity: give actuation.limit, thrusters, or a "
-            "number of seconds",
+            "auto needs a limit of force or velocity: give actuation.limit, actuators that have "
+            "one, or a number of seconds",
         )
     named = ("force on", "velocity of", "position of")
     names = [f"{what} {name}" for what in named for name in coordinates.names]

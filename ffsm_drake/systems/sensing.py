@@ -27,7 +27,7 @@ from pydrake.systems.primitives import Adder, AffineSystem, Gain, LinearSystem, 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import turning_matrix
-from ffsm_drake.scenario import schema
+from ffsm_drake.scenario import Sensing as SensingSettings
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.setup import CompositeBlock
 
@@ -185,7 +185,7 @@ class Sensing(CompositeBlock):
 
 
 def make_sensing(
-    settings: schema.Sensing, coordinates: Coordinates, *, sample_time: float
+    settings: SensingSettings, coordinates: Coordinates, *, sample_time: float
 ) -> Sensing:
     """A diagram from ``state`` to ``estimated_state``, both [q; v] (nq + nv).
 
@@ -208,7 +208,7 @@ def make_sensing(
 class _Errors:
     """The settings of the sensors, as vectors."""
 
-    settings: schema.Sensing
+    settings: SensingSettings
     coordinates: Coordinates
     sample_time: float
 
@@ -349,7 +349,7 @@ def _make_sampling(errors: _Errors) -> Sampling | None:
 
 
 def measurement_times(
-    settings: schema.Sensing, coordinates: Coordinates
+    settings: SensingSettings, coordinates: Coordinates
 ) -> tuple[np.ndarray, np.ndarray]:
     """Period and delay of the measurements of positions, then velocities (2 nv): whole control
     samples.

@@ -1,20 +1,24 @@
 """Results that are kept: what tells two calls apart, and what one caller can do to another."""
 
 import dataclasses
+import importlib
 import os
+import pkgutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pydrake.systems.analysis import SimulatorConfig
 
+from ffsm_drake import scenario
 from ffsm_drake.common.memo import content_of, memoized
-from ffsm_drake.scenario import load_scenario, planned_part, schema, shipped_scenarios
+from ffsm_drake.scenario import Scenario, load_scenario, planned_part, shipped_scenarios
 
 SECTIONS = [
     kind
-    for kind in vars(schema).values()
-    if isinstance(kind, type) and dataclasses.is_dataclass(kind)
+    for module in pkgutil.iter_modules(scenario.__path__, "ffsm_drake.scenario.")
+    for kind in vars(importlib.import_module(module.name)).values()
+    if dataclasses.is_dataclass(kind) and kind.__module__ == module.name
 ]
 
 
@@ -40,7 +44,7 @@ def test_every_field_of_a_scenario_is_part_of_the_key(section):
     assert len(calls) == 1
     for number, field in enumerate(dataclasses.fields(section), start=2):
         changed = dataclasses.replace(plain, **{field.name: ["something", "else"]})
-        within = dataclasses.replace(schema.Scenario(), blocks={"of": [changed]})
+        within = dataclasses.replace(Scenario(), blocks={"of": [changed]})
         assert content_of(within) != content_of(
             dataclasses.replace(within, blocks={"of": [plain]})
         ), field.name
@@ -102,7 +106,7 @@ def test_equal_content_is_found_again():
 
 def test_what_is_passed_may_change_afterwards():
     function, calls = counted()
-    given = schema.Scenario()
+    given = Scenario()
     function(given)
     given.sensing.velocity_noise["all"] = 1.0
     function(given)

@@ -8,9 +8,8 @@ import pytest
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.common.settings import Setting, problems, setting, settings_of
-from ffsm_drake.scenario import Scenario, build_settings, schema_fields, thruster_layouts
+from ffsm_drake.scenario import Scenario, Thrusters, build_settings, schema_fields, thruster_layouts
 from ffsm_drake.scenario.json_schema import scenario_schema
-from ffsm_drake.scenario.schema import Thrusters
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,7 @@ from pydrake.systems.analysis import Simulator
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop
 from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.metrics import momentum_residual
-from ffsm_drake.scenario import Wheels
-from ffsm_drake.scenario.schema import Wheel
+from ffsm_drake.scenario import Wheel, Wheels
 from ffsm_drake.show.report.part_panels import part_tables
 from ffsm_drake.show.results import results_of
 from ffsm_drake.spacecraft.mass_properties import set_payload

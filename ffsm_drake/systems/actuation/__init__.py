@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder, InputPort, System
 from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturation
 
-from ffsm_drake.scenario import schema
+from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.actuation.base import BaseActuators, BaseBlock
 from ffsm_drake.systems.actuation.drives import DriveSet, JointDrives, JointFriction, RateLimit
@@ -27,7 +27,7 @@ SECTIONS: dict[str, type[Part]] = {
 }
 
 
-def own_parts(scenario: schema.Scenario) -> list[Part]:
+def own_parts(scenario: Scenario) -> list[Part]:
     """Those of a scenario's own actuators; none where a block replaces them."""
     if scenario.blocks.actuation is not None:
         return []
@@ -65,7 +65,7 @@ class Actuators(CompositeBlock):
 
 
 def make_actuation(
-    settings: schema.Actuation,
+    settings: Actuation,
     coordinates: Coordinates,
     *,
     sample_time: float,
@@ -107,7 +107,7 @@ def make_actuation(
 
 
 def _make_limits(
-    settings: schema.Actuation, coordinates: Coordinates, *, sample_time: float
+    settings: Actuation, coordinates: Coordinates, *, sample_time: float
 ) -> dict[str, System]:
     """Saturation, quantisation and delay, by name; those that there are."""
     limit = coordinates.vector(settings.limit or {}, key="actuation.limit", default=np.inf)
@@ -127,7 +127,7 @@ def _make_limits(
 
 
 def make_base_actuators(
-    settings: schema.Actuation, coordinates: Coordinates, *, sample_time: float
+    settings: Actuation, coordinates: Coordinates, *, sample_time: float
 ) -> BaseActuators:
     """Thrusters and wheels as one system; errors as for ``make_actuation``."""
     thrusters, wheels = None, None

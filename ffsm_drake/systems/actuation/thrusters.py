@@ -10,7 +10,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import percent
-from ffsm_drake.scenario import Scenario, Thruster, Thrusters, own_thrusters, thrusters_of
+from ffsm_drake.scenario import Scenario, Thruster, Thrusters, thrusters_of
 from ffsm_drake.systems.actuation.allocation import Allocation
 from ffsm_drake.systems.actuation.modulation import (
     SchmittTrigger,
@@ -200,8 +200,8 @@ class FiredThrusters(Part):
     @classmethod
     def of(cls, scenario: Scenario) -> "FiredThrusters | None":
         """Those of a scenario."""
-        settings, units = scenario.actuation.thrusters, own_thrusters(scenario)
-        return cls(settings=settings, units=units) if settings is not None and units else None
+        settings = scenario.actuation.thrusters
+        return None if settings is None else cls(settings=settings, units=thrusters_of(settings))
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Forces, open valves, and what of the wanted wrench they could give."""

@@ -1,0 +1,320 @@
+"""The section ``actuation``: limits, thrusters, wheels and drives."""
+
+import functools
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ffsm_drake.common.settings import Problems, setting, unknown
+from ffsm_drake.scenario.fields import (
+    ORIGIN,
+    X_AXIS,
+    ZERO,
+    PerCoordinate,
+    choice_of,
+    in_samples,
+    unitless,
+    vector_in,
+)
+
+# What ``actuation.driven`` may name, together.
+DRIVEN = (("base_rotation", "base_position", "joints"), ("base_rotation", "joints"), ("joints",))
+
+
+@dataclass
+class Thruster:
+    """An on/off thruster, fixed to the base."""
+
+    position: list[float] = vector_in(ORIGIN, "m", "in the base's frame")
+    direction: list[float] = vector_in(
+        X_AXIS,
+        "",
+        "of its force on the base, against its plume, in the base's frame; of any length",
+        nonzero=True,
+    )
+    force: float = setting(5.0, "N", "when it is open", above=0)
+    specific_impulse: float = setting(
+        226.1, "s", "impulse per weight of propellant on Earth", above=0
+    )
+
+
+@dataclass
+class Pwpf:
+    """The pulse-width pulse-frequency modulator of each thruster: a first-order filter before a
+    Schmitt trigger.
+    """
+
+    gain: float = unitless(
+        10.0,
+        "of the filter, k_m; its input is the wanted share of the thruster's force, less 1 while "
+        "open",
+        above=0,
+    )
+    time_constant: float = setting(0.2, "s", "of the filter", above=0)
+    on: float = unitless(0.25, "output of the filter at which the thruster opens", above=0)
+    off: float = unitless(0.15, "output of the filter at which it closes", least=0)
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """A trigger that closes below where it opens."""
+        if self.off >= self.on:
+            yield f"{key}.off", f"must be from 0 to below on ({self.on:g}), not {self.off:g}"
+
+
+@dataclass
+class Thrusters:
+    """On/off thrusters that give the base's force and torque, in place of an ideal wrench."""
+
+    layout: str | None = choice_of(
+        "12x5N", "a shipped layout; null with ``units``", "12x1N", "12x5N", "16x22N"
+    )
+    units: dict[str, Thruster] = unitless(
+        {}, "user-supplied thrusters, by name, in place of a layout", size=(0, 24)
+    )
+    failures: dict[str, str] = unitless(
+        {},
+        'thruster\'s name -> "stuck_off" or "stuck_on"; the allocation takes it into account',
+        one_of=("stuck_off", "stuck_on"),
+    )
+    minimum_on_time: float = setting(
+        0.02,
+        "s",
+        "a thruster that opens stays open for at least this long",
+        least=0,
+        most=1000,
+    )
+    rise_time: float = setting(
+        0.0, "s", "time constant of the force after it opens; 0: at once", least=0, most=1000
+    )
+    fall_time: float = setting(0.0, "s", "likewise after it closes", least=0, most=1000)
+    modulator: str = choice_of(
+        "sigma_delta",
+        'how the wanted force becomes pulses: "sigma_delta", whole frames; "pulse_width", a part '
+        'of each frame; or "pwpf"',
+        "sigma_delta",
+        "pulse_width",
+        "pwpf",
+    )
+    threshold: float = unitless(
+        0.8,
+        "sigma_delta only: share of its force from which on a thruster opens; 0.5 follows the "
+        "wanted force closest, more wastes less on noise",
+        least=0.5,
+        below=1,
+    )
+    frame: int = in_samples(
+        2, "from one allocation to the next, and of sigma_delta the shortest pulse", least=1
+    )
+    pwpf: Pwpf = setting(Pwpf())
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """Thrusters that exist, and pulses that they can give."""
+        if self.layout is not None and self.units:
+            yield f"{key}.units", "has no effect beside a layout; set layout: null"
+        names = thrusters_of(self)
+        if not names:
+            yield (
+                f"{key}.layout",
+                f"choose one of {', '.join(thruster_layouts())}, or give units",
+            )
+        for name in self.failures:
+            if name not in names:
+                yield f"{key}.failures.{name}", unknown(name, names)
+        least, sample_time = self.minimum_on_time, scenario.sample_time
+        if self.modulator != "pwpf" and self.frame * sample_time < least * (1 - 1e-9):
+            yield (
+                f"{key}.frame",
+                f"{self.frame} control samples are {self.frame * sample_time:g} s, shorter than "
+                f"minimum_on_time, {least:g} s; take {math.ceil(least / sample_time - 1e-9)} or "
+                "more",
+            )
+
+
+@dataclass
+class Wheel:
+    """A reaction wheel in the base: balanced, symmetric about its axis, its mass and inertia part
+    of the base's.
+    """
+
+    axis: list[float] = vector_in(
+        [0.0, 0.0, 1.0], "", "in the base's frame; of any length", nonzero=True
+    )
+    inertia: float = setting(0.08, "kg m^2", "about its axis", above=0)
+    torque_limit: float = setting(0.2, "N m", "of its motor, either way", above=0)
+    speed_limit: float = setting(628.0, "rad/s", "relative to the base, either way", above=0)
+    initial_momentum: float = setting(0.0, "N m s", "about its axis, at the start")
+    coulomb_friction: float = setting(
+        0.0, "N m", "of its bearings; below 0.1 rad/s it fades", least=0
+    )
+    viscous_friction: float = setting(0.0, "N m s", "of its bearings", least=0)
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """A start within its speed limit."""
+        largest = self.inertia * self.speed_limit
+        if abs(self.initial_momentum) > largest:
+            yield (
+                f"{key}.initial_momentum",
+                f"must be within inertia * speed_limit, {largest:.4g} N m s, not "
+                f"{self.initial_momentum:g}",
+            )
+
+
+@dataclass
+class Wheels:
+    """Reaction wheels that give the base's torque; thrusters, where there are any, unload them."""
+
+    units: dict[str, Wheel] = unitless({}, "wheels, by name", size=(0, 24))
+    desaturate_above: float = unitless(
+        0.8,
+        "share of a wheel's speed_limit above which thrusters unload the wheels",
+        above=0,
+        most=1,
+    )
+    desaturate_below: float = unitless(
+        0.2, "share of every wheel's speed_limit at which unloading ends", least=0
+    )
+    desaturation_time: float = setting(20.0, "s", "time constant of unloading", above=0)
+    assist_above: float | None = unitless(
+        None,
+        "multiple of the motors' torque limit above which thrusters give the rest of the wanted "
+        "torque; null: never",
+        least=1,
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """Wheels, and unloading that ends."""
+        if not self.units:
+            yield f"{key}.units", "give wheels by name, such as {z: {axis: [0, 0, 1]}}"
+        above, below = self.desaturate_above, self.desaturate_below
+        if below >= above:
+            yield (
+                f"{key}.desaturate_below",
+                f"must be from 0 to below desaturate_above ({above:g}), not {below:g}",
+            )
+
+
+@dataclass
+class Drives:
+    """Drives of the joints: motor, gear and friction, all as seen at the joint. Force limit and
+    step: ``actuation``.
+    """
+
+    gear_ratio: PerCoordinate = unitless(
+        {"all": 1.0}, "turns of the motor per turn of the joint; prismatic: rad per m", above=0
+    )
+    rotor_inertia: PerCoordinate | None = setting(
+        None,
+        "kg m^2",
+        "of the motor about its axis; gear_ratio^2 times this is added to the joint's; null: as in "
+        "the URDF",
+        least=0,
+    )
+    nominal_rotor_inertia: PerCoordinate | None = setting(
+        None, "kg m^2", "the same in the controller's model; null: rotor_inertia", least=0
+    )
+    rate_limit: PerCoordinate | None = setting(
+        None,
+        "rad/s or m/s",
+        "of the joint; at and above it a drive gives no accelerating force; null: none",
+        above=0,
+    )
+    knee: PerCoordinate = unitless(
+        {"all": 0.9},
+        "share of rate_limit up to which a drive gives all of its actuation.limit, which then "
+        "falls linearly to zero",
+        least=0,
+        below=1,
+    )
+    coulomb_friction: PerCoordinate = setting(
+        ZERO, "N m or N", "against the motion, at any rate", least=0
+    )
+    static_friction: PerCoordinate | None = setting(
+        None,
+        "N m or N",
+        "friction as the joint breaks away, above coulomb_friction; null: the same",
+        least=0,
+    )
+    stribeck_rate: PerCoordinate = setting(
+        {"all": 0.01},
+        "rad/s or m/s",
+        "rate within which friction falls from static to Coulomb",
+        above=0,
+    )
+    viscous_friction: PerCoordinate = setting(
+        ZERO, "N m s/rad or N s/m", "grows with the rate", least=0
+    )
+    smoothing_rate: PerCoordinate = setting(
+        {"all": 1e-3},
+        "rad/s or m/s",
+        "rate within which friction changes its sign, as tanh(rate / smoothing_rate)",
+        above=0,
+    )
+
+
+@dataclass
+class Actuation:
+    """How the actuators change the commanded force: saturation, quantisation, delay, then drives,
+    wheels, thrusters.
+    """
+
+    driven: list[str] = unitless(
+        ["all"],
+        "groups of coordinates that actuators move and that are tracked: all; [base_rotation, "
+        "joints], where wheels hold the attitude; or [joints]; no force acts on the others, which "
+        "move by conservation of momentum",
+    )
+    limit: PerCoordinate | None = setting(
+        None, "N m or N", "largest force either way; null: unlimited", above=0
+    )
+    quantization: PerCoordinate = setting(ZERO, "N m or N", "step of the force; 0: none", least=0)
+    delay: int = in_samples(0, "age of a command when it acts")
+    thrusters: Thrusters | None = unitless(
+        None, "that give the base's force and torque; null: they act as commanded"
+    )
+    wheels: Wheels | None = unitless(
+        None, "that give the base's torque in place of thrusters; null: none"
+    )
+    drives: Drives | None = unitless(
+        None, "of the joints; null: without inertia, friction and rate limit"
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """Groups that can be driven alone, with actuators and a target posture to match."""
+        key, given, undriven = f"{key}.driven", self.driven, scenario.undriven
+        distinct = len(set(given)) == len(given)
+        if given != ["all"] and not (distinct and set(given) in map(set, DRIVEN)):
+            choices = " or ".join(f"[{', '.join(groups)}]" for groups in DRIVEN[1:])
+            yield key, f"must be all, {choices}, not {given}"
+        for kind, group in (("thrusters", "base_position"), ("wheels", "base_rotation")):
+            if getattr(self, kind) is not None and group in undriven:
+                yield (
+                    key,
+                    f"leaves out {', '.join(undriven)}: {kind} cannot act; leave actuation.{kind} "
+                    f"out, or have {group} driven",
+                )
+        first, last = scenario.initial_posture, scenario.target_posture
+        for group, field in (("base_rotation", "base_rpy"), ("base_position", "base_position")):
+            moved = group in undriven and getattr(first, field) != getattr(last, field)
+            if moved and scenario.reference.goal != "stop":
+                yield (
+                    f"target_posture.{field}",
+                    f"{group} is not driven (actuation.driven) and cannot be commanded: give the "
+                    "initial posture's",
+                )
+
+
+@functools.cache
+def thruster_layouts() -> dict[str, dict[str, Thruster]]:
+    """The shipped layouts of thrusters: layout -> name -> thruster."""
+    text = Path(__file__).with_name("thruster_layouts.yaml").read_text(encoding="utf-8")
+    return {
+        layout: {name: Thruster(**values) for name, values in units.items()}
+        for layout, units in yaml.safe_load(text).items()
+    }
+
+
+def thrusters_of(settings: Thrusters) -> dict[str, Thruster]:
+    """The thrusters that settings describe, by name."""
+    return settings.units if settings.layout is None else thruster_layouts()[settings.layout]

@@ -1,0 +1,172 @@
+"""The section ``capture``: the grasp of a moving target, and the approach to it."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from ffsm_drake.common.settings import Problems, setting
+from ffsm_drake.scenario.fields import (
+    ORIGIN,
+    ZERO,
+    PerCoordinate,
+    choice_of,
+    undriven_problems,
+    unitless,
+    vector_in,
+)
+from ffsm_drake.scenario.model import Posture
+
+CAPTURE_AXES = ("target", "world")
+
+
+@dataclass
+class Approach:
+    """The servicer's motion up to the grasp, without the target: from rest to
+    ``initial_posture``.
+    """
+
+    duration: float = setting(
+        20.0, "s", "the run begins with it; a whole number of control samples", above=0
+    )
+    posture: Posture = unitless(Posture(), "where the servicer starts, at rest")
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """Whole samples, and time left after it; every coordinate driven, no frame."""
+        if scenario.undriven:
+            yield key, "needs every coordinate driven (actuation.driven); leave it out"
+        if scenario.reference.frame is not None:
+            yield key, "needs reference.frame: null; leave one of them out"
+        samples = self.duration / scenario.sample_time
+        if samples < 0.5 or abs(samples - round(samples)) >= 1e-6:
+            yield (
+                f"{key}.duration",
+                f"must be a whole number of control samples of {scenario.sample_time:g} s, not "
+                f"{self.duration:g} s",
+            )
+        if self.duration > scenario.duration - scenario.sample_time:
+            yield (
+                f"{key}.duration",
+                f"must leave time for the stop: the run ends at {scenario.duration:g} s; lengthen "
+                "duration",
+            )
+
+
+@dataclass
+class Compliance:
+    """The gripper as springs and dampers, for the force and the duration of the grasp; the run
+    takes the plastic grasp.
+    """
+
+    stiffness: float = setting(5e4, "N/m", "of the spring at the grasp", above=0)
+    damping: float = setting(1e3, "N s/m", "of the damper beside it", above=0)
+    rotational_stiffness: float = setting(1e4, "N m/rad", "likewise, against rotation", above=0)
+    rotational_damping: float = setting(500.0, "N m s/rad", "likewise", above=0)
+
+
+@dataclass
+class Envelope:
+    """The largest miss with which the gripper still holds the target at the end of an approach.
+
+    Position and angle by default, and the velocity, are what a docking mechanism takes at first
+    contact (International Docking System Standard, interface definition document, revision E,
+    initial contact conditions; there 0.2 deg/s of relative rate too).
+    """
+
+    position: float | None = setting(
+        0.1, "m", "distance of the grasp frame from the target's; null: any", above=0
+    )
+    angle: float | None = setting(0.07, "rad", "likewise, the angle between them", above=0)
+    velocity: float | None = setting(
+        0.1, "m/s", "velocity of the target from the end effector; null: any", above=0
+    )
+    angular_velocity: float | None = setting(
+        None, "rad/s", "likewise, of its rotation; null: any", above=0
+    )
+
+
+@dataclass
+class Capture:
+    """The grasp of a moving target, in ``initial_posture``; the run continues from the state after
+    the grasp.
+    """
+
+    rate: list[float] = vector_in(
+        ORIGIN, "rad/s", "angular velocity of the target before the grasp"
+    )
+    velocity: list[float] = vector_in(
+        ORIGIN, "m/s", "velocity of the target's centre of mass before the grasp"
+    )
+    axes: str = choice_of(
+        "target",
+        'axes of rate and velocity: "target", those of the payload body, or "world"',
+        *CAPTURE_AXES,
+    )
+    servicer: str = choice_of(
+        "rest",
+        'how the servicer moves at the grasp: "rest"; "track_joints" or "track_all": its joints, '
+        'or base and joints, follow the grasp frame in weighted least squares; "given": at '
+        "servicer_velocity",
+        "rest",
+        "track_joints",
+        "track_all",
+        "given",
+    )
+    servicer_velocity: PerCoordinate = setting(
+        ZERO, "rad/s or m/s", 'at the grasp, with servicer "given"'
+    )
+    tracking_length: float = setting(
+        1.0,
+        "m",
+        "tracking weighs 1 rad/s as much as this length times 1 rad/s",
+        above=0,
+    )
+    tracking_cost: PerCoordinate = setting(
+        {"all": 1.0},
+        "s/rad or s/m",
+        "weight of each rate; of rates that track equally well, the least are taken",
+        above=0,
+    )
+    joints: str = choice_of(
+        "free",
+        'how the joints meet the target: "free", or "braked", which stops them at the grasp',
+        "free",
+        "braked",
+    )
+    compliance: Compliance | None = unitless(
+        None, "of the gripper, for the force of the grasp; null: it is not computed"
+    )
+    approach: Approach | None = unitless(
+        None, "the motion up to the grasp; null: the run begins with the grasp"
+    )
+    envelope: Envelope = setting(Envelope())
+    accepted_drift: PerCoordinate | None = setting(
+        None,
+        "rad or m",
+        "largest drift of base_rotation and base_position from the grasp on, where they are not "
+        "driven: the time at which it is exceeded is reported; null: no limit",
+        above=0,
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """Speeds that do not count as divergence, and settings that have an effect."""
+        for name in ("rate", "velocity"):
+            fastest = max(map(abs, getattr(self, name)))
+            if fastest > scenario.divergence_speed:
+                bound = f"divergence_speed ({scenario.divergence_speed:g})"
+                yield f"{key}.{name}", f"must be within {bound}, not {fastest:g}"
+        if self.servicer != "given" and any(self.servicer_velocity.values()):
+            yield (
+                f"{key}.servicer_velocity",
+                f"has no effect with servicer: {self.servicer}; take servicer: given",
+            )
+        if scenario.reference.base_rotation != "eigenaxis":
+            yield (
+                "reference.base_rotation",
+                f"must be eigenaxis with capture, not {scenario.reference.base_rotation}: the base "
+                "may turn at the start",
+            )
+        for group, number in (self.accepted_drift or {}).items():
+            place = f"{key}.accepted_drift.{group}"
+            yield from undriven_problems(group, place, scenario.undriven)
+            if group == "base_rotation" and number >= math.pi:
+                yield place, f"must be > 0, below pi, not {number:g}"

@@ -1,0 +1,54 @@
+"""The kinds of settings that the sections of a scenario share."""
+
+import re
+from collections.abc import Collection, Iterable
+from typing import Any
+
+from ffsm_drake.common.errors import did_you_mean
+from ffsm_drake.common.settings import Problems, setting
+
+PerCoordinate = dict[str, float]
+_NAME = re.compile(r"[^\W\d]\w*|[^\W\d]\w*(\.\w+)*:[^\W\d]\w*(\.\w+)*")  # or module:attribute
+ORIGIN, X_AXIS = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]
+ZERO = {"all": 0.0}
+
+
+def unitless(default: Any, meaning: str, **limits: Any) -> Any:
+    """A setting that has no unit: a share, a text, a list of names."""
+    return setting(default, "", meaning, **limits)
+
+
+def choice_of(default: str | None, meaning: str, *one_of: str) -> Any:
+    """A setting that is one of several words."""
+    return unitless(default, meaning, one_of=one_of)
+
+
+def in_samples(default: Any, meaning: str, least: int = 0) -> Any:
+    """A setting that is a number of control samples."""
+    return setting(default, "control samples", meaning, least=least, most=1000)
+
+
+def vector_in(default: list[float] | None, unit: str, meaning: str, **limits: Any) -> Any:
+    """A setting of three numbers."""
+    return setting(default, unit, meaning, size=(3, 3), **limits)
+
+
+def name_problems(name: str, key: str) -> Problems:
+    """What is wrong with the name of a system."""
+    if not _NAME.fullmatch(name):
+        yield key, f"'{name}' must be a name or module:attribute"
+
+
+def identifier_problems(key: str, names: Iterable[str], whose: str) -> Problems:
+    """What is wrong with names that a user gives."""
+    for name in names:
+        if not name.isidentifier():
+            yield f"{key}.{name}", f"{whose} name must be letters, digits and underscores"
+
+
+def undriven_problems(name: str, key: str, undriven: Collection[str]) -> Problems:
+    """What is wrong with the name of a base coordinate that no actuator moves."""
+    if name not in undriven:
+        close = did_you_mean(name, undriven)
+        choice = f"choose one of {', '.join(undriven)}{close}" if undriven else "leave it out"
+        yield key, f"'{name}' is no undriven base coordinate (actuation.driven); {choice}"

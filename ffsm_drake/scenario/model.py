@@ -1,0 +1,237 @@
+"""The sections ``model``, ``payload`` and the postures: what is simulated, and how it stands."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.common.settings import Problems, setting
+from ffsm_drake.scenario.fields import (
+    ORIGIN,
+    X_AXIS,
+    ZERO,
+    PerCoordinate,
+    choice_of,
+    identifier_problems,
+    unitless,
+    vector_in,
+)
+
+
+@dataclass
+class Flexible:
+    """A flexible part of the true spacecraft, which the controller's model treats as rigid.
+
+    The mass of a panel, a beam, a sloshing mass or a pendulum is part of the body that carries it.
+    """
+
+    kind: str = choice_of(
+        "panel",
+        '"panel": plates on hinges; "beam": bending modes of a uniform cantilever; "mass": a point '
+        'mass on a spring, such as slosh; "pendulum": a point mass on a rod; "joint": a joint of '
+        'the model that a spring holds and no drive moves; "gear": a spring between the rotor of a '
+        "joint's drive (actuation.drives.rotor_inertia) and its link",
+        "panel",
+        "beam",
+        "mass",
+        "pendulum",
+        "joint",
+        "gear",
+    )
+    body: str = unitless(
+        "servicer::base", "scoped name of the body that carries a panel, beam, mass or pendulum"
+    )
+    joint: str | None = unitless(None, "the model's joint, for joint and gear")
+    position: list[float] = vector_in(
+        ORIGIN,
+        "m",
+        "position of the hinge, the root, the pendulum's pivot, or the mass at rest, in the body's "
+        "frame",
+    )
+    direction: list[float] = vector_in(
+        [0.0, 1.0, 0.0],
+        "",
+        "from the hinge, root or pivot outwards, or along which the mass moves, in the body's "
+        "frame; of any length",
+        nonzero=True,
+    )
+    axis: list[float] = vector_in(
+        X_AXIS,
+        "",
+        "axis of the hinge or of bending, across ``direction``, in the body's frame; of any length",
+        nonzero=True,
+    )
+    mass: float = setting(
+        2.0, "kg", "of the panel, the beam, the sloshing mass or the pendulum", above=0
+    )
+    length: float = setting(3.0, "m", "of the panel, the beam or the pendulum's rod", above=0)
+    width: float = setting(1.0, "m", "of the panel, along the axis", above=0)
+    plates: int = unitless(
+        1,
+        "number of plates of a panel, in a row, of equal length, each on a hinge",
+        least=1,
+        most=10,
+    )
+    frequency: float | None = setting(
+        None,
+        "Hz",
+        "natural frequency with the body held: of a panel its lowest; of a joint or gear in the "
+        "zero posture; null with stiffness",
+        above=0,
+    )
+    frequencies: list[float] = setting(
+        [],
+        "Hz",
+        "natural frequencies of a beam's first modes, its root held",
+        above=0,
+        size=(0, 5),
+    )
+    stiffness: float | None = setting(
+        None,
+        "N m/rad or N/m",
+        "of each hinge, or of the mass's spring; null with frequency",
+        above=0,
+    )
+    damping_ratio: float = unitless(
+        0.005, "at the frequency, or of each mode of a beam", least=0, below=1
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """One stiffness, and only what the kind uses."""
+        of_joint = self.kind in ("joint", "gear")
+        along, axis = (np.divide(v, np.linalg.norm(v)) for v in (self.direction, self.axis))
+        if not of_joint and self.kind != "mass" and abs(along @ axis) >= 1e-6:
+            yield f"{key}.axis", f"must be across direction {self.direction}, not {self.axis}"
+        if of_joint != (self.joint is not None):
+            unused = f"has no effect on a {self.kind}; leave it out"
+            yield f"{key}.joint", "name the joint of the model" if of_joint else unused
+        given = (self.frequency is not None) + (self.stiffness is not None)
+        if self.kind == "beam":
+            if given:
+                yield f"{key}.frequency", "a beam takes frequencies, of its modes; leave it out"
+            if not self.frequencies:
+                yield f"{key}.frequencies", "give the frequencies of 1 to 5 modes, Hz"
+        else:
+            if self.frequencies:
+                yield f"{key}.frequencies", f"are of a beam; a {self.kind} takes frequency"
+            if given != 1:
+                yield f"{key}.frequency", "give either frequency (Hz) or stiffness"
+        if scenario.grasp_time > 0 and not of_joint and self.body == scenario.payload.body:
+            yield (
+                f"{key}.body",
+                f"'{self.body}' is the target, which cannot be flexible before it is held; leave "
+                "capture.approach out",
+            )
+        drives = scenario.actuation.drives
+        rotors = {} if drives is None else drives.rotor_inertia or {}
+        rotor = next((rotors[key] for key in (self.joint, "joints", "all") if key in rotors), 0.0)
+        if self.kind == "gear" and rotor == 0:
+            yield (
+                "actuation.drives.rotor_inertia",
+                f"give that of {self.joint}, > 0 kg m^2: the drive turns it against the spring of "
+                f"'{key.rpartition('.')[2]}'",
+            )
+
+
+@dataclass
+class Model:
+    """The models of servicer and target, and the frames that reports refer to.
+
+    Files are package:// addresses or paths; relative paths start at the scenario file's folder.
+    """
+
+    directives: str | None = unitless(
+        "package://ffsm_drake/postcapture.dmd.yaml", "model directives; null with servicer"
+    )
+    servicer: str | None = unitless(
+        None, 'URDF of base and arm, model instance "servicer", in place of directives'
+    )
+    debris: str = unitless(
+        "package://ffsm_drake/urdf/debris.urdf",
+        'with servicer: URDF of the target, model instance "debris"',
+    )
+    end_effector: str = unitless(
+        "servicer::end_effector", "frame that holds the target; its origin is reported"
+    )
+    grasp: str = unitless(
+        "debris::grasp", "with servicer: the target's frame that is welded to end_effector"
+    )
+    packages: dict[str, str] = unitless({}, "package:// name -> folder, for meshes")
+    flexible: dict[str, Flexible] = unitless(
+        {}, "by name: flexible parts, which are rigid in the controller's model"
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """One source of the model."""
+        if (self.servicer is None) == (self.directives is None):
+            yield key, "give either directives or servicer (a URDF), not both and not neither"
+        yield from identifier_problems(f"{key}.flexible", self.flexible, "a part's")
+
+
+@dataclass
+class MassProperties:
+    """Mass properties of the payload body, in its own frame P."""
+
+    mass: float = setting(100.0, "kg", "mass", above=0)
+    center_of_mass: list[float] = vector_in(ORIGIN, "m", "position p_PScm_P of the centre of mass")
+    inertia: list[float] = setting(
+        [16.7, 16.7, 16.7],
+        "kg m^2",
+        "about the centre of mass, axes of P: [Ixx, Iyy, Izz] or [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]",
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """The inertia of a rigid body."""
+        key = f"{key}.inertia"
+        if len(self.inertia) not in (3, 6):
+            yield (
+                key,
+                "must hold three moments [Ixx, Iyy, Izz], or those and three products [Ixy, Ixz, "
+                "Iyz]",
+            )
+            return
+        try:
+            with np.errstate(all="ignore"):
+                principal = np.linalg.eigvalsh(inertia_matrix(self))
+        except np.linalg.LinAlgError:
+            principal = np.full(3, np.nan)
+        if not np.isfinite(principal).all():
+            yield key, f"has no principal moments: {self.inertia}"
+        elif principal[0] <= 0:
+            yield key, "must be positive definite"
+        elif principal[0] + principal[1] < principal[2] * (1 - 1e-12):
+            yield (
+                key,
+                f"principal moments {np.round(principal, 6).tolist()} violate the triangle "
+                "inequality (the largest must not exceed the sum of the others)",
+            )
+
+
+@dataclass
+class Payload:
+    """The captured body: its true mass properties, and the nominal ones, which the controller works
+    with.
+    """
+
+    body: str = unitless("debris::debris", "scoped name of the captured body in the model")
+    truth: MassProperties = setting(MassProperties())
+    nominal: MassProperties = setting(MassProperties(mass=80.0, inertia=[12.0, 12.0, 12.0]))
+
+
+@dataclass
+class Posture:
+    """A configuration of base and arm."""
+
+    base_position: list[float] = vector_in(ORIGIN, "m", "position p_WB")
+    base_rpy: list[float] = vector_in(
+        ORIGIN,
+        "rad",
+        "roll, pitch, yaw of R_WB: rotations about the world's x, y, z axes in that order",
+    )
+    joints: PerCoordinate = setting(ZERO, "rad or m", "positions, by joint name")
+
+
+def inertia_matrix(body: MassProperties) -> np.ndarray:
+    """Inertia about the centre of mass as a symmetric (3, 3) matrix, kg m^2."""
+    ixx, iyy, izz, ixy, ixz, iyz = (*body.inertia, 0.0, 0.0, 0.0)[:6]
+    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])

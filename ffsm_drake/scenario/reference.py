@@ -1,0 +1,230 @@
+"""The sections ``reference`` and ``planning``: the planned motion."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from ffsm_drake.common.settings import Problems, setting
+from ffsm_drake.scenario.fields import (
+    PerCoordinate,
+    choice_of,
+    undriven_problems,
+    unitless,
+    vector_in,
+)
+
+BASE_ROTATIONS = ("eigenaxis", "rpy")
+REFERENCE_KINDS = ("quintic", "septic", "optimal")
+GOALS = ("target_posture", "stop")
+
+
+@dataclass
+class Shaper:
+    """An input shaper: the motion as a sum of delayed copies of itself whose vibrations cancel."""
+
+    kind: str = choice_of(
+        "zv",
+        '"zv", exact at its frequencies, or "zvd", twice as long and robust to errors of them',
+        "zv",
+        "zvd",
+    )
+    frequencies: list[float] = setting(
+        [],
+        "Hz",
+        "of the vibrations, with the controlled coordinates held; the shaper takes half a period "
+        "of each out of ``reference.duration``, with zvd a whole one",
+        above=0,
+        most=1000,
+        size=(1, 4),
+    )
+    damping_ratio: float = unitless(0.005, "of the vibrations", least=0, below=1)
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """Not of a plan."""
+        if scenario.reference.kind == "optimal":
+            yield key, "has no effect on a plan; take kind quintic or septic, or shaper: null"
+
+
+@dataclass
+class FrameGoal:
+    """A frame whose pose the planned motion prescribes; the joints follow by the generalized
+    Jacobian.
+
+    The origin goes along a line, the attitude about the eigenaxis. Base coordinates that are driven
+    move as without it.
+    """
+
+    frame: str | None = unitless(None, "scoped name; null: ``model.end_effector``")
+    task: str = choice_of(
+        "pose",
+        'what is prescribed: the frame\'s "pose", "position" or "attitude", or "none", where the '
+        "joints go to target_posture.joints as far as ``hold`` allows",
+        "pose",
+        "position",
+        "attitude",
+        "none",
+    )
+    position: list[float] | None = vector_in(
+        None, "m", "goal of its origin, world frame; null: where it starts"
+    )
+    rpy: list[float] | None = vector_in(
+        None, "rad", "goal of its attitude: roll, pitch, yaw in the world frame; null: as it starts"
+    )
+    hold: list[str] = unitless(
+        [],
+        "undriven base coordinates, or groups of them, which the joints' motion must leave at "
+        "rest: reaction null space",
+    )
+    priority: str = choice_of(
+        "hold", 'which comes first where not both are possible: "hold", or "frame"', "hold", "frame"
+    )
+    joints: str = choice_of(
+        "least",
+        'what redundant joints do: "least", least rates, or "target_posture", move towards it',
+        "least",
+        "target_posture",
+    )
+    damping: float = unitless(
+        0.05,
+        "singular value of the task's Jacobian, radians of the frame counted as metres, below "
+        "which joints are damped: no twist takes more than 1.09/damping times its size in joint "
+        "rates, and the frame leaves the path instead",
+        above=0,
+    )
+    feedback: float = setting(
+        2.0, "1/s", "rate at which the plan corrects deviations from the path", least=0, most=100
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """A goal that the task, the reference's goal and the driven coordinates have a use for."""
+        reference = scenario.reference
+        if reference.kind == "optimal":
+            yield key, "has no effect on a plan; take kind quintic or septic, or frame: null"
+        for name, other in (("position", "attitude"), ("rpy", "position")):
+            if getattr(self, name) is None:
+                continue
+            if self.task in (other, "none"):
+                yield f"{key}.{name}", f"has no effect with task: {self.task}; leave it out"
+            if reference.goal == "stop":
+                yield (
+                    f"{key}.{name}",
+                    "has no effect with goal: stop, which ends wherever it can; leave it out",
+                )
+        undriven = [
+            name
+            for group in scenario.undriven
+            for name in (group, *(f"{group}_{axis}" for axis in "xyz"))
+        ]
+        for name in self.hold:
+            yield from undriven_problems(name, f"{key}.hold", undriven)
+
+
+@dataclass
+class Reference:
+    """The planned motion: from the initial to the target posture by a polynomial, or a plan from a
+    file.
+    """
+
+    kind: str = choice_of(
+        "quintic",
+        '"quintic", fifth order; "septic", seventh order, without jerk at the ends; or "optimal", '
+        "the plan in ``plan``, which 'ffsm plan' computed with the settings of ``planning``",
+        *REFERENCE_KINDS,
+    )
+    duration: float | None = setting(
+        20.0,
+        "s",
+        "the posture at its end is held afterwards; a plan may take no longer; auto (or null): the "
+        "shortest that all limits of actuators and joints allow with the nominal payload",
+        above=0,
+    )
+    reserve: float = unitless(
+        0.3,
+        "with duration auto: share of every force and velocity limit that the motion leaves free",
+        least=0,
+        below=1,
+    )
+    goal: str = choice_of(
+        "target_posture",
+        'where it ends: "target_posture", or "stop", the cheapest place to stop from the velocity '
+        "at the start",
+        *GOALS,
+    )
+    base_rotation: str = choice_of(
+        "eigenaxis",
+        'how the base turns: "eigenaxis", the shorter way about one fixed axis, or "rpy", roll, '
+        "pitch and yaw each a polynomial, as in the paper",
+        *BASE_ROTATIONS,
+    )
+    shaper: Shaper | None = unitless(None, "of a polynomial; null: it is not shaped")
+    frame: FrameGoal | None = unitless(
+        None, "frame whose pose is prescribed, in place of target_posture.joints; null: none"
+    )
+    plan: str | None = unitless(
+        None,
+        "with optimal: file of the plan, a path from the scenario file's folder or a package:// "
+        "address",
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """A plan where it is followed."""
+        if self.kind == "optimal" and not self.plan:
+            yield (
+                f"{key}.plan",
+                "name the plan's file, such as mine.plan.yaml, which 'ffsm plan' writes, or set "
+                "reference.kind to quintic",
+            )
+
+
+@dataclass
+class Planning:
+    """How 'ffsm plan' plans: a motion from the initial posture and velocity to
+    ``reference.goal``, at rest, within every limit.
+
+    The limits are those of ``actuation.limit``, the URDFs' of position, velocity and effort,
+    ``clearance`` and the ones here. It minimises time_weight * duration + effort_weight * integral
+    of the squared force, with the nominal payload.
+    """
+
+    time_weight: float = setting(
+        1.0, "1/s", "weight of the duration; 0: the motion takes reference.duration", least=0
+    )
+    effort_weight: float = setting(
+        1e-4,
+        "1/(N^2 m^2 s)",
+        "weight of the integral of the squared force; a small one avoids forces that do not "
+        "shorten the motion",
+        least=0,
+    )
+    reserve: float = unitless(
+        0.4,
+        "share of the force limits that is left to the controller: for noise, disturbances, and "
+        "the error of the nominal payload",
+        least=0,
+        below=1,
+    )
+    end_rate: float = setting(
+        0.0,
+        "rad/s or m/s",
+        "every rate at the end is at most this, and then dies away",
+        least=0,
+    )
+    velocity_limit: PerCoordinate | None = setting(
+        None, "rad/s or m/s", "largest rate, beside the URDFs'; null: none", above=0
+    )
+    impulse_limit: PerCoordinate | None = setting(
+        None, "N m s or N s", "largest integral of each force's size; null: none", above=0
+    )
+    base_attitude_limit: float | None = setting(
+        None, "rad", "largest rotation of the base from its first attitude; null: none", above=0
+    )
+    segments: int = unitless(
+        24,
+        "of the spline: more segments follow the limits closer and take longer to compute",
+        least=4,
+        most=100,
+    )
+
+    def check(self, key: str, scenario: Any) -> Problems:
+        """Something to minimise."""
+        if self.time_weight + self.effort_weight == 0:
+            yield f"{key}.time_weight", "must be > 0 where effort_weight is 0"
