@@ -4,7 +4,7 @@ from ffsm_drake.control_design.stability.margins import (
     Margins,
     StabilityWarning,
     stability,
-    stability_warning,
+    adaptation_remark,
 )
 
-__all__ = ["Margins", "StabilityWarning", "stability", "stability_warning"]
+__all__ = ["Margins", "StabilityWarning", "stability", "adaptation_remark"]
