@@ -54,7 +54,6 @@ _BESIDE = re.compile(
     r"^(duration|payload\.truth\.mass|reference\.frame): |\(clearance |the URDF's "
 )
 _LAST = 2.0  # s, at the end, in which a settled run stays within its tolerance
-_WINDOW = 4.0  # s; what the errors of the last second are compared with
 _REACH, _ANGLE = 0.1, np.deg2rad(10.0)  # m, rad; beyond these a gripper does not close
 _LOST = "its process ended every time"
 _ATTEMPTS = 200  # draws of one mission
@@ -131,10 +130,10 @@ def end_of(log: RunLog) -> End:
     """The class of a run's end.
 
     Settled: every error that counts within its tolerance (``_tolerance``) over the last two
-    seconds. Growing: the
-    largest of the last second exceeds three times that of the four seconds before, and a third of
-    its tolerance; or its tolerance, and growth by half from each four seconds to the next. Missed:
-    the target was out of the gripper's reach.
+    seconds. Growing: the largest of the last second exceeds a third of its tolerance, and three
+    times that of the four seconds before; or 1.3 times that, and that twice the one of four seconds
+    earlier. Missed: the target was out of the gripper's reach. Runs of less than nine seconds, or
+    with a grasp that late, are divided likewise.
     """
     last, status = float(log.time[-1]), log.outcome.status
     if missed := _missed(log):
@@ -143,22 +142,19 @@ def end_of(log: RunLog) -> End:
         return End(kind=status, time=last, message=log.outcome.message)
     tolerance = _tolerance(log)
     share = np.abs(log.tracked.error) / tolerance
-    window = min(_WINDOW, (last - log.scenario.grasp_time) / 4.0)
+    begin = log.scenario.grasp_time if last > log.scenario.grasp_time else 0.0
+    second = min(1.0, (last - begin) / 4.0)
 
-    def largest(begin: float, end: float) -> np.ndarray:
-        return share[(log.time > last - begin) & (log.time <= last - end)].max(axis=0, initial=0.0)
+    def largest(first: float, end: float) -> np.ndarray:
+        """The largest shares (k) between two times before the end."""
+        chosen = (log.time > max(last - first, begin)) & (log.time <= last - end)
+        return share[chosen].max(axis=0, initial=0.0)
 
-    now, before, earlier = (
-        largest(*span)
-        for span in (
-            (0.25 * window, 0.0),
-            (1.25 * window, 0.25 * window),
-            (2.25 * window, 1.25 * window),
-        )
-    )
+    spans = np.array([0.0, 1.0, 5.0, 9.0]) * second
+    now, before, earlier = (largest(*span) for span in zip(spans[1:], spans[:-1], strict=True))
     sudden = (now > 3.0 * before) & (now > 0.33)
-    steady = (now > 1.5 * before) & (before > 1.5 * earlier) & (now > 1.0)
-    at_end = largest(min(_LAST, 0.5 * last), 0.0)
+    steady = (now > 1.3 * before) & (before > 2.0 * earlier) & (earlier > 0.0) & (now > 0.33)
+    at_end = largest(_LAST * second, 0.0)
     i = int(np.argmax(at_end))
     kind = "settled" if at_end[i] <= 1.0 else "not settled"
     if (sudden | steady).any():
@@ -243,16 +239,21 @@ def evaluate(kind: str, number: int, seed: int, seconds: float) -> dict[str, Any
     except Exception as error:
         text = f"{stage}: {type(error).__name__}: {one_line(error)}"
         end = End(kind="failed", time=0.0, message=text)
-    return _result(found, foreseen=foreseen, end=end, cpu=cpu)
+    return make_result(found, foreseen=foreseen, end=end, cpu=cpu)
 
 
-def _result(
+def make_result(
     found: Mapping[str, Any] | None = None,
     *,
     foreseen: Foreseen | None = None,
     end: End,
     cpu: float = 0.0,
 ) -> dict[str, Any]:
+    """A result as plain data.
+
+    Args: the mission and what was refused before it; what was said; how it ended; what the run
+    cost, s.
+    """
     foreseen = foreseen or Foreseen(unknown="not asked")
     return {
         "base": "",
@@ -285,7 +286,7 @@ def evaluate_all(
             stop=stop,
         ):
             if isinstance(result, WorkerLost):
-                result = _result(end=End(kind="failed", time=0.0, message=_LOST))
+                result = make_result(end=End(kind="failed", time=0.0, message=_LOST))
             keep(kind, number, result)
 
 
@@ -306,7 +307,9 @@ def is_false_alarm(result: Mapping[str, Any]) -> bool:
 
 
 def table(results: Mapping[str, Mapping[str, Any]]) -> str:
-    """Counts by verdict and end, misses and false alarms, and what the verdict costs."""
+    """Counts by verdict and end, misses and false alarms, and what the verdict costs of a complete
+    run.
+    """
     rows = list(results.values())
     counts = Counter((row["verdict"]["said"], row["end"]["kind"]) for row in rows)
     width = max(len(name) for name in ENDS) + 2
