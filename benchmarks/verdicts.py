@@ -51,7 +51,7 @@ BAD = ("growing", "missed", "diverged", "failed")
 # Remarks that tell nothing about how a run ends: nothing enforces a URDF's limits, and parts that
 # overlap do not touch.
 _BESIDE = re.compile(
-    r"^(duration|payload\.truth\.mass|reference\.frame): |\(clearance |the URDF's "
+    r"^(duration|payload\.truth\.mass|reference\.frame|clearance)\b|\(clearance |URDF"
 )
 _LAST = 2.0  # s, at the end, in which a settled run stays within its tolerance
 _REACH, _ANGLE = 0.1, np.deg2rad(10.0)  # m, rad; beyond these a gripper does not close
