@@ -44,19 +44,19 @@ def stability(scenario: "Scenario", rehearsal: bool, out: Path | None, as_json: 
       ffsm stability --set payload.nominal.mass=125 --out out/stability
     """
     from ffsm_drake.common.files import check_writable
-    from ffsm_drake.control_design.stability import stability as find_margins
     from ffsm_drake.control_design.stability.boundaries import find_boundaries
     from ffsm_drake.preflight.verdict import verdict
     from ffsm_drake.show.tables import boundaries_table, margins_data, margins_table
 
     if out is not None:
         check_writable(out)
-    found, margins = verdict(scenario, rehearsal=rehearsal), find_margins(scenario)
+    found = verdict(scenario, rehearsal=rehearsal, margins=True)
+    margins = found.margins
+    assert margins is not None
     boundaries = find_boundaries(scenario, time=margins.edge_time)
     tables = (
         margins_table(margins),
         boundaries_table(boundaries, scenario),
-        f"margins (from the grasp on, without limits): {margins.verdict}",
         *found.lines,
         found.conclusion,
     )

@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from typing import Any
 
 from ffsm_drake.common.errors import BlockError, one_line
-from ffsm_drake.control_design.stability import adaptation_remark
+from ffsm_drake.control_design.stability import Margins, adaptation_remark, stability
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.load import predicted_load
 from ffsm_drake.control_design.stability.mission import LinearVerdict, linear_verdict
 from ffsm_drake.control_design.stability.rehearsal import SEEDS, Rehearsal, rehearse
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.runs.capture import make_rollout
-from ffsm_drake.runs.ending import GROWING, NOT_SETTLED, Ending
+from ffsm_drake.runs.ending import NOT_SETTLED, Ending
 from ffsm_drake.runs.limits import limits_left
 from ffsm_drake.scenario import Scenario, from_grasp
 
@@ -53,13 +53,14 @@ class RehearsedRun:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What is expected of a mission; each part None where it was not asked for or does not apply."""
+    """What is expected of a mission; a part that was not asked for, or does not apply, is None."""
 
     linear: LinearVerdict | None
     not_linear: str  # why there is no linear verdict; empty where there is one
     load: float | None  # of a capture: largest force as a fraction of its limit
     noises: Rehearsal | None  # the linearised loop under actuators that saturate, several noises
     run: RehearsedRun | None
+    margins: Margins | None = None
     adaptation: str = ""  # ``adaptation_remark``
 
     @property
@@ -95,9 +96,12 @@ class Verdict:
         elif self.not_linear:
             yield f"linear: cannot say: {self.not_linear}"
         if self.load is not None and math.isfinite(self.load):
-            kept = "beyond" if self._overloaded else "of"
-            yield f"load after the grasp (no noise): {100.0 * self.load:.3g} % {kept} the limit"
-        if self.noises is not None:
+            saturates = ": it saturates" if self._overloaded else ""
+            share = f"{100.0 * self.load:.3g} %"
+            yield f"load after the grasp (no noise): {share} of the force's limit{saturates}"
+        if self.margins is not None:
+            yield f"margins (from the grasp on): {self.margins.verdict}"
+        elif self.noises is not None:
             yield f"actuators ({SEEDS} noises, linearised loop): {self.noises}"
         if self.run is not None:
             yield f"rehearsed (one run, limits and noise of seed as given): {self.run.sentence}"
@@ -105,8 +109,8 @@ class Verdict:
                 yield "they disagree: the linear loop is unstable, yet the run settles"
             if self.linear is not None and not self._linear_alarm and self.run.is_alarm:
                 yield (
-                    "they disagree: the linear loop is stable, so limits, noise or the transient at "
-                    "the start end the run"
+                    "they disagree: the linear loop is stable, so limits, noise or the transient "
+                    "at the start are the cause"
                 )
 
     @property
@@ -158,27 +162,28 @@ class Verdict:
         if self.linear is not None and self.linear.is_alarm:
             yield self.linear.sentence
         if self._overloaded:
-            yield (
-                f"after the grasp {100.0 * (self.load or 0.0):.3g} % of the force's limit are needed"
-            )
+            share = f"{100.0 * (self.load or 0.0):.3g} %"
+            yield f"after the grasp it asks for {share} of the force's limit"
         if self.noises is not None and self.noises.share_diverged > 0.0:
             yield f"with its actuators: {self.noises}"
         if self.run is not None and self.run.is_alarm:
             yield f"rehearsed: {self.run.sentence}"
 
 
-def verdict(scenario: Scenario, *, rehearsal: bool = True) -> Verdict:
+def verdict(scenario: Scenario, *, rehearsal: bool = True, margins: bool = False) -> Verdict:
     """The verdict on a mission.
 
     Args:
       scenario: the mission.
       rehearsal: run it, in the time of a run; otherwise only what is found without a run.
+      margins: find those from the grasp on, too.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: with ``rehearsal``, a user-supplied block fails.
     """
     linear, reason, load, noises, adaptation = None, "", None, None, ""
+    found = stability(scenario) if margins else None
     try:
         linear = linear_verdict(scenario)
         adaptation = "" if linear.is_alarm else adaptation_remark(scenario)
@@ -186,7 +191,9 @@ def verdict(scenario: Scenario, *, rehearsal: bool = True) -> Verdict:
         if scenario.capture is not None:
             with Linearizer(held) as linearizer:
                 load = predicted_load(linearizer)
-        if is_rehearsed(held) and not linear.is_alarm:
+        if found is not None:
+            noises = found.rehearsal
+        elif is_rehearsed(held) and not linear.is_alarm:
             noises = rehearse(held, seeds=SEEDS)
     except BlockError as error:
         reason = one_line(error)
@@ -197,6 +204,7 @@ def verdict(scenario: Scenario, *, rehearsal: bool = True) -> Verdict:
         load=load,
         noises=noises,
         run=run,
+        margins=found,
         adaptation=adaptation,
     )
 

@@ -93,7 +93,8 @@ def test_a_user_is_told(number, verdicts):
     warns = case.get("warns", verdicts.end_of(log).kind in verdicts.BAD)
     for when in case.get("told", ["before"]):
         if when == "before":
-            told = verdicts.foresee(log.scenario).warnings
+            foreseen = verdicts.foresee(log.scenario)
+            told = foreseen.warnings + (foreseen.beside if warns else [])
         else:
             told = [log.outcome.message, *run_remarks(record)]
         text = "\n".join(told)

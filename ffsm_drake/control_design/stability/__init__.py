@@ -3,8 +3,8 @@
 from ffsm_drake.control_design.stability.margins import (
     Margins,
     StabilityWarning,
-    stability,
     adaptation_remark,
+    stability,
 )
 
 __all__ = ["Margins", "StabilityWarning", "stability", "adaptation_remark"]

@@ -10,7 +10,6 @@ import numpy as np
 
 from ffsm_drake.control_design.stability.adaptation import (
     axis_law,
-    expected_gains,
     forecast_reaching_gain,
     is_euler,
 )
