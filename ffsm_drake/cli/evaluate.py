@@ -35,7 +35,7 @@ def stability(scenario: "Scenario", rehearsal: bool, out: Path | None, as_json: 
     SCENARIO is a shipped name or a YAML file (default: postcapture). Margins are those from the
     grasp on, one parameter at a time, without limits. The verdict covers every leg: linear, moving
     as planned; and rehearsed, a run with limits and noise. Exits with 3 when the mission is not
-    expected to go as planned.
+    expected to go as planned, or the linear loop of a leg is unstable.
 
     \b
     Examples:
@@ -71,7 +71,7 @@ def stability(scenario: "Scenario", rehearsal: bool, out: Path | None, as_json: 
         path = out / "stability.png"
         save_figure(plot_margins(margins), path)
         click.echo(f"Written to {path}", err=as_json)
-    sys.exit(EXIT_UNSTABLE if found.is_alarm else 0)
+    sys.exit(EXIT_UNSTABLE if found.is_alarm or found.is_linearly_unstable else 0)
 
 
 @click.command()

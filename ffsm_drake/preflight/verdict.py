@@ -1,9 +1,9 @@
 """The verdict on a mission before it runs, in lines that say what each covers.
 
 Linear: the wired loop of every leg, moving as planned, without limits and without noise. Load: the
-force that a capture asks for, against its limits. Rehearsed: a run of the mission as it is, with its
-limits, its noise and its grasp; for actuators that saturate or quantise, also the linearised loop
-under them with several noises. Where they disagree, that is the finding.
+force that a capture asks for, against its limits. Rehearsed: a run of the mission as it is, with
+its limits, its noise and its grasp; for actuators that saturate or quantise, also the linearised
+loop under them with several noises. Where they disagree, that is the finding.
 """
 
 import dataclasses
@@ -72,13 +72,14 @@ class Verdict:
         """
         if self.noises is not None and self.noises.share_diverged > 0.0:
             return True
-        foreseen = self._linear_alarm or self._overloaded
+        foreseen = self.is_linearly_unstable or self._overloaded
         if self.run is None:
             return foreseen
         return self.run.is_alarm or (foreseen and not self.run.ending.is_settled)
 
     @property
-    def _linear_alarm(self) -> bool:
+    def is_linearly_unstable(self) -> bool:
+        """Whether the linear loop of a leg is unstable, whatever a run does."""
         return self.linear is not None and self.linear.is_alarm
 
     @property
@@ -105,9 +106,9 @@ class Verdict:
             yield f"actuators ({SEEDS} noises, linearised loop): {self.noises}"
         if self.run is not None:
             yield f"rehearsed (one run, limits and noise of seed as given): {self.run.sentence}"
-            if self._linear_alarm and self.run.ending.is_settled:
+            if self.is_linearly_unstable and self.run.ending.is_settled:
                 yield "they disagree: the linear loop is unstable, yet the run settles"
-            if self.linear is not None and not self._linear_alarm and self.run.is_alarm:
+            if self.linear is not None and not self.is_linearly_unstable and self.run.is_alarm:
                 yield (
                     "they disagree: the linear loop is stable, so limits, noise or the transient "
                     "at the start are the cause"
@@ -131,6 +132,8 @@ class Verdict:
             return f"not expected to go as planned{scope}"
         if not covers:
             return f"cannot say how the mission goes{scope}"
+        if self.is_linearly_unstable:
+            return f"the run settles, though the linear loop is unstable{scope}"
         if self.run is not None and not self.run.ending.is_settled:
             return f"expected to stay bounded, not to settle{scope}"
         return f"expected to go as planned{scope}"

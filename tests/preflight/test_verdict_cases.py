@@ -96,7 +96,7 @@ def test_a_user_is_told(number, verdicts):
             foreseen = verdicts.foresee(log.scenario)
             told = foreseen.warnings + (foreseen.beside if warns else [])
         else:
-            told = [log.outcome.message, *run_remarks(record)]
+            told = [log.ending.sentence, *run_remarks(record)]
         text = "\n".join(told)
         if not warns:
             assert not told, text

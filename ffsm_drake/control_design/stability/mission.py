@@ -9,13 +9,11 @@ it is unstable there, with the largest K_s expected.
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
 
 from ffsm_drake.control_design.stability.adaptation import expected_gains
-from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.control_design.stability.moving import (
     LARGE_GROWTH,
