@@ -16,17 +16,13 @@ from ffsm_drake.campaign.spec import Spec
 from ffsm_drake.common.errors import CampaignError, FfsmError, LimitError
 from ffsm_drake.control_design.stability.adaptation import expected_gains
 from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.control_design.stability.load import predicted_load
 from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.scenario import Scenario, from_grasp
-from ffsm_drake.spacecraft.limits import FORCE, tightest
-from ffsm_drake.spacecraft.nominal import make_true_plant
-from ffsm_drake.systems.limits import limits_of
 from ffsm_drake.systems.reference import timed
 
-_ANSWER = 1.0  # s; response of the loop to a wrong velocity at the start
-_INSTANTS = 101  # of the plan after that
 POINTS = 11  # along each axis
 REFINEMENT = 3  # finer by this near the boundary
 
@@ -57,24 +53,6 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
             stable = max(starting, expected) < 1.0
             found.append(rehearse(scenario, seeds=1).share_diverged if stable else 1.0)
         return tuple(found)
-
-
-def predicted_load(linearizer: Linearizer) -> float:
-    """Largest force after a grasp, without noise, as a fraction of its limit; above 1 it saturates.
-
-    The first second, in which the loop responds to the difference between true and planned velocity
-    after the grasp, is run without noise and limits. After that it is the force of perfect tracking
-    with the true payload, less the disturbance.
-    """
-    scenario, motion = linearizer.given, linearizer.motion
-    answer = min(round(_ANSWER / scenario.sample_time), scenario.num_control_periods)
-    _, force = linearizer.follow(samples=answer)
-    begin = answer * scenario.sample_time
-    times = np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
-    _, ideal = PlannedDynamics(scenario).perfect_tracking(times)
-    limit = tightest(limits_of(scenario, make_true_plant(scenario).plant), FORCE)
-    share = np.abs(np.concatenate([force, ideal])) / limit.upper
-    return float(np.nan_to_num(share, nan=np.inf).max())
 
 
 def _most_overestimated(scenario: Scenario) -> float:

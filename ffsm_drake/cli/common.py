@@ -128,6 +128,12 @@ overrides_option = click.option(
     help="Override a scenario value; repeatable.",
 )
 seed_option = click.option("--seed", type=int, help="Noise seed; short for --set random_seed=N.")
+rehearsal_option = click.option(
+    "--rehearsal/--no-rehearsal",
+    default=True,
+    show_default=True,
+    help="Run the mission once, with its limits and noise: takes the time of a run.",
+)
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON document instead of text."
 )

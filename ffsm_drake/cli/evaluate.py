@@ -14,6 +14,7 @@ from ffsm_drake.cli.common import (
     json_option,
     out_option,
     print_result,
+    rehearsal_option,
     run_argument,
     save_figure,
     scenario_options,
@@ -25,13 +26,16 @@ if TYPE_CHECKING:
 
 @click.command()
 @scenario_options
+@rehearsal_option
 @out_option(help="Write stability.png here.")
 @json_option
-def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
-    """Margins of the sampled loop along the planned motion, without a simulation.
+def stability(scenario: "Scenario", rehearsal: bool, out: Path | None, as_json: bool) -> None:
+    """Margins of the sampled loop, and the verdict on the whole mission.
 
-    SCENARIO is a shipped name or a YAML file (default: postcapture). Exits with 3 when the scenario
-    is unstable.
+    SCENARIO is a shipped name or a YAML file (default: postcapture). Margins are those from the
+    grasp on, one parameter at a time, without limits. The verdict covers every leg: linear, moving
+    as planned; and rehearsed, a run with limits and noise. Exits with 3 when the mission is not
+    expected to go as planned, or the linear loop of a leg is unstable.
 
     \b
     Examples:
@@ -40,24 +44,34 @@ def stability(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
       ffsm stability --set payload.nominal.mass=125 --out out/stability
     """
     from ffsm_drake.common.files import check_writable
-    from ffsm_drake.control_design.stability import stability as find_margins
     from ffsm_drake.control_design.stability.boundaries import find_boundaries
+    from ffsm_drake.preflight.verdict import verdict
     from ffsm_drake.show.tables import boundaries_table, margins_data, margins_table
 
     if out is not None:
         check_writable(out)
-    margins = find_margins(scenario)
+    found = verdict(scenario, rehearsal=rehearsal, margins=True)
+    margins = found.margins
+    assert margins is not None
     boundaries = find_boundaries(scenario, time=margins.edge_time)
-    tables = margins_table(margins), boundaries_table(boundaries, scenario), margins.verdict
-    data = margins_data(margins) | {"boundaries": dataclasses.asdict(boundaries)}
-    print_result(as_json, data, "\n\n".join(tables))
+    tables = (
+        margins_table(margins),
+        boundaries_table(boundaries, scenario),
+        *found.lines,
+        found.conclusion,
+    )
+    data = margins_data(margins) | {
+        "boundaries": dataclasses.asdict(boundaries),
+        "mission": found.as_data(),
+    }
+    print_result(as_json, data, "\n\n".join(tables[:2]) + "\n\n" + "\n".join(tables[2:]))
     if out is not None:
         from ffsm_drake.show.figures.stability import plot_margins
 
         path = out / "stability.png"
         save_figure(plot_margins(margins), path)
         click.echo(f"Written to {path}", err=as_json)
-    sys.exit(0 if margins.is_stable else EXIT_UNSTABLE)
+    sys.exit(EXIT_UNSTABLE if found.is_alarm or found.is_linearly_unstable else 0)
 
 
 @click.command()

@@ -20,6 +20,7 @@ from ffsm_drake.cli.common import (
     overrides_option,
     print_json,
     print_result,
+    rehearsal_option,
 )
 
 
@@ -172,12 +173,17 @@ def scenarios(name: str | None, as_json: bool) -> None:
     "scenarios", nargs=-1, required=True, metavar="SCENARIO...", shell_complete=complete_scenario
 )
 @overrides_option
+@rehearsal_option
 @json_option
-def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bool) -> None:
-    """Check scenarios, their models and controllers, as 'run' does, but without running them.
+def validate(
+    scenarios: tuple[str, ...], overrides: tuple[str, ...], rehearsal: bool, as_json: bool
+) -> None:
+    """Check scenarios, their models and controllers, and say what is expected of the mission.
 
-    Exits with 2 if one cannot be used. An unstable loop, or a plan that leaves the joints' limits,
-    can be run: it gives a warning and exit code 0. With --json, 'warnings' lists them.
+    Valid means: it loads, its model and controller can be built, and it starts. What is expected of
+    the whole mission follows in lines that say what each covers. Exits with 2 if a scenario cannot
+    be used. An unstable loop, or a plan that leaves the joints' limits, can be run: it gives a
+    warning and exit code 0. With --json, 'warnings' lists them.
 
     \b
     Examples:
@@ -186,8 +192,9 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
     """
     from ffsm_drake.common.errors import FfsmError, ModelError
     from ffsm_drake.control_design.momentum import momentum_budget, momentum_lines
-    from ffsm_drake.preflight.remarks import plan_clearance
+    from ffsm_drake.preflight.remarks import plan_clearance, plan_remarks
     from ffsm_drake.preflight.simulate import prepare
+    from ffsm_drake.preflight.verdict import verdict
     from ffsm_drake.scenario import load_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
 
@@ -198,7 +205,7 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
             with located_errors(name, overrides), warnings.catch_warnings(record=True) as caught:
                 scenario = load_scenario(name, overrides)
                 check_pictures(scenario.model)
-                rollout = prepare(scenario)
+                rollout = prepare(scenario, check_stability=False)
                 rollout.check()
                 loop = rollout.loop
                 with suppress(ModelError):  # already among the warnings
@@ -206,13 +213,20 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
                 rollout.release()
                 if (found := momentum_budget(loop.scenario)) is not None:
                     budget = dataclasses.asdict(found)
+                remarks = plan_remarks(loop.scenario)
+                mission = verdict(loop.scenario, rehearsal=rehearsal)
             results[name] = {
                 "valid": True,
                 "controller": loop.scenario.controller,
                 "coordinates": list(loop.coordinates.names),
                 "nearest": [dataclasses.asdict(each) for each in closest],
                 **({} if budget is None else {"momentum_budget": budget}),
-                "warnings": [str(item.message) for item in caught],
+                "mission": mission.as_data(),
+                "warnings": [
+                    *(str(item.message) for item in caught),
+                    *remarks,
+                    *mission.warnings,
+                ],
             }
             if not as_json:
                 for text in results[name]["warnings"]:
@@ -223,6 +237,8 @@ def validate(scenarios: tuple[str, ...], overrides: tuple[str, ...], as_json: bo
                     f"{name}: valid; {loop.scenario.controller}, free base and {joints} "
                     f"joints{nearest}"
                 )
+                for line in (*mission.lines, mission.conclusion):
+                    click.echo(f"{name}: {line}")
                 for line in momentum_lines(budget):
                     click.echo(f"{name}: {line}")
         except FfsmError as error:

@@ -71,8 +71,9 @@ def prepare(
 ) -> Rollout | CaptureRollout:
     """All that ``simulate`` does before it runs; arguments and errors as there.
 
-    With ``check_stability`` it warns (StabilityWarning) when the sampled loop starts unstable or
-    its adaptation may become so, unless there are user-supplied blocks, which a check would have to
+    With ``check_stability`` it warns (StabilityWarning) when the mission is not expected to go as
+    planned (``verdict``, without a rehearsal) or adaptation may take the loop out of its stable
+    range, unless there are user-supplied blocks, which a check would have to
     run; and (LimitWarning) when a posture or the plan leaves the joints' limits, or the scenario
     overrides the target's mass.
     """
@@ -84,9 +85,10 @@ def prepare(
                 warnings.warn(remark, LimitWarning, stacklevel=3)
         if check_stability and not user_supplied(scenario, blocks):
             # SciPy is slow
-            from ffsm_drake.control_design.stability import StabilityWarning, stability_warning
+            from ffsm_drake.control_design.stability import StabilityWarning
+            from ffsm_drake.preflight.verdict import verdict
 
-            if remark := stability_warning(scenario):
+            for remark in verdict(scenario, rehearsal=False).warnings:
                 warnings.warn(remark, StabilityWarning, stacklevel=3)
         return make_rollout(scenario, blocks=blocks, meshcat=meshcat)
 

@@ -28,11 +28,9 @@ from ffsm_drake.spacecraft.capture import Contact, contact_at, planned_contact, 
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_frame
-from ffsm_drake.systems.blend import make_impulses
 from ffsm_drake.systems.part import STORED_MOMENTUM
+from ffsm_drake.systems.reference import without_target
 from ffsm_drake.systems.registry import Factory
-
-NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, before the grasp
 
 
 class CaptureRollout:
@@ -54,7 +52,7 @@ class CaptureRollout:
                 model = make_nominal_plant(scenario)
                 target = target_path(scenario, model, planned_contact(scenario, model))[1][:, :7]
             self._approach = Rollout(
-                _without_target(scenario), blocks=blocks, meshcat=meshcat, target=target
+                without_target(scenario), blocks=blocks, meshcat=meshcat, target=target
             )
 
     @property
@@ -111,7 +109,7 @@ class CaptureRollout:
         handover = _Handover(chosen)
         sample = handover.sample
         approach = self._approach.run(
-            None if scenario is None else _without_target(scenario),
+            None if scenario is None else without_target(scenario),
             progress=progress,
             leg=Leg(last=sample, begin=handover.start, end=handover.keep),
         )
@@ -324,20 +322,6 @@ def _stored(log: RunLog) -> np.ndarray | None:
     """The momentum (3) that parts store at a log's start; None where none does."""
     stored = log.with_role(STORED_MOMENTUM)
     return None if stored is None else stored[0]
-
-
-def _without_target(scenario: Scenario) -> Scenario:
-    """The scenario with an empty gripper, valid up to the grasp."""
-    some = 1.0 + make_impulses(scenario.reference.shaper).length  # s
-    capture = (
-        None if scenario.capture is None else dataclasses.replace(scenario.capture, compliance=None)
-    )
-    return dataclasses.replace(
-        scenario,
-        capture=capture,
-        payload=dataclasses.replace(scenario.payload, truth=NOTHING, nominal=NOTHING),
-        reference=dataclasses.replace(scenario.reference, duration=some),
-    )
 
 
 def _mismatch(

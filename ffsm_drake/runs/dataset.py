@@ -9,11 +9,11 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import BlockError
-from ffsm_drake.runs.capture import NOTHING
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.table import EFFORT, VARIABLES, Table
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS, frame_poses, frame_rows
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.capture import NOTHING
 from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.grasp import shift_moment
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia

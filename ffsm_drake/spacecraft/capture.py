@@ -7,7 +7,7 @@ import numpy as np
 from pydrake.multibody.tree import RigidBody
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.scenario import Capture, Scenario
+from ffsm_drake.scenario import Capture, MassProperties, Scenario
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, StateSplit
 from ffsm_drake.spacecraft.grasp import (
@@ -19,6 +19,8 @@ from ffsm_drake.spacecraft.grasp import (
 )
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame
+
+NOTHING = MassProperties(mass=0.0, inertia=[0.0, 0.0, 0.0])  # in the gripper, before the grasp
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,7 @@ from ffsm_drake.common.so3 import (
     rpy_motion,
 )
 from ffsm_drake.scenario import Posture, Scenario, planned_part
-from ffsm_drake.spacecraft.capture import planned_contact
+from ffsm_drake.spacecraft.capture import NOTHING, planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
@@ -269,6 +269,22 @@ def timed(scenario: Scenario) -> Scenario:
         duration = round(duration / scenario.sample_time) * scenario.sample_time
     reference = dataclasses.replace(scenario.reference, duration=duration)
     return dataclasses.replace(scenario, reference=reference)
+
+
+def without_target(scenario: Scenario) -> Scenario:
+    """The scenario with an empty gripper, valid up to the grasp."""
+    some = 1.0 + make_impulses(scenario.reference.shaper).length  # s
+    # the target turns about its true centre of mass, which the gripper meets
+    truth = dataclasses.replace(NOTHING, center_of_mass=scenario.payload.truth.center_of_mass)
+    capture = (
+        None if scenario.capture is None else dataclasses.replace(scenario.capture, compliance=None)
+    )
+    return dataclasses.replace(
+        scenario,
+        capture=capture,
+        payload=dataclasses.replace(scenario.payload, truth=truth, nominal=NOTHING),
+        reference=dataclasses.replace(scenario.reference, duration=some),
+    )
 
 
 def make_reference(scenario: Scenario, coordinates: Coordinates) -> Diagram:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.control_design.stability import stability, stability_warning
+from ffsm_drake.control_design.stability import stability
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.rehearsal import rehearse
+from ffsm_drake.preflight.verdict import verdict
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 from ffsm_drake.systems.limits import actuation_limit, base_limits
 from ffsm_drake.systems.reference import timed
@@ -56,7 +57,8 @@ def with_wheels():
 
 def test_wheels_that_give_too_little_are_told(with_wheels):
     """Foreseen; that it is so: below."""
-    assert "thrusters and wheels give 1.3 to 2.3 N m" in stability_warning(with_wheels(1.0))
+    (told,) = verdict(with_wheels(1.0), rehearsal=False).warnings
+    assert "thrusters and wheels give 1.3 to 2.3 N m" in told
 
 
 @pytest.mark.slow
@@ -64,7 +66,7 @@ def test_wheels_that_give_too_little_are_told(with_wheels):
 def test_saturated_wheels(with_wheels, torque, stable):
     """Without limits the loop is the same."""
     scenario = with_wheels(torque)
-    assert (stability_warning(scenario) == "") is stable
+    assert verdict(scenario, rehearsal=False).is_alarm is not stable
     assert diverges(scenario) is not stable
 
 

@@ -3,8 +3,8 @@
 from ffsm_drake.control_design.stability.margins import (
     Margins,
     StabilityWarning,
+    adaptation_remark,
     stability,
-    stability_warning,
 )
 
-__all__ = ["Margins", "StabilityWarning", "stability", "stability_warning"]
+__all__ = ["Margins", "StabilityWarning", "stability", "adaptation_remark"]

@@ -38,7 +38,7 @@ from ffsm_drake.systems.actuation.drives import FRICTION
 from ffsm_drake.systems.actuation.mean import make_mean_actuation
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.controllers.sampled import SampledController
-from ffsm_drake.systems.reference import make_motion, timed
+from ffsm_drake.systems.reference import make_motion, timed, without_target
 from ffsm_drake.systems.registry import Factory
 
 # Fractions of the planned motion at which a loop is linearised.
@@ -49,15 +49,27 @@ _STEP = 1e-7
 _WARM_UP = 5
 
 
+class NotLinear(BlockError):
+    """A loop with a block that cannot be linearised."""
+
+
 class Linearizer:
     """A closed loop that is built once and linearised at many instants, within a ``with`` block."""
 
-    def __init__(self, scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None) -> None:
-        """Args: the scenario; factories in place of its blocks.
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        blocks: Mapping[str, Factory] | None = None,
+        approach: bool = False,
+    ) -> None:
+        """Args: the scenario; factories in place of its blocks; whether to take its approach, the
+        servicer alone before the grasp, in place of the motion from the grasp on.
 
-        Errors as for ``add_closed_loop``; BlockError for a block with continuous or abstract state.
+        Errors as for ``add_closed_loop``; NotLinear for a block with continuous or abstract state.
         """
-        self.given = timed(from_grasp(scenario))  # with limits
+        # with limits
+        self.given = timed(_approach(scenario) if approach else from_grasp(scenario))
         self.scenario = without_limits(self.given)
         factories = dict(blocks or {})
         if is_rehearsed(self.given):
@@ -66,6 +78,10 @@ class Linearizer:
             factories[name] = part.linear()
         self.loop = make_closed_loop(self.scenario, blocks=factories)
         self.motion = make_motion(self.scenario, self.loop.coordinates)
+        self.begin, self.end = self.motion.begin, self.motion.end  # s
+        if approach:  # its last instant is before the grasp
+            last = self.motion.begin - _WARM_UP * self.scenario.sample_time
+            self.begin, self.end = 0.0, max(0.0, last)
         self._simulator = self._new_simulator()
         self._context = self._simulator.get_mutable_context()
         self._plant = PlantState(self.loop, self._context)
@@ -111,7 +127,7 @@ class Linearizer:
         for leaf in memory:
             known = leaf is self.loop.plant or leaf.get_name() == FRICTION
             if not known and leaf.num_continuous_states() + leaf.num_abstract_states():
-                raise BlockError(
+                raise NotLinear(
                     f"{leaf.get_name()}: continuous or abstract state cannot be "
                     "linearised, only discrete"
                 )
@@ -157,7 +173,7 @@ class Linearizer:
           held: values of held memory (``ControlLaw.held``) by name, in place of its own.
           truth: true mass properties of the payload, in place of the scenario's.
 
-        Raises BlockError: a block fails.
+        Raises NotLinear: a block fails, or changes between two control samples.
         """
         period, first = self.scenario.sample_time, round(time / self.scenario.sample_time)
         index = first + _WARM_UP
@@ -172,7 +188,7 @@ class Linearizer:
             # Drake refuses some numbers that are not finite by SystemExit
             if np.isfinite(self._plant.read()).all():
                 reason = f"{type(error).__name__}: {one_line(error)}"
-                raise BlockError(
+                raise NotLinear(
                     f"{self.scenario.controller}: the loop cannot be linearised: {reason}"
                 ) from error
             unknown = np.full((self._width,) * 2, np.nan)  # diverged within the warm-up
@@ -198,7 +214,11 @@ class Linearizer:
         held: Mapping[str, np.ndarray] | None = None,
     ) -> tuple[LinearLoop, ...]:
         """The loops at fractions of the planned motion; arguments and errors as for ``at``."""
-        return tuple(self.at(self.motion.part(share), held=held) for share in shares)
+        return tuple(self.at(self.part(share), held=held) for share in shares)
+
+    def part(self, share: float) -> float:
+        """The time at which a fraction (0 to 1) of the motion has passed, s."""
+        return self.begin + share * (self.end - self.begin)
 
     def follow(
         self, *, held: Mapping[str, np.ndarray] | None = None, samples: int | None = None
@@ -353,7 +373,7 @@ class Linearizer:
 
         base = move(np.zeros(size))
         if not np.array_equal(self._memory.read(), updated):
-            raise BlockError(
+            raise NotLinear(
                 "a block updates between two control samples, which cannot be linearised"
             )
 
@@ -404,6 +424,11 @@ def _jacobian(
             x[i] = steps[i]
             jacobian[:, i] = (function(x) - center) / steps[i]
     return jacobian
+
+
+def _approach(scenario: Scenario) -> Scenario:
+    """The scenario up to its grasp."""
+    return dataclasses.replace(without_target(scenario), duration=scenario.grasp_time)
 
 
 def _silence(sources: Sequence[RandomSource], diagram: Diagram, context: Context) -> bool:

@@ -10,7 +10,6 @@ import numpy as np
 
 from ffsm_drake.control_design.stability.adaptation import (
     axis_law,
-    expected_gains,
     forecast_reaching_gain,
     is_euler,
 )
@@ -279,46 +278,28 @@ def _axis_margins(
     )
 
 
-def stability_warning(scenario: Scenario) -> str:
-    """One line where a scenario is unstable at the start or adaptation may make it so; else empty.
+def adaptation_remark(scenario: Scenario) -> str:
+    """One line where nothing stops K_s before the limit of the sampled loop; else empty.
 
-    A fast check, which ``simulate`` makes before a run without user-supplied blocks.
+    The loop is linearised at the start of the motion from the grasp on.
     """
     scenario = from_grasp(scenario)
     with Linearizer(scenario) as linearizer:
-        if remark := _warning(scenario, linearizer):
-            return remark
-        if not is_rehearsed(scenario):
+        law = axis_law(linearizer)
+        gain = None if law is None else law.reaching_gain
+        if law is None or gain is None or not gain.changes:
             return ""
-        found = rehearse(scenario, seeds=1, held=expected_gains(linearizer))
-    return (
-        f"with its actuators the sampled loop is expected to diverge: {found}"
-        if found.share_diverged
-        else ""
-    )
-
-
-def _warning(scenario: Scenario, linearizer: Linearizer) -> str:
-    radius = linearizer.at(0.0).spectral_radius
-    remedy = f"see 'ffsm stability' for the margins of {scenario.controller}"
-    if radius >= 1.0:
-        return (
-            "the sampled loop is unstable at the starting gains (spectral radius "
-            f"{radius:.4f}); {remedy}"
-        )
-    law = axis_law(linearizer)
-    gain = None if law is None else law.reaching_gain
-    if law is None or gain is None or not gain.changes:
-        return ""
-    largest = float(gain.largest.max())
-    held = {"reaching_gain": gain.largest}
-    if math.isfinite(largest) and linearizer.at(0.0, held=held).spectral_radius < 1.0:
-        return ""
+        if linearizer.at(0.0).spectral_radius >= 1.0:
+            return ""  # unstable as it starts, which is not adaptation's fault
+        largest = float(gain.largest.max())
+        held = {"reaching_gain": gain.largest}
+        if math.isfinite(largest) and linearizer.at(0.0, held=held).spectral_radius < 1.0:
+            return ""
     eta = PlannedDynamics(scenario).ratios(0.0)[-1:]
     axis, euler = int(np.argmax(gain.largest)), is_euler(scenario)
     limit = float(largest_stable_k_s(law, axis, eta=eta, euler=euler)[0])
     bound = f"may grow to {largest:g} 1/s" if math.isfinite(largest) else "is not bounded"
     return (
         f"K_s {bound}, but the sampled loop is stable only below about {limit:.0f} 1/s; set "
-        f"k_s_max, or {remedy}"
+        f"k_s_max, or see 'ffsm stability' for the margins of {scenario.controller}"
     )

@@ -70,13 +70,13 @@ def motion_stability(
     Args: the linearizer; held memory, as for ``Linearizer.at``, which raises the same errors.
     """
     planned = PlannedDynamics(linearizer.given)
-    begin, end = linearizer.motion.begin, linearizer.motion.end
-    span, found = end - begin, dict[float, LinearLoop]()
+    span, found = linearizer.end - linearizer.begin, dict[float, LinearLoop]()
 
     def add(time: float) -> None:
         found[time] = linearizer.at(time, held=held)
 
-    for time in sorted({*map(linearizer.motion.part, POSTURES), *_lightest(planned)}):
+    lightest = _lightest(planned, np.linspace(linearizer.begin, linearizer.end, _POINTS))
+    for time in sorted({*map(linearizer.part, POSTURES), *lightest}):
         if all(abs(time - other) > _FINE * span for other in found):
             add(time)
     pairs = _pairs(found)
@@ -100,10 +100,11 @@ def motion_stability(
     return MotionStability(loops=_ordered(found))
 
 
-def _lightest(planned: PlannedDynamics) -> list[float]:
-    """Times, s, at which a driven coordinate is lightest, the others free to react."""
-    motion, driven = planned.motion, planned.coordinates.driven
-    times = np.linspace(motion.begin, motion.end, _POINTS)
+def _lightest(planned: PlannedDynamics, times: np.ndarray) -> list[float]:
+    """Those of some times, s, at which a driven coordinate is lightest, the others free to
+    react.
+    """
+    driven = planned.coordinates.driven
     inverse = np.array([
         np.diagonal(np.linalg.inv(planned.mass_matrices(time)[0]))[driven] for time in times
     ])  # fmt: skip

@@ -1,0 +1,161 @@
+"""The linear line of the verdict on a mission: the wired loop along every leg, moving as planned,
+without limits and noise.
+
+The approach of a capture is the servicer alone, the stop has the target in the gripper. A radius
+above one at a posture that is passed is no alarm while the errors grow little; at rest it is. Where
+adaptation can raise K_s, the loop is looked at with K_s as it starts and at its bounds, and where
+it is unstable there, with the largest K_s expected.
+"""
+
+import dataclasses
+import math
+from typing import Literal
+
+import numpy as np
+
+from ffsm_drake.control_design.stability.adaptation import expected_gains
+from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.control_design.stability.moving import (
+    LARGE_GROWTH,
+    MotionStability,
+    motion_stability,
+)
+from ffsm_drake.scenario import Scenario
+
+Leg = Literal["approach", "stop", "motion"]
+Status = Literal["stable", "errors grow", "cannot say", "unstable"]
+_STATUSES: tuple[Status, ...] = ("stable", "errors grow", "cannot say", "unstable")  # worst last
+GROWN = 1.5  # error growth from which on it is reported
+_SCOPE = "moving as planned, without limits and noise"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LegVerdict:
+    """The linear loop along one leg of a mission; NaN where it cannot be linearised."""
+
+    leg: Leg  # "motion" without a capture
+    radius: float  # largest spectral radius
+    time: float  # of the run at which, s
+    growth: float  # of small errors along the worst stretch of the leg
+    instants: int  # at which the loop was linearised
+    rests_stable: bool  # radius below 1 where the leg begins or ends at rest
+    status: Status
+    sentence: str  # one line, with what it covers
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LinearVerdict:
+    """The linear loop along every leg of a mission."""
+
+    legs: tuple[LegVerdict, ...]
+
+    @property
+    def status(self) -> Status:
+        """The worst of the legs'."""
+        return max((leg.status for leg in self.legs), key=_STATUSES.index)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """One line for each leg."""
+        return tuple(leg.sentence for leg in self.legs)
+
+    @property
+    def sentence(self) -> str:
+        """The legs' lines as one."""
+        return "; ".join(self.sentences)
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether the mission is unstable."""
+        return self.status == "unstable"
+
+
+def linear_verdict(scenario: Scenario) -> LinearVerdict:
+    """The linear verdict on all legs of a mission; a second, or two for an undriven base.
+
+    Raises:
+      ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
+      BlockError: a user-supplied block cannot be loaded, built or wired.
+    """
+    if scenario.capture is None:
+        return LinearVerdict(legs=(_leg(scenario, "motion"),))
+    approach = (_leg(scenario, "approach"),) if scenario.grasp_time > 0.0 else ()
+    return LinearVerdict(legs=(*approach, _leg(scenario, "stop")))
+
+
+def _leg(scenario: Scenario, leg: Leg) -> LegVerdict:
+    start = scenario.grasp_time if leg == "stop" else 0.0
+    try:
+        with Linearizer(scenario, approach=leg == "approach") as linearizer:
+            return _verdict(linearizer, leg, start)
+    except NotLinear as error:
+        return LegVerdict(
+            leg=leg,
+            radius=math.nan,
+            time=math.nan,
+            growth=math.nan,
+            instants=0,
+            rests_stable=False,
+            status="cannot say",
+            sentence=f"{leg}: cannot say; {error}",
+        )
+
+
+def _verdict(linearizer: Linearizer, leg: Leg, start: float) -> LegVerdict:
+    found, gains = motion_stability(linearizer), ""
+    held = {"reaching_gain": _bounds(linearizer)}
+    if _status(found, leg) != "unstable" and held["reaching_gain"].size:
+        gains, starting = " with K_s at its bounds", found
+        found = motion_stability(linearizer, held=held)
+        if _status(found, leg) == "unstable":
+            expected = expected_gains(linearizer, starting.loops[0])
+            if expected:
+                gains = " with the largest K_s expected"
+                found = motion_stability(linearizer, held=expected)
+        found = max((starting, found), key=lambda each: each.worst.spectral_radius)
+        gains = "" if found is starting else gains
+    worst, status = found.worst, _status(found, leg)
+    return LegVerdict(
+        leg=leg,
+        radius=worst.spectral_radius,
+        time=start + worst.time,
+        growth=found.growth,
+        instants=len(found.loops),
+        rests_stable=_rests_stable(found, leg),
+        status=status,
+        sentence=f"{leg}: {_told(found, leg, status, start)}{gains}, at {len(found.loops)} "
+        f"instants, {_SCOPE}",
+    )
+
+
+def _bounds(linearizer: Linearizer) -> np.ndarray:
+    """The bounds of K_s (nv); empty where adaptation cannot change it."""
+    gain = None if linearizer.law is None else linearizer.law.reaching_gain
+    if gain is None or not (gain.is_adapted and gain.changes):
+        return np.empty(0)
+    return gain.largest
+
+
+def _rests_stable(found: MotionStability, leg: Leg) -> bool:
+    ends = {"approach": found.loops[:1], "stop": found.loops[-1:]}
+    resting = ends.get(leg, (found.loops[0], found.loops[-1]))
+    return max(loop.spectral_radius for loop in resting) < 1.0
+
+
+def _status(found: MotionStability, leg: Leg) -> Status:
+    if found.growth > LARGE_GROWTH or not _rests_stable(found, leg):
+        return "unstable"
+    return "errors grow" if found.growth > GROWN else "stable"
+
+
+def _told(found: MotionStability, leg: Leg, status: Status, start: float) -> str:
+    worst = found.worst
+    modes = worst.modes(1)
+    where = f", mostly {next(iter(modes[0].coordinates))}" if modes else ""
+    radius = f"spectral radius {worst.spectral_radius:.4f} at t = {start + worst.time:.2f} s"
+    if status == "stable":
+        return f"stable, {radius}"
+    if not _rests_stable(found, leg):
+        return f"unstable at rest, {radius}{where}"
+    grow = f"small errors grow {found.growth:.2g} times, {radius}{where}"
+    return f"unstable, {grow}" if status == "unstable" else grow

@@ -1,0 +1,221 @@
+"""The verdict on a mission before it runs, in lines that say what each covers.
+
+Linear: the wired loop of every leg, moving as planned, without limits and without noise. Load: the
+force that a capture asks for, against its limits. Rehearsed: a run of the mission as it is, with
+its limits, its noise and its grasp; for actuators that saturate or quantise, also the linearised
+loop under them with several noises. Where they disagree, that is the finding.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.control_design.stability import Margins, adaptation_remark, stability
+from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.load import predicted_load
+from ffsm_drake.control_design.stability.mission import LinearVerdict, linear_verdict
+from ffsm_drake.control_design.stability.rehearsal import SEEDS, Rehearsal, rehearse
+from ffsm_drake.loop.blocks import is_rehearsed
+from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.ending import NOT_SETTLED, Ending
+from ffsm_drake.runs.limits import limits_left
+from ffsm_drake.scenario import Scenario, from_grasp
+
+_FAR = 100.0  # tolerances; a run that ends further off did not do what it was for
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RehearsedRun:
+    """A run of the mission as it is, with its own random seed."""
+
+    ending: Ending
+    limits: dict[str, float]  # limits that it exceeded -> when first, s
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether it failed, or ended far from where it should."""
+        far = self.ending.status == NOT_SETTLED and self.ending.excess > _FAR
+        return self.ending.is_failure or far
+
+    @property
+    def sentence(self) -> str:
+        """The run's ending and the first limit that it exceeded."""
+        if not self.limits:
+            return self.ending.sentence
+        first = min(self.limits, key=lambda name: self.limits[name])
+        return (
+            f"{self.ending.sentence} First beyond its limit: {first}, at t = "
+            f"{self.limits[first]:.2f} s."
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What is expected of a mission; a part that was not asked for, or does not apply, is None."""
+
+    linear: LinearVerdict | None
+    not_linear: str  # why there is no linear verdict; empty where there is one
+    load: float | None  # of a capture: largest force as a fraction of its limit
+    noises: Rehearsal | None  # the linearised loop under actuators that saturate, several noises
+    run: RehearsedRun | None
+    margins: Margins | None = None
+    adaptation: str = ""  # ``adaptation_remark``
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether the mission is not expected to go as planned.
+
+        A run of the mission as it is outweighs the linear verdict and the load: they are alarms
+        only where there is no run, or where the run, too, ends without settling.
+        """
+        if self.noises is not None and self.noises.share_diverged > 0.0:
+            return True
+        foreseen = self.is_linearly_unstable or self._overloaded
+        if self.run is None:
+            return foreseen
+        return self.run.is_alarm or (foreseen and not self.run.ending.is_settled)
+
+    @property
+    def is_linearly_unstable(self) -> bool:
+        """Whether the linear loop of a leg is unstable, whatever a run does."""
+        return self.linear is not None and self.linear.is_alarm
+
+    @property
+    def _overloaded(self) -> bool:
+        return self.load is not None and self.load > 1.0
+
+    @property
+    def lines(self) -> list[str]:
+        """What each part found, a line each, and where they disagree."""
+        return list(self._lines())
+
+    def _lines(self) -> Iterator[str]:
+        if self.linear is not None:
+            yield f"linear (no limits, no noise): {self.linear.sentence}"
+        elif self.not_linear:
+            yield f"linear: cannot say: {self.not_linear}"
+        if self.load is not None and math.isfinite(self.load):
+            saturates = ": it saturates" if self._overloaded else ""
+            share = f"{100.0 * self.load:.3g} %"
+            yield f"load after the grasp (no noise): {share} of the force's limit{saturates}"
+        if self.margins is not None:
+            yield f"margins (from the grasp on): {self.margins.verdict}"
+        elif self.noises is not None:
+            yield f"actuators ({SEEDS} noises, linearised loop): {self.noises}"
+        if self.run is not None:
+            yield f"rehearsed (one run, limits and noise of seed as given): {self.run.sentence}"
+            if self.is_linearly_unstable and self.run.ending.is_settled:
+                yield "they disagree: the linear loop is unstable, yet the run settles"
+            if self.linear is not None and not self.is_linearly_unstable and self.run.is_alarm:
+                yield (
+                    "they disagree: the linear loop is stable, so limits, noise or the transient "
+                    "at the start are the cause"
+                )
+
+    @property
+    def conclusion(self) -> str:
+        """One line: what is expected, and what that covers."""
+        covers = [
+            name
+            for name, part in (
+                ("every leg, moving, without limits", self.linear),
+                ("the load after the grasp", self.load),
+                (f"{SEEDS} noises under the actuators", self.noises),
+                ("one run with limits and noise", self.run),
+            )
+            if part is not None
+        ]
+        scope = f" (looked at: {'; '.join(covers) or 'nothing'})"
+        if self.is_alarm:
+            return f"not expected to go as planned{scope}"
+        if not covers:
+            return f"cannot say how the mission goes{scope}"
+        if self.is_linearly_unstable:
+            return f"the run settles, though the linear loop is unstable{scope}"
+        if self.run is not None and not self.run.ending.is_settled:
+            return f"expected to stay bounded, not to settle{scope}"
+        return f"expected to go as planned{scope}"
+
+    @property
+    def warnings(self) -> list[str]:
+        """A line where the mission is not expected to go as planned, and one on adaptation."""
+        found = [self.adaptation] if self.adaptation else []
+        if self.is_alarm:
+            found.insert(0, f"not expected to go as planned: {'; '.join(self._reasons())}")
+        return found
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        linear, run = self.linear, self.run
+        return {
+            "alarm": self.is_alarm,
+            "conclusion": self.conclusion,
+            "lines": self.lines,
+            "linear": None if linear is None else [dataclasses.asdict(leg) for leg in linear.legs],
+            "load": self.load,
+            "share_diverged": None if self.noises is None else self.noises.share_diverged,
+            "run": None
+            if run is None
+            else {**dataclasses.asdict(run.ending), "first_beyond": run.limits},
+        }
+
+    def _reasons(self) -> Iterator[str]:
+        if self.linear is not None and self.linear.is_alarm:
+            yield self.linear.sentence
+        if self._overloaded:
+            share = f"{100.0 * (self.load or 0.0):.3g} %"
+            yield f"after the grasp it asks for {share} of the force's limit"
+        if self.noises is not None and self.noises.share_diverged > 0.0:
+            yield f"with its actuators: {self.noises}"
+        if self.run is not None and self.run.is_alarm:
+            yield f"rehearsed: {self.run.sentence}"
+
+
+def verdict(scenario: Scenario, *, rehearsal: bool = True, margins: bool = False) -> Verdict:
+    """The verdict on a mission.
+
+    Args:
+      scenario: the mission.
+      rehearsal: run it, in the time of a run; otherwise only what is found without a run.
+      margins: find those from the grasp on, too.
+
+    Raises:
+      ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
+      BlockError: with ``rehearsal``, a user-supplied block fails.
+    """
+    linear, reason, load, noises, adaptation = None, "", None, None, ""
+    found = stability(scenario) if margins else None
+    try:
+        linear = linear_verdict(scenario)
+        adaptation = "" if linear.is_alarm else adaptation_remark(scenario)
+        held = from_grasp(scenario)
+        if scenario.capture is not None:
+            with Linearizer(held) as linearizer:
+                load = predicted_load(linearizer)
+        if found is not None:
+            noises = found.rehearsal
+        elif is_rehearsed(held) and not linear.is_alarm:
+            noises = rehearse(held, seeds=SEEDS)
+    except BlockError as error:
+        reason = one_line(error)
+    run = _rehearsed(scenario) if rehearsal else None
+    return Verdict(
+        linear=linear,
+        not_linear=reason,
+        load=load,
+        noises=noises,
+        run=run,
+        margins=found,
+        adaptation=adaptation,
+    )
+
+
+def _rehearsed(scenario: Scenario) -> RehearsedRun:
+    rollout = make_rollout(scenario)
+    try:
+        log = rollout.run()
+    finally:
+        rollout.release()
+    return RehearsedRun(ending=log.ending, limits=limits_left(log))

@@ -1,0 +1,63 @@
+"""The verdict on a mission: its lines say what they cover, and where they disagree."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from ffsm_drake import load_scenario
+from ffsm_drake.cli import main
+from ffsm_drake.preflight.verdict import verdict
+
+UNSTABLE_AT_START = ["controllers.tde_aismc.k_s_initial=150", "duration=21"]
+
+
+@pytest.fixture(scope="module")
+def settling():
+    return verdict(load_scenario("postcapture"))
+
+
+@pytest.mark.smoke
+def test_each_line_says_what_it_covers(settling):
+    linear, run = settling.lines
+    assert linear.startswith("linear (no limits, no noise): motion: stable, spectral radius 0.98")
+    assert run.startswith("rehearsed (one run, limits and noise of seed as given): Settled")
+    assert settling.conclusion.startswith("expected to go as planned (looked at: every leg")
+    assert settling.warnings == []
+    assert not settling.is_alarm
+
+
+def test_without_a_rehearsal_no_run_is_spoken_of():
+    found = verdict(load_scenario("postcapture"), rehearsal=False)
+    assert found.run is None
+    assert len(found.lines) == 1
+    assert "run" not in found.conclusion
+
+
+def test_a_disagreement_is_the_finding():
+    found = verdict(load_scenario("postcapture", UNSTABLE_AT_START))
+    assert found.is_linearly_unstable
+    assert found.run.ending.is_settled
+    assert any(line.startswith("they disagree: ") for line in found.lines)
+    assert found.conclusion.startswith("the run settles, though the linear loop is unstable")
+    alone = verdict(load_scenario("postcapture", UNSTABLE_AT_START), rehearsal=False)
+    (warning,) = alone.warnings
+    assert "unstable" in warning
+
+
+def test_a_run_that_ends_before_its_motion_is_not_expected_to_settle():
+    found = verdict(load_scenario("postcapture", ["duration=3"]))
+    assert found.conclusion.startswith("expected to stay bounded, not to settle")
+    assert not found.is_alarm
+
+
+@pytest.mark.parametrize("command", ["validate", "stability"])
+def test_the_commands_give_it_as_data(command):
+    overrides = ["--set", "duration=3", "--set", "controller=tdc"]
+    result = CliRunner().invoke(main, [command, "postcapture", *overrides, "--json"])
+    assert result.exit_code == 0, result.output
+    data = json.loads(result.stdout)
+    mission = (data["postcapture"] if command == "validate" else data)["mission"]
+    assert mission["linear"][0]["leg"] == "motion"
+    assert mission["run"]["status"] == "not settled"
+    assert mission["alarm"] is False
