@@ -1,5 +1,6 @@
 """The command plan."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,7 +29,7 @@ def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     'planning' in SCENARIO sets the goal. Takes seconds. Prints the plan's duration and effort, and
     how near it comes to each limit. With reference.kind 'optimal' the plan is also written to the
     file that reference.plan names, and 'run' follows it. Exits with 2 when no motion keeps every
-    limit, and names the one in the way.
+    limit, and names the one in the way. Last stands what is expected of a run that follows it.
 
     \b
     Examples:
@@ -38,6 +39,8 @@ def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
     """
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.control_design.planning import plan_motion
+    from ffsm_drake.preflight.verdict import verdict
+    from ffsm_drake.scenario import override_scenario
     from ffsm_drake.show.figures.plan import plot_plan
     from ffsm_drake.show.tables import plan_data, plan_table
 
@@ -53,8 +56,11 @@ def plan(scenario: "Scenario", out: Path | None, as_json: bool) -> None:
         found.plan.save(file, title=title)
     figure, names = directory / "plan.png", list(map(str, files))
     save_figure(plot_plan(found, scenario), figure)
+    followed = ["reference.kind=optimal", f"reference.plan={json.dumps(str(files[0].resolve()))}"]
+    mission = verdict(override_scenario(scenario, followed))
+    told = "\n".join([*mission.lines, mission.conclusion])
     print_result(
         as_json,
-        plan_data(found) | {"files": names},
-        f"{plan_table(found)}\n\nWritten to {', '.join(names)}; {figure}",
+        plan_data(found) | {"files": names, "mission": mission.as_data()},
+        f"{plan_table(found)}\n\n{told}\n\nWritten to {', '.join(names)}; {figure}",
     )

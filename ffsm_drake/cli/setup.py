@@ -126,6 +126,8 @@ def new(
       my_robot_description=~/ws/src/my_robot_description
     """
     from ffsm_drake.control_design.first_scenario import new_scenario
+    from ffsm_drake.preflight.verdict import verdict
+    from ffsm_drake.scenario import load_scenario
 
     mass, file = _target(target)
     made = new_scenario(
@@ -138,7 +140,9 @@ def new(
         bus_mass=bus_mass,
         bus_size=bus_size,
     )
-    print_result(as_json, made.data(), made.summary())
+    mission = verdict(load_scenario(str(made.scenario_file)))
+    text = "\n".join([made.summary(), "", *mission.lines, mission.conclusion])
+    print_result(as_json, made.data() | {"mission": mission.as_data()}, text)
 
 
 @click.command()
@@ -190,64 +194,72 @@ def validate(
       ffsm validate mine.yaml
       ffsm validate postcapture --set payload.truth.mass=-5
     """
-    from ffsm_drake.common.errors import FfsmError, ModelError
-    from ffsm_drake.control_design.momentum import momentum_budget, momentum_lines
+    from ffsm_drake.common.errors import FfsmError
+    from ffsm_drake.control_design.momentum import momentum_lines
+    from ffsm_drake.runs.limits import Closest
+    from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+
+    results: dict[str, dict[str, Any]] = {}
+    for name in scenarios:
+        try:
+            with located_errors(name, overrides):
+                found = results[name] = _validated(name, overrides, rehearsal=rehearsal)
+        except FfsmError as error:
+            results[name] = {"valid": False, "error": str(error)}
+            if not as_json:
+                click.echo(f"error: {error}", err=True)
+            continue
+        if as_json:
+            continue
+        for text in found["warnings"]:
+            click.echo(f"warning: {name}: {text}", err=True)
+        nearest = "".join(f"; plan: {Closest(**each)}" for each in found["nearest"])
+        joints = len(found["coordinates"]) - NUM_BASE_VELOCITIES
+        click.echo(f"{name}: valid; {found['controller']}, free base and {joints} joints{nearest}")
+        mission = found["mission"]
+        for line in (
+            *mission["lines"],
+            mission["conclusion"],
+            *momentum_lines(found.get("momentum_budget")),
+        ):
+            click.echo(f"{name}: {line}")
+    if as_json:
+        print_json(results)
+    sys.exit(0 if all(result["valid"] for result in results.values()) else EXIT_BAD_INPUT)
+
+
+def _validated(name: str, overrides: tuple[str, ...], *, rehearsal: bool) -> dict[str, Any]:
+    """All that ``validate`` says of a scenario, as plain data."""
+    from ffsm_drake.common.errors import ModelError
+    from ffsm_drake.control_design.momentum import momentum_budget
     from ffsm_drake.preflight.remarks import plan_clearance, plan_remarks
     from ffsm_drake.preflight.simulate import prepare
     from ffsm_drake.preflight.verdict import verdict
     from ffsm_drake.scenario import load_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
 
-    results: dict[str, dict[str, Any]] = {}
-    for name in scenarios:
-        closest, budget = [], None
-        try:
-            with located_errors(name, overrides), warnings.catch_warnings(record=True) as caught:
-                scenario = load_scenario(name, overrides)
-                check_pictures(scenario.model)
-                rollout = prepare(scenario, check_stability=False)
-                rollout.check()
-                loop = rollout.loop
-                with suppress(ModelError):  # already among the warnings
-                    closest = plan_clearance(scenario)
-                rollout.release()
-                if (found := momentum_budget(loop.scenario)) is not None:
-                    budget = dataclasses.asdict(found)
-                remarks = plan_remarks(loop.scenario)
-                mission = verdict(loop.scenario, rehearsal=rehearsal)
-            results[name] = {
-                "valid": True,
-                "controller": loop.scenario.controller,
-                "coordinates": list(loop.coordinates.names),
-                "nearest": [dataclasses.asdict(each) for each in closest],
-                **({} if budget is None else {"momentum_budget": budget}),
-                "mission": mission.as_data(),
-                "warnings": [
-                    *(str(item.message) for item in caught),
-                    *remarks,
-                    *mission.warnings,
-                ],
-            }
-            if not as_json:
-                for text in results[name]["warnings"]:
-                    click.echo(f"warning: {name}: {text}", err=True)
-                joints = len(loop.coordinates.joints)
-                nearest = "".join(f"; plan: {each}" for each in closest)
-                click.echo(
-                    f"{name}: valid; {loop.scenario.controller}, free base and {joints} "
-                    f"joints{nearest}"
-                )
-                for line in (*mission.lines, mission.conclusion):
-                    click.echo(f"{name}: {line}")
-                for line in momentum_lines(budget):
-                    click.echo(f"{name}: {line}")
-        except FfsmError as error:
-            results[name] = {"valid": False, "error": str(error)}
-            if not as_json:
-                click.echo(f"error: {error}", err=True)
-    if as_json:
-        print_json(results)
-    sys.exit(0 if all(result["valid"] for result in results.values()) else EXIT_BAD_INPUT)
+    closest = []
+    with warnings.catch_warnings(record=True) as caught:
+        scenario = load_scenario(name, overrides)
+        check_pictures(scenario.model)
+        rollout = prepare(scenario, check_stability=False)
+        rollout.check()
+        loop = rollout.loop
+        with suppress(ModelError):  # already among the warnings
+            closest = plan_clearance(scenario)
+        rollout.release()
+        budget = momentum_budget(loop.scenario)
+        remarks = plan_remarks(loop.scenario)
+        mission = verdict(loop.scenario, rehearsal=rehearsal)
+    return {
+        "valid": True,
+        "controller": loop.scenario.controller,
+        "coordinates": list(loop.coordinates.names),
+        "nearest": [dataclasses.asdict(each) for each in closest],
+        **({} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}),
+        "mission": mission.as_data(),
+        "warnings": [*(str(item.message) for item in caught), *remarks, *mission.warnings],
+    }
 
 
 @click.command()

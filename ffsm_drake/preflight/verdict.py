@@ -93,7 +93,7 @@ class Verdict:
 
     def _lines(self) -> Iterator[str]:
         if self.linear is not None:
-            yield f"linear (no limits, no noise): {self.linear.sentence}"
+            yield f"linear: {self.linear.sentence}"
         elif self.not_linear:
             yield f"linear: cannot say: {self.not_linear}"
         if self.load is not None and math.isfinite(self.load):
