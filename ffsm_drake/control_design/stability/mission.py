@@ -16,6 +16,7 @@ import numpy as np
 from ffsm_drake.control_design.stability.adaptation import expected_gains
 from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.control_design.stability.moving import (
+    GROWN,
     LARGE_GROWTH,
     MotionStability,
     motion_stability,
@@ -25,7 +26,6 @@ from ffsm_drake.scenario import Scenario
 Leg = Literal["approach", "stop", "motion"]
 Status = Literal["stable", "errors grow", "cannot say", "unstable"]
 _STATUSES: tuple[Status, ...] = ("stable", "errors grow", "cannot say", "unstable")  # worst last
-GROWN = 1.5  # error growth from which on it is reported
 _SCOPE = "moving as planned, without limits and noise"
 
 
