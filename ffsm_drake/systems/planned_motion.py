@@ -6,8 +6,9 @@ import numpy as np
 
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
-# control samples computed together: NumPy takes little longer for them than for one
-_BLOCK = 256
+# control samples computed together: NumPy takes little longer for them than for one; fewer after a
+# jump, as those of a linearisation at an instant
+_BLOCK, _AFTER_JUMP = 256, 8
 
 
 class PlannedMotion(abc.ABC):
@@ -60,6 +61,8 @@ class PlannedMotion(abc.ABC):
         if sample * self._sample_time != time:  # between the control samples
             return self.rows(np.array([time]))[0]
         if not 0 <= sample - self._first_sample < len(self._rows):
+            goes_on = sample == self._first_sample + len(self._rows)
+            count = _BLOCK if goes_on else _AFTER_JUMP
             self._first_sample = sample
-            self._rows = self.rows(self._sample_time * np.arange(sample, sample + _BLOCK))
+            self._rows = self.rows(self._sample_time * np.arange(sample, sample + count))
         return self._rows[sample - self._first_sample]

@@ -16,6 +16,8 @@ in it is differenced once.
 
 import contextlib
 import dataclasses
+import functools
+import math
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from typing import Self
 
@@ -47,6 +49,9 @@ POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _STEP = 1e-7
 # Control samples on the plan before the map is taken, in which every memory fills.
 _WARM_UP = 5
+# Longest period, in control samples, that is found of user-supplied systems which do not declare
+# it, and the change of their map, relative to its rows, that tells one sample from another.
+_LONGEST_PERIOD, _DIFFERENT = 12, 0.05
 
 
 class NotLinear(BlockError):
@@ -91,6 +96,7 @@ class Linearizer:
         self._find_law()
         self._find_memory(leaves)
         self._updates = dict[Hashable, tuple[_Update, ...]]()
+        self._own_period: int | None = None  # of user-supplied systems, once it is known
 
     def _new_simulator(self, context: Context | None = None) -> Simulator:
         simulator = Simulator(self.loop.diagram, context)
@@ -293,20 +299,79 @@ class Linearizer:
             q_d, v_d, _ = self.motion.evaluate(first * self.scenario.sample_time)
             self.loop.set_state(self._context, np.concatenate([q_d, v_d]))
             index = first + _WARM_UP
-            for earlier in range(first, index):
-                self._quiet(held)
-                self._memory.update(earlier)
-                self._move(earlier)
             self._quiet(held)
-            before, kinds = self._context.Clone(), dict[Hashable, _Update]()
-            indices = range(index, index + self._memory.common_period)
-            for each, kind in zip(indices, map(self._memory.kind, indices), strict=True):
-                if kind not in kinds:
+            for earlier in range(first, index):
+                self._go_on(earlier, held)
+            before, updates = self._context.Clone(), dict[Hashable, _Update]()
+            own = self._find_own_period(index, held)
+            indices = range(index, index + math.lcm(self._memory.common_period, own))
+            kinds = [(self._memory.kind(each), each % own) for each in indices]
+            for each, kind in zip(indices, kinds, strict=True):
+                if kind not in updates:
                     self._context.SetTimeStateAndParametersFrom(before)
+                    for earlier in range(index, index + (each - index) % own):
+                        self._go_on(earlier, held)
                     self._context.SetTime(each * self.scenario.sample_time)
-                    kinds[kind] = self._update(each)
-            self._updates[key] = tuple(kinds[self._memory.kind(each)] for each in indices)
+                    updates[kind] = self._update(each)
+            self._updates[key] = tuple(updates[kind] for kind in kinds)
         return self._updates[key]
+
+    def _go_on(self, index: int, held: Mapping[str, np.ndarray]) -> None:
+        """From just before the update at a control sample to just before the next one."""
+        self._memory.update(index)
+        self._move(index)
+        self._quiet(held)
+
+    @functools.cached_property
+    def user_supplied(self) -> list[System]:
+        """The user-supplied systems with memory, and the controller with a user-supplied law."""
+        controller = self.loop.blocks["controller"]
+        return [
+            system
+            for system in self._memory.systems
+            if not _is_shipped(self.law if system is controller and self.law else system)
+            and system.GetMyContextFromRoot(self._context).num_discrete_state_groups()
+        ]
+
+    def _find_own_period(self, index: int, held: Mapping[str, np.ndarray]) -> int:
+        """Control samples after which user-supplied systems repeat themselves, from a context just
+        before the update at the control sample ``index``. Raises NotLinear where they do not.
+
+        They may count samples in their state without a word of it.
+        """
+        if self._own_period is None and not self.user_supplied:
+            self._own_period = 1
+        if self._own_period is None:
+            maps = []
+            for each in range(index, index + 2 * _LONGEST_PERIOD):
+                maps.append(self._map_of_errors(each))
+                self._go_on(each, held)
+            rows = np.abs(maps).max(axis=(0, 2))[:, None]
+            for period in range(1, _LONGEST_PERIOD + 1):
+                pairs = zip(maps, maps[period:], strict=False)
+                if all((np.abs(b - a) <= _DIFFERENT * rows).all() for a, b in pairs):
+                    self._own_period = period
+                    break
+            else:
+                names = ", ".join(system.get_name() for system in self.user_supplied)
+                raise NotLinear(
+                    f"{names}: differs from sample to sample, without a period of up to "
+                    f"{_LONGEST_PERIOD} samples"
+                )
+        return self._own_period
+
+    def _map_of_errors(self, index: int) -> np.ndarray:
+        """Derivative of the memory after a control sample's update by the plant's state before."""
+        state = self._plant.read()
+
+        def update(change: np.ndarray) -> np.ndarray:
+            self._plant.write(self._plant.moved(state, change))
+            return self._memory.after(index)
+
+        steps = np.full(self._width, _STEP)
+        found = _jacobian(update, [slice(0, self._width)], steps)
+        self._plant.write(state)
+        return found
 
     def _update(self, index: int) -> "_Update":
         """Difference and make the update at the control sample ``index``, from a context just
@@ -429,6 +494,11 @@ def _jacobian(
 def _approach(scenario: Scenario) -> Scenario:
     """The scenario up to its grasp."""
     return dataclasses.replace(without_target(scenario), duration=scenario.grasp_time)
+
+
+def _is_shipped(system: object) -> bool:
+    """Whether the class of a system or a law is Drake's or this package's."""
+    return type(system).__module__.split(".")[0] in ("pydrake", "ffsm_drake")
 
 
 def _silence(sources: Sequence[RandomSource], diagram: Diagram, context: Context) -> bool:

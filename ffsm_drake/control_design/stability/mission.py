@@ -16,6 +16,7 @@ import numpy as np
 from ffsm_drake.control_design.stability.adaptation import expected_gains
 from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.control_design.stability.moving import (
+    GROWN,
     LARGE_GROWTH,
     MotionStability,
     motion_stability,
@@ -25,7 +26,8 @@ from ffsm_drake.scenario import Scenario
 Leg = Literal["approach", "stop", "motion"]
 Status = Literal["stable", "errors grow", "cannot say", "unstable"]
 _STATUSES: tuple[Status, ...] = ("stable", "errors grow", "cannot say", "unstable")  # worst last
-GROWN = 1.5  # error growth from which on it is reported
+# Distance of a spectral radius from 1 within which a user-supplied block may be the cause.
+_MARGINAL = 1e-6
 _SCOPE = "moving as planned, without limits and noise"
 
 
@@ -103,29 +105,55 @@ def _leg(scenario: Scenario, leg: Leg) -> LegVerdict:
 
 def _verdict(linearizer: Linearizer, leg: Leg, start: float) -> LegVerdict:
     found, gains = motion_stability(linearizer), ""
-    held = {"reaching_gain": _bounds(linearizer)}
-    if _status(found, leg) != "unstable" and held["reaching_gain"].size:
-        gains, starting = " with K_s at its bounds", found
-        found = motion_stability(linearizer, held=held)
-        if _status(found, leg) == "unstable":
-            expected = expected_gains(linearizer, starting.loops[0])
-            if expected:
-                gains = " with the largest K_s expected"
-                found = motion_stability(linearizer, held=expected)
-        found = max((starting, found), key=lambda each: each.worst.spectral_radius)
-        gains = "" if found is starting else gains
+    if _status(found, leg) != "unstable":
+        found, gains = _at_larger_gains(linearizer, leg, found)
     worst, status = found.worst, _status(found, leg)
+    if linearizer.user_supplied and abs(_resting_radius(found, leg) - 1.0) < _MARGINAL:
+        names = ", ".join(system.get_name() for system in linearizer.user_supplied)
+        raise NotLinear(
+            f"{names}: errors neither grow nor decay at rest, as of a block that acts at few "
+            "samples; let it declare its period"
+        )
     return LegVerdict(
         leg=leg,
         radius=worst.spectral_radius,
         time=start + worst.time,
         growth=found.growth,
         instants=len(found.loops),
-        rests_stable=_rests_stable(found, leg),
+        rests_stable=_resting_radius(found, leg) < 1.0,
         status=status,
         sentence=f"{leg}: {_told(found, leg, status, start)}{gains}, at {len(found.loops)} "
         f"instants, {_SCOPE}",
     )
+
+
+def _at_larger_gains(
+    linearizer: Linearizer, leg: Leg, starting: MotionStability
+) -> tuple[MotionStability, str]:
+    """The worse of the loop with K_s as it starts and as adaptation may raise it, and in words
+    which.
+
+    At the bounds of K_s; where it is unstable there, at the largest K_s expected, if there is a
+    forecast. Raises NotLinear without bounds and forecast.
+    """
+    bounds = _bounds(linearizer)
+    if not bounds.size:
+        return starting, ""
+    gains, found = " with K_s at its bounds", None
+    if np.isfinite(bounds).all():
+        found = motion_stability(linearizer, held={"reaching_gain": bounds})
+    if found is None or _status(found, leg) == "unstable":
+        expected = expected_gains(linearizer, starting.loops[0])
+        if expected:
+            gains = " with the largest K_s expected"
+            found = motion_stability(linearizer, held=expected)
+    if found is None:
+        raise NotLinear("nothing stops the adaptation of K_s, and it is not forecast; set k_s_max")
+    if _status(found, leg) == _status(starting, leg) and (
+        found.worst.spectral_radius <= starting.worst.spectral_radius
+    ):
+        return starting, ""
+    return found, gains
 
 
 def _bounds(linearizer: Linearizer) -> np.ndarray:
@@ -136,14 +164,15 @@ def _bounds(linearizer: Linearizer) -> np.ndarray:
     return gain.largest
 
 
-def _rests_stable(found: MotionStability, leg: Leg) -> bool:
+def _resting_radius(found: MotionStability, leg: Leg) -> float:
+    """The largest spectral radius where a leg begins or ends at rest."""
     ends = {"approach": found.loops[:1], "stop": found.loops[-1:]}
     resting = ends.get(leg, (found.loops[0], found.loops[-1]))
-    return max(loop.spectral_radius for loop in resting) < 1.0
+    return max(loop.spectral_radius for loop in resting)
 
 
 def _status(found: MotionStability, leg: Leg) -> Status:
-    if found.growth > LARGE_GROWTH or not _rests_stable(found, leg):
+    if found.growth > LARGE_GROWTH or _resting_radius(found, leg) >= 1.0:
         return "unstable"
     return "errors grow" if found.growth > GROWN else "stable"
 
@@ -155,7 +184,7 @@ def _told(found: MotionStability, leg: Leg, status: Status, start: float) -> str
     radius = f"spectral radius {worst.spectral_radius:.4f} at t = {start + worst.time:.2f} s"
     if status == "stable":
         return f"stable, {radius}"
-    if not _rests_stable(found, leg):
+    if _resting_radius(found, leg) >= 1.0:
         return f"unstable at rest, {radius}{where}"
     grow = f"small errors grow {found.growth:.2g} times, {radius}{where}"
     return f"unstable, {grow}" if status == "unstable" else grow

@@ -5,14 +5,14 @@ A loop that is stable at rest at both ends, and at a few postures between, may b
 way: where a coordinate becomes light, or where a gain no longer suits the posture. The instants are
 five fractions of the motion and those at which a coordinate is lightest. Between them they are
 bisected where the spectral radius crosses 1, and where the fast modes, which a slow pole hides in
-the spectral radius, are weakly damped or change; the unstable stretch is refined until its growth
-is known.
+the spectral radius, change or are weakly damped; then where the growth is least known, until it is
+known whether errors grow little or much.
 """
 
 import dataclasses
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -20,12 +20,15 @@ from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
 from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 
-LARGE_GROWTH = 100.0  # error growth from which on a motion counts as unstable
+# Error growth from which on it is reported, and from which on a motion counts as unstable.
+GROWN, LARGE_GROWTH = 1.5, 100.0
 _POINTS = 101  # instants at which the lightest coordinates are sought
-# Fast radius, and its change between two instants, above which they are bisected.
-_FAST, _CHANGE = 0.7, 0.15
-# Shortest distances between instants, as shares of the motion: of stable and unstable stretches.
-_COARSE, _FINE = 0.05, 0.01
+# Fast radius, and its changes between two instants, above which they are bisected: above _FAST a
+# small change suffices.
+_FAST, _SMALL_CHANGE, _CHANGE = 0.7, 0.02, 0.15
+# Shortest distances between instants, as shares of the motion: of those where a coordinate is
+# lightest, of stable stretches, and where errors grow.
+_APART, _COARSE, _FINE = 0.03, 0.05, 0.01
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -44,13 +47,45 @@ class MotionStability:
         """Growth of small errors over the worst stretch of the motion, at least 1: the exponential
         of the integral of ln rho / L, rho being the spectral radius.
         """
-        times = np.array([loop.time for loop in self.loops])
+        return self._growth(lambda grid: np.interp(grid, self.times, self.rates))
+
+    @property
+    def growth_bound(self) -> float:
+        """The growth if between two instants their larger rate held, with their difference added:
+        more than is likely.
+        """
+        if len(self.loops) < 2:
+            return self.growth
+        return self._growth(
+            lambda grid: self.rate_bounds[
+                np.clip(np.searchsorted(self.times, grid, side="right") - 1, 0, len(self.loops) - 2)
+            ]
+        )
+
+    @property
+    def times(self) -> np.ndarray:
+        """The instants (n), s."""
+        return np.array([loop.time for loop in self.loops])
+
+    @property
+    def rates(self) -> np.ndarray:
+        """ln rho / L (n), 1/s."""
         radius = np.array([loop.spectral_radius for loop in self.loops])
-        if not np.isfinite(radius).all():
+        rates: np.ndarray = np.log(np.maximum(radius, 1e-300)) / self.loops[0].sample_time
+        return rates
+
+    @property
+    def rate_bounds(self) -> np.ndarray:
+        """Those of ``growth_bound`` (n - 1), 1/s."""
+        rates = self.rates
+        bounds: np.ndarray = np.maximum(rates[1:], rates[:-1]) + np.abs(np.diff(rates))
+        return bounds
+
+    def _growth(self, rate_at: Callable[[np.ndarray], np.ndarray]) -> float:
+        if not np.isfinite(self.rates).all():
             return math.inf
-        rates = np.log(np.maximum(radius, 1e-300)) / self.loops[0].sample_time
-        grid = np.linspace(times[0], times[-1], 10 * _POINTS)
-        rate = np.interp(grid, times, rates)
+        grid = np.linspace(self.times[0], self.times[-1], 10 * _POINTS)
+        rate = rate_at(grid)
         total = np.r_[0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(grid))]
         exponent = float((total - np.minimum.accumulate(total)).max())
         return math.exp(exponent) if exponent < 700.0 else math.inf
@@ -75,40 +110,37 @@ def motion_stability(
     def add(time: float) -> None:
         found[time] = linearizer.at(time, held=held)
 
-    lightest = _lightest(planned, np.linspace(linearizer.begin, linearizer.end, _POINTS))
-    for time in sorted({*map(linearizer.part, POSTURES), *lightest}):
-        if all(abs(time - other) > _FINE * span for other in found):
+    for time in map(linearizer.part, POSTURES):
+        add(time)
+    for time in _lightest(planned, np.linspace(linearizer.begin, linearizer.end, _POINTS)):
+        if all(abs(time - other) > _APART * span for other in found):
             add(time)
-    pairs = _pairs(found)
+    pairs = list(itertools.pairwise(sorted(found)))
     while pairs:
         first, second = pairs.pop()
         if _is_bisected(found[first], found[second], (second - first) / span):
             middle = 0.5 * (first + second)
             add(middle)
             pairs += [(first, middle), (middle, second)]
-    while MotionStability(loops=_ordered(found)).growth < LARGE_GROWTH:
-        wide = [
-            (first, second)
-            for first, second in _pairs(found)
-            if second - first > _FINE * span
-            and max(found[first].spectral_radius, found[second].spectral_radius) >= 1.0
-        ]
-        if not wide:
-            break
-        for first, second in wide:
-            add(0.5 * (first + second))
-    return MotionStability(loops=_ordered(found))
+    while True:
+        motion = MotionStability(loops=tuple(found[time] for time in sorted(found)))
+        next_one = _least_known(motion, sorted(found), _FINE * span)
+        if next_one is None:
+            return motion
+        add(next_one)
 
 
 def _lightest(planned: PlannedDynamics, times: np.ndarray) -> list[float]:
-    """Those of some times, s, at which a driven coordinate is lightest, the others free to
-    react.
+    """Those of some times, s, at which a driven coordinate is lightest, the others free to react,
+    than shortly before and after.
     """
     driven = planned.coordinates.driven
     inverse = np.array([
         np.diagonal(np.linalg.inv(planned.mass_matrices(time)[0]))[driven] for time in times
     ])  # fmt: skip
-    found: list[float] = times[np.unique(inverse.argmax(axis=0))].tolist()
+    rounding = 1e-6 * inverse[1:-1]
+    peaks = (np.diff(inverse, axis=0)[:-1] > rounding) & (np.diff(inverse, axis=0)[1:] < -rounding)
+    found: list[float] = times[1:-1][peaks.any(axis=1)].tolist()
     return found
 
 
@@ -116,13 +148,21 @@ def _is_bisected(first: LinearLoop, second: LinearLoop, share: float) -> bool:
     """Whether the loop is needed between two instants a share of the motion apart."""
     crosses = (first.spectral_radius < 1.0) is not (second.spectral_radius < 1.0)
     fast = first.fast_radius, second.fast_radius
-    ringing = max(fast) > _FAST or abs(fast[0] - fast[1]) > _CHANGE
-    return share > _COARSE and (crosses or ringing)
+    allowed = _SMALL_CHANGE if max(fast) > _FAST else _CHANGE
+    return share > _COARSE and (crosses or abs(fast[0] - fast[1]) > allowed)
 
 
-def _ordered(found: Mapping[float, LinearLoop]) -> tuple[LinearLoop, ...]:
-    return tuple(found[time] for time in sorted(found))
+def _least_known(motion: MotionStability, times: list[float], shortest: float) -> float | None:
+    """The middle, s, of the two instants between which the growth is least known; None if they are
+    near, or if it is known whether errors grow little or much.
 
-
-def _pairs(found: Mapping[float, LinearLoop]) -> list[tuple[float, float]]:
-    return list(itertools.pairwise(sorted(found)))
+    Args: the loops, and the ``times`` they were asked for, in their order.
+    """
+    growth, bound = motion.growth, motion.growth_bound
+    if bound <= GROWN or growth > LARGE_GROWTH or (growth > GROWN and bound < 2.0 * growth):
+        return None
+    steps, rates = np.diff(times), motion.rates
+    unknown = np.maximum(motion.rate_bounds, 0.0) - np.maximum(0.5 * (rates[1:] + rates[:-1]), 0.0)
+    unknown = np.where(steps > shortest, steps * unknown, 0.0)
+    worst = int(np.argmax(unknown))
+    return None if unknown[worst] <= 0.0 else float(times[worst] + 0.5 * steps[worst])
