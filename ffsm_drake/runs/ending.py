@@ -21,6 +21,8 @@ SETTLED_OVER = 1.0  # s, at the end of the run; over which errors are compared w
 _WINDOWS = 3  # of that length, at the end, whose peaks show whether errors grow
 _GROWTH = 1.5  # times, from each to the next
 _FAST_GROWTH = 5.0  # times, from the largest before to the last
+_PAST = 15.0  # s, before the last window
+_BEYOND_PAST = 2.0  # times the peak over that time, which a growing error exceeds
 _NOTABLE = 0.3  # of the tolerance; below it a rising peak is no growth
 
 
@@ -82,7 +84,8 @@ def ending_of_completed(scenario: Scenario, time: np.ndarray, tracked: Tracked) 
 
     Settled: over the last second every tracked error is within its tolerance. Growing: from each of
     the last three seconds to the next the peak of a coordinate rises by half, or fivefold at once,
-    up to at least a third of its tolerance; while the planned motion lasts, beyond it.
+    to twice the peak of the 15 s before, and to at least 0.3 of its tolerance; while the planned
+    motion lasts, beyond it. An error that only swings does not grow.
 
     Args:
       scenario: what was run: its tolerances and the end of its planned motion.
@@ -105,7 +108,8 @@ def ending_of_completed(scenario: Scenario, time: np.ndarray, tracked: Tracked) 
     def ending(status: str, sentence: str) -> Ending:
         return Ending(status=status, sentence=sentence, coordinate=name, excess=excess)
 
-    growing = _growing(size, time, notable=1.0 if moves else _NOTABLE)
+    begin = scenario.grasp_time if end > scenario.grasp_time else 0.0
+    growing = _growing(size, time, begin=begin, notable=1.0 if moves else _NOTABLE)
     if growing.any():
         i = int(np.argmax(np.where(growing, last, -1.0)))
         return Ending(
@@ -148,15 +152,17 @@ def _peaks(size: np.ndarray, time: np.ndarray, end: float, length: float) -> np.
     return peaks
 
 
-def _growing(size: np.ndarray, time: np.ndarray, *, notable: float) -> np.ndarray:
-    """Which columns (k) grow at the end."""
+def _growing(size: np.ndarray, time: np.ndarray, *, begin: float, notable: float) -> np.ndarray:
+    """Which columns (k) grow at the end of a leg that began at a time."""
     end = float(time[-1])
-    length = min(SETTLED_OVER, (end - float(time[0])) / (_WINDOWS + 1))
+    length = min(SETTLED_OVER, (end - begin) / (_WINDOWS + 1))
     if not length > 0.0:
         return np.zeros(size.shape[1], dtype=bool)
     first, second, last = (
         _peaks(size, time, end - length * back, length) for back in reversed(range(_WINDOWS))
     )
+    past = min(_PAST, end - begin - 2.0 * length)
+    before = _peaks(size, time, end - length, past)
     steadily = (last > _GROWTH * second) & (second > _GROWTH * first)
     at_once = last > _FAST_GROWTH * np.maximum(first, second)
-    return (last > notable) & (steadily | at_once)
+    return (last > notable) & (last > _BEYOND_PAST * before) & (steadily | at_once)

@@ -42,7 +42,7 @@ def test_errors_within_their_tolerance_have_settled(size, frequency, seed):
 
 
 @given(
-    rate=st.floats(0.6, 30.0),
+    rate=st.floats(0.8, 30.0),
     last=st.floats(0.4e-3, 10.0),
     frequency=st.just(0.0) | st.floats(7.0, 50.0),
 )
@@ -60,6 +60,18 @@ def test_errors_that_stay_or_decay_beyond_it_have_not_settled(size, rate, freque
     assert found.status == "not settled"
     assert not found.is_failure
     assert found.excess > 1.0
+
+
+@given(
+    size=st.floats(0.3e-3, 0.1),
+    period=st.floats(1.5, 14.0),
+    phase=st.floats(0.0, 6.3),
+    other=st.floats(0.0, 0.5),
+)
+def test_errors_that_only_swing_do_not_grow(size, period, phase, other):
+    """As under a slow disturbance: the peak of a second may rise from almost nothing."""
+    swing = lambda t: np.sin(2.0 * np.pi * t / period + phase) + other * np.sin(3.0 * t)  # noqa: E731
+    assert ending(lambda t: size * swing(t)).status != "growing"
 
 
 def test_a_leap_in_the_last_second_counts_as_growing():
