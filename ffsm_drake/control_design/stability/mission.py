@@ -181,7 +181,7 @@ def _told(found: MotionStability, leg: Leg, status: Status, start: float) -> str
     worst = found.worst
     modes = worst.modes(1)
     where = f", mostly {next(iter(modes[0].coordinates))}" if modes else ""
-    radius = f"spectral radius {worst.spectral_radius:.4f} at t = {start + worst.time:.2f} s"
+    radius = f"spectral radius {worst.spectral_radius:.5g} at t = {start + worst.time:.2f} s"
     if status == "stable":
         return f"stable, {radius}"
     if _resting_radius(found, leg) >= 1.0:
