@@ -123,7 +123,7 @@ def _verdict(linearizer: Linearizer, leg: Leg, start: float) -> LegVerdict:
         rests_stable=_resting_radius(found, leg) < 1.0,
         status=status,
         sentence=f"{leg}: {_told(found, leg, status, start)}{gains}, at {len(found.loops)} "
-        f"instants, {_SCOPE}",
+        f"instants, {_SCOPE}{', the servicer alone' if leg == 'approach' else ''}",
     )
 
 
