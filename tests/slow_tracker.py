@@ -44,3 +44,30 @@ class Counting(Held):
 
     def _is_due(self, context):
         return context.get_discrete_state(self._samples).value()[0] % 2 == 0
+
+
+class HeldThird(Held):
+    """One that looks at every third sample; its period differs from three samples by rounding."""
+
+    every = 3
+
+
+class Third(Counting):
+    """The same, which counts for itself."""
+
+    def _is_due(self, context):
+        return context.get_discrete_state(self._samples).value()[0] % 3 == 0
+
+
+class Rare(Counting):
+    """One whose looks are too far apart to be noticed in a few samples."""
+
+    def _is_due(self, context):
+        return context.get_discrete_state(self._samples).value()[0] % 50 == 0
+
+
+class Irregular(Counting):
+    """One without a period."""
+
+    def _is_due(self, context):
+        return context.get_discrete_state(self._samples).value()[0] in (1, 3, 7, 15, 20, 26)

@@ -83,6 +83,10 @@ class Verdict:
         return self.linear is not None and self.linear.is_alarm
 
     @property
+    def _linear_is_known(self) -> bool:
+        return self.linear is not None and self.linear.status != "cannot say"
+
+    @property
     def _overloaded(self) -> bool:
         return self.load is not None and self.load > 1.0
 
@@ -108,7 +112,7 @@ class Verdict:
             yield f"rehearsed (one run, limits and noise of seed as given): {self.run.sentence}"
             if self.is_linearly_unstable and self.run.ending.is_settled:
                 yield "they disagree: the linear loop is unstable, yet the run settles"
-            if self.linear is not None and not self.is_linearly_unstable and self.run.is_alarm:
+            if self._linear_is_known and not self.is_linearly_unstable and self.run.is_alarm:
                 yield (
                     "they disagree: the linear loop is stable, so limits, noise or the transient "
                     "at the start are the cause"
@@ -120,7 +124,7 @@ class Verdict:
         covers = [
             name
             for name, part in (
-                ("every leg, moving, without limits", self.linear),
+                ("every leg, moving, without limits", self._linear_is_known or None),
                 ("the load after the grasp", self.load),
                 (f"{SEEDS} noises under the actuators", self.noises),
                 ("one run with limits and noise", self.run),

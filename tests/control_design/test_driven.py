@@ -109,9 +109,10 @@ def test_what_a_frame_in_motion_adds_up_to():
     radii = np.array([loop.spectral_radius for loop in margins.loops])
     assert radii[[0, -1]].max() < 0.995
     assert radii.max() > 1.001
-    rates = np.maximum(np.log(radii), 0.0) / 0.01
-    grown = np.exp(np.trapezoid(rates, [loop.time for loop in margins.loops]))
-    assert margins.growth == pytest.approx(grown, rel=1e-12)
+    grid = np.linspace(0.0, 20.1, 2001)
+    rates = np.interp(grid, [loop.time for loop in margins.loops], np.log(radii) / 0.01)
+    grown = np.exp(np.trapezoid(np.maximum(rates, 0.0), grid))
+    assert margins.growth == pytest.approx(grown, rel=1e-2)
     assert 3.0 < margins.growth < 10.0
     assert margins.is_stable
     assert f"grow by up to {margins.growth:.2g} times" in margins.verdict

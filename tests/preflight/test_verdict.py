@@ -46,6 +46,15 @@ def test_a_disagreement_is_the_finding():
     assert "unstable" in warning
 
 
+def test_nothing_is_concluded_from_a_loop_that_cannot_be_linearised():
+    rare = 'blocks.sensing={tracker: "slow_tracker:Rare"}'
+    scenario = load_scenario("flight_sensors", [rare, "controller=tdc"])
+    found = verdict(scenario, rehearsal=False)
+    assert found.conclusion.startswith("cannot say how the mission goes")
+    assert not found.is_alarm
+    assert any("linear" in line and "cannot say" in line for line in found.lines)
+
+
 def test_a_run_that_ends_before_its_motion_is_not_expected_to_settle():
     found = verdict(load_scenario("postcapture", ["duration=3"]))
     assert found.conclusion.startswith("expected to stay bounded, not to settle")

@@ -13,7 +13,7 @@ from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import models_dir
-from ffsm_drake.systems.reference import make_motion, rotation_vector_motion
+from ffsm_drake.systems.reference import make_motion, rotation_vector_motion, without_target
 
 NQ, NV = 12, 11
 TUMBLE = [
@@ -92,6 +92,15 @@ def test_it_goes_through_the_grasp_with_the_velocities_of_both_sides(goal):
     assert start[0][7:] == pytest.approx([0, -1, 0, 0, 0], abs=1e-15)
     if goal == "target_posture":
         assert end[0][7:] == pytest.approx(list(scenario.target_posture.joints.values()), abs=1e-15)
+
+
+def test_the_servicer_alone_moves_as_planned_with_the_target():
+    approach = "capture.approach={duration: 12, posture: {joints: {joint_2: -1}}}"
+    center = "payload.truth.center_of_mass=[0.1, 0.05, 0]"
+    motion, _, scenario = motion_of("duration=40", approach, center)
+    alone = make_motion(without_target(scenario), motion.coordinates)
+    times = np.array([0.0, 3.0, 11.99])
+    assert_allclose(alone.rows(times), motion.rows(times), atol=1e-15)
 
 
 def test_to_stop_elsewhere_takes_more():

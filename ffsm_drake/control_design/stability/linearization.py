@@ -286,7 +286,9 @@ class Linearizer:
         # past the update: it is not made again
         self._context.SetTime((index + 1e-9) * self.scenario.sample_time)
         self._simulator.Initialize()
-        self._simulator.AdvanceTo((index + 1) * self.scenario.sample_time)
+        # a period of their own may end a rounding error before the next sample
+        short = 1e-9 if self.user_supplied else 0.0
+        self._simulator.AdvanceTo((index + 1 - short) * self.scenario.sample_time)
 
     def _updates_from(self, first: int, held: Mapping[str, np.ndarray]) -> tuple["_Update", ...]:
         """The updates of one common period after a warm-up that begins on the plan at a control

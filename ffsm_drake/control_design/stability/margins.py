@@ -15,6 +15,7 @@ from ffsm_drake.control_design.stability.adaptation import (
 )
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.control_design.stability.moving import GROWN, MotionStability
 from ffsm_drake.control_design.stability.one_axis import (
     axis_loop,
     largest_sample_time,
@@ -28,8 +29,6 @@ from ffsm_drake.scenario import Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.flexible import VibrationMode
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
-
-_GROWN = 1.5  # error growth from which on it is reported
 
 
 class StabilityWarning(UserWarning):
@@ -104,16 +103,13 @@ class Margins:
 
     @property
     def growth(self) -> float:
-        """Growth of small errors while a tracked frame moves; 1 without a tracked frame.
+        """Growth of small errors while a tracked frame moves, from POSTURES alone; 1 without a
+        tracked frame.
 
         Near a singular posture the loop may be unstable as the frame passes, although it is stable
-        wherever it rests: the growth is the integral over the motion.
+        wherever it rests.
         """
-        if not self.loops[0].tracks_frame:
-            return 1.0
-        times, step = [loop.time for loop in self.loops], self.loops[0].sample_time
-        rates = [max(0.0, math.log(loop.spectral_radius)) / step for loop in self.loops]
-        return math.exp(float(np.trapezoid(rates, times)))
+        return MotionStability(loops=self.loops).growth if self.loops[0].tracks_frame else 1.0
 
     @property
     def edge_time(self) -> float:
@@ -163,7 +159,7 @@ class Margins:
     def _with_actuators(self) -> str:
         """The verdict on a loop that is stable without saturation."""
         found = self.rehearsal
-        if found is None and self.growth > _GROWN:
+        if found is None and self.growth > GROWN:
             return (
                 "stable at rest; while the frame moves, small errors grow by up to "
                 f"{self.growth:.2g} times"

@@ -123,7 +123,7 @@ def _verdict(linearizer: Linearizer, leg: Leg, start: float) -> LegVerdict:
         rests_stable=_resting_radius(found, leg) < 1.0,
         status=status,
         sentence=f"{leg}: {_told(found, leg, status, start)}{gains}, at {len(found.loops)} "
-        f"instants, {_SCOPE}",
+        f"instants, {_SCOPE}{', the servicer alone' if leg == 'approach' else ''}",
     )
 
 
@@ -181,7 +181,7 @@ def _told(found: MotionStability, leg: Leg, status: Status, start: float) -> str
     worst = found.worst
     modes = worst.modes(1)
     where = f", mostly {next(iter(modes[0].coordinates))}" if modes else ""
-    radius = f"spectral radius {worst.spectral_radius:.4f} at t = {start + worst.time:.2f} s"
+    radius = f"spectral radius {worst.spectral_radius:.5g} at t = {start + worst.time:.2f} s"
     if status == "stable":
         return f"stable, {radius}"
     if _resting_radius(found, leg) >= 1.0:

@@ -1,0 +1,165 @@
+"""The linear verdict on every leg of a mission."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from ffsm_drake import load_scenario, simulate
+from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
+from ffsm_drake.control_design.stability.mission import LinearVerdict, linear_verdict
+from ffsm_drake.control_design.stability.moving import motion_stability
+
+# An actuator's delay with the one-sample estimate; the loop is stable at the starting K_s.
+LATE = ["actuation.delay=2", "estimator.kind=one_sample"]
+EIGHTFOLD = "controllers.tde_aismc.k_s_max={base_position: 0.4, base_rotation: 48, joints: 192}"
+
+
+def leg(scenario, name="motion"):
+    (found,) = [each for each in linear_verdict(scenario).legs if each.leg == name]
+    return found
+
+
+def tracked(name, *overrides):
+    return load_scenario(
+        "flight_sensors", [f'blocks.sensing={{tracker: "{name}"}}', "controller=tdc", *overrides]
+    )
+
+
+@pytest.mark.smoke
+def test_the_approach_is_looked_at_without_the_target():
+    """The arm without the target is too light for these gains."""
+    scenario = load_scenario("tumbling_capture", ["controller=pd_plus"])
+    found = linear_verdict(scenario)
+    approach, stop = found.legs
+    assert (approach.leg, stop.leg) == ("approach", "stop")
+    assert approach.status == "unstable"
+    assert not approach.rests_stable
+    assert approach.time < 0.1
+    assert stop.status == "stable"
+    assert stop.time >= scenario.grasp_time
+    assert found.status == "unstable"
+    assert found.is_alarm
+    assert found.sentence.startswith("approach: unstable at rest")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["postcapture", "flight_sensors", "tumbling_capture"])
+def test_shipped_missions_are_stable(name):
+    scenario = load_scenario(name)
+    found = linear_verdict(scenario)
+    assert found.status == "stable"
+    assert not found.is_alarm
+    assert all(each.growth == 1.0 and each.instants < 12 for each in found.legs)
+    assert len(found.legs) == (1 if scenario.capture is None else 2)
+    assert len(found.sentences) == len(found.legs)
+
+
+def test_a_capture_without_an_approach_has_one_leg():
+    scenario = load_scenario("tumbling_capture", ["capture.approach=null", "controller=pd_plus"])
+    (stop,) = linear_verdict(scenario).legs
+    assert stop.leg == "stop"
+    assert stop.time < scenario.reference.duration + 0.1
+
+
+@pytest.mark.slow
+def test_a_posture_that_is_passed_is_no_alarm():
+    found = linear_verdict(
+        load_scenario(
+            "free_floating", ["controller=tdc", "payload.truth.mass=56.37", "reference.duration=12"]
+        )
+    )
+    (motion,) = found.legs
+    assert motion.status == "errors grow"
+    assert motion.radius == pytest.approx(1.0035, abs=5e-4)
+    assert motion.growth == pytest.approx(3.5, abs=0.3)
+    assert motion.rests_stable
+    assert motion.instants < 25
+    assert not found.is_alarm
+    assert "errors grow 3." in found.sentence
+
+
+@pytest.mark.slow
+def test_a_loop_that_is_unstable_where_it_rests():
+    found = leg(load_scenario("free_floating", ["controller=tdc", "payload.truth.mass=54.5"]))
+    assert found.status == "unstable"
+    assert not found.rests_stable
+
+
+def test_the_bounds_of_adaptation_count():
+    scenario = load_scenario("flight_sensors", [*LATE, EIGHTFOLD])
+    with Linearizer(scenario) as linearizer:
+        assert motion_stability(linearizer).is_stable
+    found = leg(scenario)
+    assert found.status == "unstable"
+    assert "K_s at its bounds" in found.sentence
+    assert leg(load_scenario("flight_sensors", LATE)).status == "stable"
+
+
+@pytest.mark.slow
+def test_adaptation_to_these_bounds_diverges():
+    scenario = load_scenario("flight_sensors", [*LATE, EIGHTFOLD])
+    assert simulate(scenario, check_stability=False).outcome.status == "diverged"
+
+
+def test_without_bounds_the_forecast_counts():
+    assert leg(load_scenario("postcapture", ["controller=aismc"])).status == "stable"
+    unbounded = "controllers.tde_aismc.k_s_max={}"
+    unknown = leg(load_scenario("flight_sensors", [*LATE, unbounded]))
+    assert unknown.status == "cannot say"
+    assert "set k_s_max" in unknown.sentence
+
+
+@pytest.mark.parametrize(
+    ("counting", "held"),
+    [
+        ("slow_tracker:Counting", "slow_tracker:Held"),
+        ("slow_tracker:Third", "slow_tracker:HeldThird"),
+    ],
+)
+def test_blocks_that_count_samples_are_periodic(counting, held):
+    def loop(name):
+        with Linearizer(tracked(name)) as linearizer:
+            return linearizer.at(0.0)
+
+    found, expected = loop(counting), loop(held)
+    assert len(found.samples) == len(expected.samples) > 1
+    # one that is held from another sample on has another fast pole
+    slow = [np.sort(np.abs(each.poles))[-10:] for each in (found, expected)]
+    assert slow[0] == pytest.approx(slow[1], abs=1e-4)
+    assert leg(tracked(counting)).status == "stable"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("Rare", "neither grow nor decay"), ("Irregular", "without a period")]
+)
+def test_blocks_whose_samples_are_not_seen_are_not_called_unstable(name, words):
+    found = linear_verdict(tracked(f"slow_tracker:{name}"))
+    assert found.status == "cannot say"
+    assert not found.is_alarm
+    assert words in found.sentence
+    assert "tracker" in found.sentence
+
+
+def test_the_worst_leg_counts():
+    stable = leg(load_scenario("postcapture", ["controller=tdc"]))
+    others = [
+        dataclasses.replace(stable, status=status)
+        for status in ("errors grow", "cannot say", "unstable")
+    ]
+    for i, other in enumerate(others):
+        found = LinearVerdict(legs=(other, stable, *others[:i]))
+        assert found.status == other.status
+        assert found.is_alarm is (other.status == "unstable")
+
+
+def test_a_block_that_cannot_be_linearised(monkeypatch):
+    def refused(self, *_, **__):
+        raise NotLinear("reason")
+
+    monkeypatch.setattr(Linearizer, "at", refused)
+    (found,) = linear_verdict(load_scenario("postcapture")).legs
+    assert found.status == "cannot say"
+    assert found.sentence == "motion: cannot say; reason"
+    assert math.isnan(found.radius)
