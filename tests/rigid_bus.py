@@ -158,7 +158,7 @@ def simulate(
     for index, port in enumerate(total):
         builder.Connect(port, adder.get_input_port(index))
     on_known = builder.AddSystem(
-        MatrixGain(hidden.known_velocities(np.eye(plant.num_velocities())).T)
+        MatrixGain(hidden.known_velocities(np.eye(plant.num_velocities())))
     )
     builder.Connect(adder.get_output_port(), on_known.get_input_port())
     builder.Connect(on_known.get_output_port(), plant.get_applied_generalized_force_input_port())
