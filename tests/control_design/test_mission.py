@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, simulate
+from ffsm_drake.control_design.stability import stability
 from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.control_design.stability.mission import LinearVerdict, linear_verdict
 from ffsm_drake.control_design.stability.moving import motion_stability
@@ -94,6 +95,9 @@ def test_the_bounds_of_adaptation_count():
     found = leg(scenario)
     assert found.status == "unstable"
     assert "K_s at its bounds" in found.sentence
+    margins = stability(scenario)
+    assert not margins.is_stable
+    assert margins.verdict.startswith("unstable with every K_s at its bound")
     assert leg(load_scenario("flight_sensors", LATE)).status == "stable"
 
 

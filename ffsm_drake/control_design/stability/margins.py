@@ -136,6 +136,11 @@ class Margins:
                 f"unstable: the sampled loop of {self.scenario.controller} has spectral radius "
                 f"{worst.spectral_radius:.4f} at the posture of t = {worst.time:g} s"
             )
+        if self._bounds_unstable:
+            return (
+                "unstable with every K_s at its bound: the sampled loop has spectral radius "
+                f"{self.radius_at_bounds:.4f}"
+            )
         if self.axes is None:
             return self._with_actuators
         if self.axes.forecast_leaves.any():
@@ -154,6 +159,11 @@ class Margins:
                 f"({self.axes.k_s_limit[i]:.1f} 1/s for {self.coordinates.names[i]}); set k_s_max"
             )
         return self._with_actuators
+
+    @property
+    def _bounds_unstable(self) -> bool:
+        """Whether K_s may reach bounds that are unstable, and no forecast says that it does not."""
+        return self.axes is None and self.radius_at_bounds >= 1.0
 
     @property
     def _with_actuators(self) -> str:
@@ -189,6 +199,7 @@ class Margins:
         """Whether the run starts inside its margin and is expected to stay there."""
         return (
             self.starts_stable
+            and not self._bounds_unstable
             and (self.axes is None or not bool(self.axes.forecast_leaves.any()))
             and (self.rehearsal is None or self.rehearsal.share_diverged < 0.5)
         )
