@@ -6,6 +6,7 @@ import os
 import re
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -287,6 +288,21 @@ def count_progress(what: str) -> Callable[[int, int], None]:
             click.echo(
                 f"\r{done} of {total} {what}" + ("\n" if done == total else ""), nl=False, err=True
             )
+
+    return show
+
+
+def search_progress() -> Callable[[int, str], None]:
+    """Progress of a search: an updated line on a terminal, else a line every ten seconds."""
+    start = shown = time.monotonic()
+
+    def show(done: int, what: str) -> None:
+        nonlocal shown
+        now, is_terminal = time.monotonic(), sys.stderr.isatty()
+        line = f"{now - start:4.0f} s: {done} {what}"
+        if is_terminal or now - shown > 10.0:
+            shown = now
+            click.echo(f"\r{line}" if is_terminal else line, nl=not is_terminal, err=True)
 
     return show
 

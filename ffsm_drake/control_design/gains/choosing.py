@@ -18,32 +18,40 @@ is stable for every payload of the range. The candidates depend on the law:
 import contextlib
 import dataclasses
 import functools
-import itertools
-from collections.abc import Callable, Mapping, Sequence
+import math
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.control_design.gains.axis_search import (
     LARGEST_RADIUS,
-    PRICES,
     AxisSearch,
     FrontPoint,
     eta_range,
     one_sample_law,
     with_true_mass,
 )
-from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
-from ffsm_drake.control_design.gains.variation import PRICES_VARIED, varied
+from ffsm_drake.control_design.gains.requirement import (
+    TOLERANCE,
+    Baseline,
+    DesignPoint,
+    Requirement,
+)
+from ffsm_drake.control_design.gains.variation import vary
 from ffsm_drake.control_design.limit import Limit, find_limit
-from ffsm_drake.control_design.stability.adaptation import axis_law
-from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.planned_dynamics import Demand, make_demand
-from ffsm_drake.control_design.stability.prediction import Prediction, predict, predict_from
+from ffsm_drake.control_design.stability.adaptation import axis_law, expected_gains
+from ffsm_drake.control_design.stability.boundaries import Boundaries, find_boundaries
+from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.control_design.stability.planned_dynamics import make_demand
+from ffsm_drake.control_design.stability.prediction import Prediction, predict, predict_noise
 from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.scenario import Estimator, Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers import complete_gains
+from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 # Seeds of the noise under which a design must not diverge with its base actuators.
 _SEEDS = 2
@@ -70,6 +78,7 @@ class Design:
     limit: Limit  # of the chosen gains
     ideal_isv: float
     requirement: Requirement
+    ended_by: str = ""  # what ended the search before its end
 
     @functools.cached_property
     def with_defaults(self) -> Prediction | None:
@@ -96,7 +105,7 @@ class Design:
         elif self.kept:
             remarks = [
                 "The given gains are kept: no more accurate ones were found that meet the "
-                "requirements."
+                "requirements and are nowhere worse."
             ]
         elif violated:
             remarks = [f"The given gains do not meet the requirements: {violated}."]
@@ -106,6 +115,8 @@ class Design:
             remarks = [
                 f"The rms error falls by a factor of {factor:.3g} (geometric mean over the groups)."
             ]
+        if self.ended_by:
+            remarks.append(f"The search was ended by {self.ended_by}: this is the best so far.")
         for kind, point in self.found.items():
             error = np.exp(point.prediction.mean_log_error)
             verdict = self.requirement.violated(point) or f"ISV {point.prediction.isv:.1f}"
@@ -124,59 +135,255 @@ def design(
     *,
     budget: float | None = None,
     payload_range: tuple[float, float] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    trade: Collection[str] = (),
+    time_limit: float | None = None,
+    progress: Callable[[int, str], None] | None = None,
 ) -> Design:
     """Design the gains of the scenario's controller and, for a law with one, its estimator.
 
     Args:
-      budget: largest predicted ISV; default: 1.1 times that of perfect tracking, or of
-        the cheapest gains found where these take more.
+      budget: largest predicted ISV; default: what the given gains take, with ``trade`` of
+        effort at least 1.1 times that of perfect tracking; the latter, or 1.1 times that of the
+        cheapest gains found, where the given ones are unstable or ask too much.
       payload_range: lowest and highest true payload mass (kg, inertia in proportion) that the loop
         must be stable for; default: 0.6 to 2.5 times the nominal one.
-      progress: called with (steps done, steps in all).
+      trade: what may get worse than with the given gains by more than 2 %, of ``TRADES``: any
+        group's rms error, the effort, the margins.
+      time_limit: s; the best so far counts when it is over, as on Ctrl-C; None: none.
+      progress: called with the number of candidates tried, and what they are.
 
     Raises:
       ScenarioError: no gains meet the budget, or a value of the scenario cannot be used.
       BlockError: a user-supplied block cannot be loaded, built, wired or linearised; the controller
         tracks a frame.
     """
-    scenario, demand = complete_gains(scenario), make_demand(scenario)
-    masses = _masses(scenario, payload_range)
-    requirement = Requirement(
-        budget=1.1 * demand.ideal_isv if budget is None else budget,
-        limit=demand.coordinates.vector(
+    search = _Search(complete_gains(scenario), budget, payload_range, tuple(trade), progress)
+    search.until = math.inf if time_limit is None else time.monotonic() + time_limit
+    try:
+        search.go()
+    except _TimeUp:
+        search.ended_by = "the time limit"
+    except KeyboardInterrupt:
+        search.ended_by = "an interrupt"
+    return search.result()
+
+
+class _TimeUp(Exception):
+    """The search has had its time."""
+
+
+class _Search:
+    """The search for one scenario, and all that it has tried so far."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        budget: float | None,
+        payload_range: tuple[float, float] | None,
+        trade: Sequence[str],
+        progress: Callable[[int, str], None] | None,
+    ) -> None:
+        self._asked, self._progress = budget, progress
+        self._demand, self._masses = make_demand(scenario), _masses(scenario, payload_range)
+        limit = self._demand.coordinates.vector(
             scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
-        ),
-    )
-    evaluate = functools.partial(_evaluate, requirement=requirement, masses=masses)
-    given = evaluate(scenario)
-    found, searches = _candidates(given, demand, requirement, masses, evaluate, progress)
-    best = min(found.values(), key=requirement.rank)
-    kept = requirement.rank(given) <= (
-        requirement.rank(best)[0],
-        requirement.rank(best)[1] + _NEGLIGIBLE,
-    )
-    chosen = given if kept else best
-    if requirement.violated(chosen).startswith("ISV"):
-        if budget is None:  # in a slow motion most of the effort is due to noise
-            least = 1.1 * chosen.prediction.isv
-            return design(scenario, budget=least, payload_range=payload_range, progress=progress)
-        cheapest = f"the cheapest gains found need {chosen.prediction.isv:.1f}"
-        raise ScenarioError("budget", f"ISV {requirement.budget:.1f} cannot be met; {cheapest}")
-    with Linearizer(chosen.scenario) as linearizer:
-        radius_by_mass = _radius_by_mass(linearizer, masses)
-    search = next((searches.get(kind) for kind, point in found.items() if point is chosen), None)
-    shown = search or searches.get("kalman")
-    return Design(
-        chosen=dataclasses.replace(chosen, radius_by_mass=radius_by_mass),
-        given=given,
-        found=found,
-        kept=kept,
-        active_constraint=_active_constraint(chosen, requirement, search),
-        front=() if shown is None else shown.front,
-        limit=find_limit(chosen.scenario, demand),
-        ideal_isv=demand.ideal_isv,
-        requirement=requirement,
+        )
+        self.until, self.ended_by = math.inf, ""
+        self._confirmed = dict[int, str]()  # by id of a point: the margin it loses
+        self._tried, self._searches = list[tuple[str, DesignPoint]](), dict[str, AxisSearch]()
+        ideal = 1.1 * self._demand.ideal_isv
+        self.requirement = Requirement(budget=ideal if budget is None else budget, limit=limit)
+        self.given = self._judge(scenario, whole=True)
+        if self.requirement.failed(self.given):
+            return
+        # unless asked, as much effort as it was may be spent, and no more
+        isv = TOLERANCE * self.given.prediction.isv
+        if budget is None:
+            self._loosen(max(ideal, isv) if "effort" in trade else isv)
+        boundaries, time_of_edge = _boundaries(self.given.scenario)
+        baseline = Baseline(point=self.given, boundaries=boundaries, time=time_of_edge, trade=trade)
+        self.requirement = dataclasses.replace(self.requirement, baseline=baseline)
+
+    def _loosen(self, budget: float) -> None:
+        self.requirement = dataclasses.replace(self.requirement, budget=budget)
+
+    def go(self) -> None:
+        """Try candidates. Raises _TimeUp."""
+        law = one_sample_law(self.given.scenario)
+        if law is not None:
+            self._by_axis(law)
+        best = self.best()
+        if not self.given.is_by_axis or best is self.given:
+            self._vary(best)
+
+    def _by_axis(self, law: TimeDelayControl) -> None:
+        scenario = self.given.scenario
+        etas = eta_range(scenario, self._masses)
+        for kind in ("kalman", "one_sample"):
+            search = AxisSearch(scenario, law, self._demand, kind, etas, on_price=self._check_time)
+            self._searches[kind] = search
+            search.at_budget(self.requirement, functools.partial(self._evaluate, kind))
+            if kind == "kalman":
+                with contextlib.suppress(ScenarioError):  # for late or slow sensors
+                    search.at_budget(
+                        self.requirement,
+                        lambda made: self._evaluate("coupled", _with_coupled_estimator(made)),
+                    )
+
+    def _vary(self, start: DesignPoint) -> None:
+        vary(
+            start,
+            functools.partial(self._evaluate, "varied"),
+            baseline=self.requirement.baseline,
+            on_price=self._check_time,
+        )
+
+    def best(self) -> DesignPoint:
+        """The best so far: the given gains unless others are better by more than a trifle."""
+        rank = self.requirement.rank
+        for point in sorted((point for _, point in self._tried), key=rank):
+            least, error = rank(point)
+            if rank(self.given) <= (least, error + _NEGLIGIBLE):
+                return self.given
+            if least > 0 or not self._loses_a_margin(point):
+                return point
+        return self.given
+
+    def _loses_a_margin(self, point: DesignPoint) -> str:
+        """The first margin, at the posture of its own, that is worse than it was, one line."""
+        baseline = self.requirement.baseline
+        if baseline is None or "margins" in baseline.trade:
+            return ""
+        if id(point) not in self._confirmed:
+            self._confirmed[id(point)] = baseline.worse_margin(_boundaries(point.scenario)[0])
+        return self._confirmed[id(point)]
+
+    def _check_time(self) -> None:
+        if time.monotonic() > self.until:
+            raise _TimeUp
+        if self._progress is not None:
+            better = sum(not self.requirement.violated(point) for _, point in self._tried)
+            self._progress(len(self._tried), f"candidates, {better} of them meet all")
+
+    def _evaluate(self, kind: str, candidate: Scenario) -> DesignPoint:
+        self._check_time()
+        point = self._judge(candidate)
+        self._tried.append((kind, point))
+        return point
+
+    def _judge(self, candidate: Scenario, *, whole: bool = False) -> DesignPoint:
+        """A candidate's prediction. What rejects it soonest comes first, its run last; ``whole``:
+        it is run in any case.
+        """
+        period, force, requirement = candidate.sample_time, self._demand.force, self.requirement
+        with Linearizer(candidate) as linearizer:
+            if linearizer.loop.tracks_frame:
+                raise BlockError(
+                    f"{candidate.controller} tracks a frame; gains are designed for "
+                    "errors of coordinates"
+                )
+            radii = _radius_by_mass(linearizer, (self._masses[0], self._masses[-1]))
+            stable = max(radii.values()) < 1.0
+            held = expected_gains(linearizer) if stable or whole else {}
+            noise = (
+                predict_noise(linearizer, held)
+                if stable or whole
+                else _diverged(linearizer.loop.coordinates)
+            )
+            point = DesignPoint(
+                scenario=candidate,
+                prediction=noise.with_mean(np.zeros_like(force), force, period=period),
+                radius_by_mass=radii,
+                is_by_axis=axis_law(linearizer) is not None,
+                is_run=False,
+            )
+            if is_rehearsed(candidate) and not self._is_rejected(point):
+                rehearsal = rehearse(candidate, seeds=_SEEDS)
+                noise = dataclasses.replace(noise, noise_error=rehearsal.rms_error)
+                point = dataclasses.replace(point, rehearsal=rehearsal)
+            if self._is_rejected(point) and not whole:
+                return point
+            prediction = noise.with_mean(*linearizer.follow(held=held), period=period)
+            point = dataclasses.replace(point, prediction=prediction, is_run=True)
+        baseline = requirement.baseline
+        if baseline is None or whole or requirement.violated(point):
+            return point
+        return dataclasses.replace(point, lost_margin=baseline.margin_lost_by(candidate))
+
+    def _is_rejected(self, point: DesignPoint) -> bool:
+        """Whether a point fails before it is run, by what noise and the motion alone ask."""
+        requirement = self.requirement
+        baseline = requirement.baseline
+        if requirement.failed(point):
+            return True
+        return baseline is not None and bool(
+            baseline.worse_error(point)
+            or point.prediction.isv > max(requirement.budget, baseline.point.prediction.isv)
+        )
+
+    def result(self) -> Design:
+        """The choice among what was tried. Raises ScenarioError: nothing meets the budget."""
+        chosen = self.best()
+        if self.requirement.violated(chosen).startswith("ISV"):
+            if self._asked is not None:
+                raise self._too_little(chosen)
+            # in a slow motion most of the effort is due to noise
+            self._loosen(1.1 * chosen.prediction.isv)
+            chosen = self.best()
+        with Linearizer(chosen.scenario) as linearizer:
+            radius_by_mass = _radius_by_mass(linearizer, self._masses)
+        kinds = dict.fromkeys(kind for kind, _ in self._tried)
+        found = {
+            kind: min((p for k, p in self._tried if k == kind), key=self.requirement.rank)
+            for kind in kinds
+        }
+        kind = next((kind for kind, point in self._tried if point is chosen), "")
+        search = self._searches.get(kind)
+        shown = search or self._searches.get("kalman")
+        return Design(
+            chosen=dataclasses.replace(chosen, radius_by_mass=radius_by_mass),
+            given=self.given,
+            found=found,
+            kept=chosen is self.given,
+            active_constraint=_active_constraint(chosen, self.requirement, search),
+            front=() if shown is None else shown.front,
+            limit=find_limit(chosen.scenario, self._demand),
+            ideal_isv=self._demand.ideal_isv,
+            requirement=self.requirement,
+            ended_by=self.ended_by,
+        )
+
+    def _too_little(self, chosen: DesignPoint) -> ScenarioError:
+        budget = self.requirement.budget
+        known = dataclasses.replace(self.requirement, baseline=None)
+        within = [point for _, point in self._tried if not known.violated(point)]
+        reason = (
+            "within it they lose accuracy or margins: see --trade"
+            if within
+            else f"the cheapest gains found need {chosen.prediction.isv:.1f}"
+        )
+        return ScenarioError("budget", f"ISV {budget:.1f} cannot be met; {reason}")
+
+
+def _boundaries(scenario: Scenario) -> tuple[Boundaries, float]:
+    """The margins at the posture with the largest spectral radius, and its time, s."""
+    with Linearizer(scenario) as linearizer:
+        shares = {share: linearizer.at(linearizer.part(share)) for share in POSTURES}
+        share = max(shares, key=lambda each: shares[each].spectral_radius)
+        edge = linearizer.part(share)
+    return find_boundaries(scenario, time=edge), edge
+
+
+def _diverged(coordinates: Coordinates) -> Prediction:
+    values = np.full(len(coordinates.names), np.inf)
+    return Prediction(
+        coordinates=coordinates,
+        spectral_radius=math.inf,
+        rms_error=values,
+        noise_error=values,
+        noise_force=values,
+        isv_by_coordinate=values,
+        peak_effort=values,
     )
 
 
@@ -189,61 +396,6 @@ def _masses(scenario: Scenario, payload_range: tuple[float, float] | None) -> li
             "payload range", f"must be two masses 0 < LOW < HIGH in kg, not {low:g} and {high:g}"
         )
     return [float(mass) for mass in np.linspace(low, high, 5)]
-
-
-def _evaluate(
-    candidate: Scenario, *, requirement: Requirement, masses: Sequence[float]
-) -> DesignPoint:
-    with Linearizer(candidate) as linearizer:
-        if linearizer.loop.tracks_frame:
-            raise BlockError(
-                f"{candidate.controller} tracks a frame; gains are designed for "
-                "errors of coordinates"
-            )
-        point = DesignPoint(
-            scenario=candidate,
-            prediction=predict_from(linearizer),
-            radius_by_mass=_radius_by_mass(linearizer, (masses[0], masses[-1])),
-            is_by_axis=axis_law(linearizer) is not None,
-        )
-    if not is_rehearsed(candidate) or requirement.violated(point):
-        return point
-    return dataclasses.replace(point, rehearsal=rehearse(candidate, seeds=_SEEDS))
-
-
-def _candidates(
-    given: DesignPoint,
-    demand: Demand,
-    requirement: Requirement,
-    masses: list[float],
-    evaluate: Callable[[Scenario], DesignPoint],
-    progress: Callable[[int, int], None] | None,
-) -> tuple[dict[str, DesignPoint], dict[str, AxisSearch]]:
-    """The best of each kind of estimate, or of varied gains, and the searches by axis."""
-    scenario, found, searches = given.scenario, dict[str, DesignPoint](), dict[str, AxisSearch]()
-    law = one_sample_law(scenario)
-    steps = 2 * len(PRICES) * (law is not None) + len(PRICES_VARIED) * (not given.is_by_axis)
-    done = itertools.count(1)
-
-    def step() -> None:
-        if progress is not None:
-            progress(next(done), steps)
-
-    if law is not None:
-        etas = eta_range(scenario, masses)
-        for kind in ("kalman", "one_sample"):
-            searches[kind] = AxisSearch(scenario, law, demand, kind, etas, on_price=step)
-            found[kind] = searches[kind].at_budget(requirement, evaluate)
-            if kind == "kalman":
-                with contextlib.suppress(ScenarioError):  # for late or slow sensors
-                    found["coupled"] = searches[kind].at_budget(
-                        requirement, lambda made: evaluate(_with_coupled_estimator(made))
-                    )
-    if not given.is_by_axis:
-        best = min([given, *found.values()], key=requirement.rank)
-        tried = list(varied(best, evaluate, on_price=step))
-        found["varied"] = min(tried, key=requirement.rank)
-    return found, searches
 
 
 def _with_coupled_estimator(scenario: Scenario) -> Scenario:

@@ -1,13 +1,38 @@
 """The requirements of a design, and the ranking of designs."""
 
 import dataclasses
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Collection, Iterator, Mapping
 
 import numpy as np
 
+from ffsm_drake.common.errors import ModelError
+from ffsm_drake.control_design.stability.boundaries import (
+    LARGEST_DELAY,
+    LARGEST_FACTOR,
+    Boundaries,
+    with_delay,
+    with_flexible_mass,
+    with_gains,
+    with_nominal_payload,
+    with_sample_time,
+)
+from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.prediction import Prediction
 from ffsm_drake.control_design.stability.rehearsal import Rehearsal
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.controllers import complete_gains
+
+# What a design may make worse than it was, if asked.
+TRADES = ("accuracy", "effort", "margins")
+# Factor by which a figure may be worse than it was.
+TOLERANCE = 1.02
+_MARGINS = {
+    "gains": "factor on the gains",
+    "nominal_payload": "factor on the nominal payload",
+    "sample_time": "factor on the control period",
+    "delay": "delay of the sensors",
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -15,11 +40,93 @@ class DesignPoint:
     """A scenario and its prediction."""
 
     scenario: Scenario
-    prediction: Prediction
+    prediction: Prediction  # with the actuators' part of the error, where these are rehearsed
     radius_by_mass: Mapping[float, float]  # true payload mass in kg -> spectral radius
     is_by_axis: bool = True  # whether its loop consists of axes (``adaptation.axis_law``)
     # with limited base actuators, if all other requirements are met
     rehearsal: Rehearsal | None = None
+    # whether its run without noise was made; else the prediction is that of perfect tracking
+    is_run: bool = True
+    lost_margin: str = ""  # the margin that is worse than it was, one line
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """The given gains, and what may be worse than with them."""
+
+    point: DesignPoint
+    boundaries: Boundaries  # of its scenario
+    time: float  # s, the posture of the boundaries
+    trade: Collection[str] = ()  # of TRADES
+
+    def worse_error(self, point: DesignPoint) -> str:
+        """The first group with a larger error than it had, one line; empty where there is none."""
+        if "accuracy" in self.trade:
+            return ""
+        for name, (after, before) in self.errors(point).items():
+            if after > TOLERANCE * before:
+                return f"less accurate in {name}: rms error {after:.3g}, as it was {before:.3g}"
+        return ""
+
+    def errors(self, point: DesignPoint) -> dict[str, tuple[float, float]]:
+        """The rms errors after and before by group, rad or m."""
+        before = self.point.prediction.by_group()
+        return {name: (after, before[name]) for name, after in point.prediction.by_group().items()}
+
+    def worse_margin(self, boundaries: Boundaries) -> str:
+        """The first margin that is smaller than it was, one line; empty where there is none."""
+        after, before = (dict(margins_of(each)) for each in (boundaries, self.boundaries))
+        for name, value in after.items() if "margins" not in self.trade else ():
+            if not value * TOLERANCE >= before[name]:
+                return f"less margin: {name} up to {value:.3g}, as it was {before[name]:.3g}"
+        return ""
+
+    def margin_lost_by(self, scenario: Scenario) -> str:
+        """The first margin that another scenario does not keep, one line; empty where it keeps all.
+
+        A fraction of ``find_boundaries``: one look at each of the margins as they were.
+        """
+        if "margins" in self.trade:
+            return ""
+        scenario, known = complete_gains(scenario), self.boundaries
+
+        def factor(value: float) -> float:
+            return min(value, LARGEST_FACTOR / 1.4) / TOLERANCE
+
+        further = int(min(known.delay - 1, LARGEST_DELAY))
+        changes: dict[str, Callable[[], Scenario]] = {
+            "gains": lambda: with_gains(scenario, factor(known.gains)),
+            "delay": lambda: with_delay(scenario, scenario.sensing.delay + further),
+            "sample_time": lambda: with_sample_time(scenario, factor(known.sample_time)),
+            "nominal_payload": lambda: with_nominal_payload(
+                scenario, factor(known.nominal_payload)
+            ),
+        }
+        for name, value in known.flexible_mass.items():
+            names = [each for each in known.flexible_mass if each != "all"]
+            heavier = names if name == "all" else [name]
+            changes[f"factor on the mass of {name}"] = functools.partial(
+                with_flexible_mass, scenario, heavier, factor(value)
+            )
+        for name, change in changes.items():
+            if not self._is_stable(change()):
+                return f"less margin: {_MARGINS.get(name, name)} than it was"
+        return ""
+
+    def _is_stable(self, scenario: Scenario) -> bool:
+        try:
+            with Linearizer(scenario) as linearizer:
+                return linearizer.at(self.time).spectral_radius < 1.0
+        except ModelError:  # a part outweighs its carrier: as in ``find_boundaries``
+            return True
+
+
+def margins_of(boundaries: Boundaries) -> Iterator[tuple[str, float]]:
+    """What each margin is of, and the margin."""
+    for name, label in _MARGINS.items():
+        yield label, getattr(boundaries, name)
+    for part, value in boundaries.flexible_mass.items():
+        yield f"factor on the mass of {part}", value
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -28,32 +135,48 @@ class Requirement:
 
     budget: float  # largest ISV
     limit: np.ndarray  # (nv,) of the actuators, N m or N; infinite: none
+    # None: the given gains are unstable or ask too much; whatever is found is better
+    baseline: Baseline | None = None
 
     def violated(self, point: DesignPoint) -> str:
         """The requirement that a point does not meet, one line; empty where it meets all."""
+        return self.failed(point) or self._over_budget(point) or self._worse(point)
+
+    def failed(self, point: DesignPoint) -> str:
+        """The requirement apart from effort and comparison that is not met, one line."""
         prediction = point.prediction
-        if not np.isfinite(prediction.isv):
-            return "it diverges"
-        unstable = [mass for mass, radius in point.radius_by_mass.items() if radius >= 1.0]
+        unstable = [mass for mass, radius in point.radius_by_mass.items() if not radius < 1.0]
         if unstable:
             return (
                 f"unstable for a true payload of {' or '.join(f'{mass:g}' for mass in unstable)} kg"
             )
+        if not np.isfinite(prediction.isv):
+            return "it diverges"
         if (excess := prediction.peak_effort > self.limit).any():
             i = int(np.argmax(excess))
             peak, limit = prediction.peak_effort[i], self.limit[i]
             name = prediction.coordinates.names[i]
             return f"{name} needs {peak:.3g}, more than its actuation.limit of {limit:g}"
-        if prediction.isv > self.budget:
-            return f"ISV {prediction.isv:.1f} is over the budget of {self.budget:.1f}"
         if point.rehearsal is not None and point.rehearsal.share_diverged > 0.0:
             return f"with its actuators it diverges: {point.rehearsal}"
         return ""
 
+    def _over_budget(self, point: DesignPoint) -> str:
+        if point.prediction.isv > self.budget:
+            return f"ISV {point.prediction.isv:.1f} is over the budget of {self.budget:.1f}"
+        return ""
+
+    def _worse(self, point: DesignPoint) -> str:
+        if self.baseline is None or point is self.baseline.point:
+            return ""
+        return self.baseline.worse_error(point) or point.lost_margin
+
     def rank(self, point: DesignPoint) -> tuple[int, float]:
         """Smaller is better: requirements first, then error, or effort over budget."""
-        prediction, violated = point.prediction, self.violated(point)
-        if not violated:
-            return 0, prediction.mean_log_error
-        severe = not violated.startswith("ISV")
-        return (2, float(max(point.radius_by_mass.values()))) if severe else (1, prediction.isv)
+        if self.failed(point):
+            return 3, float(max(point.radius_by_mass.values()))
+        if self._worse(point):
+            return 2, point.prediction.mean_log_error
+        if self._over_budget(point):
+            return 1, point.prediction.isv
+        return 0, point.prediction.mean_log_error

@@ -1,11 +1,11 @@
 """Designs of any law: its declared gains varied by group, on the loop as it is wired."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from ffsm_drake.control_design.gains.requirement import DesignPoint
+from ffsm_drake.control_design.gains.requirement import Baseline, DesignPoint
 from ffsm_drake.control_design.rounding import rounded_by_group
 from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -14,16 +14,18 @@ from ffsm_drake.systems.controllers import declared_gains, make_law
 # Prices of effort, and factors by which gains are varied.
 PRICES_VARIED = (0.08, 0.022, 0.006)
 _FACTORS = (2.0, 1.4)
+_PENALTY = 10.0  # of log(rms error) beyond that of the given gains
 
 
-def varied(
-    start: DesignPoint, evaluate: Callable[[Scenario], DesignPoint], *, on_price: Callable[[], None]
-) -> Iterator[DesignPoint]:
-    """All candidates tried while the declared gains are varied by group; a step is kept for the
-    groups whose cost it lowers.
-    """
+def vary(
+    start: DesignPoint,
+    evaluate: Callable[[Scenario], DesignPoint],
+    *,
+    baseline: Baseline | None,
+    on_price: Callable[[], None],
+) -> None:
+    """Vary the declared gains by group; a step is kept for the groups whose cost it lowers."""
     best = start
-    yield best
     for price in PRICES_VARIED:
         for factor in _FACTORS:
             for name in _tunable(best.scenario):
@@ -31,8 +33,8 @@ def varied(
                     point = evaluate(
                         _scaled(best.scenario, name, dict.fromkeys(_groups(best), step))
                     )
-                    yield point
-                    before, after = _group_costs(best, price), _group_costs(point, price)
+                    before = _group_costs(best, price, baseline)
+                    after = _group_costs(point, price, baseline)
                     better = {
                         group: step for group in before if after[group] < before[group] - 1e-3
                     }
@@ -43,25 +45,29 @@ def varied(
                         if len(better) == len(before)
                         else evaluate(_scaled(best.scenario, name, better))
                     )
-                    yield joined
-                    if sum(_group_costs(joined, price).values()) < sum(before.values()):
+                    if sum(_group_costs(joined, price, baseline).values()) < sum(before.values()):
                         best = joined
                         break
         on_price()
 
 
-def _group_costs(point: DesignPoint, price: float) -> dict[str, float]:
-    """log(rms error) + price * effort by group; infinite where the point is unstable for some
-    payload.
+def _group_costs(point: DesignPoint, price: float, baseline: Baseline | None) -> dict[str, float]:
+    """log(rms error) + price * effort by group, and a penalty where it is less accurate than it
+    was; infinite where the point is unstable for some payload, not run, or loses a margin.
     """
     prediction, groups = point.prediction, _groups(point)
-    if max(point.radius_by_mass.values()) >= 1.0 or not np.isfinite(prediction.isv):
+    refused = point.lost_margin or not point.is_run or not np.isfinite(prediction.isv)
+    if refused or max(point.radius_by_mass.values()) >= 1.0:
         return dict.fromkeys(groups, np.inf)
     errors = prediction.by_group()
-    return {
+    costs = {
         name: float(np.log(errors[name]) + price * prediction.isv_by_coordinate[part].sum())
         for name, part in groups.items()
     }
+    if baseline is not None and "accuracy" not in baseline.trade:
+        for name, (after, before) in baseline.errors(point).items():
+            costs[name] += _PENALTY * max(0.0, float(np.log(after / before)))
+    return costs
 
 
 def _groups(point: DesignPoint) -> Mapping[str, slice]:

@@ -8,6 +8,7 @@ controller, estimator, delay and block is covered; actuator limits are not: comp
 
 import dataclasses
 from collections.abc import Mapping
+from typing import Self
 
 import numpy as np
 
@@ -34,6 +35,23 @@ class Prediction:
     noise_force: np.ndarray  # (nv,) standard deviation, N m or N
     isv_by_coordinate: np.ndarray  # (nv,)
     peak_effort: np.ndarray  # (nv,) N m or N
+
+    def with_mean(
+        self, error: np.ndarray, force: np.ndarray, *, period: float, settled_after: float = 5.0
+    ) -> Self:
+        """With the error and the force (n, nv) of the run without noise, sampled every period
+        (s).
+        """
+        if not np.isfinite(force).all():  # it diverges without noise, too
+            error, force = np.full_like(error, np.inf), np.full_like(force, np.inf)
+        settled = np.arange(len(error)) * period > settled_after
+        of_noise = len(force) * self.noise_force**2
+        return dataclasses.replace(
+            self,
+            rms_error=np.sqrt((error[settled] ** 2).mean(axis=0) + self.noise_error**2),
+            isv_by_coordinate=((force**2).sum(axis=0) + of_noise) * period,
+            peak_effort=np.abs(force).max(axis=0) + _PEAK * self.noise_force,
+        )
 
     @property
     def isv(self) -> float:
@@ -74,25 +92,32 @@ def predict(
 
 def predict_from(linearizer: Linearizer, *, settled_after: float = 5.0) -> Prediction:
     """The prediction for a linearizer's scenario; see ``predict``."""
-    scenario, coordinates = linearizer.given, linearizer.loop.coordinates
     held = expected_gains(linearizer)
+    noise = predict_noise(linearizer, held)
+    return noise.with_mean(
+        *linearizer.follow(held=held),
+        period=linearizer.given.sample_time,
+        settled_after=settled_after,
+    )
+
+
+def predict_noise(linearizer: Linearizer, held: Mapping[str, np.ndarray]) -> Prediction:
+    """The noise's part of a prediction, a fraction of its cost; ``held`` as for
+    ``Linearizer.at``.
+    """
+    scenario, coordinates = linearizer.given, linearizer.loop.coordinates
     loops = linearizer.along(_POSTURES, held=held)
-    error, force = linearizer.follow(held=held)
-    period, count = scenario.sample_time, scenario.num_control_periods
-    if not np.isfinite(force).all():  # it diverges without noise, too
-        error, force = np.full_like(error, np.inf), np.full_like(force, np.inf)
-    responses = [loop.noise_response(count) for loop in loops]
-    of_error, of_force = (
-        np.mean([response[name] ** 2 for response in responses], axis=0)
+    responses = [loop.noise_response(scenario.num_control_periods) for loop in loops]
+    error, force = (
+        np.sqrt(np.mean([response[name] ** 2 for response in responses], axis=0))
         for name in ("error", "force")
     )
-    settled = np.arange(count) * period > settled_after
     return Prediction(
         coordinates=coordinates,
         spectral_radius=max(loop.spectral_radius for loop in loops),
-        rms_error=np.sqrt((error[settled] ** 2).mean(axis=0) + of_error),
-        noise_error=np.sqrt(of_error),
-        noise_force=np.sqrt(of_force),
-        isv_by_coordinate=((force**2).sum(axis=0) + count * of_force) * period,
-        peak_effort=np.abs(force).max(axis=0) + _PEAK * np.sqrt(of_force),
+        rms_error=error,
+        noise_error=error,
+        noise_force=force,
+        isv_by_coordinate=scenario.num_control_periods * force**2 * scenario.sample_time,
+        peak_effort=_PEAK * force,
     )

@@ -37,6 +37,7 @@ from ffsm_drake.systems.setup import BlockSetup
 SEEDS = 4
 _BLENDED = 50  # control samples for which the loop between two postures is kept
 _LAST = 2.0  # s, at the end, over which the largest error is taken
+_SETTLED_AFTER = 5.0  # s, from which on the rms error counts
 _PUSH = "push"  # the source of what actuators add to the command
 
 
@@ -52,6 +53,8 @@ class Rehearsal:
     # by actuator: (seeds,) share of the samples in which it gave less than was wanted of it
     saturated: Mapping[str, np.ndarray]
     largest_error: np.ndarray  # (nv,) in the last two seconds, rad or m; median over the seeds
+    # (nv,) after the settling time, rad or m, about the mean; rms over the seeds
+    rms_error: np.ndarray
 
     def __str__(self) -> str:
         """One line: the actuators' limits, the forces asked of them, and the outcome."""
@@ -110,7 +113,7 @@ def rehearse(
     times = np.arange(scenario.num_control_periods) * scenario.sample_time
     mean = np.nan_to_num(mean[0]), np.nan_to_num(mean[1])
     runs = [_Run(scenario, loops, motion, mean, law).go(times, seed) for seed in range(seeds)]
-    diverged, shares, largest = (np.array(each) for each in zip(*runs, strict=True))
+    diverged, shares, largest, square = (np.array(each) for each in zip(*runs, strict=True))
     return Rehearsal(
         scenario=scenario,
         coordinates=motion.coordinates,
@@ -121,6 +124,7 @@ def rehearse(
         diverged=diverged,
         saturated=dict(zip(_actuators(scenario), shares.T, strict=True)),
         largest_error=np.median(largest, axis=0),
+        rms_error=np.sqrt(square.mean(axis=0)),
     )
 
 
@@ -152,9 +156,9 @@ class _Run:
             settings.quantization, key="actuation.quantization", default=0.0
         )
 
-    def go(self, times: np.ndarray, seed: int) -> tuple[float, np.ndarray, np.ndarray]:
-        """The time of divergence or NaN, the share of saturated samples by actuator, and the
-        largest errors (nv) at the end.
+    def go(self, times: np.ndarray, seed: int) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        """The time of divergence or NaN, the share of saturated samples by actuator, the largest
+        errors (nv) at the end, and the mean square deviations (nv) once settled.
         """
         scenario, loop = self._scenario, self._loops[0]
         nv, noise, push = self._force.shape[1], np.random.default_rng(seed), loop.noise[_PUSH]
@@ -164,6 +168,7 @@ class _Run:
         # delayed commands, and the linear loop's part of them
         late = [np.zeros(nv)] * scenario.actuation.delay
         own, errors = list(late), [np.zeros(nv)]
+        square, settled = np.zeros(nv), times > _SETTLED_AFTER
         for k, (time, rotation, turning) in enumerate(
             zip(times.tolist(), *self._base_motion(times), strict=True)
         ):
@@ -188,10 +193,12 @@ class _Run:
             saturated += [bool(part.saturated(sample)) for part in self._actuators]
             x = after + step.b[:, push] @ (sample["applied_force"] - own.pop(0))
             if not np.abs(x[nv : 2 * nv]).max() < scenario.divergence_speed:
-                return time, saturated / (k + 1), np.full(nv, np.inf)
+                return time, saturated / (k + 1), np.full(nv, np.inf), np.full(nv, np.inf)
+            square += settled[k] * x[:nv] ** 2
             if time >= times[-1] - _LAST:
                 errors.append(np.abs(self._error[k] + x[:nv]))
-        return math.nan, saturated / times.size, np.max(errors, axis=0)
+        share, largest = saturated / times.size, np.max(errors, axis=0)
+        return math.nan, share, largest, square / max(1, int(settled.sum()))
 
     @property
     def _switching_at_start(self) -> np.ndarray:
