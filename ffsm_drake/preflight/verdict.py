@@ -67,15 +67,15 @@ class Verdict:
     def is_alarm(self) -> bool:
         """Whether the mission is not expected to go as planned.
 
-        A run of the mission as it is outweighs the linear verdict and the load: they are alarms
-        only where there is no run, or where the run, too, ends without settling.
+        A run of the mission as it is outweighs the linear verdict, which is an alarm beside it only
+        where the run, too, ends without settling, and the load, which is one only without a run.
         """
         if self.noises is not None and self.noises.share_diverged > 0.0:
             return True
-        foreseen = self.is_linearly_unstable or self._overloaded
         if self.run is None:
-            return foreseen
-        return self.run.is_alarm or (foreseen and not self.run.ending.is_settled)
+            return self.is_linearly_unstable or self._overloaded
+        unstable = self.is_linearly_unstable and not self.run.ending.is_settled
+        return self.run.is_alarm or unstable
 
     @property
     def is_linearly_unstable(self) -> bool:
