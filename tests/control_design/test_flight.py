@@ -376,3 +376,21 @@ def test_design_refuses_a_payload_range_that_is_none(tmp_path, payload_range):
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 2
     assert "error: payload range: must be two masses 0 < LOW < HIGH in kg" in result.output
+
+
+def test_design_is_nowhere_worse_than_the_given_gains():
+    """Computed torque once won effort for errors x 1.5 to 2."""
+    scenario = load_scenario("flight_sensors", ["controller=computed_torque", "duration=8"])
+    found = design(scenario, time_limit=3.0)
+    before, after = found.given.prediction, found.chosen.prediction
+    assert after.isv <= 1.02 * before.isv
+    for name, error in before.by_group().items():
+        assert after.by_group()[name] <= 1.02 * error, name
+
+
+def test_design_without_time_keeps_the_given_gains():
+    scenario = load_scenario("flight_sensors", ["controller=pd_plus", "duration=6"])
+    found = design(scenario, time_limit=0.0)
+    assert found.kept
+    assert found.ended_by == "the time limit"
+    assert any("best so far" in remark for remark in found.remarks)

@@ -144,7 +144,7 @@ def design(
     Args:
       budget: largest predicted ISV; default: what the given gains take, with ``trade`` of
         effort at least 1.1 times that of perfect tracking; the latter, or 1.1 times that of the
-        cheapest gains found, where the given ones are unstable or ask too much.
+        cheapest gains found, where the given ones are unstable.
       payload_range: lowest and highest true payload mass (kg, inertia in proportion) that the loop
         must be stable for; default: 0.6 to 2.5 times the nominal one.
       trade: what may get worse than with the given gains by more than 2 %, of ``TRADES``: any
@@ -194,13 +194,17 @@ class _Search:
         ideal = 1.1 * self._demand.ideal_isv
         self.requirement = Requirement(budget=ideal if budget is None else budget, limit=limit)
         self.given = self._judge(scenario, whole=True)
-        if self.requirement.failed(self.given):
+        prediction, rehearsal = self.given.prediction, self.given.rehearsal
+        diverges = rehearsal is not None and rehearsal.share_diverged > 0.0
+        if diverges or not (np.isfinite(prediction.isv) and prediction.spectral_radius < 1.0):
             return
         # unless asked, as much effort as it was may be spent, and no more
         isv = TOLERANCE * self.given.prediction.isv
         if budget is None:
             self._loosen(max(ideal, isv) if "effort" in trade else isv)
         boundaries, time_of_edge = _boundaries(self.given.scenario)
+        if math.isnan(boundaries.gains):  # without margins there are none to lose
+            trade = [*trade, "margins"]
         baseline = Baseline(point=self.given, boundaries=boundaries, time=time_of_edge, trade=trade)
         self.requirement = dataclasses.replace(self.requirement, baseline=baseline)
 
@@ -242,6 +246,8 @@ class _Search:
         """The best so far: the given gains unless others are better by more than a trifle."""
         rank = self.requirement.rank
         for point in sorted((point for _, point in self._tried), key=rank):
+            if self.requirement.worse(point):
+                continue
             least, error = rank(point)
             if rank(self.given) <= (least, error + _NEGLIGIBLE):
                 return self.given
@@ -297,7 +303,7 @@ class _Search:
                 is_by_axis=axis_law(linearizer) is not None,
                 is_run=False,
             )
-            if is_rehearsed(candidate) and not self._is_rejected(point):
+            if is_rehearsed(candidate) and (whole or not self._is_rejected(point)):
                 rehearsal = rehearse(candidate, seeds=_SEEDS)
                 noise = dataclasses.replace(noise, noise_error=rehearsal.rms_error)
                 point = dataclasses.replace(point, rehearsal=rehearsal)

@@ -135,12 +135,12 @@ class Requirement:
 
     budget: float  # largest ISV
     limit: np.ndarray  # (nv,) of the actuators, N m or N; infinite: none
-    # None: the given gains are unstable or ask too much; whatever is found is better
+    # None: the given gains are unstable; whatever is found is better
     baseline: Baseline | None = None
 
     def violated(self, point: DesignPoint) -> str:
         """The requirement that a point does not meet, one line; empty where it meets all."""
-        return self.failed(point) or self._over_budget(point) or self._worse(point)
+        return self.failed(point) or self._over_budget(point) or self.worse(point)
 
     def failed(self, point: DesignPoint) -> str:
         """The requirement apart from effort and comparison that is not met, one line."""
@@ -166,7 +166,8 @@ class Requirement:
             return f"ISV {point.prediction.isv:.1f} is over the budget of {self.budget:.1f}"
         return ""
 
-    def _worse(self, point: DesignPoint) -> str:
+    def worse(self, point: DesignPoint) -> str:
+        """What is worse than with the given gains, one line; empty: nothing."""
         if self.baseline is None or point is self.baseline.point:
             return ""
         return self.baseline.worse_error(point) or point.lost_margin
@@ -175,7 +176,7 @@ class Requirement:
         """Smaller is better: requirements first, then error, or effort over budget."""
         if self.failed(point):
             return 3, float(max(point.radius_by_mass.values()))
-        if self._worse(point):
+        if self.worse(point):
             return 2, point.prediction.mean_log_error
         if self._over_budget(point):
             return 1, point.prediction.isv
