@@ -279,7 +279,7 @@ def test_design_beats_the_hand_made_gains(monkeypatch):
             "estimator.walk={base_position: 1e-3, base_rotation: 1e-3, joints: 1e-2}",
         ],
     )
-    found = design(hand_made, budget=188.6)
+    found = design(hand_made, budget=188.6, trade=("margins",), time_limit=None)
     assert not found.kept
     assert found.chosen.prediction.isv <= 188.6 < found.given.prediction.isv
     before, after = found.given.prediction.by_group(), found.chosen.prediction.by_group()

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -94,8 +95,9 @@ def test_the_same_seed_draws_the_same_mission(verdicts, kind):
     assert scenario_to_dict(again) == scenario_to_dict(scenario)
 
 
-def test_a_mission_that_takes_too_long_is_a_result(verdicts):
-    result = verdicts.evaluate("mission", 0, 0, 1e-3)
+def test_a_mission_that_takes_too_long_is_a_result(verdicts, monkeypatch):
+    monkeypatch.setattr(verdicts, "drawn", lambda *which: time.sleep(60.0))
+    result = verdicts.evaluate("mission", 0, 0, 0.05)
     assert result["end"]["kind"] == "interrupted"
     assert "time_limit" in result["end"]["message"]
     assert json.loads(json.dumps(result)) == result

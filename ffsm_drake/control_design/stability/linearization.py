@@ -51,7 +51,7 @@ _STEP = 1e-7
 _WARM_UP = 5
 # Longest period, in control samples, that is found of user-supplied systems which do not declare
 # it, and the change of their map, relative to its rows, that tells one sample from another.
-_LONGEST_PERIOD, _DIFFERENT = 12, 0.05
+_LONGEST_PERIOD, _DIFFERENT = 12, 0.3
 
 
 class NotLinear(BlockError):
