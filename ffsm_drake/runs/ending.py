@@ -3,7 +3,7 @@ diverged, interrupted.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -99,50 +99,50 @@ def ending_of_completed(scenario: Scenario, time: np.ndarray, tracked: Tracked) 
     size = np.abs(tracked.error) / tolerance
     end, planned_end = float(time[-1]), scenario.planned_end
     last = _peaks(size, time, end, SETTLED_OVER)
-    worst = int(np.argmax(last))
-    name, unit = tracked.names[worst], tracked.units[worst]
-    reached = f"the error of {name} reaches {number(last[worst] * tolerance[worst], 3)} {unit}"
     moves = planned_end is not None and end < planned_end - 1e-9
-    excess = float(last[worst])
-
-    def ending(status: str, sentence: str) -> Ending:
-        return Ending(status=status, sentence=sentence, coordinate=name, excess=excess)
-
     begin = scenario.grasp_time if end > scenario.grasp_time else 0.0
     growing = _growing(size, time, begin=begin, notable=1.0 if moves else _NOTABLE)
+    i = int(np.argmax(np.where(growing, last, -1.0) if growing.any() else last))
+    reached = f"{number(last[i] * tolerance[i], 3)} {tracked.units[i]}"
     if growing.any():
-        i = int(np.argmax(np.where(growing, last, -1.0)))
-        return Ending(
-            status=GROWING,
-            sentence=f"Completed {end:g} s, but errors grow at the end: that of {tracked.names[i]} "
-            f"to {number(last[i] * tolerance[i], 3)} {tracked.units[i]}, tolerance "
-            f"{tolerance[i]:g}.",
-            coordinate=tracked.names[i],
-            excess=excess,
+        status, sentence = (
+            GROWING,
+            (
+                f"Completed {end:g} s, but errors grow at the end: that of {tracked.names[i]} to "
+                f"{reached}, tolerance {tolerance[i]:g}."
+            ),
         )
-    if moves:
-        return ending(
+    elif moves:
+        status, sentence = (
             NOT_SETTLED,
-            f"Completed {end:g} s, before the planned motion ends at {planned_end:g} s.",
+            (f"Completed {end:g} s, before the planned motion ends at {planned_end:g} s."),
         )
-    if excess <= 1.0:
-        by_unit = {
-            each: np.array([
-                last[i] * tolerance[i] for i, other in enumerate(tracked.units) if other == each
-            ])
-            for each in ("rad", "m")
-        }  # fmt: skip
-        largest = ", ".join(
-            f"{number(float(values.max()), 3)} {each}"
-            for each, values in by_unit.items()
-            if values.size
+    elif last.max() <= 1.0:
+        largest = _largest_by_unit(last * tolerance, tracked.units)
+        status, sentence = SETTLED, f"Settled: over the last second no error exceeds {largest}."
+    else:
+        status, sentence = (
+            NOT_SETTLED,
+            (
+                f"Completed {end:g} s but not settled: over the last second the error of "
+                f"{tracked.names[i]} reaches {reached}, tolerance {tolerance[i]:g}."
+            ),
         )
-        return ending(SETTLED, f"Settled: over the last second no error exceeds {largest}.")
-    return ending(
-        NOT_SETTLED,
-        f"Completed {end:g} s but not settled: over the last second {reached}, tolerance "
-        f"{tolerance[worst]:g}.",
+    return Ending(
+        status=status, sentence=sentence, coordinate=tracked.names[i], excess=float(last.max())
     )
+
+
+def _largest_by_unit(errors: np.ndarray, units: Sequence[str]) -> str:
+    """The largest of errors (k) in rad and in m, as text."""
+    largest = {
+        unit: max(
+            error for error, other in zip(errors.tolist(), units, strict=True) if other == unit
+        )
+        for unit in ("rad", "m")
+        if unit in units
+    }
+    return ", ".join(f"{number(error, 3)} {unit}" for unit, error in largest.items())
 
 
 def _peaks(size: np.ndarray, time: np.ndarray, end: float, length: float) -> np.ndarray:
