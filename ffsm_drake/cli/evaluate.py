@@ -27,9 +27,16 @@ if TYPE_CHECKING:
 @click.command()
 @scenario_options
 @rehearsal_option
+@click.option(
+    "--disk",
+    is_flag=True,
+    help="Also disk margins: gain and phase at once, of each force alone and of all together.",
+)
 @out_option(help="Write stability.png here.")
 @json_option
-def stability(scenario: "Scenario", rehearsal: bool, out: Path | None, as_json: bool) -> None:
+def stability(
+    scenario: "Scenario", rehearsal: bool, disk: bool, out: Path | None, as_json: bool
+) -> None:
     """Margins of the sampled loop, and the verdict on the whole mission.
 
     SCENARIO is a shipped name or a YAML file (default: postcapture). Margins are those from the
@@ -45,8 +52,9 @@ def stability(scenario: "Scenario", rehearsal: bool, out: Path | None, as_json: 
     """
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.control_design.stability.boundaries import find_boundaries
+    from ffsm_drake.control_design.stability.disk import disk_margins
     from ffsm_drake.preflight.verdict import verdict
-    from ffsm_drake.show.tables import boundaries_table, margins_data, margins_table
+    from ffsm_drake.show.tables import boundaries_table, disk_table, margins_data, margins_table
 
     if out is not None:
         check_writable(out)
@@ -54,15 +62,18 @@ def stability(scenario: "Scenario", rehearsal: bool, out: Path | None, as_json: 
     margins = found.margins
     assert margins is not None
     boundaries = find_boundaries(scenario, time=margins.edge_time)
+    margins_at_input = disk_margins(scenario) if disk else None
     tables = (
         margins_table(margins),
         boundaries_table(boundaries, scenario),
+        *([] if margins_at_input is None else [disk_table(margins_at_input) + "\n"]),
         *found.lines,
         found.conclusion,
     )
     data = margins_data(margins) | {
         "boundaries": dataclasses.asdict(boundaries),
         "mission": found.as_data(),
+        **({} if margins_at_input is None else {"disk": dataclasses.asdict(margins_at_input)}),
     }
     print_result(as_json, data, "\n\n".join(tables[:2]) + "\n\n" + "\n".join(tables[2:]))
     if out is not None:
@@ -157,6 +168,7 @@ def design(
     """
     from ffsm_drake.common.files import check_writable, write_text
     from ffsm_drake.control_design.gains import design as design_gains
+    from ffsm_drake.preflight.verdict import verdict
     from ffsm_drake.scenario import scenario_to_yaml
     from ffsm_drake.show.figures.design import plot_design
     from ffsm_drake.show.tables import design_data, design_table
@@ -170,7 +182,12 @@ def design(
         time_limit=time_limit,
         progress=search_progress(),
     )
-    print_result(as_json, design_data(found), design_table(found))
+    mission = verdict(found.chosen.scenario)
+    print_result(
+        as_json,
+        design_data(found) | {"mission": mission.as_data()},
+        "\n".join([design_table(found), "", *mission.lines, mission.conclusion]),
+    )
     write_text(out / "design.yaml", scenario_to_yaml(found.chosen.scenario))
     save_figure(plot_design(found), out / "design.png")
     click.echo(f"\nWritten to {out}: design.yaml, design.png", err=as_json)

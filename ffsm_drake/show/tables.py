@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # slow to import
     from ffsm_drake.control_design.gains import Design, DesignPoint
     from ffsm_drake.control_design.planning import PlannedMotionReport
     from ffsm_drake.control_design.stability.boundaries import Boundaries
+    from ffsm_drake.control_design.stability.disk import DiskMargins
     from ffsm_drake.control_design.stability.margins import AxisMargins, Margins
 
 
@@ -341,6 +342,23 @@ def _axis_lines(axes: "AxisMargins", data: Mapping[str, Any]) -> list[str]:
             [name, *gains, f"{1e3 * item['sample_time_limit']:.2f}", f"{low:.2f} .. {high:.2f}"]
         )
     return aligned(rows)
+
+
+def disk_table(margins: "DiskMargins") -> str:
+    """Plain text: disk margins of each force alone, and of all together."""
+
+    def row(name: str, alpha: float, at: str) -> list[str]:
+        low, high = margins.gain(alpha)
+        phase = f"{math.degrees(margins.phase(alpha)):.0f}"
+        return [name, f"{alpha:.3f}", f"{low:.2f} .. {high:.3g}", phase, at]
+
+    rows = [["disk margin", "alpha", "gain", "phase, deg", "critical at, rad/s"]]
+    rows += [
+        row(name, alpha, f"{w:.3g}")
+        for name, alpha, w in zip(margins.names, margins.alone, margins.frequency, strict=True)
+    ]
+    rows.append(row("all at once", margins.together, NONE))
+    return "\n".join([*aligned(rows), "gain and phase may vary at once; no limits, no noise"])
 
 
 def margins_data(margins: "Margins") -> dict[str, Any]:

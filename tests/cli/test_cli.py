@@ -314,3 +314,13 @@ def test_reproduce_refuses_what_the_paper_has_not(tmp_path):
     result = ffsm("reproduce", "fig9", "--out", tmp_path)
     assert result.exit_code == 2
     assert "'fig9' is not one of" in result.output
+
+
+def test_stability_with_disk_margins():
+    options = ("-c", "tdc", "--set", "duration=3", "--no-rehearsal", "--disk")
+    shown = ffsm("stability", *options)
+    assert shown.exit_code == 0, shown.output
+    assert "all at once" in shown.stdout
+    data = json.loads(ffsm("stability", *options, "--json").stdout)["disk"]
+    assert data["names"][-1] == "joint_5"
+    assert 0.0 < data["together"] <= min(data["alone"])
