@@ -73,7 +73,7 @@ def stability(
     data = margins_data(margins) | {
         "boundaries": dataclasses.asdict(boundaries),
         "mission": found.as_data(),
-        **({} if margins_at_input is None else {"disk": dataclasses.asdict(margins_at_input)}),
+        **({} if margins_at_input is None else {"disk": margins_at_input.as_data()}),
     }
     print_result(as_json, data, "\n\n".join(tables[:2]) + "\n\n" + "\n".join(tables[2:]))
     if out is not None:

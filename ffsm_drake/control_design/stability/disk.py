@@ -9,6 +9,7 @@ Limits and noise are left out. The force that acts is not told to the controller
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 from pydrake.common import RandomDistribution
@@ -42,6 +43,13 @@ class DiskMargins:
     def phase(self, alpha: float) -> float:
         """The phase, rad, of the unit factors within a disk margin."""
         return 2.0 * math.atan(alpha / 2.0)
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data."""
+        return dataclasses.asdict(self) | {
+            "alone": self.alone.tolist(),
+            "frequency": self.frequency.tolist(),
+        }
 
 
 def disk_margins(scenario: Scenario) -> DiskMargins:
