@@ -67,6 +67,25 @@ def exit_code() -> int:
     return 128 + (signal.SIGINT if interrupts is None else interrupts.number or signal.SIGINT)
 
 
+def from_keyboard(error: BaseException) -> bool:
+    """True for a KeyboardInterrupt that a signal raised, false for one that code raised itself."""
+    if not isinstance(error, KeyboardInterrupt):
+        return False
+    if (interrupts := current()) is not None:
+        return interrupts.number != 0
+    from opcode import opmap
+
+    # Python's own handler raises between two instructions, another one in a frame of its own.
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    if place is None:
+        return True
+    code = place.tb_frame.f_code
+    handler = getattr(signal.getsignal(signal.SIGINT), "__code__", None)
+    return code is handler or code.co_code[place.tb_lasti] != opmap["RAISE_VARARGS"]
+
+
 @contextlib.contextmanager
 def interruptible() -> "Iterator[Interrupts]":
     """Raise KeyboardInterrupt on the first Ctrl-C or SIGTERM in the block.

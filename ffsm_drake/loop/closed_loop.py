@@ -28,6 +28,7 @@ from pydrake.systems.primitives import (
 )
 
 from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.loop.blocks import BESIDES, BLOCKS, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
@@ -175,6 +176,7 @@ class ClosedLoop:
                 context.SetStateAndParametersFrom(source)
 
 
+@guarded
 def add_closed_loop(
     builder: DiagramBuilder,
     scenario: Scenario,

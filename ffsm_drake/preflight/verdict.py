@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.control_design.stability import Margins, adaptation_remark, stability
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.load import predicted_load
@@ -177,6 +178,7 @@ class Verdict:
             yield f"rehearsed: {self.run.sentence}"
 
 
+@guarded
 def verdict(scenario: Scenario, *, rehearsal: bool = True, margins: bool = False) -> Verdict:
     """The verdict on a mission.
 

@@ -19,6 +19,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
+from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.ending import MISSED, Outcome
 from ffsm_drake.runs.log import GraspLog, RunLog
@@ -108,11 +109,17 @@ class CaptureRollout:
             return dataclasses.replace(log, grasp=grasp)
         handover = _Handover(chosen)
         sample = handover.sample
-        approach = self._approach.run(
-            None if scenario is None else without_target(scenario),
-            progress=progress,
-            leg=Leg(last=sample, begin=handover.start, end=handover.keep),
-        )
+        try:
+            approach = self._approach.run(
+                None if scenario is None else without_target(scenario),
+                progress=progress,
+                leg=Leg(last=sample, begin=handover.start, end=handover.keep),
+            )
+        except BlockError as error:
+            if error.log is not None:
+                ungrasped = handover.ungrasped(error.log.time.size)
+                error.log = dataclasses.replace(error.log, scenario=chosen, grasp=ungrasped)
+            raise
         ungrasped = handover.ungrasped(approach.time.size)
         if not approach.outcome.completed:
             return dataclasses.replace(approach, scenario=chosen, grasp=ungrasped)
@@ -122,24 +129,15 @@ class CaptureRollout:
             message = f"the target is missed at t = {chosen.grasp_time:g} s: {beyond}"
             missed = Outcome(status=MISSED, time=last, message=message)
             return dataclasses.replace(approach, scenario=chosen, outcome=missed, grasp=ungrasped)
-        log = self._stop.run(
-            scenario, progress=progress, leg=Leg(first=sample, begin=handover.grasp)
-        )
-        grasp = dataclasses.replace(handover.log, stored=_stored(log))
-        return dataclasses.replace(
-            log,
-            time=np.concatenate([approach.time, log.time]),
-            series={
-                name: np.concatenate([approach.series[name], values])
-                for name, values in log.series.items()
-            },
-            wall_time={
-                "build": approach.wall_time["build"] + log.wall_time["build"],
-                "advance_to": approach.wall_time["advance_to"] + log.wall_time["advance_to"],
-                "total": time.perf_counter() - start,
-            },
-            grasp=grasp,
-        )
+        try:
+            log = self._stop.run(
+                scenario, progress=progress, leg=Leg(first=sample, begin=handover.grasp)
+            )
+        except BlockError as error:
+            if error.log is not None:
+                error.log = handover.joined(approach, error.log, start)
+            raise
+        return handover.joined(approach, log, start)
 
 
 def make_rollout(
@@ -185,6 +183,23 @@ class _Handover:
         """Log of a run that ended before the grasp, after a number of samples."""
         payload = self._scenario.payload.truth
         return GraspLog(sample=samples, contact=None, payload=payload, target=self._path[:samples])
+
+    def joined(self, approach: RunLog, log: RunLog, start: float) -> RunLog:
+        """The log of both legs of a run that began at a wall time."""
+        return dataclasses.replace(
+            log,
+            time=np.concatenate([approach.time, log.time]),
+            series={
+                name: np.concatenate([approach.series[name], values])
+                for name, values in log.series.items()
+            },
+            wall_time={
+                "build": approach.wall_time["build"] + log.wall_time["build"],
+                "advance_to": approach.wall_time["advance_to"] + log.wall_time["advance_to"],
+                "total": time.perf_counter() - start,
+            },
+            grasp=dataclasses.replace(self.log, stored=_stored(log)),
+        )
 
     def keep(self, loop: ClosedLoop, root_context: Context) -> None:
         """Keep the loop before the grasp, and its context at the grasp."""

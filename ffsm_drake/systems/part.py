@@ -15,7 +15,8 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.errors import BlockError, FfsmError, one_line
+from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.guard import passes
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
@@ -420,9 +421,9 @@ def figures_of(placed: PlacedPart, view: View) -> Iterator[Figure]:
         place = f"blocks.{placed.name} '{type(placed.part).__name__}': metric '{metric.key}'"
         try:
             value = _plain(metric.of(view))
-        except FfsmError:
-            raise
-        except Exception as error:  # a user's function may raise anything
+        except BaseException as error:  # a user's function may raise anything
+            if passes(error):
+                raise
             raise BlockError(
                 f"{place} failed: {type(error).__name__}: {one_line(error)}"
             ) from error

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
+from ffsm_drake.common.guard import passes, where
 from ffsm_drake.systems.setup import BlockSetup
 
 Factory = Callable[[BlockSetup], Any]
@@ -94,8 +95,9 @@ def find_factory(
             "name that folder in "
             "python_path or PYTHONPATH"
         ) from error
-    except (Exception, GeneratorExit, SystemExit) as error:
-        # a user's module may raise anything on import
+    except BaseException as error:  # a user's module may raise anything on import
+        if passes(error):
+            raise
         raise BlockError(
             f"{place} cannot be loaded: {type(error).__name__}: {one_line(error)}"
         ) from error
@@ -121,14 +123,13 @@ def address_of(factory: Factory) -> str:
 
 def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
     """The result of a factory for a setup. Raises BlockError naming ``place`` if it fails."""
-    factory = getattr(factory, "from_setup", factory)
     try:
-        return factory(setup)
-    except FfsmError:
-        raise
-    except (Exception, GeneratorExit, SystemExit) as error:
+        return getattr(factory, "from_setup", factory)(setup)
+    except BaseException as error:
+        if passes(error):
+            raise
         raise BlockError(
-            f"{place} cannot be built: {type(error).__name__}: {one_line(error)}"
+            f"{place} cannot be built: {type(error).__name__}: {one_line(error)}{where(error)}"
         ) from error
 
 

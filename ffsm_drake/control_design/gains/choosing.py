@@ -25,6 +25,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, ScenarioError
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.control_design.gains.axis_search import (
     LARGEST_RADIUS,
     AxisSearch,
@@ -130,6 +131,7 @@ class Design:
         return remarks
 
 
+@guarded
 def design(
     scenario: Scenario,
     *,

@@ -27,6 +27,7 @@ from pydrake.systems.framework import Context, Diagram, System
 from pydrake.systems.primitives import RandomSource
 
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
+from ffsm_drake.common.guard import guarded, is_user_supplied
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
@@ -61,6 +62,7 @@ class NotLinear(BlockError):
 class Linearizer:
     """A closed loop that is built once and linearised at many instants, within a ``with`` block."""
 
+    @guarded
     def __init__(
         self,
         scenario: Scenario,
@@ -184,12 +186,15 @@ class Linearizer:
         period, first = self.scenario.sample_time, round(time / self.scenario.sample_time)
         index = first + _WARM_UP
         try:
-            with np.errstate(over="ignore", invalid="ignore"):
+            with guarded, np.errstate(over="ignore", invalid="ignore"):
                 updates = self._updates_from(first, held or {})
                 maps = {update: self._map(update, truth) for update in dict.fromkeys(updates)}
                 samples = tuple(maps[update] for update in updates)
-        except FfsmError:
-            raise
+        except FfsmError as error:
+            # a user-supplied block may fail because the loop has diverged
+            if not isinstance(error, BlockError) or np.isfinite(self._plant.read()).all():
+                raise
+            samples = self._unknown()
         except (Exception, SystemExit) as error:
             # Drake refuses some numbers that are not finite by SystemExit
             if np.isfinite(self._plant.read()).all():
@@ -197,8 +202,7 @@ class Linearizer:
                 raise NotLinear(
                     f"{self.scenario.controller}: the loop cannot be linearised: {reason}"
                 ) from error
-            unknown = np.full((self._width,) * 2, np.nan)  # diverged within the warm-up
-            samples = (SampleMap(a=unknown, b=unknown, c=unknown, d=unknown),)
+            samples = self._unknown()
         return LinearLoop(
             coordinates=self.loop.coordinates,
             time=index * period,
@@ -212,6 +216,11 @@ class Linearizer:
                 for source, part in zip(self._noise.systems, self._noise.parts, strict=True)
             },
         )
+
+    def _unknown(self) -> tuple[SampleMap, ...]:
+        """The map of a loop that diverged within the warm-up."""
+        unknown = np.full((self._width,) * 2, np.nan)
+        return (SampleMap(a=unknown, b=unknown, c=unknown, d=unknown),)
 
     def along(
         self,
@@ -254,10 +263,7 @@ class Linearizer:
         controller_context = controller.GetMyMutableContextFromRoot(context)
         if isinstance(controller, SampledController):  # no sample counts as a first one here
             controller.remember_velocity(controller_context, self.motion.evaluate(0.0)[1])
-        with (
-            contextlib.suppress(Exception, SystemExit),
-            np.errstate(over="ignore", invalid="ignore"),
-        ):
+        with self._until_divergence(plant), guarded, np.errstate(over="ignore", invalid="ignore"):
             for index in range(count):
                 states[index] = plant.known()[: nv + 1]
                 self._hold(controller_context, held or {})
@@ -269,6 +275,19 @@ class Linearizer:
                     self._move(index)
                 force[index] = self._force.Eval(controller_context)
         return position_errors(desired, states), force
+
+    @contextlib.contextmanager
+    def _until_divergence(self, plant: PlantState) -> Iterator[None]:
+        """End the block when the loop has diverged. Raises BlockError: a user-supplied block fails
+        before that.
+        """
+        try:
+            yield
+        except BlockError:
+            if np.isfinite(plant.read()).all():
+                raise
+        except (Exception, SystemExit):
+            pass
 
     def _quiet(self, held: Mapping[str, np.ndarray]) -> None:
         """No noise at the next sample, and the controller's held memory at its values."""
@@ -331,7 +350,7 @@ class Linearizer:
         return [
             system
             for system in self._memory.systems
-            if not _is_shipped(self.law if system is controller and self.law else system)
+            if is_user_supplied(type(self.law if system is controller and self.law else system))
             and system.GetMyContextFromRoot(self._context).num_discrete_state_groups()
         ]
 
@@ -496,11 +515,6 @@ def _jacobian(
 def _approach(scenario: Scenario) -> Scenario:
     """The scenario up to its grasp."""
     return dataclasses.replace(without_target(scenario), duration=scenario.grasp_time)
-
-
-def _is_shipped(system: object) -> bool:
-    """Whether the class of a system or a law is Drake's or this package's."""
-    return type(system).__module__.split(".")[0] in ("pydrake", "ffsm_drake")
 
 
 def _silence(sources: Sequence[RandomSource], diagram: Diagram, context: Context) -> bool:

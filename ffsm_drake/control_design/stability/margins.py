@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.control_design.stability.adaptation import (
     axis_law,
     forecast_reaching_gain,
@@ -205,6 +206,7 @@ class Margins:
         )
 
 
+@guarded
 def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
     """Stability of the sampled loop of a scenario, with any controller and blocks; takes about a
     second.
@@ -285,6 +287,7 @@ def _axis_margins(
     )
 
 
+@guarded
 def adaptation_remark(scenario: Scenario) -> str:
     """One line where nothing stops K_s before the limit of the sampled loop; else empty.
 

@@ -16,6 +16,7 @@ from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.control_design.stability import Margins, stability
 from ffsm_drake.runs.ending import (
     DIVERGED,
+    FAILED,
     GROWING,
     INTERRUPTED,
     MISSED,
@@ -44,6 +45,7 @@ _STATUS_TONES = {
     GROWING: "bad",
     MISSED: "bad",
     DIVERGED: "bad",
+    FAILED: "bad",
 }
 _FINDING_TONES = {
     "holds": "good",

@@ -5,10 +5,17 @@ from collections.abc import Mapping
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from ffsm_drake.common.errors import BlockError, one_line
+from ffsm_drake.common.guard import mapping
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.controllers.checked import (
+    calling,
+    check_law,
+    checked_memory,
+    checked_step,
+    memory_of,
+)
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 
@@ -43,12 +50,25 @@ class SampledController(LeafSystem):
     """
 
     def __init__(
-        self, law: ControlLaw, *, name: str, coordinates: Coordinates, sample_time: float
+        self,
+        law: ControlLaw,
+        *,
+        name: str,
+        coordinates: Coordinates,
+        sample_time: float,
+        place: str = "",
     ) -> None:
-        """Args: a law for ``coordinates``; the system's name; the control period L, s."""
+        """Args: a law for ``coordinates``; the system's name; the control period L, s; what names
+        the law in errors, by default the system's name.
+
+        Raises BlockError: a user-supplied law breaks its contract.
+        """
         super().__init__()
         self.set_name(name)
-        self.law = law
+        self.law, self._place = law, place or name
+        memory = memory_of(law, self._place)
+        check_law(law, self._place, memory, len(coordinates.names))
+        self._step = checked_step(law, self._place)
         num_velocities = len(coordinates.names)
         self._num_positions = len(coordinates.position_names)
         self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
@@ -65,22 +85,10 @@ class SampledController(LeafSystem):
             if getattr(law, "tracks_frame", False)
             else None
         )
-        memory = law.initial_state()
-        if not isinstance(memory, Mapping) or {"generalized_force", "has_previous"} & set(memory):
-            raise BlockError(
-                f"controller '{name}': initial_state must return a mapping of names to arrays, "
-                "without "
-                "'generalized_force' and 'has_previous'"
-            )
         self._force = self.DeclareDiscreteState(np.zeros(num_velocities))
         self._has_previous = self.DeclareDiscreteState(np.zeros(1))
-        self._memory = {
-            key: self.DeclareDiscreteState(np.asarray(value, dtype=float))
-            for key, value in memory.items()
-        }
-        self._shapes = {"generalized_force": (num_velocities,)} | {
-            key: np.shape(memory[key]) for key in memory
-        }
+        self._memory = {key: self.DeclareDiscreteState(value) for key, value in memory.items()}
+        self._shapes = {key: value.shape for key, value in memory.items()}
         self.DeclareStateOutputPort("generalized_force", self._force)
         for key in (*OPTIONAL_OUTPUTS, SMALLEST):
             if key in self._memory:
@@ -119,10 +127,11 @@ class SampledController(LeafSystem):
           reference: [q_d; v_d] (nq + nv) at that instant.
         """
         memory = {name: before.state(context_before, name) for name in self._memory}
-        memory = dict(self.law.resume(memory, before.law, reference))
+        returned = calling(self._place, self.law.resume, memory, before.law, reference)
+        memory = checked_memory(returned, f"{self._place}: resume", self._shapes)
         context.SetDiscreteState(self._force, before.state(context_before, "generalized_force"))
         for name, index in self._memory.items():
-            context.SetDiscreteState(index, np.asarray(memory[name], dtype=float))
+            context.SetDiscreteState(index, memory[name])
 
     def memory_groups(self) -> Mapping[str, int]:
         """The discrete group of each piece of the law's memory, by name."""
@@ -132,8 +141,9 @@ class SampledController(LeafSystem):
         """Discrete groups that a linearisation holds, name -> (group, value), see
         ``ControlLaw.held``.
         """
-        held = {name: (int(self._memory[name]), value) for name, value in self.law.held().items()}
-        return {"has_previous": (int(self._has_previous), 1.0), **held}
+        held = mapping(calling(self._place, self.law.held), f"{self._place}: held")
+        groups = {name: (int(self._memory[name]), value) for name, value in held.items()}
+        return {"has_previous": (int(self._has_previous), 1.0), **groups}
 
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         estimated = self._estimated_state.Eval(context)
@@ -169,64 +179,12 @@ class SampledController(LeafSystem):
             else self._desired_frame.Eval(context),
         )
         state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
+        force, memory = self._step(sample, state, context.get_time)
         if is_first:
-            for values in state.values():
-                values.setflags(write=False)  # a law that writes into them fails once
-        try:
-            returned = self.law.step(sample, state)
-        except (SystemExit, GeneratorExit) as error:  # would end the process without an error
-            what = "called sys.exit" if isinstance(error, SystemExit) else "raised GeneratorExit"
-            raise BlockError(
-                f"{self.get_name()}: step {what} at t = {context.get_time():.2f} s; raise an "
-                "exception"
-            ) from error
-        if is_first:
-            self._check(returned)
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
-        force, memory = returned
         if self._undriven is not None:
             force = np.array(force)
             force[self._undriven] = 0.0
         discrete_values.set_value(self._force, force)
         for name, index in self._memory.items():
             discrete_values.set_value(index, memory[name])
-
-    def _check(self, returned: object) -> None:
-        """Raise BlockError if the law's result is invalid; once, as shapes do not change."""
-        name = self.get_name()
-        if not (
-            isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping)
-        ):
-            raise BlockError(
-                f"{name}: step must return (generalized_force, state), an array and a mapping, not "
-                f"{_described(returned)}"
-            )
-        values = {"generalized_force": returned[0], **returned[1]}
-        names = [key for key in self._shapes if key != "generalized_force"]
-        for key in values:
-            if key not in self._shapes:
-                raise BlockError(
-                    f"{name}: step returned '{key}', which initial_state does not name; its "
-                    "memory is "
-                    f"{', '.join(names) or 'empty'}"
-                )
-        for key, shape in self._shapes.items():
-            if key not in values:
-                raise BlockError(f"{name}: step returned no '{key}'; it must return all its memory")
-            try:
-                actual = np.asarray(values[key], dtype=float).shape
-            except (TypeError, ValueError) as error:
-                raise BlockError(
-                    f"{name}: step returned '{key}' that is not an array of numbers: "
-                    f"{one_line(error)}"
-                ) from error
-            if actual != shape:
-                raise BlockError(
-                    f"{name}: step returned '{key}' of shape {actual}; it must be {shape}"
-                )
-
-
-def _described(returned: object) -> str:
-    if isinstance(returned, tuple):
-        return f"a tuple of {', '.join(type(part).__name__ for part in returned) or 'nothing'}"
-    return type(returned).__name__

@@ -1,0 +1,202 @@
+"""The guard around every call of user-supplied code.
+
+Whatever such code raises or returns, the caller gets a result that can be used, or a BlockError of
+one line with the original exception as its cause. Ctrl-C and a time limit pass through.
+"""
+
+import functools
+import sysconfig
+from collections.abc import Iterator, Mapping
+from contextlib import ContextDecorator, contextmanager
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.common.errors import BlockError, FfsmError, one_line
+from ffsm_drake.common.interrupts import from_keyboard
+from ffsm_drake.common.time_limit import TimeLimit
+
+MOST_MEMORY = 100_000  # numbers in a law's memory; every sample copies them
+_NUMBERS = "fiu"  # kinds of arrays that count as numbers
+_CALLERS = "of_the_caller"  # attribute of an exception
+_OURS = ("ffsm_drake", "pydrake")
+
+
+def passes(error: BaseException) -> bool:
+    """True for an exception that the guard lets through: Ctrl-C, a time limit, the caller's own, an
+    error that says already what is wrong.
+    """
+    return (
+        isinstance(error, (FfsmError, TimeLimit))
+        or getattr(error, _CALLERS, False) is True
+        or from_keyboard(error)
+    )
+
+
+@contextmanager
+def callers_own() -> Iterator[None]:
+    """A call of a function that the caller gave, whose exceptions are the caller's to handle."""
+    try:
+        yield
+    except BaseException as error:
+        setattr(error, _CALLERS, True)
+        raise
+
+
+def is_user_supplied(kind: type) -> bool:
+    """True for a class that is neither Drake's nor this package's."""
+    return kind.__module__.partition(".")[0] not in _OURS
+
+
+class Guard(ContextDecorator):
+    """A block, or a function, in which user-supplied code is called from many places.
+
+    An exception that arose in such code becomes a BlockError, any other is raised as it is.
+    """
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        place: TracebackType | None,
+    ) -> None:
+        if error is not None and not passes(error) and (frame := user_frame(error)) is not None:
+            raise failure(error, _owner(frame[0])) from error
+
+
+guarded = Guard()
+
+
+def failure(error: BaseException, place: str, time: float | None = None) -> BlockError:
+    """The error that says which block failed (``place``), when (s), how, and in which line."""
+    at = "" if time is None else f" at t = {time:.2f} s"
+    kind = type(error).__name__
+    said = f"{kind}: {one_line(error)}{where(error)}{_advice(error)}"
+    return BlockError(f"{place} failed{at}: {said}")
+
+
+def where(error: BaseException) -> str:
+    """The innermost user-supplied function of an exception's traceback, with file and line."""
+    found = user_frame(error) or _last_frame(error)
+    if found is None:
+        return ""
+    code, line = found[0].f_code, found[1]
+    return f" (in {code.co_qualname}: {code.co_filename}, line {line})"
+
+
+def _advice(error: BaseException) -> str:
+    if isinstance(error, KeyboardInterrupt | SystemExit | GeneratorExit):
+        return "; raise an exception of your own to end a run"
+    if "read-only" in one_line(error):
+        return "; inputs must not be changed in place: copy them"
+    return ""
+
+
+def user_frame(error: BaseException) -> tuple[FrameType, int] | None:
+    """The innermost frame of user-supplied code in an exception's traceback, and its line."""
+    found, place = None, error.__traceback__
+    while place is not None:
+        if _is_users(place.tb_frame):
+            found = place.tb_frame, place.tb_lineno
+        place = place.tb_next
+    return found
+
+
+def _last_frame(error: BaseException) -> tuple[FrameType, int] | None:
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    return None if place is None else (place.tb_frame, place.tb_lineno)
+
+
+def _is_users(frame: FrameType) -> bool:
+    top, file = str(frame.f_globals.get("__name__", "")).partition(".")[0], frame.f_code.co_filename
+    if top in _OURS or file.startswith("<frozen"):
+        return False
+    installed = any(file.startswith(folder) for folder in _installed())
+    return not installed or top in _offering_packages()
+
+
+@functools.cache
+def _installed() -> tuple[str, ...]:
+    names = ("stdlib", "platstdlib", "purelib", "platlib")
+    return tuple({str(Path(sysconfig.get_path(name))) for name in names})
+
+
+@functools.cache  # reads the metadata of every installed package
+def _offering_packages() -> frozenset[str]:
+    """Top-level names of installed packages that offer blocks."""
+    every = entry_points()
+    groups = [group for group in every.groups if group.startswith("ffsm_drake.")]
+    return frozenset(
+        each.module.partition(".")[0] for group in groups for each in every.select(group=group)
+    )
+
+
+def _owner(frame: FrameType) -> str:
+    """What a frame's function belongs to, in words: its class where it is a method."""
+    first = frame.f_code.co_varnames[:1]
+    owner = frame.f_locals.get(first[0]) if first else None
+    if first in (("self",), ("cls",)) and owner is not None:
+        kind = owner if isinstance(owner, type) else type(owner)
+        return f"user-supplied '{kind.__name__}'"
+    return f"user-supplied '{frame.f_globals.get('__name__', frame.f_code.co_name)}'"
+
+
+def numbers(value: Any, shape: tuple[int, ...] | None, what: str, *, kinds: str = _NUMBERS) -> Any:
+    """A value as an array of floats.
+
+    Args:
+      value: what user-supplied code returned.
+      shape: its shape; None: any vector of at most MOST_MEMORY numbers.
+      what: names it in the error.
+      kinds: the kinds of arrays that are allowed.
+
+    Raises:
+      BlockError: it is something else.
+    """
+    wanted = "a vector of numbers" if shape is None else f"numbers of shape {shape}"
+    try:
+        array = value if isinstance(value, np.ndarray) else np.asarray(value)
+        size, found, kind = array.size, array.shape, array.dtype.kind
+    except BaseException as error:
+        if passes(error):
+            raise
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise BlockError(f"{what}, no array ({reason}); it must be {wanted}") from error
+    if kind not in kinds:
+        raise BlockError(f"{what}, {described(array)}; it must be {wanted}")
+    if shape is None and (len(found) != 1 or size > MOST_MEMORY):
+        raise BlockError(
+            f"{what} of shape {found}; it must be a vector, all of at most {MOST_MEMORY} numbers"
+        )
+    if shape is not None and found != shape:
+        raise BlockError(f"{what} of shape {found}; it must be {shape}")
+    return np.asarray(array, dtype=float)
+
+
+def described(value: Any) -> str:
+    """The type of a value, in words."""
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype}"
+    if isinstance(value, tuple):
+        return f"a tuple of {', '.join(type(part).__name__ for part in value) or 'nothing'}"
+    return type(value).__name__
+
+
+def mapping(value: Any, what: str) -> dict[str, Any]:
+    """A mapping with names as keys, as a dict. Raises BlockError for anything else."""
+    try:
+        found = dict(value) if isinstance(value, Mapping) else None
+    except BaseException as error:
+        if passes(error):
+            raise
+        raise failure(error, what) from error
+    if found is None or not all(isinstance(key, str) for key in found):
+        raise BlockError(f"{what} must return a mapping of names to arrays, not {described(value)}")
+    return found
