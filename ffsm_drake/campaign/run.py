@@ -231,6 +231,7 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
             raise KeyboardInterrupt
         repeated = evaluate_run(store.spec, log)
     except (Exception, TimeLimit) as error:
+        log = getattr(error, "log", None)  # up to where user-supplied code failed
         repeated = error_row(described(error))
     record = None if log is None else make_record(log, start=start)
     if rollout is not None:

@@ -5,8 +5,9 @@ one line with the original exception as its cause. Ctrl-C and a time limit pass 
 """
 
 import functools
+import sys
 import sysconfig
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ContextDecorator, contextmanager
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -65,11 +66,27 @@ class Guard(ContextDecorator):
         error: BaseException | None,
         place: TracebackType | None,
     ) -> None:
-        if error is not None and not passes(error) and (frame := user_frame(error)) is not None:
-            raise failure(error, _owner(frame[0])) from error
+        if error is None or passes(error):
+            return
+        if user_frame(error) is not None:
+            raise failure(error, f"user-supplied '{_owner(error)}'") from error
+        if (name := _suspect(error)) is not None:
+            said = f"{type(error).__name__}: {one_line(error)}{where(error)}"
+            problem = f"user-supplied '{name}' gives what cannot be used: {said}"
+            raise BlockError(problem) from error
 
 
 guarded = Guard()
+
+
+def calling(place: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """What user-supplied code returns. Raises BlockError naming ``place`` where it fails."""
+    try:
+        return function(*arguments)
+    except BaseException as error:
+        if passes(error):
+            raise
+        raise failure(error, place) from error
 
 
 def failure(error: BaseException, place: str, time: float | None = None) -> BlockError:
@@ -114,8 +131,35 @@ def _last_frame(error: BaseException) -> tuple[FrameType, int] | None:
     return None if place is None else (place.tb_frame, place.tb_lineno)
 
 
+def _suspect(error: BaseException) -> str | None:
+    """The class of the user-supplied object that this package was using when it failed on what the
+    object had returned; None: there was none.
+    """
+    found, place = None, error.__traceback__
+    while place is not None and isinstance(error, Exception) and not isinstance(error, OSError):
+        frame = place.tb_frame
+        module = str(frame.f_globals.get("__name__", ""))
+        if module.startswith("ffsm_drake.") and not module.startswith("ffsm_drake.cli"):
+            for value in list(frame.f_locals.values()):
+                for each in (value, *getattr(value, "__dict__", {}).values()):
+                    found = type(each).__name__ if _is_users_object(each) else found
+        place = place.tb_next
+    return found
+
+
+def _is_users_object(value: Any) -> bool:
+    module = type(value).__module__
+    file = getattr(sys.modules.get(module), "__file__", None) or "<frozen"
+    return _is_users_file(module.partition(".")[0], file)
+
+
 def _is_users(frame: FrameType) -> bool:
-    top, file = str(frame.f_globals.get("__name__", "")).partition(".")[0], frame.f_code.co_filename
+    top = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+    return _is_users_file(top, frame.f_code.co_filename)
+
+
+def _is_users_file(top: str, file: str) -> bool:
+    """True for a file of user-supplied code, whose top-level package or module is given."""
     if top in _OURS or file.startswith("<frozen"):
         return False
     installed = any(file.startswith(folder) for folder in _installed())
@@ -138,14 +182,19 @@ def _offering_packages() -> frozenset[str]:
     )
 
 
-def _owner(frame: FrameType) -> str:
-    """What a frame's function belongs to, in words: its class where it is a method."""
-    first = frame.f_code.co_varnames[:1]
-    owner = frame.f_locals.get(first[0]) if first else None
-    if first in (("self",), ("cls",)) and owner is not None:
-        kind = owner if isinstance(owner, type) else type(owner)
-        return f"user-supplied '{kind.__name__}'"
-    return f"user-supplied '{frame.f_globals.get('__name__', frame.f_code.co_name)}'"
+def _owner(error: BaseException) -> str:
+    """The innermost user-supplied class of an exception's traceback, or module where none is."""
+    found, module, place = "", "", error.__traceback__
+    while place is not None:
+        frame = place.tb_frame
+        if _is_users(frame):
+            module = str(frame.f_globals.get("__name__", frame.f_code.co_name))
+            first = frame.f_code.co_varnames[:1]
+            if first in (("self",), ("cls",)) and (owner := frame.f_locals.get(first[0])):
+                kind = owner if isinstance(owner, type) else type(owner)
+                found = kind.__name__ if is_user_supplied(kind) else found
+        place = place.tb_next
+    return found or module
 
 
 def numbers(value: Any, shape: tuple[int, ...] | None, what: str, *, kinds: str = _NUMBERS) -> Any:

@@ -28,7 +28,7 @@ from pydrake.systems.primitives import (
 )
 
 from ffsm_drake.common.errors import BlockError
-from ffsm_drake.common.guard import guarded
+from ffsm_drake.common.guard import calling, guarded, is_user_supplied
 from ffsm_drake.loop.blocks import BESIDES, BLOCKS, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
@@ -101,7 +101,7 @@ class ClosedLoop:
         set_true_masses(self.plant, context, scenario)
         for placed in self.parts.values():
             placed.part.check_plant(scenario, self.model(context))
-        self._tell_blocks(root_context, scenario.payload.truth)
+        self._tell("set_payload", root_context, scenario.payload.truth)
         position = configuration(self.plant, scenario.initial_posture, key="initial_posture")
         velocity = self.coordinates.vector(
             scenario.initial_velocity, key="initial_velocity", default=0.0
@@ -125,12 +125,7 @@ class ClosedLoop:
         """Set the payload's true mass properties in the plant and in the blocks that use them."""
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         change_payload(self.plant, context, self.scenario, properties)
-        self._tell_blocks(root_context, properties)
-
-    def _tell_blocks(self, root_context: Context, properties: MassProperties) -> None:
-        for block in self.blocks.values():
-            if hasattr(block, "set_payload"):
-                block.set_payload(block.GetMyMutableContextFromRoot(root_context), properties)
+        self._tell("set_payload", root_context, properties)
 
     def set_state(self, root_context: Context, state: np.ndarray) -> None:
         """Set the plant to a known state [q; v], and reset the blocks, without history, to it."""
@@ -145,9 +140,20 @@ class ClosedLoop:
 
     def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
         """Reset the blocks, without history, to a known state [q; v]."""
-        for block in self.blocks.values():
-            if hasattr(block, "set_initial_state"):
-                block.set_initial_state(block.GetMyMutableContextFromRoot(root_context), state)
+        self._tell("set_initial_state", root_context, state)
+
+    def _tell(self, method: str, root_context: Context, what: Any) -> None:
+        """Call a method of the blocks that have it."""
+        for name, block in self.blocks.items():
+            function = getattr(block, method, None)
+            if function is None:
+                continue
+            context = block.GetMyMutableContextFromRoot(root_context)
+            if is_user_supplied(type(block)):
+                place = f"blocks.{name} '{type(block).__name__}'"
+                calling(f"{place}: {method}", function, context, what)
+            else:
+                function(context, what)
 
     def resume(
         self,

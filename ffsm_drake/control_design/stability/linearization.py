@@ -33,7 +33,7 @@ from ffsm_drake.common.memo import content_of
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.control_design.stability.linear_settings import without_limits
 from ffsm_drake.control_design.stability.loop_state import Memory, PlantState, difference
-from ffsm_drake.loop.blocks import is_rehearsed, parts_of
+from ffsm_drake.loop.blocks import block_choices, is_rehearsed, parts_of
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import MassProperties, Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import position_errors
@@ -83,6 +83,7 @@ class Linearizer:
             factories = {"actuation": make_mean_actuation, **factories}
         for name, part in parts_of(self.scenario, factories).items():
             factories[name] = part.linear()
+        self._choices = block_choices(self.given)
         self.loop = make_closed_loop(self.scenario, blocks=factories)
         self.motion = make_motion(self.scenario, self.loop.coordinates)
         self.begin, self.end = self.motion.begin, self.motion.end  # s
@@ -199,8 +200,9 @@ class Linearizer:
             # Drake refuses some numbers that are not finite by SystemExit
             if np.isfinite(self._plant.read()).all():
                 reason = f"{type(error).__name__}: {one_line(error)}"
+                names = [f"blocks.{name} '{each.system}'" for name, each in self._choices.items()]
                 raise NotLinear(
-                    f"{self.scenario.controller}: the loop cannot be linearised: {reason}"
+                    f"{' or '.join([*names, self.scenario.controller])}: the loop cannot be linearised: {reason}"
                 ) from error
             samples = self._unknown()
         return LinearLoop(

@@ -12,6 +12,7 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import (
     MOST_MEMORY,
+    calling,
     described,
     failure,
     is_user_supplied,
@@ -32,16 +33,6 @@ def has_user_code(law: Any) -> bool:
     within = getattr(law, "__dict__", {})
     inner = [within[name] for name in ("law", "dynamics") if name in within]
     return is_user_supplied(type(law)) or any(map(has_user_code, inner))
-
-
-def calling(place: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """What user-supplied code returns. Raises BlockError naming ``place`` where it fails."""
-    try:
-        return function(*arguments)
-    except BaseException as error:
-        if passes(error):
-            raise
-        raise failure(error, place) from error
 
 
 def memory_of(law: ControlLaw, place: str) -> dict[str, np.ndarray]:

@@ -5,12 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from ffsm_drake.common.guard import mapping
+from ffsm_drake.common.guard import calling, mapping
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.checked import (
-    calling,
     check_law,
     checked_memory,
     checked_step,
