@@ -281,16 +281,13 @@ class Forces(Pass):
 
 
 class Reference(Pass):
-    outputs = {"desired_state": "state", "desired_acceleration": "force"}
+    inputs, outputs = {}, {"desired_state": "state", "desired_acceleration": "force"}
 
     def calc(self, context, name, size):
         posture = self.setup.scenario.initial_posture
         q = configuration(self.setup.nominal.plant, posture, key="initial_posture")
-        return (
-            np.concatenate([q, np.zeros(size - q.size)])
-            if name == "desired_state"
-            else np.zeros(size)
-        )
+        state = np.concatenate([q, np.zeros(q.size - 1)])
+        return state if name == "desired_state" else np.zeros(size)
 
 
 BLOCKS = {"sensing": Sensing, "actuation": Actuation, "forces": Forces, "reference": Reference}

@@ -200,10 +200,9 @@ class Linearizer:
             # Drake refuses some numbers that are not finite by SystemExit
             if np.isfinite(self._plant.read()).all():
                 reason = f"{type(error).__name__}: {one_line(error)}"
-                names = [f"blocks.{name} '{each.system}'" for name, each in self._choices.items()]
-                raise NotLinear(
-                    f"{' or '.join([*names, self.scenario.controller])}: the loop cannot be linearised: {reason}"
-                ) from error
+                named = [f"blocks.{name} '{each.system}'" for name, each in self._choices.items()]
+                suspects = " or ".join([*named, self.scenario.controller])
+                raise NotLinear(f"{suspects}: the loop cannot be linearised: {reason}") from error
             samples = self._unknown()
         return LinearLoop(
             coordinates=self.loop.coordinates,
