@@ -1,23 +1,27 @@
 """Which user-supplied block a run failed in."""
 
+import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from pydrake.systems.framework import Diagram, System
+from pydrake.systems.framework import Context, Diagram, System
 
 from ffsm_drake.common.errors import BlockError
-from ffsm_drake.common.guard import failure
+from ffsm_drake.common.guard import failure, user_frame
 from ffsm_drake.loop.blocks import kind_of
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.monitor import Monitor
 
-# Signals of each kind of block, and whether they are states [q; v].
+# Of each kind of block: signal -> output port, and whether it is a state [q; v].
 _OUTPUTS = {
-    "reference": {"desired_state": True, "desired_acceleration": False},
-    "sensing": {"measurement": True},
-    "actuation": {"applied_force": False},
-    "forces": {"disturbance_force": False},  # or its own
+    "reference": {
+        "desired_state": ("desired_state", True),
+        "desired_acceleration": ("desired_acceleration", False),
+    },
+    "sensing": {"measurement": ("estimated_state", True)},
+    "actuation": {"applied_force": ("applied_force", False)},
+    "forces": {"disturbance_force": ("generalized_force", False)},  # or its own signal
 }
 _UNIT = 0.1  # a quaternion's norm may differ from 1 by this
 
@@ -31,16 +35,22 @@ class BadOutput:
 
 
 def failure_of(
-    error: BaseException, loop: ClosedLoop, suspects: Mapping[str, str], time: float
+    error: BaseException,
+    loop: ClosedLoop,
+    suspects: Mapping[str, str],
+    root_context: Context,
 ) -> BlockError:
-    """The error that names the block in which an exception arose at a time, s.
+    """The error that names the block in which an exception arose.
 
     Args:
       error: the exception.
       loop: the closed loop that ran.
       suspects: its user-supplied blocks, in words by name.
-      time: s.
+      root_context: of the diagram, when it failed.
     """
+    time = root_context.get_time()
+    if user_frame(error) is None and (problem := _bad_now(loop, suspects, root_context)):
+        return BlockError(f"{problem}; at t = {time:.2f} s")
     systems = {id(system): name for name in suspects for system in _systems(loop.blocks.get(name))}
     found, place = None, error.__traceback__
     while place is not None:
@@ -49,6 +59,35 @@ def failure_of(
         found = systems.get(id(owner), found)
         place = place.tb_next
     return failure(error, suspects[found] if found else " or ".join(suspects.values()), time)
+
+
+def _bad_now(loop: ClosedLoop, suspects: Mapping[str, str], root_context: Context) -> str:
+    """The problem of the first user-supplied block whose output cannot be used; empty: none."""
+    for name, block in suspects.items():
+        for port, is_state in _OUTPUTS.get(kind_of(name), {}).values():
+            system = loop.blocks[name]
+            with contextlib.suppress(Exception):  # the failure itself, perhaps
+                context = system.GetMyContextFromRoot(root_context)
+                value = np.array(system.GetOutputPort(port).Eval(context))[None]
+                if not _right(value, is_state)[0]:
+                    return _problem(block, port, value[0], is_state)
+    return ""
+
+
+def _right(values: np.ndarray, is_state: bool) -> np.ndarray:
+    """Whether each of some outputs (n, size) can be used."""
+    finite = np.isfinite(values).all(axis=1)
+    norm = np.linalg.norm(values[:, :4], axis=1) if is_state else np.ones(len(values))
+    right: np.ndarray = finite & (np.abs(norm - 1.0) <= _UNIT)
+    return right
+
+
+def _problem(block: str, name: str, value: np.ndarray, is_state: bool) -> str:
+    what = "is not finite"
+    if np.isfinite(value).all():
+        what = f"has a quaternion of norm {np.linalg.norm(value[:4]):.3g}"
+    wanted = "finite, [q; v] with a unit quaternion" if is_state else "finite"
+    return f"{block}: its {name} {what}; it must be {wanted}"
 
 
 def _systems(block: System | None) -> Iterator[System]:
@@ -74,18 +113,13 @@ def bad_output(
     sound, found = monitor.bounded(series["state"]), []
     for name, block in suspects.items():
         kind, own = kind_of(name), f"force_{name.partition('.')[2]}"
-        for signal, is_state in _OUTPUTS.get(kind, {}).items():
+        for signal, (port, is_state) in _OUTPUTS.get(kind, {}).items():
             values = series.get(own, series[signal])
-            finite = np.isfinite(values).all(axis=1)
-            norm = np.linalg.norm(values[:, :4], axis=1) if is_state else np.ones(len(values))
-            right = finite & (np.abs(norm - 1.0) <= _UNIT)
+            right = _right(values, is_state)
             if kind == "actuation":  # of a force that is finite
                 right |= ~np.isfinite(series["generalized_force"]).all(axis=1)
             bad = np.flatnonzero(sound & ~right)
             if bad.size:
-                k = int(bad[0])
-                what = f"has a quaternion of norm {norm[k]:.3g}" if finite[k] else "is not finite"
-                wanted = "finite, [q; v] with a unit quaternion" if is_state else "finite"
-                problem = f"{block}: its {signal} {what}; it must be {wanted}"
-                found.append(BadOutput(sample=k, problem=problem))
+                problem = _problem(block, port, values[bad[0]], is_state)
+                found.append(BadOutput(sample=int(bad[0]), problem=problem))
     return min(found, key=lambda each: each.sample, default=None)

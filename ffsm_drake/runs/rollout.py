@@ -225,7 +225,7 @@ class Rollout:
         except BaseException as error:
             if passes(error):
                 raise
-            raise self._failure(error, 0.0) from error
+            raise self._failure(error, context) from error
 
     def _advance(
         self, monitor: Monitor, leg: Leg, *, watched: bool
@@ -281,25 +281,25 @@ class Rollout:
             elif through:
                 raise
             elif _is_sound(monitor, context):  # Drake refuses numbers that are not finite
-                failure = self._failure(error, context.get_time())
+                failure = self._failure(error, context)
         return interrupted, failure, time.perf_counter() - start
 
-    def _failure(self, error: BaseException, time: float) -> BlockError:
+    def _failure(self, error: BaseException, context: Context) -> BlockError:
         """The error of a user-supplied block. Without one, Drake's reason for stopping is raised,
         or the error itself.
         """
         if isinstance(error, BlockError):
             return error
         if self._user_supplied:
-            failed = failure_of(error, self.loop, self._user_supplied, time)
+            failed = failure_of(error, self.loop, self._user_supplied, context)
             failed.__cause__ = error
             return failed
         if type(error) is not RuntimeError:  # C++'s
             raise error
         raise ScenarioError(
             "simulator_config",
-            f"the simulation cannot go on at t = {time:.2f} s: {cause_of(error)} Take another "
-            "integration_scheme or accuracy",
+            f"the simulation cannot go on at t = {context.get_time():.2f} s: {cause_of(error)} "
+            "Take another integration_scheme or accuracy",
         ) from error
 
     def _num_logged(self) -> int:

@@ -123,7 +123,7 @@ def test_a_line_of_the_registry_makes_it_a_shipped_one(monkeypatch):
     """Named alone, it is checked, linearised and warned of as the package's own."""
     shipped = {"magnetorquers": "own_actuator:Magnetorquers"}
     monkeypatch.setitem(SHIPPED, "actuation", shipped)
-    assert user_supplied(load_scenario(*SCENARIO)) == []
+    assert not user_supplied(load_scenario(*SCENARIO))
     common = "flight_sensors --set duration=0.3 --set blocks.actuation="
     assert "Magnetorquers: largest dipole" in ffsm(f"run {common}magnetorquers -c tdc --out out")
     assert user_supplied(RunRecord.load(Path("out")).scenario) == []
