@@ -30,10 +30,11 @@ from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.interrupts import handle_signals
 
 LONGEST = 120.0  # s for one fault, after which it hangs
-BATCH = 25
+BATCH = 100
 LAWS = ("tdc", "asmc", "aismc", "tde_aismc", "pd_plus", "computed_torque")
 SETTINGS = ["duration=0.1", "sensing.velocity_noise=1e-6"]
 
+WARM = set()
 whats = st.sampled_from([*ERRORS, *VALUES, *HARMLESS, "mutate"])
 faults = st.one_of(
     st.builds(
@@ -204,6 +205,7 @@ def last_place(error):
 
 def try_all(draws, folder):
     """Each (fault, command) with its problem; forked batches do the work."""
+    warm_up(folder)
     found, waiting = [], list(draws)
     while waiting:
         done, died = run_batch(waiting[:BATCH], folder)
@@ -212,6 +214,16 @@ def try_all(draws, folder):
             found.append((waiting[len(done)], died))
         waiting = waiting[len(done) + bool(died) :]
     return [(draw, problem) for draw, problem in found if problem]
+
+
+def warm_up(folder):
+    """Import here, once, what each forked process would."""
+    with contextlib.chdir(folder):
+        sys.path.append(str(folder))
+        for command in ("run", "stability") if "stability" not in WARM else ():
+            problem_of(Fault("controller tdc", "step", 10**6, "none"), command)
+            WARM.add(command)
+        sys.path.remove(str(folder))
 
 
 def run_batch(draws, folder):
@@ -314,9 +326,9 @@ if __name__ == "__main__":  # a count, a number and a folder: prints the problem
     start, folder = time.monotonic(), Path(sys.argv[3])
     folder.mkdir(parents=True, exist_ok=True)
     tried, bad = drawn(int(sys.argv[1]), int(sys.argv[2])), 0
-    for first in range(0, len(tried), 4 * BATCH):
-        for draw, problem in try_all(tried[first : first + 4 * BATCH], folder):
+    for first in range(0, len(tried), BATCH):
+        for draw, problem in try_all(tried[first : first + BATCH], folder):
             print(draw, problem[:900], sep="\n    ")
             bad += 1
-        done = min(first + 4 * BATCH, len(tried))
+        done = min(first + BATCH, len(tried))
         print(f"{done} faults, {bad} problems, {time.monotonic() - start:.0f} s", flush=True)
