@@ -22,6 +22,7 @@ from ffsm_drake.campaign.evaluate import (
 from ffsm_drake.campaign.spec import Spec, load_spec
 from ffsm_drake.campaign.store import Store, check_columns, create_store, open_store
 from ffsm_drake.common.errors import CampaignError, FfsmError, InterruptedCampaign
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
 from ffsm_drake.preflight.simulate import make_record
@@ -96,7 +97,7 @@ def check_cases(spec: Spec) -> None:
         problem: Exception | None = None
         for case in itertools.islice(make_cases(spec), _TRIED):
             try:
-                with time_limit(spec.time_limit):
+                with guarded, time_limit(spec.time_limit):
                     make_rollout(scenario_of(spec, case, controller)).release()
                 break
             except TimeLimit as error:
@@ -224,7 +225,7 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
     stored = store.result(case.index, controller)
     start, log, rollout = time.perf_counter(), None, None
     try:
-        with time_limit(store.spec.time_limit):
+        with guarded, time_limit(store.spec.time_limit):
             rollout = make_rollout(scenario_of(store.spec, case, controller))
             log = rollout.run()
         if log.outcome.status == "interrupted":

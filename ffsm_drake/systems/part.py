@@ -8,6 +8,7 @@ linearisation wires in its place.
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal, Protocol
@@ -475,12 +476,19 @@ def values_of(signal: Signal, view: View) -> np.ndarray | None:
 def recorded(placed: PlacedPart, figures: Sequence[Figure]) -> PartRecord:
     """What the record of a run keeps of a part, with its figures."""
     part, sentence = placed.part, placed.part.sentence(figures)
+    table = tuple(map(tuple, part.table(figures)))
+    place = f"blocks.{placed.name} '{type(part).__name__}'"
+    if not isinstance(sentence, str | None):
+        raise BlockError(f"{place}: sentence must be text or None, not {type(sentence).__name__}")
+    for entry in itertools.chain(*table):
+        if not isinstance(entry, str | int | float):
+            raise BlockError(f"{place}: table must hold texts and numbers, not {entry!r:.40}")
     return PartRecord(
         title=placed.title,
         section=part.section,
         about=part.about,
         sentence=_listed(placed.title, figures) if sentence is None else sentence,
-        table=tuple(map(tuple, part.table(figures))),
+        table=table,
         figures=tuple(figures),
         drawings=tuple(
             _drawing(signal, placed.title) for signal in placed.signals if signal.heading != ""

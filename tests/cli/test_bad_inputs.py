@@ -938,7 +938,7 @@ def test_an_interrupted_record_is_the_whole_one_up_to_its_end(where, run, monkey
         nonlocal calls
         calls += 1
         if calls == 4:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
         return original(*args, **kwargs)
 
     whole = run("postcapture", "duration=0.2").dataset

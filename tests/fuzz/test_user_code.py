@@ -90,7 +90,8 @@ def problem_of(fault, command):
         return f"exit status {result.exit_code}: {result.output[-500:]}"
     if result.exit_code == 2:
         return of_error_lines(result.stderr) or of_record(fault, command, result.stderr)
-    if faulty.FIRED and must_fail(fault, command) and "failed" not in result.output:
+    said = any(word in result.output for word in ("failed", "cannot be built", "error: "))
+    if faulty.FIRED and must_fail(fault, command) and not said:
         return f"exit status {result.exit_code} in spite of it: {result.output[-500:]}"
     return ""
 
@@ -144,8 +145,9 @@ def must_fail(fault, command):
     """Whether a fault that has happened cannot go well."""
     if fault.method in ("held", "resume", "switching_gain_after", "starting_gains", "title"):
         return False
-    # compare's distances go without a loop that cannot be linearised
-    return fault.what in ERRORS and command not in ("diagram", "compare")
+    # compare's distances and validate's verdict go without a loop that cannot be linearised
+    later = command in ("validate", "compare") and fault.at > 0
+    return fault.what in ERRORS and command != "diagram" and not later
 
 
 def of_error_lines(text):

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from ffsm_drake.common.guard import calling, mapping
+from ffsm_drake.common.guard import calling
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -13,6 +13,7 @@ from ffsm_drake.systems.controllers.checked import (
     check_law,
     checked_memory,
     checked_step,
+    mapping,
     memory_of,
 )
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample
