@@ -132,7 +132,7 @@ def test_a_line_of_the_registry_makes_it_a_shipped_one(monkeypatch):
     assert "choose one of magnetorquers, or give module:attribute" in unknown
     monkeypatch.delitem(SHIPPED, "actuation")
     own = load_scenario("flight_sensors", ["blocks.actuation=own_actuator:Magnetorquers"])
-    assert user_supplied(own) == ["actuation 'own_actuator:Magnetorquers'"]
+    assert user_supplied(own) == {"actuation": "blocks.actuation 'own_actuator:Magnetorquers'"}
 
 
 @pytest.mark.parametrize(
