@@ -145,8 +145,8 @@ def must_fail(fault, command):
     """Whether a fault that has happened cannot go well."""
     if fault.method in ("held", "resume", "switching_gain_after", "starting_gains", "title"):
         return False
-    # compare's distances and validate's verdict go without a loop that cannot be linearised
-    later = command in ("validate", "compare") and fault.at > 0
+    # distances, verdicts and predictions go without a loop that cannot be linearised
+    later = command in ("validate", "compare", "campaign") and fault.at > 0
     return fault.what in ERRORS and command != "diagram" and not later
 
 
