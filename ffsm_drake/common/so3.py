@@ -80,6 +80,53 @@ def rotation_error_rate(
     return dx + ey * cz - ez * cy, dy + ez * cx - ex * cz, dz + ex * cy - ey * cx
 
 
+def rotation_errors(quaternions_d: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
+    """``rotation_error`` of many (3, n), from quaternions (4, n): each with the bits it has
+    alone.
+    """
+    dw, dx, dy, dz = quaternions_d
+    w, x, y, z = quaternions
+    ew = dw * w + dx * x + dy * y + dz * z
+    axis = np.empty((3, len(w)))
+    axis[0] = dx * w - dw * x - dy * z + dz * y
+    axis[1] = dy * w - dw * y - dz * x + dx * z
+    axis[2] = dz * w - dw * z - dx * y + dy * x
+    far = ew < 0.0
+    if far.any():
+        ew, axis = np.where(far, -ew, ew), np.where(far, -axis, axis)
+    squares = axis * axis
+    sine = np.sqrt(squares[0] + squares[1] + squares[2])
+    # NumPy's arctan2 differs from that of math in the last bit.
+    factor = [
+        2.0 * math.atan2(a, b) / a if a > 0.0 else 0.0
+        for a, b in zip(sine.tolist(), ew.tolist(), strict=True)
+    ]
+    return np.array(factor) * axis
+
+
+def rotation_error_rates(errors: np.ndarray, w_d: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """``rotation_error_rate`` of many (3, n), from errors and angular velocities (3, n): each with
+    the bits it has alone.
+    """
+    ex, ey, ez = errors
+    sx, sy, sz = 0.5 * (w_d + w)
+    dx, dy, dz = difference = w_d - w
+    squares = errors * errors
+    square = squares[0] + squares[1] + squares[2]
+    c = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
+    for i in np.flatnonzero(~(square < 1e-2)).tolist():
+        half = 0.5 * math.sqrt(square[i])
+        c[i] = (1.0 - half / math.tan(half)) / square[i]
+    cx = c * (ey * dz - ez * dy) - sx
+    cy = c * (ez * dx - ex * dz) - sy
+    cz = c * (ex * dy - ey * dx) - sz
+    rates: np.ndarray = np.empty_like(difference)
+    rates[0] = dx + ey * cz - ez * cy
+    rates[1] = dy + ez * cx - ex * cz
+    rates[2] = dz + ex * cy - ey * cx
+    return rates
+
+
 def quaternion_rate(quaternion: np.ndarray, omega: np.ndarray) -> np.ndarray:
     """Rate (4, ...) of a quaternion (4, ...; w, x, y, z) of R_WB, for w_WB_W (3, ...), rad/s."""
     (w, x, y, z), (a, b, c) = quaternion, 0.5 * omega
