@@ -11,7 +11,7 @@ true payload's ``MassProperties`` before that and whenever they change.
 
 import dataclasses
 import hashlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pydrake.systems.framework import System
@@ -31,9 +31,9 @@ from ffsm_drake.systems.disturbance import HarmonicDisturbance
 from ffsm_drake.systems.environment import OrbitalEnvironment
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.part import Part, PlacedPart, place_part
-from ffsm_drake.systems.reference import make_reference
+from ffsm_drake.systems.reference import reference_of, wide_reference_of
 from ffsm_drake.systems.registry import Factory, call_factory, find_factory, module_file
-from ffsm_drake.systems.sensing import make_sensing
+from ffsm_drake.systems.sensing import sensing_of, wide_sensing_of
 from ffsm_drake.systems.setup import BlockSetup
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
@@ -107,12 +107,23 @@ _SECTION_PARTS: dict[str, type[Part]] = {
     DISTURBANCE: HarmonicDisturbance,
     "forces.environment": OrbitalEnvironment,
 }
-# Factories for the blocks of its other sections; None for an ideal actuator.
+
+
+@dataclasses.dataclass(frozen=True)
+class _Section:
+    """The factory of the block of a scenario's section; see ``loop.side_by_side``."""
+
+    build: Callable[[BlockSetup], System | None]  # None for an ideal actuator
+    build_wide: Callable[[Sequence[BlockSetup]], System | None] = lambda setups: None
+
+    def __call__(self, setup: BlockSetup) -> System | None:
+        return self.build(setup)
+
+
+# Those of its other sections.
 _SECTIONS: dict[str, Factory] = {
-    "reference": lambda setup: make_reference(setup.scenario, setup.coordinates),
-    "sensing": lambda setup: make_sensing(
-        setup.scenario.sensing, setup.coordinates, sample_time=setup.sample_time
-    ),
+    "reference": _Section(reference_of, wide_reference_of),
+    "sensing": _Section(sensing_of, wide_sensing_of),
     "actuation": lambda setup: make_actuation(
         setup.scenario.actuation, setup.coordinates, sample_time=setup.sample_time
     ),
