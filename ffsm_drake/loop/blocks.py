@@ -216,7 +216,16 @@ def make_blocks(
         dict(_place_sections(own, setup, blocks, copies))
         for own, setup in zip(owns, setups, strict=True)
     )
-    return blocks, tuple(own | others for own, others in zip(shipped, placed, strict=True))
+    parts = tuple(own | others for own, others in zip(shipped, placed, strict=True))
+    if len({tuple(_signal_sizes(each)) for each in parts}) > 1:
+        raise NotAlike("the signals of the copies' parts differ")
+    return blocks, parts
+
+
+def _signal_sizes(parts: Mapping[str, PlacedPart]) -> Iterator[tuple[str, str, int]]:
+    """Part, name and size of every signal."""
+    for name, part in parts.items():
+        yield from ((name, signal.name, signal.size) for signal in part.signals)
 
 
 def _place_sections(

@@ -325,8 +325,12 @@ def reference_of(setup: BlockSetup) -> Diagram:
     return make_reference([setup.scenario], setup.coordinates)
 
 
-def wide_reference_of(setups: Sequence[BlockSetup]) -> Diagram:
-    """The references of several copies of the spacecraft, see ``loop.side_by_side``."""
+def wide_reference_of(setups: Sequence[BlockSetup]) -> Diagram | None:
+    """The references of several copies of the spacecraft, see ``loop.side_by_side``; None where
+    only some prescribe a frame.
+    """
+    if len({_prescribes_frame(setup.scenario) for setup in setups}) > 1:
+        return None
     return make_reference([setup.scenario for setup in setups], setups[0].coordinates)
 
 
@@ -374,9 +378,13 @@ def make_reference(scenarios: Sequence[Scenario], coordinates: Coordinates) -> D
 
 def _make_frame_motion(scenario: Scenario, planned: PlannedMotion) -> PlannedMotion | None:
     """The path of the frame whose pose is prescribed along a planned motion, if one is."""
-    if scenario.reference.frame is None or scenario.reference.frame.task == "none":
+    if not _prescribes_frame(scenario):
         return None
     path = make_frame_path(
         scenario, make_nominal_plant(scenario), duration=planned.end - planned.begin
     )
     return _FrameMotion(path, coordinates=planned.coordinates, sample_time=scenario.sample_time)
+
+
+def _prescribes_frame(scenario: Scenario) -> bool:
+    return scenario.reference.frame is not None and scenario.reference.frame.task != "none"
