@@ -32,7 +32,13 @@ from ffsm_drake.systems.environment import OrbitalEnvironment
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.part import Part, PlacedPart, place_part
 from ffsm_drake.systems.reference import reference_of, wide_reference_of
-from ffsm_drake.systems.registry import Factory, call_factory, find_factory, module_file
+from ffsm_drake.systems.registry import (
+    Factory,
+    call_factory,
+    call_wide_factory,
+    find_factory,
+    module_file,
+)
 from ffsm_drake.systems.sensing import sensing_of, wide_sensing_of
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -259,8 +265,8 @@ def _make_block(
     factories: Sequence[Factory], setups: Sequence[BlockSetup], fed: Collection[str], *, place: str
 ) -> Any:
     """The system of all copies; None of an ideal actuator."""
-    if len(setups) > 1 and hasattr(factories[0], "build_wide"):
-        wide = call_factory(factories[0].build_wide, setups, place=place)
+    if len(setups) > 1:
+        wide = call_wide_factory(factories[0], setups, place=place)
         if wide is not None:
             return wide
     made = [

@@ -31,8 +31,8 @@ from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.blocks import BESIDES, BLOCKS, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
-from ffsm_drake.spacecraft.copies import Copies
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
+from ffsm_drake.spacecraft.copies import Copies
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
     change_payload,
@@ -258,9 +258,7 @@ def add_closed_loop(
     blocks_by_name, parts = make_blocks(scenarios, nominals, blocks, split)
     for system in blocks_by_name.values():
         builder.AddSystem(system)
-    wiring = _Wiring(
-        builder, plant, copies, coordinates, split, blocks_by_name, first.sample_time
-    )
+    wiring = _Wiring(builder, plant, copies, coordinates, split, blocks_by_name, first.sample_time)
     wiring.measure()
     wiring.follow()
     wiring.actuate()

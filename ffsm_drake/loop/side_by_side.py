@@ -58,9 +58,7 @@ class SideBySide(Diagram):
                 for copy, system in enumerate(systems):
                     builder.Connect(parts.get_output_port(copy), system.GetInputPort(port))
             elif kind == "output":
-                whole = builder.AddNamedSystem(
-                    f"{port}_of_all", Multiplexer([size] * len(systems))
-                )
+                whole = builder.AddNamedSystem(f"{port}_of_all", Multiplexer([size] * len(systems)))
                 builder.ExportOutput(whole.get_output_port(), port)
                 for copy, system in enumerate(systems):
                     builder.Connect(system.GetOutputPort(port), whole.get_input_port(copy))

@@ -170,4 +170,3 @@ def copies_of(models: Sequence[PlantModel], scenario: Scenario) -> CopiesModel:
         coordinates=models[0].coordinates,
         models=tuple(models),
     )
-

@@ -169,9 +169,7 @@ class _SideBySideMotion(PlannedMotion):
     rest.
     """
 
-    def __init__(
-        self, motions: Sequence[PlannedMotion], *, first: int, sample_time: float
-    ) -> None:
+    def __init__(self, motions: Sequence[PlannedMotion], *, first: int, sample_time: float) -> None:
         self._motions, self._first = motions, first
         super().__init__(
             coordinates=motions[0].coordinates,
@@ -190,9 +188,7 @@ class _SideBySideMotion(PlannedMotion):
 class _MotionSource(LeafSystem):
     """The rows of a motion in one output: with two, Drake would call twice per sample."""
 
-    def __init__(
-        self, motions: Sequence[PlannedMotion], *, first: int, sample_time: float
-    ) -> None:
+    def __init__(self, motions: Sequence[PlannedMotion], *, first: int, sample_time: float) -> None:
         """Args: of each copy of the spacecraft; how many entries of all rows go first; s."""
         super().__init__()
         self._motion = (

@@ -200,9 +200,7 @@ class Sensing(CompositeBlock):
 
 def sensing_of(setup: BlockSetup) -> Sensing:
     """The sensors of a scenario's section."""
-    return make_sensing(
-        [setup.scenario.sensing], setup.coordinates, sample_time=setup.sample_time
-    )
+    return make_sensing([setup.scenario.sensing], setup.coordinates, sample_time=setup.sample_time)
 
 
 def wide_sensing_of(setups: Sequence[BlockSetup]) -> Sensing | None:
@@ -407,7 +405,8 @@ def _make_sampling(errors: Sequence[_Errors]) -> Sampling | None:
     times = [measurement_times(each.settings, each.coordinates) for each in errors]
     # the quaternion has four
     period, delay = (
-        np.concatenate([np.append(each[:1], each) for each in of]) for of in zip(*times, strict=True)
+        np.concatenate([np.append(each[:1], each) for each in of])
+        for of in zip(*times, strict=True)
     )
     if not ((period > 1).any() or delay.any()):
         return None

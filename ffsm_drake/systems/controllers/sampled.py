@@ -1,6 +1,7 @@
 """The system around every control law: sampled, held, all memory in the context."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
@@ -64,7 +65,11 @@ class SampledController(LeafSystem):
         super().__init__()
         self.set_name(name)
         self.law = law
-        self._made_with = {"name": name, "coordinates": coordinates, "sample_time": sample_time}
+        self._made_with: dict[str, Any] = {
+            "name": name,
+            "coordinates": coordinates,
+            "sample_time": sample_time,
+        }
         self._copies = copies
         num_velocities = copies * len(coordinates.names)
         self._num_positions = len(coordinates.position_names)
