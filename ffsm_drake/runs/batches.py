@@ -8,13 +8,14 @@ a capture, with error control, an implicit scheme or a paced clock, and with fle
 import dataclasses
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
-from ffsm_drake.runs.capture import CaptureRollout, make_rollout
+from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.rollout import Rollout, user_supplied
 from ffsm_drake.scenario import MassProperties, Scenario, scenario_to_dict
 
 _MAY_DIFFER = (
@@ -75,14 +76,14 @@ def run_many(
 
     Raises KeyboardInterrupt: interrupted from the keyboard.
     """
-    alone, together = _Kept(), _Kept()
+    alone, together = _Kept(make_rollout), _Kept(Rollout)
     try:
         for indices in batches_of(scenarios, batch):
             chosen = [scenarios[index] for index in indices]
             logs: Sequence[RunLog | None] = [None] * len(chosen)
             if len(chosen) > 1:
                 try:
-                    logs = together.rollout(chosen).run_all(chosen)
+                    logs = together.rollout(chosen, chosen[0]).run_all(chosen)
                 except Exception:  # whose it is, and what it says, the runs tell alone
                     together.drop()
             for index, scenario, log in zip(indices, chosen, logs, strict=True):
@@ -94,30 +95,27 @@ def run_many(
 
 def _alone(kept: "_Kept", scenario: Scenario) -> RunLog | Exception:
     try:
-        return kept.single(scenario).run(scenario)
+        log: RunLog = kept.rollout(scenario, scenario).run(scenario)
+        return log
     except Exception as error:
         kept.drop()
         return error
 
 
 class _Kept:
-    """The last rollout, for runs that it takes."""
+    """The last rollout, for runs that it takes. A user's block may be built from what a run can
+    change, so that those are built anew.
+    """
 
-    def __init__(self) -> None:
-        self._rollout: Rollout | CaptureRollout | None = None
+    def __init__(self, make: Callable[[Any], Any]) -> None:
+        """Args: makes a rollout for a scenario, or for several."""
+        self._make, self._rollout = make, None
 
-    def rollout(self, scenarios: Sequence[Scenario]) -> Rollout:
-        """That of several scenarios."""
-        if not (isinstance(self._rollout, Rollout) and self._rollout.accepts(scenarios)):
+    def rollout(self, scenario: Any, first: Scenario) -> Any:
+        """That of a scenario or of several, which are alike in their blocks with the first."""
+        if self._rollout is None or user_supplied(first) or not self._rollout.accepts(scenario):
             self.drop()
-            self._rollout = Rollout(scenarios)
-        return self._rollout
-
-    def single(self, scenario: Scenario) -> Rollout | CaptureRollout:
-        """That of one scenario."""
-        if self._rollout is None or not self._rollout.accepts(scenario):
-            self.drop()
-            self._rollout = make_rollout(scenario)
+            self._rollout = self._make(scenario)
         return self._rollout
 
     def drop(self) -> None:
