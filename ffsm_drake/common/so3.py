@@ -84,47 +84,50 @@ def rotation_errors(quaternions_d: np.ndarray, quaternions: np.ndarray) -> np.nd
     """``rotation_error`` of many (3, n), from quaternions (4, n): each with the bits it has
     alone.
     """
-    dw, dx, dy, dz = quaternions_d
-    w, x, y, z = quaternions
-    ew = dw * w + dx * x + dy * y + dz * z
-    axis = np.empty((3, len(w)))
-    axis[0] = dx * w - dw * x - dy * z + dz * y
-    axis[1] = dy * w - dw * y - dz * x + dx * z
-    axis[2] = dz * w - dw * z - dx * y + dy * x
-    far = ew < 0.0
-    if far.any():
-        ew, axis = np.where(far, -ew, ew), np.where(far, -axis, axis)
-    squares = axis * axis
-    sine = np.sqrt(squares[0] + squares[1] + squares[2])
-    # NumPy's arctan2 differs from that of math in the last bit.
-    factor = [
-        2.0 * math.atan2(a, b) / a if a > 0.0 else 0.0
-        for a, b in zip(sine.tolist(), ew.tolist(), strict=True)
+    terms = (quaternions_d[_FACTOR_D] * _SIGN) * quaternions[_FACTOR]
+    product = np.add.reduce(terms, axis=0)
+    axis = product[1:]
+    sine = np.sqrt(np.add.reduce(axis * axis, axis=0))
+    # NumPy's arctan2 differs from that of math in the last bit; the shorter rotation
+    factors = [
+        math.copysign(2.0 * math.atan2(s, abs(c)) / s, c if c else 1.0) if s > 0.0 else 0.0
+        for s, c in zip(sine.tolist(), product[0].tolist(), strict=True)
     ]
-    return np.array(factor) * axis
+    return np.array(factors) * axis
+
+
+# The product quaternion_d * conjugate(quaternion), (w, x, y, z), as a sum of four terms: their
+# factors' components and signs (term, component of the product).
+_FACTOR_D = np.array([[0, 1, 2, 3], [1, 0, 0, 0], [2, 2, 3, 1], [3, 3, 1, 2]])
+_FACTOR = np.array([[0, 0, 0, 0], [1, 1, 2, 3], [2, 3, 1, 2], [3, 2, 3, 1]])
+_SIGN = np.array([[1.0] * 4, [1.0, -1.0, -1.0, -1.0], [1.0, -1.0, -1.0, -1.0], [1.0] * 4])[
+    ..., None
+]
 
 
 def rotation_error_rates(errors: np.ndarray, w_d: np.ndarray, w: np.ndarray) -> np.ndarray:
     """``rotation_error_rate`` of many (3, n), from errors and angular velocities (3, n): each with
     the bits it has alone.
     """
-    ex, ey, ez = errors
-    sx, sy, sz = 0.5 * (w_d + w)
-    dx, dy, dz = difference = w_d - w
-    squares = errors * errors
-    square = squares[0] + squares[1] + squares[2]
+    half_sum, difference = 0.5 * (w_d + w), w_d - w
+    square = np.add.reduce(errors * errors, axis=0)
     c = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
-    for i in np.flatnonzero(~(square < 1e-2)).tolist():
-        half = 0.5 * math.sqrt(square[i])
-        c[i] = (1.0 - half / math.tan(half)) / square[i]
-    cx = c * (ey * dz - ez * dy) - sx
-    cy = c * (ez * dx - ex * dz) - sy
-    cz = c * (ex * dy - ey * dx) - sz
-    rates: np.ndarray = np.empty_like(difference)
-    rates[0] = dx + ey * cz - ez * cy
-    rates[1] = dy + ez * cx - ex * cz
-    rates[2] = dz + ex * cy - ey * cx
+    if not square.max() < 1e-2:
+        for i in np.flatnonzero(~(square < 1e-2)).tolist():
+            half = 0.5 * math.sqrt(square[i])
+            c[i] = (1.0 - half / math.tan(half)) / square[i]
+    turned = c * _cross(errors, difference) - half_sum
+    e, t = np.concatenate((errors, errors[:2])), np.concatenate((turned, turned[:2]))
+    # not the sum with a cross product, whose rounding differs
+    rates: np.ndarray = difference + e[1:4] * t[2:5] - e[2:5] * t[1:4]
     return rates
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a x b for arrays (3, n)."""
+    a, b = np.concatenate((a, a[:2])), np.concatenate((b, b[:2]))
+    product: np.ndarray = a[1:4] * b[2:5] - a[2:5] * b[1:4]
+    return product
 
 
 def quaternion_rate(quaternion: np.ndarray, omega: np.ndarray) -> np.ndarray:

@@ -120,7 +120,7 @@ class CopiesMonitor:
             self._first = own, start
         plant_context, start = self._first
         velocity = self.loop.plant.GetVelocities(plant_context)
-        if not self.parked and np.abs(velocity).max() <= self._least:
+        if not self.parked and velocity.dot(velocity) <= self._least**2:  # surely within
             return True
         known = self.loop.split.known_velocities(velocity.reshape(self.copies.number, -1))
         within = np.abs(known).max(axis=1) <= self._bounds  # false for NaN too

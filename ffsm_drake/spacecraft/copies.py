@@ -135,13 +135,10 @@ class CopiesModel(PlantModel):
             raise ValueError("a configuration q is not finite")
         self.plant.SetPositions(self.context, q.reshape(-1))
         whole = self.plant.CalcMassMatrix(self.context)
+        # Drake's matrix is stored by columns; its blocks on the diagonal, as a view.
         size, (down, right) = len(whole) // len(q), whole.strides
-        return np.lib.stride_tricks.as_strided(
-            whole,
-            (len(q), size, size),
-            ((down + right) * size, down, right),
-            writeable=False,
-        )
+        strides = ((down + right) * size, down, right)
+        return np.ndarray((len(q), size, size), float, whole.T, 0, strides)
 
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The Coriolis and centrifugal terms (B, nv), N m and N."""

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from pydrake.common import RandomDistribution, RandomGenerator
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -20,6 +21,7 @@ from pydrake.systems.framework import (
     InputPort,
     LeafSystem,
     OutputPort,
+    State,
     System,
 )
 from pydrake.systems.primitives import (
@@ -27,7 +29,6 @@ from pydrake.systems.primitives import (
     AffineSystem,
     Gain,
     LinearSystem,
-    Multiplexer,
     RandomSource,
 )
 
@@ -37,6 +38,8 @@ from ffsm_drake.common.so3 import turning_matrix
 from ffsm_drake.scenario import Sensing as SensingSettings
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
+
+_DRAWN = 256  # samples of noise at once, for several copies of the spacecraft
 
 
 def quantize(values: np.ndarray, resolution: np.ndarray) -> np.ndarray:
@@ -195,7 +198,7 @@ class Sensing(CompositeBlock):
         """Draw the random state of each of several copies of the spacecraft."""
         for stage in self.GetSystems():
             if isinstance(stage, _NoiseStage):
-                stage.set_random(self.GetMutableSubsystemContext(stage, context), generators)
+                stage.set_random(generators)
 
 
 def sensing_of(setup: BlockSetup) -> Sensing:
@@ -307,38 +310,84 @@ def _make_stage(name: str, system: System) -> Diagram:
 class _NoiseStage(Diagram):
     """A stage that adds Gaussian noise: independent samples of deviation 1, one for each control
     period and input of the system that shapes it.
-
-    The samples of each of several copies of the spacecraft have a source of their own.
     """
 
     def __init__(self, name: str, shaped_by: System, *, copies: int, sample_time: float) -> None:
         super().__init__()
         builder = DiagramBuilder()
         builder.AddNamedSystem("shaped", shaped_by)
-        size = shaped_by.get_input_port().size() // copies
-        self._sources = []
-        for copy in range(copies):
-            source = RandomSource(RandomDistribution.kGaussian, size, sample_time)
-            builder.AddNamedSystem("samples" if copies == 1 else f"samples_{copy}", source)
-            self._sources.append(source)
-        samples = self._sources[0].get_output_port()
-        if copies > 1:
-            stacked = builder.AddNamedSystem("samples", Multiplexer([size] * copies))
-            for copy, source in enumerate(self._sources):
-                builder.Connect(source.get_output_port(), stacked.get_input_port(copy))
-            samples = stacked.get_output_port()
+        size = shaped_by.get_input_port().size()
+        self._samples = (
+            RandomSource(RandomDistribution.kGaussian, size, sample_time)
+            if copies == 1
+            else _Samples(size // copies, copies=copies, sample_time=sample_time)
+        )
+        builder.AddNamedSystem("samples", self._samples)
         noisy = builder.AddNamedSystem("noisy", Adder(2, shaped_by.get_output_port().size()))
-        builder.Connect(samples, shaped_by.get_input_port())
+        builder.Connect(self._samples.get_output_port(), shaped_by.get_input_port())
         builder.Connect(shaped_by.get_output_port(), noisy.get_input_port(1))
         builder.ExportInput(noisy.get_input_port(0), "state")
         builder.ExportOutput(noisy.get_output_port(), "estimated_state")
         builder.BuildInto(self)
         self.set_name(name)
 
-    def set_random(self, context: Context, generators: Sequence[RandomGenerator]) -> None:
+    def set_random(self, generators: Sequence[RandomGenerator]) -> None:
         """See ``Sensing.set_random``."""
+        if isinstance(self._samples, _Samples):
+            self._samples.set_random(generators)
+
+
+class _Samples(LeafSystem):
+    """Gaussian samples of deviation 1 of several copies of the spacecraft, as a RandomSource gives
+    each with its seed: drawn in advance, as an event for each source and sample takes longer.
+
+    Output and discrete state: (copies * size), updated every ``sample_time``.
+    """
+
+    def __init__(self, size: int, *, copies: int, sample_time: float) -> None:
+        super().__init__()
+        builder = DiagramBuilder()
+        # each of its updates draws _DRAWN samples
+        self._sources = [
+            builder.AddSystem(RandomSource(RandomDistribution.kGaussian, _DRAWN * size, 1.0))
+            for _ in range(copies)
+        ]
+        self._simulator = Simulator(builder.Build())
+        self._sample_time = sample_time
+        self._rows, self._block = np.zeros((_DRAWN, copies * size)), 0
+        self._value = self.DeclareDiscreteState(copies * size)
+        self.DeclareStateOutputPort("samples", self._value)
+        # As that of a RandomSource: before the discrete updates of the same instant, which read it.
+        self.DeclarePeriodicUnrestrictedUpdateEvent(sample_time, 0.0, weak_callback(self._update))
+        untie(self)
+
+    def set_random(self, generators: Sequence[RandomGenerator]) -> None:
+        """Begin a run: the copies draw their seeds."""
+        diagram = self._simulator.get_system()
+        context = diagram.CreateDefaultContext()
         for source, generator in zip(self._sources, generators, strict=True):
-            source.SetRandomContext(self.GetMutableSubsystemContext(source, context), generator)
+            source.SetRandomContext(source.GetMyMutableContextFromRoot(context), generator)
+        self._simulator.reset_context(context)
+        self._block = 0
+        self._read()
+
+    def _read(self) -> None:
+        context = self._simulator.get_context()
+        drawn = [
+            source.get_output_port().Eval(source.GetMyContextFromRoot(context)).reshape(_DRAWN, -1)
+            for source in self._sources
+        ]
+        self._rows = np.concatenate(drawn, axis=1)
+
+    def _update(self, context: Context, state: State) -> None:
+        # A RandomSource draws once before its first update.
+        block, row = divmod(round(context.get_time() / self._sample_time) + 1, _DRAWN)
+        while self._block < block:
+            self._simulator.AdvanceTo(self._block)
+            self._simulator.AdvancePendingEvents()
+            self._block += 1
+            self._read()
+        state.get_mutable_discrete_state().set_value(self._value, self._rows[row])
 
 
 def _make_bias(errors: Sequence[_Errors]) -> Diagram | None:
