@@ -138,7 +138,7 @@ class ClosedLoop:
         for copy, scenario in enumerate(self.scenarios):
             own = copies.single.CreateDefaultContext()
             set_true_masses(copies.single, own, scenario)
-            copies.set_parameters(context, copy, own)
+            copies.set_parameters(context, copy, copies.single, own)
             model = PlantModel(
                 plant=copies.single, context=own, coordinates=self.coordinates, split=self.split
             )

@@ -65,15 +65,18 @@ class Copies:
         split = self.num_positions
         return np.concatenate([rows[:, :split].ravel(), rows[:, split:].ravel()])
 
-    def set_parameters(self, context: Context, copy: int, source: Context) -> None:
-        """Give a copy the masses, rotors, springs and dampers of a context of the plant of one.
+    def set_parameters(
+        self, context: Context, copy: int, single: MultibodyPlant, source: Context
+    ) -> None:
+        """Give a copy the masses, rotors, springs and dampers of a plant of one.
 
         Args:
           context: of the plant of all copies.
           copy: its number.
-          source: of the plant of one.
+          single: a plant of one, made as ``self.single``.
+          source: its context.
         """
-        single, plant = self.single, self.plant
+        plant = self.plant
         for index in map(BodyIndex, range(1, single.num_bodies())):
             body = single.get_body(index)
             own = plant.GetBodyByName(body.name(), self._instance(copy, body))
@@ -160,7 +163,7 @@ def copies_of(models: Sequence[PlantModel], scenario: Scenario) -> CopiesModel:
     copies = Copies.of(scenario.model, len(models))
     context = copies.plant.CreateDefaultContext()
     for copy, model in enumerate(models):
-        copies.set_parameters(context, copy, model.context)
+        copies.set_parameters(context, copy, model.plant, model.context)
     return CopiesModel(
         plant=copies.plant,
         context=context,

@@ -70,6 +70,10 @@ def varied(scenario, number):
 
 def check_side_by_side(scenario, count, *, batch):
     scenarios = [varied(scenario, number) for number in range(count)]
+    for indices in batches_of(scenarios, batch):
+        assert len(indices) == batch or len(scenarios) % batch
+        rollout = Rollout([scenarios[index] for index in indices])
+        rollout.check()  # an error here would make them run alone
     records = simulate_many(scenarios, batch=batch)
     for record, each in zip(records, scenarios, strict=True):
         assert_equal(record, alone(each))
@@ -102,6 +106,7 @@ def test_every_shipped_scenario_has_its_bits(name):
     scenario = load_scenario(name, ["duration=0.2"])
     scenarios = [dataclasses.replace(scenario, random_seed=seed) for seed in range(3)]
     assert batches_of(scenarios, 3) == [[0, 1, 2]]
+    assert None not in Rollout(scenarios).run_all()
     for record, each in zip(simulate_many(scenarios, batch=3), scenarios, strict=True):
         assert_equal(record, alone(each))
 
