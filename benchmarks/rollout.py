@@ -14,7 +14,8 @@ closed loop written for MuJoCo: fourth-order Runge-Kutta at 10 ms, the law in Nu
 of a
     second model with the nominal payload;
 (d) the same on Basilisk, where it is installed (pip install bsk): its simulation of a MuJoCo model,
-    the law of (c) as a module in Python, and a recorder of the state; ExecuteSimulation only.
+    the law of (c) as a module in Python, and a recorder of the state; ExecuteSimulation only;
+(w) our closed loop of 16 runs side by side, each with a seed of its own, per run.
 
 Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of
 ``thrusters_only`` alone, over the same run with an ideal wrench: what allocation, modulation and
@@ -23,6 +24,7 @@ coordinates cost.
 """
 
 import argparse
+import dataclasses
 import statistics
 import tempfile
 import time
@@ -47,6 +49,7 @@ except ImportError as error:
     on_basilisk, WITHOUT_BASILISK = None, str(error)
 
 JOINTS = (5, 7, 14)
+SIDE_BY_SIDE = 16
 ACTUATORS = {
     "ideal wrench": ("actuation.thrusters=null", "actuation.wheels=null"),
     "four wheels": ("actuation.thrusters=null",),
@@ -164,6 +167,14 @@ def contest(scenario: Scenario) -> Contest:
     return Contest(rollout, contestants, differences)
 
 
+def side_by_side_time(rollout: Rollout) -> float:
+    """Wall time per run of several side by side, s."""
+    logs = rollout.run_all()
+    if None in logs:
+        raise SystemExit("a run side by side diverged")
+    return logs[0].wall_time["advance_to"] / len(logs)
+
+
 def variant_times(
     scenario: str, variants: Mapping[str, Sequence[str]], repeats: int, duration: str
 ) -> dict[str, Timing]:
@@ -197,6 +208,11 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
         f"  (b) - (a) per control sample: {(b.median - a.median) / samples * 1e6:.0f} us", end=" "
     )
     print(f"({(b.minimum - a.minimum) / samples * 1e6:.0f})")
+    side_by_side = times["w"]
+    against = "   ".join(
+        f"w/{name} {side_by_side.over(times[name])}" for name in contest.contestants
+    )
+    print(f"  (w) {SIDE_BY_SIDE} side by side   {side_by_side}   {against}")
     for name, difference in contest.differences.items():
         print(
             f"  final error, largest difference (b) - ({name}): {np.abs(difference[-1]).max():.1e}"
@@ -258,9 +274,13 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     scenario = load_scenario("postcapture", [duration])
     shipped = contest(scenario)
+    many = Rollout(
+        [dataclasses.replace(scenario, random_seed=seed) for seed in range(SIDE_BY_SIDE)]
+    )
     times = interleaved(
         shipped.contestants
         | {
+            "w": lambda: side_by_side_time(many),
             "build": lambda: timed(lambda: Rollout(scenario)),
             "run": lambda: timed(lambda: shipped.rollout.run().metrics),
             "simulate": lambda: timed(lambda: simulate(scenario, check_stability=False).dataset),

@@ -123,8 +123,19 @@ def address_of(factory: Factory) -> str:
 
 def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
     """The result of a factory for a setup. Raises BlockError naming ``place`` if it fails."""
+    return _called(factory, "from_setup", setup, place)
+
+
+def call_wide_factory(factory: Any, setups: Sequence[BlockSetup], *, place: str) -> Any:
+    """The result of a factory's ``build_wide`` (``loop.side_by_side``) for several setups, None
+    where it has none; errors as ``call_factory``.
+    """
+    return _called(factory, "build_wide", setups, place) if hasattr(factory, "build_wide") else None
+
+
+def _called(factory: Any, method: str, given: Any, place: str) -> Any:
     try:
-        return getattr(factory, "from_setup", factory)(setup)
+        return getattr(factory, method, factory)(given)
     except BaseException as error:
         if passes(error):
             raise

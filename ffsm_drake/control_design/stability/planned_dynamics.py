@@ -70,7 +70,7 @@ class PlannedDynamics:
         Returns: both (n, nv), rad/s^2 or m/s^2, and N m or N.
         """
         scenario, coordinates = self.scenario, self.coordinates
-        disturbance = make_disturbance(scenario.disturbance, coordinates)
+        disturbance = make_disturbance([scenario.disturbance], coordinates)
         port = disturbance.GetOutputPort("generalized_force")
         context = disturbance.CreateDefaultContext()
         drives = None

@@ -1,13 +1,19 @@
 """The system around every control law: sampled, held, all memory in the context."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.guard import calling
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
+from ffsm_drake.common.so3 import (
+    rotation_error,
+    rotation_error_rate,
+    rotation_error_rates,
+    rotation_errors,
+)
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.checked import (
     check_law,
@@ -16,7 +22,7 @@ from ffsm_drake.systems.controllers.checked import (
     mapping,
     memory_of,
 )
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 
 # Memory of a law that becomes an output and is recorded: (nv) each, and one number.
@@ -57,22 +63,34 @@ class SampledController(LeafSystem):
         coordinates: Coordinates,
         sample_time: float,
         place: str = "",
+        memory: State | None = None,
+        copies: int = 1,
     ) -> None:
         """Args: a law for ``coordinates``; the system's name; the control period L, s; what names
-        the law in errors, by default the system's name.
+        the law in errors, by default the system's name; the memory at the start, by default the
+        law's; of how many copies of the spacecraft, each with a row in all arrays of law and
+        memory.
 
         Raises BlockError: a user-supplied law breaks its contract.
         """
         super().__init__()
         self.set_name(name)
         self.law, self._place = law, place or name
-        memory = memory_of(law, self._place)
-        check_law(law, self._place, memory, len(coordinates.names))
+        if memory is None:
+            memory = memory_of(law, self._place)
+            check_law(law, self._place, memory, len(coordinates.names))
         self._step = checked_step(law, self._place)
-        num_velocities = len(coordinates.names)
+        self._made_with: dict[str, Any] = {
+            "name": name,
+            "coordinates": coordinates,
+            "sample_time": sample_time,
+            "place": place,
+        }
+        self._copies = copies
+        num_velocities = copies * len(coordinates.names)
         self._num_positions = len(coordinates.position_names)
         self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
-        num_states = self._num_positions + num_velocities
+        num_states = copies * self._num_positions + num_velocities
         self._estimated_state = self.DeclareVectorInputPort("estimated_state", num_states)
         self._desired_state = self.DeclareVectorInputPort("desired_state", num_states)
         self._desired_acceleration = self.DeclareVectorInputPort(
@@ -81,13 +99,15 @@ class SampledController(LeafSystem):
         self._applied_force = self.DeclareVectorInputPort("applied_force", num_velocities)
         self._is_new = self.DeclareVectorInputPort("measurement_is_new", num_states)
         self._desired_frame = (
-            self.DeclareVectorInputPort("desired_frame", FRAME_SIZE)
+            self.DeclareVectorInputPort("desired_frame", copies * FRAME_SIZE)
             if getattr(law, "tracks_frame", False)
             else None
         )
         self._force = self.DeclareDiscreteState(np.zeros(num_velocities))
         self._has_previous = self.DeclareDiscreteState(np.zeros(1))
-        self._memory = {key: self.DeclareDiscreteState(value) for key, value in memory.items()}
+        self._memory = {
+            key: self.DeclareDiscreteState(value.ravel()) for key, value in memory.items()
+        }
         self._shapes = {key: value.shape for key, value in memory.items()}
         self.DeclareStateOutputPort("generalized_force", self._force)
         for key in (*OPTIONAL_OUTPUTS, SMALLEST):
@@ -95,6 +115,25 @@ class SampledController(LeafSystem):
                 self.DeclareStateOutputPort(key, self._memory[key])
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
+
+    def widened(self, law: ControlLaw, memories: Sequence[State]) -> "SampledController":
+        """The controller of several copies of the spacecraft, from that of one.
+
+        Args:
+          law: of all copies, with a row for each in all arrays.
+          memories: of each, at the start.
+        """
+        memory = {name: np.stack([each[name] for each in memories]) for name in memories[0]}
+        return SampledController(law, memory=memory, copies=len(memories), **self._made_with)
+
+    def park(self, context: Context, copy: int) -> None:
+        """Put a copy's force and memory to their values at the start."""
+        start = self.CreateDefaultContext()
+        for index in (self._force, *self._memory.values()):
+            values = np.array(context.get_discrete_state(index).value())
+            first = start.get_discrete_state(index).value()
+            values.reshape(self._copies, -1)[copy] = first.reshape(self._copies, -1)[copy]
+            context.SetDiscreteState(index, values)
 
     def state(self, context: Context, name: str) -> np.ndarray:
         """A copy of one piece of the discrete state, by its name in the class docstring."""
@@ -145,7 +184,8 @@ class SampledController(LeafSystem):
         groups = {name: (int(self._memory[name]), value) for name, value in held.items()}
         return {"has_previous": (int(self._has_previous), 1.0), **groups}
 
-    def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
+    def _sample(self, context: Context) -> Sample:
+        """What the law reads of one spacecraft."""
         estimated = self._estimated_state.Eval(context)
         desired = self._desired_state.Eval(context)
         split = self._num_positions
@@ -159,8 +199,7 @@ class SampledController(LeafSystem):
         if self._undriven is not None:
             e[self._undriven] = e_dot[self._undriven] = 0.0
         value = context.get_discrete_state().value
-        is_first = not value(self._has_previous).item()
-        sample = Sample(
+        return Sample(
             estimated[:split],
             estimated[split:],
             desired[:split],
@@ -171,20 +210,64 @@ class SampledController(LeafSystem):
             self._applied_force.Eval(context)
             if self._applied_force.HasValue(context)
             else value(self._force),
-            is_first,
+            not value(self._has_previous).item(),
             # The quaternion has one entry more than the rotation vector.
             self._is_new.Eval(context)[1:] != 0.0 if self._is_new.HasValue(context) else None,
             None
             if self._desired_frame is None or not self._desired_frame.HasValue(context)
             else self._desired_frame.Eval(context),
         )
+
+    def _wide_sample(self, context: Context) -> Sample:
+        """As ``_sample``, of several copies: a row for each in all arrays."""
+        copies, split = self._copies, self._num_positions
+        estimated = self._estimated_state.Eval(context).reshape(copies, -1)
+        desired = self._desired_state.Eval(context).reshape(copies, -1)
+        q, v = estimated[:, :split], estimated[:, split:]
+        q_d, v_d = desired[:, :split], desired[:, split:]
+        difference = desired - estimated
+        e, e_dot = difference[:, 1:split], difference[:, split:]
+        rotation = rotation_errors(q_d[:, :4].T, q[:, :4].T)
+        e[:, :3] = rotation.T
+        e_dot[:, :3] = rotation_error_rates(rotation, v_d[:, :3].T, v[:, :3].T).T
+        if self._undriven is not None:
+            e[:, self._undriven] = e_dot[:, self._undriven] = 0.0
+        value = context.get_discrete_state().value
+        applied, is_new, frame = self._applied_force, self._is_new, self._desired_frame
+        return Sample(
+            q,
+            v,
+            q_d,
+            v_d,
+            self._desired_acceleration.Eval(context).reshape(copies, -1),
+            e,
+            e_dot,
+            (applied.Eval(context) if applied.HasValue(context) else value(self._force)).reshape(
+                copies, -1
+            ),
+            not value(self._has_previous).item(),
+            is_new.Eval(context).reshape(copies, -1)[:, 1:] != 0.0
+            if is_new.HasValue(context)
+            else None,
+            None
+            if frame is None or not frame.HasValue(context)
+            else frame.Eval(context).reshape(copies, -1),
+        )
+
+    def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
+        wide = self._copies > 1
+        sample = self._wide_sample(context) if wide else self._sample(context)
+        is_first, value = sample.is_first, context.get_discrete_state().value
         state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
+        if wide:
+            state = {name: state[name].reshape(self._shapes[name]) for name in state}
         force, memory = self._step(sample, state, context.get_time)
         if is_first:
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
         if self._undriven is not None:
             force = np.array(force)
-            force[self._undriven] = 0.0
-        discrete_values.set_value(self._force, force)
+            force[..., self._undriven] = 0.0
+        discrete_values.set_value(self._force, force.ravel() if wide else force)
         for name, index in self._memory.items():
-            discrete_values.set_value(index, memory[name])
+            values = memory[name]
+            discrete_values.set_value(index, values.ravel() if wide else values)
