@@ -11,7 +11,6 @@ from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import failure, user_frame
 from ffsm_drake.loop.blocks import kind_of
 from ffsm_drake.loop.closed_loop import ClosedLoop
-from ffsm_drake.runs.monitor import Monitor
 
 # Of each kind of block: signal -> output port, and whether it is a state [q; v].
 _OUTPUTS = {
@@ -100,17 +99,17 @@ def _systems(block: System | None) -> Iterator[System]:
 
 
 def bad_output(
-    monitor: Monitor, series: Mapping[str, np.ndarray], suspects: Mapping[str, str]
+    sound: np.ndarray, series: Mapping[str, np.ndarray], suspects: Mapping[str, str]
 ) -> BadOutput | None:
     """The first output of a user-supplied block, other than the controller, that cannot be used
     though the state is within bounds; None: there is none.
 
     Args:
-      monitor: knows the bounds.
+      sound: whether the state is within bounds, at each control sample (n,).
       series: the signals at the control samples.
       suspects: as for ``failure_of``.
     """
-    sound, found = monitor.bounded(series["state"]), []
+    found = []
     for name, block in suspects.items():
         kind, own = kind_of(name), f"force_{name.partition('.')[2]}"
         for signal, (port, is_state) in _OUTPUTS.get(kind, {}).items():

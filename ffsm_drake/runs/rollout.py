@@ -185,7 +185,7 @@ class Rollout:
             if with_monitor or interrupted or bounded:
                 break
             monitor.forget()
-        if bad := bad_output(monitor, series, self._user_supplied):
+        if bad := bad_output(monitor.bounded(series["state"]), series, self._user_supplied):
             failure = BlockError(f"{bad.problem}; at t = {times[bad.sample]:.2f} s")
             if bad.sample == 0:
                 raise failure
