@@ -111,12 +111,16 @@ def _advice(error: BaseException) -> str:
 
 
 def user_frame(error: BaseException) -> tuple[FrameType, int] | None:
-    """The innermost frame of user-supplied code in an exception's traceback, and its line."""
+    """The innermost frame of user-supplied code in an exception's traceback, or in that of its
+    cause, and its line.
+    """
     found, place = None, error.__traceback__
     while place is not None:
         if _is_users(place.tb_frame):
             found = place.tb_frame, place.tb_lineno
         place = place.tb_next
+    if found is None and error.__cause__ is not None and isinstance(error, Exception):
+        return user_frame(error.__cause__)  # as of StopIteration in a generator
     return found
 
 
@@ -190,4 +194,6 @@ def _owner(error: BaseException) -> str:
                 kind = owner if isinstance(owner, type) else type(owner)
                 found = kind.__name__ if is_user_supplied(kind) else found
         place = place.tb_next
+    if not module and error.__cause__ is not None:
+        return _owner(error.__cause__)
     return found or module

@@ -372,8 +372,13 @@ class PlacedPart:
 
     @property
     def title(self) -> str:
-        """Heading of its rows and panels."""
-        return self.part.title or type(self.part).__name__
+        """Heading of its rows and panels. Raises BlockError where it is no text."""
+        title: object = self.part.title
+        kind = type(self.part).__name__
+        if not isinstance(title, str):
+            problem = f"title must be text, not {type(title).__name__}"
+            raise BlockError(f"blocks.{self.name} '{kind}': {problem}")
+        return title or kind
 
 
 Parts = Mapping[str, PlacedPart]  # by name

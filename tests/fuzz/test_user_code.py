@@ -146,7 +146,7 @@ def must_fail(fault, command):
     if fault.method in ("held", "resume", "switching_gain_after", "starting_gains", "title"):
         return False
     # distances, verdicts and predictions go without a loop that cannot be linearised
-    later = command in ("validate", "compare", "campaign") and fault.at > 0
+    later = command in ("validate", "compare", "campaign", "report") and fault.at > 0
     return fault.what in ERRORS and command != "diagram" and not later
 
 
@@ -305,6 +305,8 @@ KNOWN = [
     Fault("sensing", "calc", 5, "own_end"),
     Fault("forces", "set_payload", 0, "exit"),
     Fault("part forces", "signals", 0, "text"),
+    Fault("part forces", "sentence", 1, "stop"),
+    Fault("part actuation", "title", 0, "class"),
 ]
 
 
