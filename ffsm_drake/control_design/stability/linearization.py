@@ -32,6 +32,7 @@ from ffsm_drake.common.memo import content_of
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.control_design.stability.linear_settings import without_limits
 from ffsm_drake.control_design.stability.loop_state import Memory, PlantState, difference
+from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import MassProperties, Scenario, from_grasp
@@ -154,6 +155,11 @@ class Linearizer:
             for name, group in groups.items()
             if (part := self._memory.part_of(controller, group)) is not None
         }
+
+    @functools.cached_property
+    def planned(self) -> PlannedDynamics:
+        """The scenario's dynamics along its planned motion; errors as for PlannedDynamics."""
+        return PlannedDynamics(self.given)
 
     def __enter__(self) -> Self:
         return self

@@ -24,7 +24,7 @@ def predicted_load(linearizer: Linearizer) -> float:
     _, force = linearizer.follow(samples=answer)
     begin = answer * scenario.sample_time
     times = np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
-    _, ideal = PlannedDynamics(scenario).perfect_tracking(times)
+    _, ideal = linearizer.planned.perfect_tracking(times)
     limit = tightest(limits_of(scenario, make_true_plant(scenario).plant), FORCE)
     share = np.abs(np.concatenate([force, ideal])) / limit.upper
     return float(np.nan_to_num(share, nan=np.inf).max())
