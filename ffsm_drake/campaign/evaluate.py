@@ -1,6 +1,8 @@
 """One case and controller -> one row. This runs in the workers."""
 
 import contextlib
+import dataclasses
+import itertools
 import math
 import os
 import resource
@@ -8,7 +10,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -89,19 +91,46 @@ CIRCUMSTANCES = ("wall_time", "worker", "rss_mib", "software")
 
 Row = dict[str, Any]
 
+
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """Cases that a worker runs together, with one controller."""
+
+    cases: tuple[Case, ...]
+    controller: str
+
+    @property
+    def parts(self) -> "tuple[Batch, ...]":
+        """One batch for each case."""
+        return tuple(dataclasses.replace(self, cases=(case,)) for case in self.cases)
+
+
+def batches(
+    tasks: Iterator[tuple[Case, str]], *, size: int, controllers: Sequence[str]
+) -> Iterator[Batch]:
+    """Tasks (case, controller) as batches of at most ``size`` cases, nearly in order; as many tasks
+    are held as ``size`` cases have.
+    """
+    while some := list(itertools.islice(tasks, size * len(controllers))):
+        for name in controllers:
+            cases = tuple(case for case, controller in some if controller == name)
+            for first in range(0, len(cases), size):
+                yield Batch(cases[first : first + size], name)
+
+
 # A cluster's worker may have several threads; a simulator and the building of one serve one.
 _ONE_AT_A_TIME = threading.Lock()
 
 
-def evaluate(campaign: str, case: Case, controller: str) -> Row:
-    """Run one case with one controller; errors become part of the row.
+def evaluate(campaign: str, batch: Batch) -> list[Row]:
+    """Run cases with one controller; errors become part of the rows, one row for each case.
 
-    Takes ``Spec.to_json()``, which a process reads once. Returns the columns ``outcome``,
+    Takes ``Spec.to_json()``, which a process reads once. A row has the columns ``outcome``,
     ``outcome_time``, ``message``, those of ``metrics_of`` and ``predictions_of``, CIRCUMSTANCES;
-    with a capture FIRST_LIMIT.
+    with a capture FIRST_LIMIT. It does not depend on the others in the batch.
     """
     with _ONE_AT_A_TIME:
-        return _evaluator(campaign).evaluate(case, controller)
+        return _evaluator(campaign).evaluate_batch(batch)
 
 
 @memoized(maxsize=1)
@@ -110,7 +139,7 @@ def _evaluator(campaign: str) -> "Evaluator":
 
 
 class Evaluator:
-    """Evaluates the cases of one campaign, one at a time, keeping what it built for the next."""
+    """Evaluates the cases of one campaign, keeping what it built for the next."""
 
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
@@ -120,8 +149,12 @@ class Evaluator:
             f"{name} {version}" for name, version in software_versions().items()
         )
 
+    def evaluate_batch(self, batch: Batch) -> list[Row]:
+        """The rows of a batch, as the function ``evaluate`` returns them."""
+        return [self.evaluate(case, batch.controller) for case in batch.cases]
+
     def evaluate(self, case: Case, controller: str) -> Row:
-        """One row, as the function of the same name returns it."""
+        """The row of one case."""
         start = time.perf_counter()
         row: Row = dict.fromkeys((*self._metrics, *self._predictions))
         try:

@@ -201,7 +201,7 @@ def _make(
 
 @memoized(maxsize=8)  # parsing takes four times as long as a context with its masses
 def _parsed(model: Model, files: tuple[Path, ...], *, flexible: bool) -> MultibodyPlant:
-    """``make_plant``, shared by models that each have a context; ``files`` tell of their changes."""
+    """``make_plant``, shared by models with a context each; parsed again once ``files`` change."""
     return make_plant(model, flexible=flexible)
 
 

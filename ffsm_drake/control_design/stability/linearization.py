@@ -42,7 +42,7 @@ from ffsm_drake.systems.actuation.mean import make_mean_actuation
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.reference import make_motion, timed, without_target
-from ffsm_drake.systems.registry import Factory
+from ffsm_drake.systems.registry import Factory, is_shipped
 
 # Fractions of the planned motion at which a loop is linearised.
 POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -80,6 +80,10 @@ class Linearizer:
         factories = dict(blocks or {})
         if is_rehearsed(self.given):
             factories = {"actuation": make_mean_actuation, **factories}
+        # user-supplied laws are called as in a run
+        self._takes_many = "controller" not in factories and is_shipped(
+            "controller", self.scenario.controller
+        )
         for name, part in parts_of(self.scenario, factories).items():
             factories[name] = part.linear()
         self.loop = make_closed_loop(self.scenario, blocks=factories)
@@ -146,6 +150,7 @@ class Linearizer:
             self._context,
             sample_time=period,
             leave_out=lambda system, group: system is controller and group in held,
+            together=controller if self._takes_many else None,
         )
         # of the plant's part of x
         self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.split.names))
@@ -372,11 +377,11 @@ class Linearizer:
         """Derivative of the memory after a control sample's update by the plant's state before."""
         state = self._plant.read()
 
-        def update(change: np.ndarray) -> np.ndarray:
+        def write(change: np.ndarray) -> None:
             self._plant.write(self._plant.moved(state, change))
-            return self._memory.after(index)
 
         steps = np.full(self._width, _STEP)
+        update = functools.partial(self._memory.after_each, index, write=write)
         found = _jacobian(update, [slice(0, self._width)], steps)
         self._plant.write(state)
         return found
@@ -400,8 +405,8 @@ class Linearizer:
         owner = np.repeat(np.arange(len(groups)), [group.stop - group.start for group in groups])
         written = np.zeros(steps.size)
 
-        def update(x: np.ndarray) -> np.ndarray:
-            """The memory after the sample's update; x is followed by the noise.
+        def write(x: np.ndarray) -> None:
+            """Set the context to a small change of x, followed by the noise.
 
             Only changed groups are written, so that Drake computes only their consequences.
             """
@@ -413,10 +418,10 @@ class Linearizer:
                 else:
                     self._noise.write_part(k - 1 - len(self._memory.parts), x[groups[k]])
             written[:] = x
-            return self._memory.after(index)
 
+        update = functools.partial(self._memory.after_each, index, write=write)
         jacobian = _jacobian(update, groups, steps)
-        update(np.zeros(steps.size))
+        write(np.zeros(steps.size))
         self._memory.update(index)
         kept = [group for group in groups if group.stop <= size]
         return _Update(
@@ -454,7 +459,9 @@ class Linearizer:
             reached = move(x)
             return np.concatenate([difference(reached[:-nv], base[:-nv]), reached[-nv:]])
 
-        motion = _jacobian(change, update.groups, update.steps)
+        motion = _jacobian(
+            lambda rows: np.array([change(x) for x in rows]), update.groups, update.steps
+        )
         # From [x; w] to [x+; u], by way of the memory after the update.
         whole = motion[:, width:] @ update.jacobian
         whole[:, :width] += motion[:, :width]
@@ -482,20 +489,20 @@ class _Update:
 def _jacobian(
     function: Callable[[np.ndarray], np.ndarray], groups: Sequence[slice], steps: np.ndarray
 ) -> np.ndarray:
-    """Finite differences of a function at zero by ``steps``; groups of its argument without effect
-    are skipped.
+    """Finite differences at zero by ``steps`` of a function of many arguments (n, k) at once;
+    groups of its argument without effect are skipped.
     """
-    center = function(np.zeros(steps.size))
-    jacobian = np.zeros((center.size, steps.size))
-    for group in groups:
-        trial = np.zeros(steps.size)
+    trials = np.zeros((1 + len(groups), steps.size))
+    for trial, group in zip(trials[1:], groups, strict=True):
         trial[group] = steps[group] * np.linspace(1.0, 2.0, group.stop - group.start)
-        if np.array_equal(function(trial), center):
-            continue
-        for i in range(group.start, group.stop):
-            x = np.zeros(steps.size)
-            x[i] = steps[i]
-            jacobian[:, i] = (function(x) - center) / steps[i]
+    center, *tried = function(trials)
+    active = np.zeros(steps.size, dtype=bool)
+    for group, result in zip(groups, tried, strict=True):
+        active[group] = not np.array_equal(result, center)
+    jacobian = np.zeros((center.size, steps.size))
+    if active.any():
+        changed = function(np.diag(steps)[active])
+        jacobian[:, active] = ((changed - center) / steps[active, None]).T
     return jacobian
 
 

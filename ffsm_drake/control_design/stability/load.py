@@ -3,7 +3,6 @@
 import numpy as np
 
 from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.spacecraft.limits import FORCE, tightest
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.limits import limits_of

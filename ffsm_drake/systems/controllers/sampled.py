@@ -1,6 +1,7 @@
 """The system around every control law: sampled, held, all memory in the context."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
@@ -135,7 +136,8 @@ class SampledController(LeafSystem):
         held = {name: (int(self._memory[name]), value) for name, value in self.law.held().items()}
         return {"has_previous": (int(self._has_previous), 1.0), **held}
 
-    def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
+    def inputs(self, context: Context) -> tuple[Sample, dict[str, np.ndarray]]:
+        """The law's sample and memory in a context, in part as views of it."""
         estimated = self._estimated_state.Eval(context)
         desired = self._desired_state.Eval(context)
         split = self._num_positions
@@ -149,7 +151,6 @@ class SampledController(LeafSystem):
         if self._undriven is not None:
             e[self._undriven] = e_dot[self._undriven] = 0.0
         value = context.get_discrete_state().value
-        is_first = not value(self._has_previous).item()
         sample = Sample(
             estimated[:split],
             estimated[split:],
@@ -161,15 +162,42 @@ class SampledController(LeafSystem):
             self._applied_force.Eval(context)
             if self._applied_force.HasValue(context)
             else value(self._force),
-            is_first,
+            not value(self._has_previous).item(),
             # The quaternion has one entry more than the rotation vector.
             self._is_new.Eval(context)[1:] != 0.0 if self._is_new.HasValue(context) else None,
             None
             if self._desired_frame is None or not self._desired_frame.HasValue(context)
             else self._desired_frame.Eval(context),
         )
-        state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
-        if is_first:
+        return sample, dict(zip(self._memory, map(value, self._memory.values()), strict=False))
+
+    def copied_inputs(self, context: Context) -> tuple[np.ndarray | None, ...]:
+        """``inputs`` as copies in a row; ``is_first`` must be false."""
+        sample, memory = self.inputs(context)
+        return tuple(
+            None if each is None else np.array(each) for each in (*sample, *memory.values())
+        )
+
+    def after_each(self, inputs: Sequence[tuple[np.ndarray | None, ...]]) -> dict[int, np.ndarray]:
+        """Discrete groups (n, size) after the update from each of n ``copied_inputs``, in one step
+        of the law, which must take several runs at once.
+        """
+        stacked: list[Any] = [
+            None if each[0] is None else np.stack(each) for each in zip(*inputs, strict=True)
+        ]
+        sample = Sample(*stacked[: len(Sample._fields)])._replace(is_first=False)
+        memory = dict(zip(self._memory, stacked[len(Sample._fields) :], strict=True))
+        force, after = self.law.step(sample, memory)
+        if self._undriven is not None:
+            force = np.array(force)
+            force[:, self._undriven] = 0.0
+        return {int(self._force): force} | {
+            group: after[name] for name, group in self.memory_groups().items()
+        }
+
+    def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
+        sample, state = self.inputs(context)
+        if sample.is_first:
             for values in state.values():
                 values.setflags(write=False)  # a law that writes into them fails once
         try:
@@ -180,7 +208,7 @@ class SampledController(LeafSystem):
                 f"{self.get_name()}: step {what} at t = {context.get_time():.2f} s; raise an "
                 "exception"
             ) from error
-        if is_first:
+        if sample.is_first:
             self._check(returned)
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
         force, memory = returned
