@@ -14,7 +14,9 @@ closed loop written for MuJoCo: fourth-order Runge-Kutta at 10 ms, the law in Nu
 of a
     second model with the nominal payload;
 (d) the same on Basilisk, where it is installed (pip install bsk): its simulation of a MuJoCo model,
-    the law of (c) as a module in Python, and a recorder of the state; ExecuteSimulation only.
+    the law of (c) as a module in Python, and a recorder of the state; ExecuteSimulation only;
+(e) 16 runs of (c) at once, which differ in their seed: an ``MjData`` each, the law on arrays. Its
+    time is that of all, divided by 16.
 
 Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of
 ``thrusters_only`` alone, over the same run with an ideal wrench: what allocation, modulation and
@@ -23,6 +25,7 @@ coordinates cost.
 """
 
 import argparse
+import dataclasses
 import statistics
 import tempfile
 import time
@@ -31,7 +34,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from on_mujoco import Arm, MujocoLoop
+from on_mujoco import Arm, MujocoBatch, MujocoLoop
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from ffsm_drake.preflight.simulate import simulate
@@ -47,6 +50,7 @@ except ImportError as error:
     on_basilisk, WITHOUT_BASILISK = None, str(error)
 
 JOINTS = (5, 7, 14)
+AT_ONCE = 16  # runs
 ACTUATORS = {
     "ideal wrench": ("actuation.thrusters=null", "actuation.wheels=null"),
     "four wheels": ("actuation.thrusters=null",),
@@ -164,6 +168,29 @@ def contest(scenario: Scenario) -> Contest:
     return Contest(rollout, contestants, differences)
 
 
+class AtOnce(NamedTuple):
+    """Several runs at once of one scenario, which differ in their seed."""
+
+    contestants: dict[str, Callable[[], float]]  # seconds per run
+    differences: dict[str, float]  # largest between their errors and those of (b), seed by seed
+
+
+def at_once(rollout: Rollout, runs: int) -> AtOnce:
+    """Every loop that takes several runs at once is a contestant here."""
+    scenario = rollout.loop.scenario
+    seeds = [dataclasses.replace(scenario, random_seed=seed) for seed in range(runs)]
+    logs = [rollout.run(seed) for seed in seeds]
+    noise, errors = (
+        np.stack(each, axis=1)
+        for each in ([sensor_noise(log) for log in logs], [log.error for log in logs])
+    )
+    batch = MujocoBatch(scenario, logs[0].coordinates, runs)
+    return AtOnce(
+        contestants={"e": lambda: timed(lambda: batch.run(noise)) / runs},
+        differences={"e": float(np.abs(errors - batch.run(noise)).max())},
+    )
+
+
 def variant_times(
     scenario: str, variants: Mapping[str, Sequence[str]], repeats: int, duration: str
 ) -> dict[str, Timing]:
@@ -208,6 +235,17 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
         ("simulate", "simulate()"),
     ):
         print(f"  {label:22s} {times[name]}   {times[name].over(b)} of (b)")
+
+
+def print_at_once(times: Mapping[str, Timing], together: AtOnce) -> None:
+    a, b = times["a"], times["b"]
+    for name, difference in together.differences.items():
+        own = times[name]
+        print(
+            f"  ({name}) {AT_ONCE} at once, each   {own}   {name}/a {own.over(a)}   b/{name} "
+            f"{b.over(own)}"
+        )
+        print(f"  error of all runs, largest difference (b) - ({name}): {difference:.1e}")
 
 
 def print_variants(times: Mapping[str, Timing], samples: int) -> None:
@@ -258,8 +296,10 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     scenario = load_scenario("postcapture", [duration])
     shipped = contest(scenario)
+    together = at_once(shipped.rollout, AT_ONCE)
     times = interleaved(
         shipped.contestants
+        | together.contestants
         | {
             "build": lambda: timed(lambda: Rollout(scenario)),
             "run": lambda: timed(lambda: shipped.rollout.run().metrics),
@@ -272,6 +312,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         "repeats (minima)"
     )
     print_contest(times, shipped, scenario.num_control_periods)
+    print_at_once(times, together)
 
     for name, variants in (("thrusters_and_wheels", ACTUATORS), ("flexible_panels", PANELS)):
         print(f"{name}, medians of {fewer} (minima), and per control sample what is added")

@@ -17,6 +17,10 @@ def test_rollout(monkeypatch, capsys):
     assert printed.startswith("postcapture, tde_aismc, 0.2 s")
     ratio = r"\d+\.\d\d \(\d+\.\d\d\)"
     others = ["a", "c", *(["d"] if ON_BASILISK else [])]
+    # several runs at once are runs
+    (of_all,) = re.findall(r"of all runs, largest difference \(b\) - \(e\): (\S+)", printed)
+    assert 0.0 < float(of_all) < 1e-7
+    assert len(re.findall(rf"e/a {ratio}   b/e {ratio}", printed)) == 1
     for other in others:
         # the shipped arm and three others
         assert len(re.findall(rf"b/{other} {ratio}", printed)) == 4, other
