@@ -435,10 +435,12 @@ class Linearizer:
     def _map(self, update: "_Update", truth: MassProperties | None) -> SampleMap:
         """The map of a control sample: its update and the motion up to the next."""
         nv, width, size = len(self.loop.coordinates.names), self._width, update.steps.size
-        self._context.SetTimeStateAndParametersFrom(update.after)
+        after = update.after
+        self._context.SetTimeStateAndParametersFrom(after)
         if truth is not None:
             self.loop.set_payload(self._context, truth)
-        after, state, updated = self._context.Clone(), self._plant.read(), self._memory.read()
+            after = self._context.Clone()
+        state, updated = self._plant.read(), self._memory.read()
 
         def move(x: np.ndarray) -> np.ndarray:
             """The plant's state at the next sample, and the controller's force until then."""
