@@ -17,6 +17,7 @@ of a
     the law of (c) as a module in Python, and a recorder of the state; ExecuteSimulation only;
 (e) 16 runs of (c) at once, which differ in their seed: an ``MjData`` each, the law on arrays. Its
     time is that of all, divided by 16.
+(w) our closed loop of 16 runs side by side, each with a seed of its own, per run.
 
 Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of
 ``thrusters_only`` alone, over the same run with an ideal wrench: what allocation, modulation and
@@ -184,11 +185,26 @@ def at_once(rollout: Rollout, runs: int) -> AtOnce:
         np.stack(each, axis=1)
         for each in ([sensor_noise(log) for log in logs], [log.error for log in logs])
     )
-    batch = MujocoBatch(scenario, logs[0].coordinates, runs)
+    batch, ours = MujocoBatch(scenario, logs[0].coordinates, runs), Rollout(seeds)
+    found = np.stack([log.error for log in logs_of(ours)], axis=1)
     return AtOnce(
-        contestants={"e": lambda: timed(lambda: batch.run(noise)) / runs},
-        differences={"e": float(np.abs(errors - batch.run(noise)).max())},
+        contestants={
+            "e": lambda: timed(lambda: batch.run(noise)) / runs,
+            "w": lambda: logs_of(ours)[0].wall_time["advance_to"] / runs,
+        },
+        differences={
+            "e": float(np.abs(errors - batch.run(noise)).max()),
+            "w": float(np.abs(errors - found).max()),
+        },
     )
+
+
+def logs_of(rollout: Rollout) -> list[RunLog]:
+    """The logs of runs side by side."""
+    logs = [log for log in rollout.run_all() if log is not None]
+    if len(logs) < len(rollout.loop.scenarios):
+        raise SystemExit("a run side by side diverged")
+    return logs
 
 
 def variant_times(
@@ -238,13 +254,10 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
 
 
 def print_at_once(times: Mapping[str, Timing], together: AtOnce) -> None:
-    a, b = times["a"], times["b"]
     for name, difference in together.differences.items():
-        own = times[name]
-        print(
-            f"  ({name}) {AT_ONCE} at once, each   {own}   {name}/a {own.over(a)}   b/{name} "
-            f"{b.over(own)}"
-        )
+        own, others = times[name], [other for other in "abcde" if other in times and other != name]
+        against = "   ".join(f"{name}/{other} {own.over(times[other])}" for other in others)
+        print(f"  ({name}) {AT_ONCE} at once, each   {own}   {against}")
         print(f"  error of all runs, largest difference (b) - ({name}): {difference:.1e}")
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ffsm_drake.control_design.gains import design
     from ffsm_drake.control_design.stability import stability
     from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, make_closed_loop
-    from ffsm_drake.preflight.simulate import compare, simulate
+    from ffsm_drake.preflight.simulate import compare, simulate, simulate_many
     from ffsm_drake.runs.ending import Ending, Outcome
     from ffsm_drake.runs.log import RunLog
     from ffsm_drake.runs.record import RunRecord
@@ -49,7 +49,7 @@ _HOMES = {
     "runs.log": ("RunLog",),
     "runs.record": ("RunRecord",),
     "runs.rollout": ("Rollout",),
-    "preflight.simulate": ("compare", "simulate"),
+    "preflight.simulate": ("compare", "simulate", "simulate_many"),
     "scenario": ("Scenario", "load_scenario", "override_scenario"),
     "show.outputs": ("write_outputs",),
     "spacecraft.free_floating": ("FreeFloating", "free_floating"),
@@ -97,6 +97,7 @@ __all__ = [
     "run_campaign",
     "setting",
     "simulate",
+    "simulate_many",
     "stability",
     "write_outputs",
 ]

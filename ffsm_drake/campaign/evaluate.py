@@ -23,6 +23,7 @@ from ffsm_drake.common.errors import BlockError, LimitError, one_line
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of, section_parts
+from ffsm_drake.runs.batches import batches_of, run_many
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.ending import GROWING
 from ffsm_drake.runs.limits import CLEARANCE, limits_left
@@ -151,19 +152,43 @@ class Evaluator:
 
     def evaluate_batch(self, batch: Batch) -> list[Row]:
         """The rows of a batch, as the function ``evaluate`` returns them."""
-        return [self.evaluate(case, batch.controller) for case in batch.cases]
+        start = time.perf_counter()
+        logs = self._side_by_side(batch)
+        share = (time.perf_counter() - start) / max(len(logs), 1)
+        rows = []
+        for case in batch.cases:
+            rows.append(self.evaluate(case, batch.controller, log=logs.get(case.index)))
+            rows[-1]["wall_time"] += share if case.index in logs else 0.0
+        return rows
 
-    def evaluate(self, case: Case, controller: str) -> Row:
-        """The row of one case."""
+    def _side_by_side(self, batch: Batch) -> dict[int, RunLog]:
+        """The logs of those cases that can run side by side, by their number."""
+        scenarios: dict[int, Scenario] = {}
+        for case in batch.cases if len(batch.cases) > 1 else ():
+            with contextlib.suppress(Exception):  # its row tells
+                scenarios[case.index] = timed(scenario_of(self._spec, case, batch.controller))
+        numbers = list(scenarios)
+        groups = batches_of(list(scenarios.values()), len(numbers))
+        chosen = [numbers[place] for group in groups if len(group) > 1 for place in group]
+        limit, logs = self._spec.time_limit * max(len(chosen), 1), dict[int, RunLog]()
+        with contextlib.suppress(TimeLimit), time_limit(limit):  # alone each has its own
+            for place, result in run_many([scenarios[number] for number in chosen]):
+                if isinstance(result, RunLog):
+                    logs[chosen[place]] = result
+        return logs
+
+    def evaluate(self, case: Case, controller: str, *, log: RunLog | None = None) -> Row:
+        """The row of one case; ``log`` is that of its run, if it has run."""
         start = time.perf_counter()
         row: Row = dict.fromkeys((*self._metrics, *self._predictions))
         try:
             with time_limit(self._spec.time_limit):
-                scenario = timed(scenario_of(self._spec, case, controller))
-                row |= evaluate_run(self._spec, self._run(scenario))
+                if log is None:
+                    log = self._run(timed(scenario_of(self._spec, case, controller)))
+                row |= evaluate_run(self._spec, log)
                 # a user-supplied block that cannot be linearised: no prediction
                 with contextlib.suppress(BlockError):
-                    row |= dict(zip(self._predictions, predict(scenario), strict=False))
+                    row |= dict(zip(self._predictions, predict(log.scenario), strict=False))
         except LimitError as error:  # no motion keeps the limits
             refused = {"outcome": "refused", FIRST_LIMIT: error.limit}
             row = dict.fromkeys(row) | error_row(str(error)) | refused

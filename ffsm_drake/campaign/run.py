@@ -26,13 +26,13 @@ from ffsm_drake.common.errors import CampaignError, FfsmError, InterruptedCampai
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
 from ffsm_drake.preflight.simulate import make_record
+from ffsm_drake.runs.batches import usual_batch
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.record import RunRecord
 
 # Memory at which a process is replaced: Drake keeps every diagram with a Python system alive, some
 # 4 MiB for each closed loop that is built.
 MEMORY_LIMIT = 700.0  # MiB
-BATCH = 1  # most cases that a worker runs together
 _TRIED = 20
 _LOST = {
     **dict.fromkeys(CIRCUMSTANCES),
@@ -117,7 +117,7 @@ def run_campaign(
     database: str | Path,
     *,
     workers: int | None = None,
-    batch: int = BATCH,
+    batch: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Path:
     """Run a campaign on this machine into a new database.
@@ -126,7 +126,8 @@ def run_campaign(
       spec: a shipped name, a file, or a specification from ``load_spec``.
       database: the new file.
       workers: processes; default: one per processor.
-      batch: most cases that a worker runs together; no result depends on it.
+      batch: most cases that a worker runs side by side, default ``usual_batch``; no result
+        depends on it.
       progress: called after every batch of results.
 
     Returns: the database, for ``open_store`` and ``ffsm campaign report``.
@@ -147,7 +148,7 @@ def start_campaign(
     *,
     workers: Workers,
     stop: Stop | None = None,
-    batch: int = BATCH,
+    batch: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
     """Run a campaign into a new database; ``stop`` ends it early, ``progress`` is called after
@@ -168,7 +169,7 @@ def resume_campaign(
     *,
     workers: Workers,
     stop: Stop | None = None,
-    batch: int = BATCH,
+    batch: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
     """Run the remaining cases of a database; arguments and errors as for ``start_campaign``."""
@@ -180,7 +181,7 @@ def _drive(
     store: Store,
     workers: Workers,
     stop: Stop | None,
-    batch: int,
+    batch: int | None,
     progress: Callable[[Progress], None] | None,
 ) -> None:
     campaign, start, total = store.spec.to_json(), time.perf_counter(), store.spec.runs
@@ -196,7 +197,7 @@ def _drive(
 
     report()
     # so small that every worker gets some
-    most = max(1, min(batch, (total - before) // workers.in_flight()))
+    most = max(1, min(batch or usual_batch(), (total - before) // workers.in_flight()))
     results = run_tasks(
         evaluate,
         batches(store.pending(), size=most, controllers=store.spec.controllers),

@@ -11,27 +11,35 @@ true payload's ``MassProperties`` before that and whenever they change.
 
 import dataclasses
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, FfsmError, ScenarioError, did_you_mean, one_line
 from ffsm_drake.common.settings import require_valid
+from ffsm_drake.loop.side_by_side import NotAlike, SideBySide
 from ffsm_drake.scenario import Block, Scenario, build_settings
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.actuation import SECTIONS, make_actuation
 from ffsm_drake.systems.controllers import OPTIONAL_OUTPUTS, SMALLEST, make_controller
+from ffsm_drake.systems.controllers.joined import join_controllers
 from ffsm_drake.systems.deflections import Deflections
 from ffsm_drake.systems.disturbance import HarmonicDisturbance
 from ffsm_drake.systems.environment import OrbitalEnvironment
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.part import Part, PlacedPart, place_part
-from ffsm_drake.systems.reference import make_reference
-from ffsm_drake.systems.registry import Factory, call_factory, find_factory, module_file
-from ffsm_drake.systems.sensing import make_sensing
+from ffsm_drake.systems.reference import reference_of, wide_reference_of
+from ffsm_drake.systems.registry import (
+    Factory,
+    call_factory,
+    call_wide_factory,
+    find_factory,
+    module_file,
+)
+from ffsm_drake.systems.sensing import sensing_of, wide_sensing_of
 from ffsm_drake.systems.setup import BlockSetup
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
@@ -105,12 +113,23 @@ _SECTION_PARTS: dict[str, type[Part]] = {
     DISTURBANCE: HarmonicDisturbance,
     "forces.environment": OrbitalEnvironment,
 }
-# Factories for the blocks of its other sections; None for an ideal actuator.
+
+
+@dataclasses.dataclass(frozen=True)
+class _Section:
+    """The factory of the block of a scenario's section; see ``loop.side_by_side``."""
+
+    build: Callable[[BlockSetup], System | None]  # None for an ideal actuator
+    build_wide: Callable[[Sequence[BlockSetup]], System | None] = lambda setups: None
+
+    def __call__(self, setup: BlockSetup) -> System | None:
+        return self.build(setup)
+
+
+# Those of its other sections.
 _SECTIONS: dict[str, Factory] = {
-    "reference": lambda setup: make_reference(setup.scenario, setup.coordinates),
-    "sensing": lambda setup: make_sensing(
-        setup.scenario.sensing, setup.coordinates, sample_time=setup.sample_time
-    ),
+    "reference": _Section(reference_of, wide_reference_of),
+    "sensing": _Section(sensing_of, wide_sensing_of),
     "actuation": lambda setup: make_actuation(
         setup.scenario.actuation, setup.coordinates, sample_time=setup.sample_time
     ),
@@ -140,61 +159,137 @@ def block_choices(scenario: Scenario) -> dict[str, Block]:
 
 
 def make_blocks(
-    scenario: Scenario,
-    nominal: PlantModel,
+    scenarios: Sequence[Scenario],
+    nominals: Sequence[PlantModel],
     factories: Mapping[str, Factory] | None = None,
     split: StateSplit | None = None,
-) -> tuple[dict[str, System], dict[str, PlacedPart]]:
-    """All blocks by name, checked, and the parts that fill blocks; no ``actuation`` if it is ideal.
+) -> tuple[dict[str, System], tuple[dict[str, PlacedPart], ...]]:
+    """All blocks by name, checked, and, of each copy of the spacecraft, the parts that fill
+    blocks; no ``actuation`` if it is ideal.
 
     Args:
-      scenario: names the systems that fill the blocks.
-      nominal: the plant with the nominal payload; the controller's own.
-      factories: block -> factory in place of what the scenario names; "forces.<name>" for a force.
+      scenarios: of each copy; they name the systems that fill the blocks.
+      nominals: of each, the plant with the nominal payload; the controller's own.
+      factories: block -> factory in place of what the scenarios name; "forces.<name>" for a force.
       split: known and hidden coordinates of the true plant.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate; an unknown block or name.
       BlockError: a user-supplied block cannot be loaded, built or wired.
+      NotAlike: the blocks of the copies cannot stand side by side.
     """
-    given, choices = dict(factories or {}), block_choices(scenario)
+    given, choices = dict(factories or {}), block_choices(scenarios[0])
     _check_names(given)
-    own = section_parts(scenario, given)
-    setup = BlockSetup(
-        name="",
-        scenario=scenario,
-        nominal=nominal,
-        settings={},
-        split=split or StateSplit(),
-    )
+    owns = [section_parts(scenario, given) for scenario in scenarios]
+    if len({tuple(own) for own in owns}) > 1:
+        raise NotAlike("the sections of the copies' scenarios differ")
+    setups = [
+        BlockSetup(
+            name="",
+            scenario=scenario,
+            nominal=nominal,
+            settings={},
+            split=split or StateSplit(),
+        )
+        for scenario, nominal in zip(scenarios, nominals, strict=True)
+    ]
+    coordinates, copies = nominals[0].coordinates, len(scenarios)
     blocks: dict[str, System] = {}
-    placed: dict[str, PlacedPart] = {}
-    for name in _in_order((*own, *choices, *given)):
+    placed: tuple[dict[str, PlacedPart], ...] = tuple({} for _ in scenarios)
+    for name in _in_order((*owns[0], *choices, *given)):
         factory, choice = given.get(name), choices.get(name, Block())
+        chosen = scenarios[0].controller if name == "controller" else choice.system
+        named = getattr(factory, "__name__", chosen)
+        place = f"{'' if name == 'controller' else 'blocks.'}{name} '{named}'"
+        fed = _fed(blocks, setups[0].split)
         if name == "controller":
-            place = f"controller '{getattr(factory, '__name__', scenario.controller)}'"
-            blocks[name] = make_controller(scenario, nominal, factory)
-            check_ports(blocks[name], name, nominal.coordinates, place=place)
+            blocks[name] = made = _make_controllers(scenarios, nominals, factory, fed)
+            check_ports(made, name, coordinates, place=place, copies=copies)
             continue
-        place = f"blocks.{name} '{getattr(factory, '__name__', choice.system)}'"
         alone = name.rpartition(".")[2]
-        at = dataclasses.replace(setup, name=alone, settings=choice.settings)
-        factory = factory_of(name, scenario, factory)
-        made = call_factory(factory, at, place=place)
+        at = [dataclasses.replace(each, name=alone, settings=choice.settings) for each in setups]
+        fills = [factory_of(name, scenario, factory) for scenario in scenarios]
+        made = _make_block(fills, at, fed, place=place)
         if made is None and name not in choices and name not in given:
             continue  # an ideal actuator
-        check_ports(made, kind_of(name), nominal.coordinates, place=place)
+        check_ports(made, kind_of(name), coordinates, place=place, copies=copies)
         made.set_name(alone if alone not in _TAKEN else name.replace(".", "_"))
-        if isinstance(factory, Part) and name not in own:
-            placed[name] = place_part(factory, at, made, name=name, block=name)
+        for each, fill, setup in zip(placed, fills, at, strict=True):
+            if isinstance(fill, Part) and name not in owns[0]:
+                each[name] = place_part(fill, setup, made, name=name, block=name, copies=copies)
         blocks[name] = made
-    shipped = {}
+    shipped = tuple(
+        dict(_place_sections(own, setup, blocks, copies))
+        for own, setup in zip(owns, setups, strict=True)
+    )
+    parts = tuple(own | others for own, others in zip(shipped, placed, strict=True))
+    if len({tuple(_signal_sizes(each)) for each in parts}) > 1:
+        raise NotAlike("the signals of the copies' parts differ")
+    return blocks, parts
+
+
+def _signal_sizes(parts: Mapping[str, PlacedPart]) -> Iterator[tuple[str, str, int]]:
+    """Part, name and size of every signal."""
+    for name, part in parts.items():
+        yield from ((name, signal.name, signal.size) for signal in part.signals)
+
+
+def _place_sections(
+    own: Mapping[str, Part], setup: BlockSetup, blocks: Mapping[str, System], copies: int
+) -> Iterator[tuple[str, PlacedPart]]:
+    """The parts of a scenario's own sections that have signals, by name."""
     for name, part in own.items():
         block, at = name if name in blocks else kind_of(name), dataclasses.replace(setup, name=name)
-        found = place_part(part, at, blocks.get(block), name=name, block=block)
+        found = place_part(part, at, blocks.get(block), name=name, block=block, copies=copies)
         if found.signals:
-            shipped[name] = found
-    return blocks, shipped | placed
+            yield name, found
+
+
+def _make_controllers(
+    scenarios: Sequence[Scenario],
+    nominals: Sequence[PlantModel],
+    factory: Factory | None,
+    fed: Collection[str],
+) -> System:
+    """The controller of all copies: one around their laws if these are wide, else side by side."""
+    made = [
+        make_controller(scenario, nominal, factory)
+        for scenario, nominal in zip(scenarios, nominals, strict=True)
+    ]
+    if len(made) == 1:
+        return made[0]
+    return join_controllers(made, nominals, scenarios[0]) or SideBySide(made, fed)
+
+
+def _make_block(
+    factories: Sequence[Factory], setups: Sequence[BlockSetup], fed: Collection[str], *, place: str
+) -> Any:
+    """The system of all copies; None of an ideal actuator."""
+    if len(setups) > 1:
+        wide = call_wide_factory(factories[0], setups, place=place)
+        if wide is not None:
+            return wide
+    made = [
+        call_factory(factory, setup, place=place)
+        for factory, setup in zip(factories, setups, strict=True)
+    ]
+    if len(made) == 1:
+        return made[0]
+    if None in made:
+        if any(each is not None for each in made):
+            raise NotAlike(f"{place}: only some of the copies have it")
+        return None
+    return SideBySide(made, fed)
+
+
+def _fed(blocks: Mapping[str, System], split: StateSplit) -> set[str]:
+    """The input ports that a loop feeds, by what the blocks before give."""
+    fed = {name for ports in BLOCKS.values() for name in (*ports.inputs, "state", "true_state")}
+    optional = {name for ports in BLOCKS.values() for name in ports.optional_outputs}
+    fed |= {"applied_force", *(("hidden_state",) if split.names else ())}
+    for system in blocks.values():
+        fed |= set(filter(system.HasOutputPort, optional))
+    return fed
 
 
 def _check_names(given: Iterable[str]) -> None:
@@ -306,7 +401,9 @@ def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
     return sources
 
 
-def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str) -> None:
+def check_ports(
+    system: Any, block: str, coordinates: Coordinates, *, place: str, copies: int = 1
+) -> None:
     """Raise BlockError unless a system has a block's ports, with the right sizes.
 
     Args:
@@ -314,6 +411,7 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
       block: a key of BLOCKS.
       coordinates: the spacecraft's, which determine the sizes.
       place: names the block in the error.
+      copies: of the spacecraft, whose values the ports hold.
     """
     ports = BLOCKS[block]
     if not isinstance(system, System):
@@ -325,10 +423,10 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
         cause = "TypeError: its __init__ must call super().__init__() first"
         raise BlockError(f"{place} cannot be built: {cause}") from None
     size = {
-        STATE: 2 * len(coordinates.names) + 1,
-        VELOCITY: len(coordinates.names),
-        FRAME: FRAME_SIZE,
-        NUMBER: 1,
+        STATE: copies * (2 * len(coordinates.names) + 1),
+        VELOCITY: copies * len(coordinates.names),
+        FRAME: copies * FRAME_SIZE,
+        NUMBER: copies,
     }
     for kind, required, optional in (
         ("input", ports.inputs, ports.optional_inputs),

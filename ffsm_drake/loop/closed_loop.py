@@ -11,7 +11,7 @@
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder, InputPort, OutputPort, System
 from pydrake.systems.primitives import (
     Adder,
+    ConstantVectorSource,
     Gain,
-    MatrixGain,
     Selector,
     SelectorParams,
     ZeroOrderHold,
@@ -32,6 +32,7 @@ from ffsm_drake.loop.blocks import BESIDES, BLOCKS, kind_of, make_blocks
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.capture import planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
+from ffsm_drake.spacecraft.copies import Copies
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
     change_payload,
@@ -62,9 +63,13 @@ SIGNALS = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ClosedLoop:
-    """The plant and the blocks of a closed loop, wired."""
+    """The plant and the blocks of a closed loop, wired.
 
-    scenario: Scenario
+    One of several copies of the spacecraft, each with a scenario of its own, has the same ports,
+    with the values of copy after copy.
+    """
+
+    scenario: Scenario  # of the first copy
     plant: MultibodyPlant  # the true one, with hidden coordinates
     coordinates: Coordinates
     split: StateSplit
@@ -74,6 +79,9 @@ class ClosedLoop:
     # signal -> the system and the name of its output port
     sources: Mapping[str, tuple[System, str]]
     parts: Parts = dataclasses.field(default_factory=dict)  # those of ``blocks`` that are parts
+    copies: Copies | None = None  # None: there is one
+    scenarios: tuple[Scenario, ...] = ()  # of several copies
+    parts_of_copies: tuple[Parts, ...] = ()
     diagram: Any = None  # the Diagram, after ``make_closed_loop``; its outputs are the signals
 
     @property
@@ -93,6 +101,9 @@ class ClosedLoop:
           root: the diagram that holds the loop.
           root_context: a context of ``root``.
         """
+        if self.copies is not None:
+            self._initialize_copies(root, root_context, self.copies)
+            return
         scenario = self.scenario
         # First: it resets every state and parameter of the diagram.
         root.SetRandomContext(root_context, RandomGenerator(scenario.random_seed))
@@ -101,15 +112,42 @@ class ClosedLoop:
         for placed in self.parts.values():
             placed.part.check_plant(scenario, self.model(context))
         self._tell_blocks(root_context, scenario.payload.truth)
-        position = configuration(self.plant, scenario.initial_posture, key="initial_posture")
+        self.set_whole_state(root_context, self._start(scenario, self.model(context)))
+
+    def _start(self, scenario: Scenario, model: PlantModel) -> np.ndarray:
+        """[q; v] of a spacecraft at the start, with the hidden state."""
+        position = configuration(model.plant, scenario.initial_posture, key="initial_posture")
         velocity = self.coordinates.vector(
             scenario.initial_velocity, key="initial_velocity", default=0.0
         )
         state = self.split.whole(np.concatenate([position, velocity]))
         if scenario.capture is not None:
-            contact = planned_contact(scenario, self.model(context))
-            state[self.plant.num_positions() :] += contact.grasp.velocity
-        self.set_whole_state(root_context, state)
+            contact = planned_contact(scenario, model)
+            state[model.plant.num_positions() :] += contact.grasp.velocity
+        return state
+
+    def _initialize_copies(self, root: System, root_context: Context, copies: Copies) -> None:
+        """``initialize`` of several copies."""
+        generators = [RandomGenerator(scenario.random_seed) for scenario in self.scenarios]
+        root.SetRandomContext(root_context, RandomGenerator(0))
+        for block in self.blocks.values():
+            if hasattr(block, "set_random"):
+                block.set_random(block.GetMyMutableContextFromRoot(root_context), generators)
+        context = self.plant.GetMyMutableContextFromRoot(root_context)
+        rows = []
+        for copy, scenario in enumerate(self.scenarios):
+            own = copies.single.CreateDefaultContext()
+            set_true_masses(copies.single, own, scenario)
+            copies.set_parameters(context, copy, own)
+            model = PlantModel(
+                plant=copies.single, context=own, coordinates=self.coordinates, split=self.split
+            )
+            for placed in self.parts_of_copies[copy].values():
+                placed.part.check_plant(scenario, model)
+            rows.append(self._start(scenario, model))
+        self._tell_blocks(root_context, [scenario.payload.truth for scenario in self.scenarios])
+        self.plant.SetPositionsAndVelocities(context, copies.whole(np.array(rows)))
+        self.set_blocks(root_context, self.split.known_part(np.array(rows)))
 
     def model(self, plant_context: Context) -> PlantModel:
         """The plant in one of its contexts, for computations."""
@@ -126,7 +164,9 @@ class ClosedLoop:
         change_payload(self.plant, context, self.scenario, properties)
         self._tell_blocks(root_context, properties)
 
-    def _tell_blocks(self, root_context: Context, properties: MassProperties) -> None:
+    def _tell_blocks(
+        self, root_context: Context, properties: MassProperties | Sequence[MassProperties]
+    ) -> None:
         for block in self.blocks.values():
             if hasattr(block, "set_payload"):
                 block.set_payload(block.GetMyMutableContextFromRoot(root_context), properties)
@@ -143,7 +183,7 @@ class ClosedLoop:
         self.set_blocks(root_context, self.split.known_part(state))
 
     def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
-        """Reset the blocks, without history, to a known state [q; v]."""
+        """Reset the blocks, without history, to a known state [q; v], or to one of each copy."""
         for block in self.blocks.values():
             if hasattr(block, "set_initial_state"):
                 block.set_initial_state(block.GetMyMutableContextFromRoot(root_context), state)
@@ -177,7 +217,7 @@ class ClosedLoop:
 
 def add_closed_loop(
     builder: DiagramBuilder,
-    scenario: Scenario,
+    scenario: Scenario | Sequence[Scenario],
     *,
     blocks: Mapping[str, Factory] | None = None,
     plant: MultibodyPlant | None = None,
@@ -186,7 +226,9 @@ def add_closed_loop(
 
     Args:
       builder: the diagram's builder.
-      scenario: the scenario to build.
+      scenario: the scenario to build; several are run side by side, in one plant that holds a copy
+        of the spacecraft for each (``spacecraft.copies``), with every port as many times as wide.
+        They have the same model, sample time and kinds of blocks (``loop.side_by_side``).
       blocks: block -> factory (BlockSetup -> Drake system) that replaces the scenario's choice,
         such as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
       plant: the plant, if the diagram has it already (``add_combined_plant``, to show it);
@@ -195,38 +237,50 @@ def add_closed_loop(
     Raises:
       ModelError: the model does not load.
       ScenarioError: a coordinate named in the scenario does not exist, or one lacks a gain.
-      BlockError: a user-supplied block cannot be loaded, built or wired.
+      BlockError: a user-supplied block cannot be loaded, built or wired; NotAlike, one of these:
+        the blocks of several scenarios cannot stand side by side.
     """
-    if plant is None:
-        plant = builder.AddNamedSystem("plant", make_plant(scenario.model, flexible=True))
-    coordinates, split = coordinates_of(plant, undriven=scenario.undriven), split_of(plant)
-    for name, posture in scenario.postures.items():
-        configuration(plant, posture, key=name)
-    for name in ("initial_velocity", "tolerance"):
-        coordinates.check_names(getattr(scenario, name), key=name)
-    blocks_by_name, parts = make_blocks(scenario, make_nominal_plant(scenario), blocks, split)
+    scenarios = (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
+    first, copies = scenarios[0], None
+    if len(scenarios) > 1:
+        copies = Copies.of(first.model, len(scenarios), flexible=True)
+        plant = builder.AddNamedSystem("plant", copies.plant)
+    elif plant is None:
+        plant = builder.AddNamedSystem("plant", make_plant(first.model, flexible=True))
+    single = plant if copies is None else copies.single
+    coordinates, split = coordinates_of(single, undriven=first.undriven), split_of(single)
+    for each in scenarios:
+        for name, posture in each.postures.items():
+            configuration(single, posture, key=name)
+        for name in ("initial_velocity", "tolerance"):
+            coordinates.check_names(getattr(each, name), key=name)
+    nominals = [make_nominal_plant(each) for each in scenarios]
+    blocks_by_name, parts = make_blocks(scenarios, nominals, blocks, split)
     for system in blocks_by_name.values():
         builder.AddSystem(system)
-    wiring = _Wiring(builder, plant, coordinates, split, blocks_by_name, scenario.sample_time)
+    wiring = _Wiring(builder, plant, copies, coordinates, split, blocks_by_name, first.sample_time)
     wiring.measure()
     wiring.follow()
     wiring.actuate()
     wiring.act()
     wiring.record_controller()
-    wiring.record_parts(parts)
+    wiring.record_parts(parts[0])
     return ClosedLoop(
-        parts=parts,
-        scenario=scenario,
+        parts=parts[0],
+        scenario=first,
         plant=plant,
         coordinates=coordinates,
         split=split,
         blocks=blocks_by_name,
         sources=wiring.sources,
+        copies=copies,
+        scenarios=scenarios if copies else (),
+        parts_of_copies=parts if copies else (),
     )
 
 
 def make_closed_loop(
-    scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None
+    scenario: Scenario | Sequence[Scenario], *, blocks: Mapping[str, Factory] | None = None
 ) -> ClosedLoop:
     """The closed loop of a scenario as a diagram of its own; arguments and errors as for
     ``add_closed_loop``.
@@ -256,16 +310,19 @@ class _Wiring:
         self,
         builder: DiagramBuilder,
         plant: MultibodyPlant,
+        copies: Copies | None,
         coordinates: Coordinates,
         split: StateSplit,
         blocks: Mapping[str, System],
         sample_time: float,
     ) -> None:
         self._builder, self._plant, self._sample_time = builder, plant, sample_time
+        self._copies = copies
         self._coordinates, self._split, self._blocks = coordinates, split, blocks
         self._controller, self._actuation = blocks["controller"], blocks.get("actuation")
         self._forces = self._of_kind("forces")
-        self._states = self._add_states() if split.names else {"state": (plant, "state")}
+        rearranged = bool(split.names) or copies is not None
+        self._states = self._add_states() if rearranged else {"state": (plant, "state")}
         self.sources: dict[str, Source] = dict(self._states)
 
     def measure(self) -> None:
@@ -300,7 +357,8 @@ class _Wiring:
             self._give_states(actuation)
             applied = (actuation, name)
         if self._coordinates.undriven:  # no force acts there, whatever is commanded
-            driven = Gain(self._coordinates.is_driven.astype(float))
+            mask = self._coordinates.is_driven.astype(float)
+            driven = Gain(np.tile(mask, self._copies.number if self._copies else 1))
             self._builder.AddNamedSystem("driven_force", driven)
             self._builder.Connect(_port(applied), driven.get_input_port())
             applied = (driven, driven.get_output_port().get_name())
@@ -372,42 +430,67 @@ class _Wiring:
 
     def _on_whole_plant(self, acts: Source, on_hidden: list[System]) -> Source:
         """A force on the known coordinates, and those of systems on hidden ones, as one."""
-        every = np.eye(self._plant.num_velocities())
-        terms = {"known_force": (acts, self._split.known)}
+        nv, nh = len(self._coordinates.names), len(self._split.names)
+        copies = self._copies.number if self._copies else 1
+        terms = {"known_force": (_port(acts), self._split.known)}
         if on_hidden:
             forces = [(system, "hidden_force") for system in on_hidden]
-            terms["hidden_force"] = (self._sum("total_hidden_force", forces), self._split.hidden)
-        placed = list[Source]()
-        for name, (force, entries) in terms.items():
-            gain = self._builder.AddNamedSystem(name, MatrixGain(every[:, entries]))
-            self._builder.Connect(_port(force), gain.get_input_port())
-            placed.append((gain, gain.get_output_port().get_name()))
-        return self._sum("whole_force", placed)
+            terms["hidden_force"] = (
+                _port(self._sum("total_hidden_force", forces)),
+                self._split.hidden,
+            )
+        else:
+            zero = ConstantVectorSource(np.zeros(copies * nh))
+            self._builder.AddNamedSystem("no_hidden_force", zero)
+            terms["hidden_force"] = (zero.get_output_port(), self._split.hidden)
+        origin = {
+            int(entry): (index, offset, entries.size)
+            for index, (_, entries) in enumerate(terms.values())
+            for offset, entry in enumerate(entries)
+        }
+        places = [
+            (index, copy * size + offset)
+            for copy in range(copies)
+            for index, offset, size in map(origin.__getitem__, range(nv + nh))
+        ]
+        sizes = {name: port.size() for name, (port, _) in terms.items()}
+        whole = self._select("whole_force", sizes, {"whole_force": places})
+        for index, (port, _) in enumerate(terms.values()):
+            self._builder.Connect(port, whole.get_input_port(index))
+        return whole, "whole_force"
 
     def _add_states(self) -> dict[str, Source]:
-        """The known and the hidden state, taken from the plant's."""
+        """The known and the hidden state, of each copy, taken from the plant's."""
+        size = self._plant.num_multibody_states()
+        rows = np.arange(size) if self._copies is None else self._copies.rows(np.arange(size))
+        parts = {"state": self._split.known_part(rows)}
+        if self._split.names:
+            parts["hidden_state"] = self._split.hidden_part(rows)
+        places = {name: [(0, int(i)) for i in entries.flat] for name, entries in parts.items()}
+        selector = self._select("states", {"whole_state": size}, places)
+        self._builder.Connect(self._plant.get_state_output_port(), selector.get_input_port())
+        return {name: (selector, name) for name in parts}
+
+    def _select(
+        self, name: str, inputs: Mapping[str, int], outputs: Mapping[str, list[tuple[int, int]]]
+    ) -> Selector:
+        """A system whose outputs are entries of its inputs: which input, and where in it."""
         params = SelectorParams()
         params.inputs = [
-            SelectorParams.InputPortParams(
-                name="whole_state", size=self._plant.num_multibody_states()
-            )
+            SelectorParams.InputPortParams(name=each, size=size) for each, size in inputs.items()
         ]
         params.outputs = [
             SelectorParams.OutputPortParams(
-                name=name,
+                name=each,
                 selections=[
-                    SelectorParams.OutputSelection(input_port_index=0, input_offset=int(i))
-                    for i in entries
+                    SelectorParams.OutputSelection(input_port_index=index, input_offset=offset)
+                    for index, offset in places
                 ],
             )
-            for name, entries in (
-                ("state", self._split.known_state),
-                ("hidden_state", self._split.hidden_state),
-            )
+            for each, places in outputs.items()
         ]
-        selector = self._builder.AddNamedSystem("states", Selector(params))
-        self._builder.Connect(self._plant.get_state_output_port(), selector.get_input_port())
-        return {name: (selector, name) for name in ("state", "hidden_state")}
+        selector: Selector = self._builder.AddNamedSystem(name, Selector(params))
+        return selector
 
     def _sum(self, name: str, terms: list[Source]) -> Source:
         """The sum of ports; a single one is returned as it is."""

@@ -1,4 +1,4 @@
-"""Detection of divergence during a run, and its progress."""
+"""Detection of divergence during a run or several, and a run's progress."""
 
 import dataclasses
 from collections.abc import Callable
@@ -84,3 +84,65 @@ class Monitor:
         self.message = (
             f"{self.loop.scenario.controller} diverged at t = {context.get_time():.2f} s: {what}"
         )
+
+
+class CopiesMonitor:
+    """Parks each copy of the spacecraft that diverges, so that it leaves the others alone: from
+    then on it is put back to its start after every step. As a simulator's monitor, it stops a run
+    when all are parked.
+    """
+
+    message = ""
+
+    def __init__(self, loop: ClosedLoop) -> None:
+        if loop.copies is None:
+            raise ValueError("the loop has one copy of the spacecraft")
+        self.loop, self.copies = loop, loop.copies
+        self.parked = set[int]()
+        self._bounds = np.array([scenario.divergence_speed for scenario in loop.scenarios])
+        self._least = float(self._bounds.min())
+        self._nothing = EventStatus.DidNothing()
+        self._first: tuple[Context, np.ndarray] | None = None  # the plant's context, and its start
+
+    def __call__(self, context: Context) -> EventStatus:
+        if not self.check(context):
+            return EventStatus.ReachedTermination(self.loop.diagram, self.message)
+        return self._nothing
+
+    def report(self, context: Context) -> None:
+        """Several runs report no progress."""
+
+    def check(self, context: Context) -> bool:
+        """Park those that diverge. True unless all are parked."""
+        if self._first is None:
+            own = self.loop.plant.GetMyMutableContextFromRoot(context)
+            start = self.copies.rows(self.loop.plant.GetPositionsAndVelocities(own))
+            self._first = own, start
+        plant_context, start = self._first
+        velocity = self.loop.plant.GetVelocities(plant_context)
+        if not self.parked and velocity.dot(velocity) <= self._least**2:  # surely within
+            return True
+        known = self.loop.split.known_velocities(velocity.reshape(self.copies.number, -1))
+        within = np.abs(known).max(axis=1) <= self._bounds  # false for NaN too
+        self.parked |= set(np.flatnonzero(~within).tolist())
+        if len(self.parked) == self.copies.number:
+            self.message = "all runs diverge"
+            return False
+        if self.parked:
+            self._park(context, plant_context, start)
+        return True
+
+    def check_force(self, context: Context) -> bool:
+        """True: what fails is not told from what diverges; each run is then repeated alone."""
+        return True
+
+    def _park(self, context: Context, plant_context: Context, start: np.ndarray) -> None:
+        plant, parked = self.loop.plant, sorted(self.parked)
+        rows = self.copies.rows(plant.GetPositionsAndVelocities(plant_context))
+        rows[parked] = start[parked]
+        plant.SetPositionsAndVelocities(plant_context, self.copies.whole(rows))
+        for block in self.loop.blocks.values():
+            if hasattr(block, "park"):
+                own = block.GetMyMutableContextFromRoot(context)
+                for copy in parked:
+                    block.park(own, copy)

@@ -28,7 +28,7 @@ from ffsm_drake.loop.blocks import block_choices, kind_of
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, INTERRUPTED, Outcome
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.monitor import Monitor
+from ffsm_drake.runs.monitor import CopiesMonitor, Monitor
 from ffsm_drake.scenario import Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.plant import add_combined_plant, add_pictures_apart, cause_of
 from ffsm_drake.systems.controllers import SMALLEST
@@ -67,14 +67,15 @@ class Leg:
 
 class Rollout:
     """A closed loop that is built once and run many times; every run equals that of a new build,
-    bit for bit.
+    bit for bit. One of several scenarios runs them side by side, each with the bits that it has
+    alone.
 
     Raises ModelError, ScenarioError and BlockError as ``add_closed_loop`` does.
     """
 
     def __init__(
         self,
-        scenario: Scenario,
+        scenario: Scenario | Sequence[Scenario],
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
@@ -83,19 +84,21 @@ class Rollout:
         """Build the closed loop.
 
         Args:
-          scenario: the scenario to build.
+          scenario: the scenario to build; several are for ``run_all``.
           blocks: factories that replace its blocks, see ``add_closed_loop``.
           meshcat: shows the motion.
           target: pose of a free target to show (n, 7; quaternion, position) at the control samples.
         """
         start = time.perf_counter()
         builder = DiagramBuilder()
+        scenarios = (scenario,) if isinstance(scenario, Scenario) else tuple(scenario)
+        scenario = scenarios[0]
         plant = (
             None
             if meshcat is None or target is not None
             else add_combined_plant(builder, scenario.model, flexible=True)
         )
-        loop = add_closed_loop(builder, scenario, blocks=blocks, plant=plant)
+        loop = add_closed_loop(builder, scenarios, blocks=blocks, plant=plant)
         if meshcat is not None and target is not None:
             _show_apart(builder, loop, target)
         self._logger, self._logged = _add_logger(builder, loop)
@@ -114,7 +117,7 @@ class Rollout:
         self._user_supplied = user_supplied(scenario, blocks)
         # With user-supplied blocks or a viewer, a run is not repeated with the monitor.
         self._checked_in_log = logs_every_step and meshcat is None and not self._user_supplied
-        self._built_for = _built_from(scenario)
+        self._built_for = [_built_from(each) for each in scenarios]
         self._build_time = time.perf_counter() - start
 
     def release(self) -> None:
@@ -123,13 +126,14 @@ class Rollout:
         """
         untie(self.loop.diagram)
 
-    def accepts(self, scenario: Scenario) -> bool:
-        """True if ``run`` takes the scenario without a new build.
+    def accepts(self, scenario: Scenario | Sequence[Scenario]) -> bool:
+        """True if ``run`` takes the scenario, or ``run_all`` the scenarios, without a new build.
 
-        It may differ in description, seed, duration, divergence speed, initial velocity and the
+        Each may differ in description, seed, duration, divergence speed, initial velocity and the
         payload's true mass properties.
         """
-        return _built_from(scenario) == self._built_for
+        scenarios = (scenario,) if isinstance(scenario, Scenario) else scenario
+        return [_built_from(each) for each in scenarios] == self._built_for
 
     def run(
         self,
@@ -191,6 +195,53 @@ class Rollout:
             },
         )
 
+    def run_all(self, scenarios: Sequence[Scenario] | None = None) -> list[RunLog | None]:
+        """Run the scenarios side by side, with the built ones or such that ``accepts`` takes, all
+        for the same number of control samples.
+
+        Returns: the log of each, as ``run`` gives it for the scenario alone; None of one that
+        diverges, which is to be run alone.
+
+        Raises:
+          ScenarioError: the scenarios need another build.
+          KeyboardInterrupt: interrupted from the keyboard.
+          Exception: whatever fails in one of the runs; which is it, they tell alone.
+        """
+        start, loop = time.perf_counter(), self.loop
+        if scenarios is not None:
+            if not self.accepts(scenarios):
+                problem = "differ from the built ones in more than a run can change; build others"
+                raise ScenarioError("scenarios", problem)
+            loop = dataclasses.replace(loop, scenario=scenarios[0], scenarios=tuple(scenarios))
+        if loop.copies is None:
+            return [self.run(loop.scenario)]
+        monitor = CopiesMonitor(loop)
+        interrupted, advance_time = self._advance(monitor, Leg(), watched=True)
+        if interrupted:
+            raise KeyboardInterrupt
+        logs: list[RunLog | None] = [None] * loop.copies.number
+        for copy, scenario in enumerate(loop.scenarios):
+            if copy in monitor.parked:
+                continue
+            times, series = self._read_log(unfinished=False, copy=copy)
+            end = float(times[-1])
+            logs[copy] = RunLog(
+                scenario=scenario,
+                outcome=Outcome(status=COMPLETED, time=end, message=f"completed {end:g} s"),
+                coordinates=loop.coordinates,
+                split=loop.split,
+                tracks_frame=loop.tracks_frame,
+                parts=loop.parts_of_copies[copy],
+                time=times,
+                series=series,
+                wall_time={
+                    "build": self._build_time,
+                    "advance_to": advance_time,
+                    "total": time.perf_counter() - start,
+                },
+            )
+        return logs
+
     def check(self) -> None:
         """Initialize a run and evaluate its derivatives, without a step; errors as ``run`` raises
         them at its start.
@@ -206,7 +257,9 @@ class Rollout:
         except (Exception, GeneratorExit, SystemExit) as error:
             _raise_for(error, self._user_supplied, 0.0)
 
-    def _advance(self, monitor: Monitor, leg: Leg, *, watched: bool) -> tuple[bool, float]:
+    def _advance(
+        self, monitor: Monitor | CopiesMonitor, leg: Leg, *, watched: bool
+    ) -> tuple[bool, float]:
         """Run from the start to the end, or to divergence, which ``monitor`` then reports.
 
         Returns: whether it was interrupted from the keyboard, and the wall time spent advancing, s.
@@ -263,30 +316,40 @@ class Rollout:
                 _raise_for(error, self._user_supplied, context.get_time())
         return interrupted, time.perf_counter() - start
 
-    def _read_log(self, *, unfinished: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Sample times and the aligned series (copied)."""
+    def _read_log(
+        self, *, unfinished: bool, copy: int = 0
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Sample times and the aligned series (copied) of a copy of the spacecraft."""
         loop, context = self.loop, self._simulator.get_context()
         held = {*_HELD, *(each.name for each in signals_of(loop.parts) if each.held)}
         log = self._logger.FindLog(context)
         times, rows = log.sample_times().copy(), log.data()
+        logged = {name: _part_of(part, copy, loop) for name, part in self._logged.items()}
         if unfinished and times.size == 0:
             raise KeyboardInterrupt
         if unfinished and times.size > 1:
             # Perhaps before the update of the last sample, which is therefore left out.
             parts = {
                 name: rows[part, 1:] if name in held else rows[part, :-1]
-                for name, part in self._logged.items()
+                for name, part in logged.items()
             }
             return times[:-1], {name: part.T.copy() for name, part in parts.items()}
         series = {}
-        for name, part in self._logged.items():
+        for name, part in logged.items():
             if name in held:
                 # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
                 last = loop.diagram.GetOutputPort(name).Eval(context)
-                series[name] = np.vstack([rows[part, 1:].T, last])
+                own = _part_of(slice(0, last.size), copy, loop)
+                series[name] = np.vstack([rows[part, 1:].T, last[own]])
             else:
                 series[name] = rows[part].T.copy()
         return times, series
+
+
+def _part_of(part: slice, copy: int, loop: ClosedLoop) -> slice:
+    """The part of a copy of the spacecraft in the rows of all copies."""
+    size = (part.stop - part.start) // (loop.copies.number if loop.copies else 1)
+    return slice(part.start + copy * size, part.start + (copy + 1) * size)
 
 
 def _outcome(monitor: Monitor, time: float, *, interrupted: bool) -> Outcome:

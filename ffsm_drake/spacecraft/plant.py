@@ -138,26 +138,45 @@ def check_pictures(model: Model) -> None:
             raise ModelError(f"model: mesh {path}: cannot be drawn: {cause_of(error)}") from error
 
 
-def make_plant(model: Model, *, flexible: bool = False) -> MultibodyPlant:
+def make_plant(model: Model, *, flexible: bool = False, copies: int = 1) -> MultibodyPlant:
     """The finalized plant without a diagram, for computations. Arguments and errors as for
     ``add_combined_plant``.
+
+    Of several ``copies`` of the spacecraft each has model instances of its own, named
+    ``copy_0::servicer`` and so on; q and v hold copy after copy (``spacecraft.copies``).
     """
     plant = MultibodyPlant(time_step=0.0)
-    _load(plant, model, flexible=flexible)
+    _load(plant, model, flexible=flexible, copies=copies)
     return plant
 
 
+def copy_instance(copy: int, name: str) -> str:
+    """The model instance of a copy, for that of the only one."""
+    return f"copy_{copy}::{name}"
+
+
 def _load(
-    plant: MultibodyPlant, model: Model, *, apart: str | None = None, flexible: bool = False
+    plant: MultibodyPlant,
+    model: Model,
+    *,
+    apart: str | None = None,
+    flexible: bool = False,
+    copies: int = 1,
 ) -> None:
     """Parse the model into an empty plant, finalize and check it; see ``add_combined_plant``."""
-    source = _parse(plant, model)
-    if apart is not None:
-        _free(plant, apart)
-    try:
-        add_flexible(plant, model) if flexible else lock_joints(plant, model)
-    except DRAKE_ERRORS as error:
-        raise ModelError(f"model.flexible: {cause_of(error)}") from error
+    for copy in range(copies):
+        first = plant.num_model_instances()
+        source = _parse(plant, model)
+        if apart is not None:
+            _free(plant, apart)
+        try:
+            add_flexible(plant, model) if flexible else lock_joints(plant, model)
+        except DRAKE_ERRORS as error:
+            raise ModelError(f"model.flexible: {cause_of(error)}") from error
+        if copies > 1:  # the next one finds its names free
+            for index in map(ModelInstanceIndex, range(first, plant.num_model_instances())):
+                name = copy_instance(copy, plant.GetModelInstanceName(index))
+                plant.RenameModelInstance(index, name)
     plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
     try:
         _add_drives(plant)
@@ -171,6 +190,8 @@ def _load(
         )
     if not plant.GetFloatingBaseBodies():
         raise ModelError(f"{source}: no floating base; the base must not be welded to world")
+    if copies > 1:
+        return
     if apart is None:
         try:
             coordinates_of(plant)

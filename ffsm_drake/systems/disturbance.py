@@ -1,8 +1,16 @@
 """The external disturbance: a harmonic and a constant per coordinate (Table 1), in C++ systems."""
 
+from collections.abc import Sequence
+
 import numpy as np
-from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.primitives import AffineSystem, Sine
+from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
+from pydrake.systems.primitives import (
+    Adder,
+    ConstantVectorSource,
+    Selector,
+    SelectorParams,
+    Sine,
+)
 
 from ffsm_drake.scenario import Disturbance
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -17,18 +25,50 @@ class HarmonicDisturbance(Part):
 
     def build(self, setup: BlockSetup) -> Diagram:
         """The force."""
-        return make_disturbance(setup.scenario.disturbance, setup.coordinates)
+        return self.build_wide([setup])
+
+    def build_wide(self, setups: Sequence[BlockSetup]) -> Diagram:
+        """The forces of several copies, see ``loop.side_by_side``."""
+        settings = [setup.scenario.disturbance for setup in setups]
+        return make_disturbance(settings, setups[0].coordinates)
 
 
-def make_disturbance(settings: Disturbance, coordinates: Coordinates) -> Diagram:
-    """A source with output ``generalized_force`` (nv): amplitude sin(frequency t + phase) + bias, N
-    m and N.
+def make_disturbance(settings: Sequence[Disturbance], coordinates: Coordinates) -> Diagram:
+    """A source with output ``generalized_force``: amplitude sin(frequency t + phase) + bias, N m
+    and N, (nv) of each of the settings.
 
     The scales multiply amplitudes and biases, and frequencies (phases stay), so that the paper's
     tau_d2 is ``frequency_scale: 3`` and tau_d3 is ``amplitude_scale: 3``.
 
     Raises:
       ScenarioError: a harmonic is given for an unknown coordinate.
+    """
+    vectors = [_vectors(each, coordinates) for each in settings]
+    amplitude, frequency, phase, bias = (np.concatenate(of) for of in zip(*vectors, strict=True))
+    nv = len(coordinates.names)
+    builder = DiagramBuilder()
+    harmonic = builder.AddNamedSystem("harmonic", Sine(amplitude, frequency, phase))
+    port = harmonic.get_output_port(0)
+    if nv % 2:
+        kept = [i for i in range(amplitude.size) if (i + 1) % (nv + 1)]
+        port = _take(builder, port, kept)
+    if bias.any():
+        biases = builder.AddNamedSystem("bias", ConstantVectorSource(bias))
+        biased = builder.AddNamedSystem("biased", Adder(2, bias.size))
+        builder.Connect(port, biased.get_input_port(0))
+        builder.Connect(biases.get_output_port(), biased.get_input_port(1))
+        port = biased.get_output_port()
+    builder.ExportOutput(port, "generalized_force")
+    diagram = builder.Build()
+    diagram.set_name("disturbance")
+    return diagram
+
+
+def _vectors(settings: Disturbance, coordinates: Coordinates) -> list[np.ndarray]:
+    """Amplitude, frequency and phase of the sines (an even number of them), and bias (nv).
+
+    The vectorised sine of an entry depends, in the last bit, on whether it has a neighbour: with an
+    even number the entries of one spacecraft have the same bits among those of several.
     """
     amplitude, frequency, phase, bias = (
         coordinates.vector(
@@ -38,24 +78,23 @@ def make_disturbance(settings: Disturbance, coordinates: Coordinates) -> Diagram
         )
         for field in ("amplitude", "frequency", "phase", "bias")
     )
-    builder = DiagramBuilder()
-    harmonic = builder.AddNamedSystem(
-        "harmonic",
-        Sine(
-            settings.amplitude_scale * amplitude,
-            settings.frequency_scale * frequency,
-            phase,
-        ),
-    )
-    port = harmonic.get_output_port(0)
-    if bias.any():
-        gain = np.eye(bias.size)
-        biased = builder.AddNamedSystem(
-            "biased", AffineSystem(D=gain, y0=settings.amplitude_scale * bias)
+    scaled = (settings.amplitude_scale * amplitude, settings.frequency_scale * frequency, phase)
+    sines = [np.append(each, np.zeros(bias.size % 2)) for each in scaled]
+    return [*sines, settings.amplitude_scale * bias]
+
+
+def _take(builder: DiagramBuilder, port: OutputPort, entries: Sequence[int]) -> OutputPort:
+    """Some entries of a port."""
+    params = SelectorParams()
+    params.inputs = [SelectorParams.InputPortParams(name="harmonics", size=port.size())]
+    params.outputs = [
+        SelectorParams.OutputPortParams(
+            name="taken",
+            selections=[
+                SelectorParams.OutputSelection(input_port_index=0, input_offset=i) for i in entries
+            ],
         )
-        builder.Connect(port, biased.get_input_port())
-        port = biased.get_output_port()
-    builder.ExportOutput(port, "generalized_force")
-    diagram = builder.Build()
-    diagram.set_name("disturbance")
-    return diagram
+    ]
+    taken = builder.AddNamedSystem("taken", Selector(params))
+    builder.Connect(port, taken.get_input_port())
+    return taken.get_output_port()

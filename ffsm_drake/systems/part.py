@@ -378,10 +378,16 @@ Parts = Mapping[str, PlacedPart]  # by name
 
 
 def place_part(
-    part: Part, setup: BlockSetup, system: System | None, *, name: str, block: str
+    part: Part,
+    setup: BlockSetup,
+    system: System | None,
+    *,
+    name: str,
+    block: str,
+    copies: int = 1,
 ) -> PlacedPart:
-    """A part with its signals, checked against the system that fills its block. Raises
-    BlockError.
+    """A part with its signals, checked against the system that fills its block, of one or several
+    copies of the spacecraft. Raises BlockError.
     """
     place = f"blocks.{name} '{type(part).__name__}'"
     signals = tuple(part.signals(setup))
@@ -402,7 +408,7 @@ def place_part(
         if system is None or not system.HasOutputPort(signal.name):
             raise BlockError(f"{place}: signal '{signal.name}' needs an output port of that name")
         size = system.GetOutputPort(signal.name).size()
-        if size != signal.size:
+        if size != copies * signal.size:
             raise BlockError(
                 f"{place}: output port '{signal.name}' must have size {signal.size}, as its signal "
                 f"has components, not {size}"

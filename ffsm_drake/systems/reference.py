@@ -14,6 +14,8 @@ eigenaxis turn if v_0 is zero.
 """
 
 import dataclasses
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.math import RollPitchYaw
@@ -27,18 +29,19 @@ from ffsm_drake.common.so3 import (
     rotation_vector_motion,
     rpy_motion,
 )
-from ffsm_drake.scenario import Posture, Scenario, planned_part
+from ffsm_drake.scenario import Posture, Scenario, planned_part, scenario_to_dict
 from ffsm_drake.spacecraft.capture import NOTHING, planned_contact
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
-from ffsm_drake.systems.frame_path import FramePath, goal_frame, make_frame_path
+from ffsm_drake.systems.frame_path import FRAME_SIZE, FramePath, goal_frame, make_frame_path
 from ffsm_drake.systems.free_motion import FreeMotion
 from ffsm_drake.systems.plan import Plan, load_plan
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.resolved_motion import ResolvedMotion
+from ffsm_drake.systems.setup import BlockSetup
 
 
 class PolynomialMotion(PlannedMotion):
@@ -161,13 +164,39 @@ class _FrameMotion(PlannedMotion):
         return self._path.rows(times)
 
 
+class _SideBySideMotion(PlannedMotion):
+    """Motions of several copies of the spacecraft: the first entries of all of them, then the
+    rest.
+    """
+
+    def __init__(self, motions: Sequence[PlannedMotion], *, first: int, sample_time: float) -> None:
+        self._motions, self._first = motions, first
+        super().__init__(
+            coordinates=motions[0].coordinates,
+            sample_time=sample_time,
+            begin=motions[0].begin,
+            end=max(motion.end for motion in motions),
+        )
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        made = {motion: motion.rows(times) for motion in self._motions}  # some are shared
+        each = [made[motion] for motion in self._motions]
+        parts = [rows[:, : self._first] for rows in each], [rows[:, self._first :] for rows in each]
+        return np.hstack([*parts[0], *parts[1]])
+
+
 class _MotionSource(LeafSystem):
     """The rows of a motion in one output: with two, Drake would call twice per sample."""
 
-    def __init__(self, motion: PlannedMotion) -> None:
+    def __init__(self, motions: Sequence[PlannedMotion], *, first: int, sample_time: float) -> None:
+        """Args: of each copy of the spacecraft; how many entries of all rows go first; s."""
         super().__init__()
-        self._motion = motion
-        size = motion.row(0.0).size
+        self._motion = (
+            motions[0]
+            if len(motions) == 1
+            else _SideBySideMotion(motions, first=first, sample_time=sample_time)
+        )
+        size = self._motion.row(0.0).size
         self.DeclareVectorOutputPort(
             "motion", size, weak_callback(self._calc_motion), {self.time_ticket()}
         )
@@ -287,30 +316,71 @@ def without_target(scenario: Scenario) -> Scenario:
     )
 
 
-def make_reference(scenario: Scenario, coordinates: Coordinates) -> Diagram:
+def reference_of(setup: BlockSetup) -> Diagram:
+    """The reference of a scenario's section."""
+    return make_reference([setup.scenario], setup.coordinates)
+
+
+def wide_reference_of(setups: Sequence[BlockSetup]) -> Diagram | None:
+    """The references of several copies of the spacecraft, see ``loop.side_by_side``; None where
+    only some prescribe a frame.
+    """
+    if len({_prescribes_frame(setup.scenario) for setup in setups}) > 1:
+        return None
+    return make_reference([setup.scenario for setup in setups], setups[0].coordinates)
+
+
+def make_reference(scenarios: Sequence[Scenario], coordinates: Coordinates) -> Diagram:
     """A source of the planned motion, a function of time only.
 
-    Outputs:
+    Outputs, of each of the scenarios:
       desired_state: [q_d; v_d] (nq + nv).
       desired_acceleration: time derivative of v_d (nv).
       desired_frame: rows of FramePath (19), if the pose of a frame is prescribed.
     """
-    builder, planned = DiagramBuilder(), make_motion(scenario, coordinates)
-    motion = builder.AddNamedSystem("motion", _MotionSource(planned))
-    num_positions, num_velocities = len(coordinates.position_names), len(coordinates.names)
-    parts = builder.AddNamedSystem(
-        "parts", Demultiplexer([num_positions + num_velocities, num_velocities])
+    builder, sample_time = DiagramBuilder(), scenarios[0].sample_time
+    motions, frames = list[PlannedMotion](), list[PlannedMotion]()
+    made = list[tuple[dict[str, Any], PlannedMotion, PlannedMotion | None]]()
+    for scenario in scenarios:
+        part = scenario_to_dict(planned_part(scenario))
+        found = next((each for each in made if each[0] == part), None)
+        if found is None:
+            planned = make_motion(scenario, coordinates)
+            found = part, planned, _make_frame_motion(scenario, planned)
+            made.append(found)
+        motions.append(found[1])
+        if found[2] is not None:
+            frames.append(found[2])
+    states, velocities = (
+        len(scenarios) * (len(coordinates.position_names) + len(coordinates.names)),
+        len(scenarios) * len(coordinates.names),
     )
+    motion = builder.AddNamedSystem(
+        "motion",
+        _MotionSource(motions, first=states // len(scenarios), sample_time=sample_time),
+    )
+    parts = builder.AddNamedSystem("parts", Demultiplexer([states, velocities]))
     builder.Connect(motion.get_output_port(), parts.get_input_port())
     builder.ExportOutput(parts.get_output_port(0), "desired_state")
     builder.ExportOutput(parts.get_output_port(1), "desired_acceleration")
-    if scenario.reference.frame is not None and scenario.reference.frame.task != "none":
-        path = make_frame_path(
-            scenario, make_nominal_plant(scenario), duration=planned.end - planned.begin
-        )
-        rows = _FrameMotion(path, coordinates=coordinates, sample_time=scenario.sample_time)
-        frame = builder.AddNamedSystem("frame", _MotionSource(rows))
+    if frames:
+        source = _MotionSource(frames, first=FRAME_SIZE, sample_time=sample_time)
+        frame = builder.AddNamedSystem("frame", source)
         builder.ExportOutput(frame.get_output_port(), "desired_frame")
     reference = builder.Build()
     reference.set_name("reference")
     return reference
+
+
+def _make_frame_motion(scenario: Scenario, planned: PlannedMotion) -> PlannedMotion | None:
+    """The path of the frame whose pose is prescribed along a planned motion, if one is."""
+    if not _prescribes_frame(scenario):
+        return None
+    path = make_frame_path(
+        scenario, make_nominal_plant(scenario), duration=planned.end - planned.begin
+    )
+    return _FrameMotion(path, coordinates=planned.coordinates, sample_time=scenario.sample_time)
+
+
+def _prescribes_frame(scenario: Scenario) -> bool:
+    return scenario.reference.frame is not None and scenario.reference.frame.task != "none"

@@ -121,9 +121,20 @@ def address_of(factory: Factory) -> str:
 
 def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
     """The result of a factory for a setup. Raises BlockError naming ``place`` if it fails."""
-    factory = getattr(factory, "from_setup", factory)
+    return _called(getattr(factory, "from_setup", factory), setup, place)
+
+
+def call_wide_factory(factory: Any, setups: Sequence[BlockSetup], *, place: str) -> Any:
+    """The result of a factory's ``build_wide`` (``loop.side_by_side``) for several setups, None
+    where it has none; errors as ``call_factory``.
+    """
+    make = getattr(factory, "build_wide", None)
+    return None if make is None else _called(make, setups, place)
+
+
+def _called(make: Callable[[Any], Any], given: Any, place: str) -> Any:
     try:
-        return factory(setup)
+        return make(given)
     except FfsmError:
         raise
     except (Exception, GeneratorExit, SystemExit) as error:

@@ -10,7 +10,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.common import RandomDistribution
+from pydrake.common import RandomDistribution, RandomGenerator
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -20,16 +21,25 @@ from pydrake.systems.framework import (
     InputPort,
     LeafSystem,
     OutputPort,
+    State,
     System,
 )
-from pydrake.systems.primitives import Adder, AffineSystem, Gain, LinearSystem, RandomSource
+from pydrake.systems.primitives import (
+    Adder,
+    AffineSystem,
+    Gain,
+    LinearSystem,
+    RandomSource,
+)
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import turning_matrix
 from ffsm_drake.scenario import Sensing as SensingSettings
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.setup import CompositeBlock
+from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
+
+_DRAWN = 256  # samples of noise at once, for several copies of the spacecraft
 
 
 def quantize(values: np.ndarray, resolution: np.ndarray) -> np.ndarray:
@@ -99,7 +109,8 @@ class Sampling(LeafSystem):
         untie(self)
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """Before the start, ``state`` (size) was measured."""
+        """Before the start, ``state`` (size, or rows of that size) was measured."""
+        state = state.ravel()
         for _, _, entries, index in self._sensors:
             kept = context.get_discrete_state(index).size() // entries.size
             context.SetDiscreteState(index, np.tile(state[entries], kept))
@@ -183,11 +194,36 @@ class Sensing(CompositeBlock):
         builder.BuildInto(self)
         self.set_name("sensing")
 
+    def set_random(self, context: Context, generators: Sequence[RandomGenerator]) -> None:
+        """Draw the random state of each of several copies of the spacecraft."""
+        for stage in self.GetSystems():
+            if isinstance(stage, _NoiseStage):
+                stage.set_random(generators)
+
+
+def sensing_of(setup: BlockSetup) -> Sensing:
+    """The sensors of a scenario's section."""
+    return make_sensing([setup.scenario.sensing], setup.coordinates, sample_time=setup.sample_time)
+
+
+def wide_sensing_of(setups: Sequence[BlockSetup]) -> Sensing | None:
+    """The sensors of several copies of the spacecraft, see ``loop.side_by_side``; None with biases
+    or drifts, or where only some sensors are slow.
+    """
+    settings, coordinates = [setup.scenario.sensing for setup in setups], setups[0].coordinates
+    each = [_Errors(of, coordinates, setups[0].sample_time) for of in settings]
+    together = not any(_make_bias([of]) or _make_drift([of]) for of in each)
+    times = [np.concatenate(measurement_times(of, coordinates)).tolist() for of in settings]
+    if not together or any(of != times[0] for of in times):
+        return None
+    return make_sensing(settings, coordinates, sample_time=setups[0].sample_time)
+
 
 def make_sensing(
-    settings: SensingSettings, coordinates: Coordinates, *, sample_time: float
+    settings: Sequence[SensingSettings], coordinates: Coordinates, *, sample_time: float
 ) -> Sensing:
-    """A diagram from ``state`` to ``estimated_state``, both [q; v] (nq + nv).
+    """A diagram from ``state`` to ``estimated_state``, both [q; v] (nq + nv), of each of the
+    settings.
 
     With a sensor of a longer period than the controller's there is an output ``measurement_is_new``
     (nq + nv): 1 where this control sample brings a measurement that was not there before, 0 where
@@ -197,8 +233,9 @@ def make_sensing(
       ScenarioError: a value is given for an unknown coordinate, or cannot be applied to the base's
         rotation.
     """
-    errors = _Errors(settings, coordinates, sample_time)
-    errors.check_rotation()
+    errors = [_Errors(each, coordinates, sample_time) for each in settings]
+    for each in errors:
+        each.check_rotation()
     # The white noise comes before the drift, so that its draws of a seed do not depend on it.
     makers = (_make_bias, _make_white_noise, _make_drift, _make_quantizer, _make_sampling)
     return Sensing([stage for make in makers if (stage := make(errors)) is not None])
@@ -270,43 +307,118 @@ def _make_stage(name: str, system: System) -> Diagram:
     return _build_stage(name, builder, system.get_input_port(), system.get_output_port())
 
 
-def _make_noise(name: str, shaped_by: System, errors: _Errors) -> Diagram:
+class _NoiseStage(Diagram):
     """A stage that adds Gaussian noise: independent samples of deviation 1, one for each control
     period and input of the system that shapes it.
     """
-    builder = DiagramBuilder()
-    builder.AddNamedSystem("shaped", shaped_by)
-    size = shaped_by.get_input_port().size()
-    source = RandomSource(RandomDistribution.kGaussian, size, errors.sample_time)
-    builder.AddNamedSystem("samples", source)
-    noisy = builder.AddNamedSystem("noisy", Adder(2, shaped_by.get_output_port().size()))
-    builder.Connect(source.get_output_port(), shaped_by.get_input_port())
-    builder.Connect(shaped_by.get_output_port(), noisy.get_input_port(1))
-    return _build_stage(name, builder, noisy.get_input_port(0), noisy.get_output_port())
+
+    def __init__(self, name: str, shaped_by: System, *, copies: int, sample_time: float) -> None:
+        super().__init__()
+        builder = DiagramBuilder()
+        builder.AddNamedSystem("shaped", shaped_by)
+        size = shaped_by.get_input_port().size()
+        self._samples = (
+            RandomSource(RandomDistribution.kGaussian, size, sample_time)
+            if copies == 1
+            else _Samples(size // copies, copies=copies, sample_time=sample_time)
+        )
+        builder.AddNamedSystem("samples", self._samples)
+        noisy = builder.AddNamedSystem("noisy", Adder(2, shaped_by.get_output_port().size()))
+        builder.Connect(self._samples.get_output_port(), shaped_by.get_input_port())
+        builder.Connect(shaped_by.get_output_port(), noisy.get_input_port(1))
+        builder.ExportInput(noisy.get_input_port(0), "state")
+        builder.ExportOutput(noisy.get_output_port(), "estimated_state")
+        builder.BuildInto(self)
+        self.set_name(name)
+
+    def set_random(self, generators: Sequence[RandomGenerator]) -> None:
+        """See ``Sensing.set_random``."""
+        if isinstance(self._samples, _Samples):
+            self._samples.set_random(generators)
 
 
-def _make_bias(errors: _Errors) -> Diagram | None:
+class _Samples(LeafSystem):
+    """Gaussian samples of deviation 1 of several copies of the spacecraft, as a RandomSource gives
+    each with its seed: drawn in advance, as an event for each source and sample takes longer.
+
+    Output and discrete state: (copies * size), updated every ``sample_time``.
+    """
+
+    def __init__(self, size: int, *, copies: int, sample_time: float) -> None:
+        super().__init__()
+        builder = DiagramBuilder()
+        # each of its updates draws _DRAWN samples
+        self._sources = [
+            builder.AddSystem(RandomSource(RandomDistribution.kGaussian, _DRAWN * size, 1.0))
+            for _ in range(copies)
+        ]
+        self._simulator = Simulator(builder.Build())
+        self._sample_time = sample_time
+        self._rows, self._block = np.zeros((_DRAWN, copies * size)), 0
+        self._value = self.DeclareDiscreteState(copies * size)
+        self.DeclareStateOutputPort("samples", self._value)
+        # As that of a RandomSource: before the discrete updates of the same instant, which read it.
+        self.DeclarePeriodicUnrestrictedUpdateEvent(sample_time, 0.0, weak_callback(self._update))
+        untie(self)
+
+    def set_random(self, generators: Sequence[RandomGenerator]) -> None:
+        """Begin a run: the copies draw their seeds."""
+        diagram = self._simulator.get_system()
+        context = diagram.CreateDefaultContext()
+        for source, generator in zip(self._sources, generators, strict=True):
+            source.SetRandomContext(source.GetMyMutableContextFromRoot(context), generator)
+        self._simulator.reset_context(context)
+        self._block = 0
+        self._read()
+
+    def _read(self) -> None:
+        context = self._simulator.get_context()
+        drawn = [
+            source.get_output_port().Eval(source.GetMyContextFromRoot(context)).reshape(_DRAWN, -1)
+            for source in self._sources
+        ]
+        self._rows = np.concatenate(drawn, axis=1)
+
+    def _update(self, context: Context, state: State) -> None:
+        # A RandomSource draws once before its first update.
+        block, row = divmod(round(context.get_time() / self._sample_time) + 1, _DRAWN)
+        while self._block < block:
+            self._simulator.AdvanceTo(self._block)
+            self._simulator.AdvancePendingEvents()
+            self._block += 1
+            self._read()
+        state.get_mutable_discrete_state().set_value(self._value, self._rows[row])
+
+
+def _make_bias(errors: Sequence[_Errors]) -> Diagram | None:
     """Constant errors; that of the attitude turns it by a rotation vector in the world frame."""
-    position, velocity = errors.pair("bias")
+    position, velocity = errors[0].pair("bias")
     if not (position.any() or velocity.any()):
         return None
     bias = _of_state(position, velocity)
     turned = np.eye(bias.size)
-    rotation = position[errors.coordinates.groups["base_rotation"]]
+    rotation = position[errors[0].coordinates.groups["base_rotation"]]
     if rotation.any():
         turned[:4, :4] = turning_matrix(rotation)
     return _make_stage("bias", AffineSystem(D=turned, y0=bias))
 
 
-def _make_white_noise(errors: _Errors) -> Diagram:
+def _make_white_noise(errors: Sequence[_Errors]) -> Diagram:
     """One independent Gaussian sample per coordinate and control period, held in between."""
-    return _make_noise("white_noise", Gain(_deviations(*errors.pair("noise"))), errors)
+    deviations = np.concatenate([_deviations(*each.pair("noise")) for each in errors])
+    return _NoiseStage(
+        "white_noise",
+        Gain(deviations),
+        copies=len(errors),
+        sample_time=errors[0].sample_time,
+    )
 
 
-def _make_drift(errors: _Errors) -> Diagram | None:
+def _make_drift(of_copies: Sequence[_Errors]) -> Diagram | None:
     """Random walks of the velocities' bias, from zero, and correlated noise: first-order
     Gauss-Markov processes, stationary from the start.
     """
+    errors = of_copies[0]
     of_velocity = errors.of("velocity_bias_walk")
     walk = _of_state(np.zeros_like(of_velocity), of_velocity)
     correlated = _deviations(*errors.pair("correlated_noise"))
@@ -328,22 +440,26 @@ def _make_drift(errors: _Errors) -> Diagram | None:
         time_period=period,
     )
     drift.configure_random_state(np.diag(sigma**2))
-    return _make_noise("drift", drift, errors)
+    return _NoiseStage("drift", drift, copies=1, sample_time=period)
 
 
-def _make_quantizer(errors: _Errors) -> Diagram | None:
+def _make_quantizer(errors: Sequence[_Errors]) -> Diagram | None:
     """Rounding of all but the base's rotation."""
-    resolution = _of_state(*errors.pair("quantization"))
+    resolution = np.concatenate([_of_state(*each.pair("quantization")) for each in errors])
     return _make_stage("quantizer", Quantizer(resolution)) if resolution.any() else None
 
 
-def _make_sampling(errors: _Errors) -> Sampling | None:
+def _make_sampling(errors: Sequence[_Errors]) -> Sampling | None:
     """Longer periods and delays."""
-    times = measurement_times(errors.settings, errors.coordinates)
-    period, delay = (np.concatenate([of[:1], of]) for of in times)  # the quaternion has four
+    times = [measurement_times(each.settings, each.coordinates) for each in errors]
+    # the quaternion has four
+    period, delay = (
+        np.concatenate([np.append(each[:1], each) for each in of])
+        for of in zip(*times, strict=True)
+    )
     if not ((period > 1).any() or delay.any()):
         return None
-    sampling = Sampling(period, delay, sample_time=errors.sample_time)
+    sampling = Sampling(period, delay, sample_time=errors[0].sample_time)
     sampling.set_name("sampling")
     return sampling
 

@@ -39,10 +39,10 @@ from ffsm_drake.scenario import MassProperties, Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.systems.actuation.drives import FRICTION
 from ffsm_drake.systems.actuation.mean import make_mean_actuation
-from ffsm_drake.systems.controllers.law import ControlLaw
+from ffsm_drake.systems.controllers.law import ControlLaw, is_wide
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.reference import make_motion, timed, without_target
-from ffsm_drake.systems.registry import Factory, is_shipped
+from ffsm_drake.systems.registry import Factory
 
 # Fractions of the planned motion at which a loop is linearised.
 POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -80,10 +80,6 @@ class Linearizer:
         factories = dict(blocks or {})
         if is_rehearsed(self.given):
             factories = {"actuation": make_mean_actuation, **factories}
-        # user-supplied laws are called as in a run
-        self._takes_many = "controller" not in factories and is_shipped(
-            "controller", self.scenario.controller
-        )
         for name, part in parts_of(self.scenario, factories).items():
             factories[name] = part.linear()
         self.loop = make_closed_loop(self.scenario, blocks=factories)
@@ -150,7 +146,7 @@ class Linearizer:
             self._context,
             sample_time=period,
             leave_out=lambda system, group: system is controller and group in held,
-            together=controller if self._takes_many else None,
+            together=controller if self.law is not None and is_wide(self.law) else None,
         )
         # of the plant's part of x
         self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.split.names))

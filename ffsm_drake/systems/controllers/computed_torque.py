@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ffsm_drake.systems.controllers.time_delay import matrix_vector
 class ComputedTorque(ControlLaw):
     """tau = Hhat (a_d + K_d e' + K_p e) + Chat."""
 
+    wide: ClassVar[bool] = True
     model: PlantModel
     k_p: np.ndarray = gain(25.0, "1/s^2", "gain K_p on the error")
     k_d: np.ndarray = gain(10.0, "1/s", "gain K_d on the error's rate")

@@ -10,7 +10,7 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import CommandFilter
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
+from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State, is_wide
 
 _KEY = "command_filter"
 
@@ -32,6 +32,11 @@ class FilteredLaw(ControlLaw):
     def tracks_frame(self) -> bool:  # type: ignore[override]
         """True if the wrapped law tracks a frame."""
         return self.law.tracks_frame
+
+    @property
+    def wide(self) -> bool:  # type: ignore[override]
+        """True if the wrapped law is."""
+        return is_wide(self.law)
 
     def initial_state(self) -> State:
         """The law's state, and that of filters at rest."""

@@ -121,6 +121,10 @@ class ControlLaw(abc.ABC):
 
     # True if it tracks a frame: it gets ``desired_frame``, and is evaluated by the frame's pose.
     tracks_frame: ClassVar[bool] = False
+    # True if ``step`` gives every row of arrays (B, nv) the bits that it has alone, with a row for
+    # each run in the fields that are vectors too, and a column (B, 1) in numbers that differ; other
+    # fields are equal, but for the model. Runs in one diagram then share one law (``is_wide``).
+    wide: ClassVar[bool] = False
 
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the law's memory."""
@@ -201,6 +205,13 @@ class ControlLaw(abc.ABC):
           BlockError: another field without a default, or no ``step``.
         """
         return cls(**field_values(cls, setup))
+
+
+def is_wide(part: Any) -> bool:
+    """Whether a law, or a part of one, is wide: its class says so itself. One that inherits it may
+    have another ``step``.
+    """
+    return "wide" in vars(type(part)) and bool(part.wide)
 
 
 def gains_of(kind: Any) -> dict[str, Gain]:

@@ -8,9 +8,14 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
+from ffsm_drake.common.so3 import (
+    rotation_error,
+    rotation_error_rate,
+    rotation_error_rates,
+    rotation_errors,
+)
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 
 # Memory of a law that becomes an output and is recorded: (nv) each, and one number.
@@ -44,16 +49,32 @@ class SampledController(LeafSystem):
     """
 
     def __init__(
-        self, law: ControlLaw, *, name: str, coordinates: Coordinates, sample_time: float
+        self,
+        law: ControlLaw,
+        *,
+        name: str,
+        coordinates: Coordinates,
+        sample_time: float,
+        memory: State | None = None,
+        copies: int = 1,
     ) -> None:
-        """Args: a law for ``coordinates``; the system's name; the control period L, s."""
+        """Args: a law for ``coordinates``; the system's name; the control period L, s; the memory
+        at the start, by default the law's; of how many copies of the spacecraft, each with a row in
+        all arrays of law and memory.
+        """
         super().__init__()
         self.set_name(name)
         self.law = law
-        num_velocities = len(coordinates.names)
+        self._made_with: dict[str, Any] = {
+            "name": name,
+            "coordinates": coordinates,
+            "sample_time": sample_time,
+        }
+        self._copies = copies
+        num_velocities = copies * len(coordinates.names)
         self._num_positions = len(coordinates.position_names)
         self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
-        num_states = self._num_positions + num_velocities
+        num_states = copies * self._num_positions + num_velocities
         self._estimated_state = self.DeclareVectorInputPort("estimated_state", num_states)
         self._desired_state = self.DeclareVectorInputPort("desired_state", num_states)
         self._desired_acceleration = self.DeclareVectorInputPort(
@@ -62,11 +83,12 @@ class SampledController(LeafSystem):
         self._applied_force = self.DeclareVectorInputPort("applied_force", num_velocities)
         self._is_new = self.DeclareVectorInputPort("measurement_is_new", num_states)
         self._desired_frame = (
-            self.DeclareVectorInputPort("desired_frame", FRAME_SIZE)
+            self.DeclareVectorInputPort("desired_frame", copies * FRAME_SIZE)
             if getattr(law, "tracks_frame", False)
             else None
         )
-        memory = law.initial_state()
+        if memory is None:
+            memory = law.initial_state()
         if not isinstance(memory, Mapping) or {"generalized_force", "has_previous"} & set(memory):
             raise BlockError(
                 f"controller '{name}': initial_state must return a mapping of names to arrays, "
@@ -76,10 +98,11 @@ class SampledController(LeafSystem):
         self._force = self.DeclareDiscreteState(np.zeros(num_velocities))
         self._has_previous = self.DeclareDiscreteState(np.zeros(1))
         self._memory = {
-            key: self.DeclareDiscreteState(np.asarray(value, dtype=float))
+            key: self.DeclareDiscreteState(np.asarray(value, dtype=float).ravel())
             for key, value in memory.items()
         }
-        self._shapes = {"generalized_force": (num_velocities,)} | {
+        one = (len(coordinates.names),)
+        self._shapes = {"generalized_force": one if copies == 1 else (copies, *one)} | {
             key: np.shape(memory[key]) for key in memory
         }
         self.DeclareStateOutputPort("generalized_force", self._force)
@@ -88,6 +111,25 @@ class SampledController(LeafSystem):
                 self.DeclareStateOutputPort(key, self._memory[key])
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
         untie(self)
+
+    def widened(self, law: ControlLaw, memories: Sequence[State]) -> "SampledController":
+        """The controller of several copies of the spacecraft, from that of one.
+
+        Args:
+          law: of all copies, with a row for each in all arrays.
+          memories: of each, at the start.
+        """
+        memory = {name: np.stack([each[name] for each in memories]) for name in memories[0]}
+        return SampledController(law, memory=memory, copies=len(memories), **self._made_with)
+
+    def park(self, context: Context, copy: int) -> None:
+        """Put a copy's force and memory to their values at the start."""
+        start = self.CreateDefaultContext()
+        for index in (self._force, *self._memory.values()):
+            values = np.array(context.get_discrete_state(index).value())
+            first = start.get_discrete_state(index).value()
+            values.reshape(self._copies, -1)[copy] = first.reshape(self._copies, -1)[copy]
+            context.SetDiscreteState(index, values)
 
     def state(self, context: Context, name: str) -> np.ndarray:
         """A copy of one piece of the discrete state, by its name in the class docstring."""
@@ -136,8 +178,8 @@ class SampledController(LeafSystem):
         held = {name: (int(self._memory[name]), value) for name, value in self.law.held().items()}
         return {"has_previous": (int(self._has_previous), 1.0), **held}
 
-    def inputs(self, context: Context) -> tuple[Sample, dict[str, np.ndarray]]:
-        """The law's sample and memory in a context, in part as views of it."""
+    def _sample(self, context: Context) -> Sample:
+        """What the law reads of one spacecraft."""
         estimated = self._estimated_state.Eval(context)
         desired = self._desired_state.Eval(context)
         split = self._num_positions
@@ -151,7 +193,7 @@ class SampledController(LeafSystem):
         if self._undriven is not None:
             e[self._undriven] = e_dot[self._undriven] = 0.0
         value = context.get_discrete_state().value
-        sample = Sample(
+        return Sample(
             estimated[:split],
             estimated[split:],
             desired[:split],
@@ -169,14 +211,12 @@ class SampledController(LeafSystem):
             if self._desired_frame is None or not self._desired_frame.HasValue(context)
             else self._desired_frame.Eval(context),
         )
-        return sample, dict(zip(self._memory, map(value, self._memory.values()), strict=False))
 
     def copied_inputs(self, context: Context) -> tuple[np.ndarray | None, ...]:
-        """``inputs`` as copies in a row; ``is_first`` must be false."""
-        sample, memory = self.inputs(context)
-        return tuple(
-            None if each is None else np.array(each) for each in (*sample, *memory.values())
-        )
+        """Copies of what the law reads of one spacecraft, and of its memory, in a row."""
+        value = context.get_discrete_state().value
+        inputs = (*self._sample(context), *map(value, self._memory.values()))
+        return tuple(None if each is None else np.array(each) for each in inputs)
 
     def after_each(self, inputs: Sequence[tuple[np.ndarray | None, ...]]) -> dict[int, np.ndarray]:
         """Discrete groups (n, size) after the update from each of n ``copied_inputs``, in one step
@@ -195,9 +235,50 @@ class SampledController(LeafSystem):
             group: after[name] for name, group in self.memory_groups().items()
         }
 
+    def _wide_sample(self, context: Context) -> Sample:
+        """As ``_sample``, of several copies: a row for each in all arrays."""
+        copies, split = self._copies, self._num_positions
+        estimated = self._estimated_state.Eval(context).reshape(copies, -1)
+        desired = self._desired_state.Eval(context).reshape(copies, -1)
+        q, v = estimated[:, :split], estimated[:, split:]
+        q_d, v_d = desired[:, :split], desired[:, split:]
+        difference = desired - estimated
+        e, e_dot = difference[:, 1:split], difference[:, split:]
+        rotation = rotation_errors(q_d[:, :4].T, q[:, :4].T)
+        e[:, :3] = rotation.T
+        e_dot[:, :3] = rotation_error_rates(rotation, v_d[:, :3].T, v[:, :3].T).T
+        if self._undriven is not None:
+            e[:, self._undriven] = e_dot[:, self._undriven] = 0.0
+        value = context.get_discrete_state().value
+        applied, is_new, frame = self._applied_force, self._is_new, self._desired_frame
+        return Sample(
+            q,
+            v,
+            q_d,
+            v_d,
+            self._desired_acceleration.Eval(context).reshape(copies, -1),
+            e,
+            e_dot,
+            (applied.Eval(context) if applied.HasValue(context) else value(self._force)).reshape(
+                copies, -1
+            ),
+            not value(self._has_previous).item(),
+            is_new.Eval(context).reshape(copies, -1)[:, 1:] != 0.0
+            if is_new.HasValue(context)
+            else None,
+            None
+            if frame is None or not frame.HasValue(context)
+            else frame.Eval(context).reshape(copies, -1),
+        )
+
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
-        sample, state = self.inputs(context)
-        if sample.is_first:
+        wide = self._copies > 1
+        sample = self._wide_sample(context) if wide else self._sample(context)
+        is_first, value = sample.is_first, context.get_discrete_state().value
+        state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
+        if wide:
+            state = {name: state[name].reshape(self._shapes[name]) for name in state}
+        if is_first:
             for values in state.values():
                 values.setflags(write=False)  # a law that writes into them fails once
         try:
@@ -214,10 +295,11 @@ class SampledController(LeafSystem):
         force, memory = returned
         if self._undriven is not None:
             force = np.array(force)
-            force[self._undriven] = 0.0
-        discrete_values.set_value(self._force, force)
+            force[..., self._undriven] = 0.0
+        discrete_values.set_value(self._force, force.ravel() if wide else force)
         for name, index in self._memory.items():
-            discrete_values.set_value(index, memory[name])
+            values = memory[name]
+            discrete_values.set_value(index, values.ravel() if wide else values)
 
     def _check(self, returned: object) -> None:
         """Raise BlockError if the law's result is invalid; once, as shapes do not change."""

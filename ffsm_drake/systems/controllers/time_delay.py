@@ -25,6 +25,7 @@ from ffsm_drake.systems.controllers.law import (
     Sample,
     State,
     field_values,
+    is_wide,
 )
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -35,6 +36,7 @@ class InjectedDynamics(abc.ABC):
     # Whether it treats every coordinate by itself and is linear while ``held`` is held:
     # ``ffsm stability`` then gives limits by coordinate.
     by_axis: ClassVar[bool] = False
+    wide: ClassVar[bool] = False  # see ControlLaw
 
     def initial_state(self) -> State:
         """Name -> initial value of each piece of the dynamics' memory."""
@@ -130,6 +132,11 @@ class TimeDelayControl(ControlLaw):
         return self.dynamics.held()
 
     @property
+    def wide(self) -> bool:  # type: ignore[override]
+        """As its estimator and its dynamics."""
+        return is_wide(self.dynamics) and is_wide(self.estimator)
+
+    @property
     def by_axis(self) -> Self | None:
         return self if self.dynamics.by_axis and self.estimator.by_axis else None
 
@@ -192,4 +199,4 @@ def matrix_vector(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Products of matrices (..., n, n) and vectors (..., n), each bit for bit as if alone."""
     if vector.ndim == 1:
         return matrix.dot(vector)  # faster than @ on few numbers
-    return np.stack([matrix_vector(one, of) for one, of in zip(matrix, vector, strict=True)])
+    return np.matmul(matrix, vector[..., None])[..., 0]  # calls BLAS for each, as ``dot`` does

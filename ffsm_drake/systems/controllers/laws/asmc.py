@@ -37,6 +37,7 @@ class Asmc(InjectedDynamics):
     """
 
     by_axis: ClassVar[bool] = True
+    wide: ClassVar[bool] = True
     sample_time: float
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the error's rate")
     k_s: np.ndarray = gain(80.0, "1/s", "reaching gain K_s, constant")

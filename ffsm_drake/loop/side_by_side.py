@@ -1,0 +1,104 @@
+"""Blocks of several copies of the spacecraft as one block, whose ports hold copy after copy.
+
+A loop of B copies (``add_closed_loop`` with B scenarios) has the wiring of one, with every port B
+times as wide. A factory says that it can make a block that wide by a method
+
+    build_wide(setups) -> system, or None where these cannot go together
+
+with the setups of all copies. Its system has the block's ports, each ``len(setups)`` times as wide,
+the values of copy after copy, and gives every copy the bits of the system that the factory makes
+for its setup alone. Of the methods that a block may have, ``set_initial_state(context, states)``
+then gets a row for each copy, ``set_payload(context, properties)`` a sequence; where it draws
+numbers, ``set_random(context, generators)`` gets each copy's generator, of which it draws as the
+system alone would; and ``park(context, copy)``, where it can run away, puts a copy's memory to its
+start. The system around control laws is as wide as the laws (``ControlLaw.wide``).
+
+Any other block, a user's Drake system among them, stands there once for each copy, between
+demultiplexers and multiplexers: ``SideBySide``.
+"""
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+from pydrake.common import RandomGenerator
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
+from pydrake.systems.primitives import Demultiplexer, Multiplexer
+
+from ffsm_drake.common.errors import BlockError
+from ffsm_drake.scenario import MassProperties
+
+
+class NotAlike(BlockError):
+    """Blocks of several copies cannot stand side by side: their ports differ."""
+
+
+class SideBySide(Diagram):
+    """Systems with the same ports, one for each copy, as one system with ports for all copies."""
+
+    def __init__(self, systems: Sequence[System], inputs: Collection[str]) -> None:
+        """Args: the systems; the names of the input ports that the loop feeds.
+
+        Raises NotAlike: the ports of the systems differ.
+        """
+        super().__init__()
+        self.systems = tuple(systems)
+        if len({tuple(_sizes(system)) for system in systems}) > 1:
+            raise NotAlike(f"{systems[0].get_name()}: the ports of the copies differ")
+        builder, name = DiagramBuilder(), systems[0].get_name()
+        for copy, system in enumerate(systems):
+            system.set_name(f"{name}_{copy}")
+            builder.AddSystem(system)
+        for kind, port, size in _sizes(systems[0]):
+            if kind == "input" and port in inputs:
+                parts = builder.AddNamedSystem(
+                    f"{port}_of_each", Demultiplexer([size] * len(systems))
+                )
+                builder.ExportInput(parts.get_input_port(), port)
+                for copy, system in enumerate(systems):
+                    builder.Connect(parts.get_output_port(copy), system.GetInputPort(port))
+            elif kind == "output":
+                whole = builder.AddNamedSystem(f"{port}_of_all", Multiplexer([size] * len(systems)))
+                builder.ExportOutput(whole.get_output_port(), port)
+                for copy, system in enumerate(systems):
+                    builder.Connect(system.GetOutputPort(port), whole.get_input_port(copy))
+        builder.BuildInto(self)
+        self.set_name(name)
+
+    def set_initial_state(self, context: Context, states: np.ndarray) -> None:
+        """Each copy's spacecraft was at its row [q; v] before the start."""
+        for system, state in zip(self.systems, states, strict=True):
+            if hasattr(system, "set_initial_state"):
+                system.set_initial_state(self._of(system, context), state)
+
+    def set_payload(self, context: Context, properties: Sequence[MassProperties]) -> None:
+        """Each copy's true payload."""
+        for system, own in zip(self.systems, properties, strict=True):
+            if hasattr(system, "set_payload"):
+                system.set_payload(self._of(system, context), own)
+
+    def set_random(self, context: Context, generators: Sequence[RandomGenerator]) -> None:
+        """Draw each copy's random state and parameters."""
+        for system, generator in zip(self.systems, generators, strict=True):
+            system.SetRandomContext(self._of(system, context), generator)
+
+    def park(self, context: Context, copy: int) -> None:
+        """Put a copy's memory to its defaults."""
+        system = self.systems[copy]
+        own = self._of(system, context)
+        own.SetStateAndParametersFrom(system.CreateDefaultContext())
+
+    def _of(self, system: System, context: Context) -> Context:
+        return self.GetMutableSubsystemContext(system, context)
+
+
+def _sizes(system: Any) -> list[tuple[str, str, int]]:
+    """Every port of a system: input or output, name, size."""
+    return [
+        (kind, port.get_name(), port.size())
+        for kind, count, at in (
+            ("input", system.num_input_ports(), system.get_input_port),
+            ("output", system.num_output_ports(), system.get_output_port),
+        )
+        for port in map(at, range(count))
+    ]

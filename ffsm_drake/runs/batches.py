@@ -1,0 +1,149 @@
+"""Many runs: side by side in one diagram where they can be, else alone, with the same bits.
+
+Side by side go runs with the same model, blocks, controller, integrator and number of control
+samples; they may differ in ``_MAY_DIFFER`` and in the payload's mass properties. Alone go runs with
+a capture, with error control, an implicit scheme or a paced clock, and with flexible joints.
+"""
+
+import dataclasses
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.runs.capture import make_rollout
+from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.rollout import Rollout, user_supplied
+from ffsm_drake.scenario import MassProperties, Scenario, scenario_to_dict
+
+_MAY_DIFFER = (
+    "description",
+    "random_seed",
+    "divergence_speed",
+    "tolerance",
+    "clearance",
+    "planning",
+    "initial_posture",
+    "initial_velocity",
+    "target_posture",
+    "reference",
+    "controllers",
+    "estimator",
+    "disturbance",
+    "sensing",
+)
+# With fixed steps, these compute each copy of the spacecraft by itself.
+_EXPLICIT = ("explicit_euler", "semi_explicit_euler", "runge_kutta2", "runge_kutta3")
+_CACHE_OF_A_RUN = 2**16  # bytes of the plant of copies
+_FEWEST, _USUAL, _MOST = 4, 16, 24
+
+
+def usual_batch() -> int:
+    """How many runs go side by side by default: as many as the second-level cache holds, 4 to
+    24; 16 where its size is not known.
+    """
+    try:
+        size = os.sysconf("SC_LEVEL2_CACHE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        size = 0
+    return min(max(size // _CACHE_OF_A_RUN, _FEWEST), _MOST) if size > 0 else _USUAL
+
+
+def batches_of(scenarios: Sequence[Scenario], batch: int | None = None) -> list[list[int]]:
+    """The indices of the scenarios that run side by side, at most ``batch`` at once."""
+    most = usual_batch() if batch is None else batch
+    groups: dict[str, list[int]] = {}
+    for index, scenario in enumerate(scenarios):
+        key = _group(scenario) if most > 1 else None
+        groups.setdefault(key or str(index), []).append(index)
+    parts = [np.array_split(group, -(-len(group) // most)) for group in groups.values()]
+    return [part.tolist() for each in parts for part in each]
+
+
+def run_many(
+    scenarios: Sequence[Scenario], *, batch: int | None = None
+) -> Iterator[tuple[int, RunLog | Exception]]:
+    """Run scenarios, side by side where they can be; in no certain order.
+
+    Args:
+      scenarios: what to run, durations in seconds (``timed``).
+      batch: at most so many side by side; default: ``usual_batch``.
+
+    Yields: the index of a scenario and its log, which has the bits of ``Rollout.run``, or the
+    exception that its run alone raises.
+
+    Raises KeyboardInterrupt: interrupted from the keyboard.
+    """
+    alone, together = _Kept(make_rollout), _Kept(Rollout)
+    try:
+        for indices in batches_of(scenarios, batch):
+            chosen = [scenarios[index] for index in indices]
+            logs: Sequence[RunLog | None] = [None] * len(chosen)
+            if len(chosen) > 1:
+                try:
+                    logs = together.rollout(chosen, chosen[0]).run_all(chosen)
+                except Exception:  # whose it is, and what it says, the runs tell alone
+                    together.drop()
+            for index, scenario, log in zip(indices, chosen, logs, strict=True):
+                yield index, _alone(alone, scenario) if log is None else log
+    finally:
+        alone.drop()
+        together.drop()
+
+
+def _alone(kept: "_Kept", scenario: Scenario) -> RunLog | Exception:
+    try:
+        log: RunLog = kept.rollout(scenario, scenario).run(scenario)
+        return log
+    except Exception as error:
+        kept.drop()
+        return error
+
+
+class _Kept:
+    """The last rollout, for runs that it takes. A user's block may be built from what a run can
+    change, so that those are built anew.
+    """
+
+    def __init__(self, make: Callable[[Any], Any]) -> None:
+        """Args: makes a rollout for a scenario, or for several."""
+        self._make, self._rollout = make, None
+
+    def rollout(self, scenario: Any, first: Scenario) -> Any:
+        """That of a scenario or of several, which are alike in their blocks with the first."""
+        if self._rollout is None or user_supplied(first) or not self._rollout.accepts(scenario):
+            self.drop()
+            self._rollout = self._make(scenario)
+        return self._rollout
+
+    def drop(self) -> None:
+        """Free the rollout."""
+        if self._rollout is not None:
+            self._rollout.release()
+        self._rollout = None
+
+
+def _group(scenario: Scenario) -> str | None:
+    """What runs that go side by side have in common; None: this one runs alone."""
+    config = scenario.simulator_config
+    if (
+        scenario.capture is not None
+        or config.use_error_control
+        or config.integration_scheme not in _EXPLICIT
+        or config.target_realtime_rate > 0.0
+        or any(part.kind in ("joint", "gear") for part in scenario.model.flexible.values())
+    ):
+        return None
+    neutral = Scenario()
+    payload = dataclasses.replace(
+        scenario.payload, truth=MassProperties(), nominal=MassProperties()
+    )
+    common = dataclasses.replace(
+        scenario,
+        payload=payload,
+        duration=scenario.num_control_periods * scenario.sample_time,
+        **{name: getattr(neutral, name) for name in _MAY_DIFFER},
+    )
+    return json.dumps(scenario_to_dict(common), sort_keys=True)

@@ -1,0 +1,317 @@
+"""Runs side by side: each has the bits that it has alone, whatever the others do."""
+
+import dataclasses
+import itertools
+import sys
+import types
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.common import RandomDistribution
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import Adder, FirstOrderLowPassFilter, RandomSource
+
+from ffsm_drake import (
+    BlockError,
+    ScenarioError,
+    load_scenario,
+    make_closed_loop,
+    simulate,
+    simulate_many,
+)
+from ffsm_drake.runs.batches import batches_of, usual_batch
+from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.systems.controllers import ControlLaw
+from ffsm_drake.systems.controllers.law import is_wide
+from ffsm_drake.systems.controllers.pd_plus import PdPlus
+from ffsm_drake.systems.controllers.sampled import SampledController
+
+SHORT = "duration=0.3"
+SETTLING = ("tdc", "asmc", "aismc", "tde_aismc", "pd_plus", "computed_torque")
+
+
+def assert_equal(record, alone):
+    """The same bits in every variable, and all else that a run gives."""
+    assert set(record.dataset.variables) == set(alone.dataset.variables)
+    for name, variable in alone.dataset.variables.items():
+        np.testing.assert_array_equal(record.dataset[name].values, variable.values, err_msg=name)
+    assert record.outcome == alone.outcome
+    assert record.metrics == alone.metrics
+    assert record.parts == alone.parts
+    assert record.scenario.random_seed == alone.scenario.random_seed
+
+
+def alone(scenario):
+    return simulate(scenario, check_stability=False)
+
+
+def varied(scenario, number):
+    """Another seed, payload, guess of it, initial velocity, gain and disturbance."""
+    payload, share = scenario.payload, 0.01 * (number % 7)
+    gains = {**scenario.controllers.get(scenario.controller, {})}
+    if "k_d" in gains:
+        gains["k_d"] = {"all": gains["k_d"]} if not isinstance(gains["k_d"], dict) else gains["k_d"]
+        gains["k_d"] = {name: value * (1.0 + share) for name, value in gains["k_d"].items()}
+    return dataclasses.replace(
+        scenario,
+        random_seed=number,
+        payload=dataclasses.replace(
+            payload,
+            truth=dataclasses.replace(payload.truth, mass=payload.truth.mass * (1.0 + share)),
+            nominal=dataclasses.replace(payload.nominal, mass=payload.nominal.mass * (1.0 - share)),
+        ),
+        initial_velocity={"joint_1": 1e-3 * number},
+        controllers={**scenario.controllers, scenario.controller: gains},
+        disturbance=dataclasses.replace(scenario.disturbance, amplitude_scale=1.0 + share),
+    )
+
+
+def check_side_by_side(scenario, count, *, batch):
+    scenarios = [varied(scenario, number) for number in range(count)]
+    records = simulate_many(scenarios, batch=batch)
+    for record, each in zip(records, scenarios, strict=True):
+        assert_equal(record, alone(each))
+
+
+@pytest.mark.smoke
+@pytest.mark.parametrize("controller", SETTLING)
+def test_every_law_has_its_bits(controller):
+    check_side_by_side(
+        load_scenario("postcapture", [SHORT, f"controller={controller}"]), 4, batch=4
+    )
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "flight_sensors",
+        "flexible_panels",
+        "slow_navigation",
+        "seven_joint",
+        "planar_detumble",
+        "paper",
+        "thrusters_and_wheels",
+        pytest.param("thrusters_only", marks=pytest.mark.slow),
+        pytest.param("free_floating", marks=pytest.mark.slow),
+        pytest.param("reaction_null", marks=pytest.mark.slow),
+    ],
+)
+def test_every_shipped_scenario_has_its_bits(name):
+    scenario = load_scenario(name, ["duration=0.2"])
+    scenarios = [dataclasses.replace(scenario, random_seed=seed) for seed in range(3)]
+    assert batches_of(scenarios, 3) == [[0, 1, 2]]
+    for record, each in zip(simulate_many(scenarios, batch=3), scenarios, strict=True):
+        assert_equal(record, alone(each))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("batch", [1, 4, 16])
+@pytest.mark.parametrize(
+    ("name", "controller"),
+    [
+        *(("postcapture", controller) for controller in SETTLING),
+        *(("flight_sensors", controller) for controller in SETTLING[:4]),
+        *(("flexible_panels", controller) for controller in SETTLING[:4]),
+        *(("seven_joint", controller) for controller in ("tdc", "tde_aismc")),
+        *(("slow_navigation", controller) for controller in ("tdc", "tde_aismc")),
+        ("thrusters_and_wheels", "tdc"),
+        ("free_floating", "tdc"),
+    ],
+)
+def test_long_runs_have_their_bits(name, controller, batch):
+    scenario = load_scenario(name, ["duration=4", f"controller={controller}"])
+    check_side_by_side(scenario, 16, batch=batch)
+
+
+@pytest.mark.parametrize("scheme", ["explicit_euler", "semi_explicit_euler", "runge_kutta2"])
+def test_every_explicit_scheme_has_its_bits(scheme):
+    scenario = load_scenario(
+        "postcapture",
+        [
+            SHORT,
+            f"simulator_config.integration_scheme={scheme}",
+            "simulator_config.max_step_size=0.005",
+        ],
+    )
+    assert batches_of([scenario] * 3, 3) == [[0, 1, 2]]
+    check_side_by_side(scenario, 3, batch=3)
+
+
+KINDS = {
+    "plain": (),
+    "kalman": ("estimator.kind=kalman", "sensing.position_noise=1e-6"),
+    "asmc": ("controller=asmc",),
+    "longer": ("duration=0.25",),
+    "quantised": ("sensing.position_quantization={joints: 1e-5}",),
+    "biased": ("sensing.velocity_bias={joints: 1e-5}",),
+    "drifting": ("sensing.velocity_bias_walk={joints: 1e-6}",),
+    "late": ("sensing.delay=1", "controller=tdc"),
+    "diverging": ("controllers.tde_aismc.k_s_initial=400", "controllers.tde_aismc.k_s_max=null"),
+    "error control": ("simulator_config.use_error_control=true",),
+}
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    kinds=st.lists(
+        st.tuples(st.sampled_from(sorted(KINDS)), st.integers(0, 20)), min_size=1, max_size=8
+    ),
+    batch=st.integers(1, 5),
+)
+def test_mixed_lists_come_back_in_order_with_their_bits(kinds, batch):
+    scenarios = [
+        varied(load_scenario("postcapture", ["duration=0.15", *KINDS[kind]]), number)
+        for kind, number in kinds
+    ]
+    places = sorted(itertools.chain(*batches_of(scenarios, batch)))
+    assert places == list(range(len(scenarios)))
+    for record, each in zip(simulate_many(scenarios, batch=batch), scenarios, strict=True):
+        assert_equal(record, alone(each))
+
+
+def test_a_run_that_diverges_leaves_the_others_alone():
+    wild = ("controllers.tde_aismc.k_s_initial=400", "controllers.tde_aismc.k_s_max=null")
+    tame, diverging = (load_scenario("postcapture", ["duration=1.5", *more]) for more in ((), wild))
+    scenarios = [varied(tame, 0), varied(diverging, 1), varied(tame, 2), varied(diverging, 3)]
+    rollout = Rollout(scenarios)
+    logs = rollout.run_all()
+    assert [log is None for log in logs] == [False, True, False, True]
+    records = simulate_many(scenarios, batch=4)
+    assert [record.outcome.status for record in records] == ["completed", "diverged"] * 2
+    for record, each in zip(records, scenarios, strict=True):
+        assert_equal(record, alone(each))
+
+
+def test_runs_that_all_diverge_stop():
+    scenario = load_scenario(
+        "postcapture",
+        [
+            "duration=300",
+            "controllers.tde_aismc.k_s_initial=400",
+            "controllers.tde_aismc.k_s_max=null",
+        ],
+    )
+    records = simulate_many([scenario, dataclasses.replace(scenario, random_seed=1)], batch=2)
+    assert [record.outcome.status for record in records] == ["diverged"] * 2
+
+
+class Fragile(ControlLaw):
+    """Raises where the run's seed says so; commands nothing."""
+
+    def __init__(self, seed):
+        self._seed = seed
+
+    def step(self, sample, state):
+        if self._seed == 2:
+            raise ZeroDivisionError("by zero")
+        return np.zeros_like(sample.v), state
+
+    @classmethod
+    def from_setup(cls, setup):
+        return cls(setup.scenario.random_seed)
+
+
+class Drag(LeafSystem):
+    """A user's force with memory and noise of its own."""
+
+    def __init__(self, setup):
+        super().__init__()
+        size = len(setup.coordinates.names)
+        self._state = self.DeclareVectorInputPort("state", 2 * size + 1)
+        self.DeclareVectorOutputPort("generalized_force", size, self._calc)
+
+    def _calc(self, context, output):
+        state = self._state.Eval(context)
+        output.SetFromVector(-0.5 * state[len(state) // 2 + 1 :])
+
+
+def noisy_drag(setup):
+    """A force that draws numbers and has continuous state."""
+    size, builder = len(setup.coordinates.names), DiagramBuilder()
+    drag = builder.AddSystem(Drag(setup))
+    noise = builder.AddSystem(
+        RandomSource(RandomDistribution.kGaussian, num_outputs=size, sampling_interval_sec=0.02)
+    )
+    smooth = builder.AddSystem(FirstOrderLowPassFilter(0.1, size))
+    both = builder.AddSystem(Adder(2, size))
+    builder.Connect(noise.get_output_port(), smooth.get_input_port())
+    builder.Connect(drag.get_output_port(), both.get_input_port(0))
+    builder.Connect(smooth.get_output_port(), both.get_input_port(1))
+    builder.ExportInput(drag.get_input_port(), "state")
+    builder.ExportOutput(both.get_output_port(), "generalized_force")
+    return builder.Build()
+
+
+@pytest.fixture
+def lab(monkeypatch):
+    module = types.ModuleType("lab_of_batches")
+    module.Fragile, module.noisy_drag = Fragile, noisy_drag
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    return module.__name__
+
+
+def test_systems_of_a_user_go_side_by_side(lab):
+    scenario = load_scenario(
+        "postcapture",
+        [SHORT, f"blocks.forces.drag={lab}:noisy_drag", "sensing.position_noise=1e-7"],
+    )
+    assert batches_of([scenario] * 4, 4) == [[0, 1, 2, 3]]
+    check_side_by_side(scenario, 4, batch=4)
+
+
+def test_an_exception_is_that_of_its_run(lab):
+    scenario = load_scenario("postcapture", [SHORT, f"controller={lab}:Fragile"])
+    scenarios = [dataclasses.replace(scenario, random_seed=seed) for seed in range(4)]
+    results = simulate_many(scenarios, batch=4, keep_errors=True)
+    assert [isinstance(result, BlockError) for result in results] == [False, False, True, False]
+    for seed in (0, 1, 3):
+        assert_equal(results[seed], alone(scenarios[seed]))
+    with pytest.raises(BlockError, match="by zero") as raised:
+        simulate_many(scenarios, batch=4)
+    assert raised.value.__notes__ == ["in run 2 of 4"]
+
+
+def test_a_scenario_that_cannot_be_built_fails_alone():
+    good = load_scenario("postcapture", [SHORT])
+    bad = dataclasses.replace(good, initial_velocity={"no_such_joint": 1e-3})
+    first, second, third = simulate_many([good, bad, good], batch=3, keep_errors=True)
+    assert isinstance(second, ScenarioError)
+    assert_equal(first, alone(good))
+    assert_equal(third, alone(good))
+
+
+def test_captures_and_error_control_run_alone():
+    capture = load_scenario("tumbling_capture")
+    controlled = load_scenario("postcapture", ["simulator_config.use_error_control=true"])
+    implicit = load_scenario("postcapture", ["simulator_config.integration_scheme=implicit_euler"])
+    for scenario in (capture, controlled, implicit):
+        assert batches_of([scenario, scenario], 16) == [[0], [1]]
+
+
+def test_batches_are_even_and_hold_runs_of_one_length():
+    short, long = load_scenario("postcapture", [SHORT]), load_scenario("postcapture")
+    assert batches_of([short] * 5 + [long] * 2, 4) == [[0, 1, 2], [3, 4], [5, 6]]
+    assert batches_of([short] * 2, 1) == [[0], [1]]
+    assert 4 <= usual_batch() <= 24
+
+
+def test_ports_of_a_wide_loop_hold_copy_after_copy():
+    scenario = load_scenario("flexible_panels", [SHORT])
+    single, wide = make_closed_loop(scenario), make_closed_loop([scenario] * 3)
+    assert set(single.sources) == set(wide.sources)
+    for signal in single.sources:
+        assert wide.output_port(signal).size() == 3 * single.output_port(signal).size()
+    assert isinstance(wide.blocks["controller"], SampledController)
+    rows = np.arange(3.0 * single.plant.num_multibody_states()).reshape(3, -1)
+    np.testing.assert_array_equal(wide.copies.rows(wide.copies.whole(rows)), rows)
+
+
+def test_a_law_that_inherits_a_wide_one_is_not_wide():
+    class Own(PdPlus):
+        """Another step."""
+
+    assert PdPlus.wide
+    assert not is_wide(object.__new__(Own))
+    assert is_wide(object.__new__(PdPlus))
