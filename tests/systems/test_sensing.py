@@ -220,7 +220,7 @@ def noise_of(overrides, *, samples, seed=0):
     """What the sensors add to a state at rest, with no white noise: (samples, nq + nv)."""
     scenario = load_scenario("postcapture", [*NO_NOISE, *overrides])
     coordinates = make_nominal_plant(scenario).coordinates
-    sensing = make_sensing(scenario.sensing, coordinates, sample_time=0.01)
+    sensing = make_sensing([scenario.sensing], coordinates, sample_time=0.01)
     context = sensing.CreateDefaultContext()
     sensing.SetRandomContext(context, RandomGenerator(seed))
     state = np.zeros(2 * len(coordinates.names) + 1)
