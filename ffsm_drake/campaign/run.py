@@ -34,6 +34,7 @@ from ffsm_drake.runs.record import RunRecord
 # 4 MiB for each closed loop that is built.
 MEMORY_LIMIT = 700.0  # MiB
 _TRIED = 20
+_BATCHES_EACH = 4  # least number for each task in flight
 _LOST = {
     **dict.fromkeys(CIRCUMSTANCES),
     **error_row(
@@ -196,8 +197,9 @@ def _drive(
             )
 
     report()
-    # so small that every worker gets some
-    most = max(1, min(batch or usual_batch(), (total - before) // workers.in_flight()))
+    # so small that the workers end at about the same time
+    share = (total - before) // (_BATCHES_EACH * workers.in_flight())
+    most = max(1, min(batch or usual_batch(), share))
     results = run_tasks(
         evaluate,
         batches(store.pending(), size=most, controllers=store.spec.controllers),
