@@ -105,7 +105,7 @@ class KillsSome(ControlLaw):
 def test_only_the_case_that_kills_its_worker_is_lost(tmp_path):
     (tmp_path / "kills_some.py").write_text(KILLS_SOME)
     law = "kills_some:KillsSome"
-    deadly = {"distribution": "list", "values": [0.0, 0.0, 1.0, 0.0]}
+    deadly = {"distribution": "list", "values": [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]}
     spec = load_spec(
         write_spec(
             tmp_path / "s.yaml",
@@ -114,12 +114,12 @@ def test_only_the_case_that_kills_its_worker_is_lost(tmp_path):
             parameters={"controllers.KillsSome.deadly": deadly},
             factors={},
             derive={},
-            cases=4,
+            cases=8,
         )
     )
-    start_campaign(spec, tmp_path / "x.db", workers=forked(1, in_flight=2), batch=4)
+    start_campaign(spec, tmp_path / "x.db", workers=forked(1, in_flight=1), batch=4)
     with open_store(tmp_path / "x.db") as store:
-        messages = [store.result(index, law)["message"] for index in range(4)]
-        assert store.num_results() == 8
+        messages = [store.result(index, law)["message"] for index in range(8)]
+        assert store.num_results() == 16
     assert "the worker process died each time" in messages[2]
     assert not any("died" in message for k, message in enumerate(messages) if k != 2)
