@@ -211,11 +211,11 @@ class LinearLoop:
         is_driven = self.coordinates.is_driven
         plant[: 2 * is_driven.size] = np.concatenate([is_driven | self.tracks_frame, is_driven])
         acting, driven = plant, driven | plant
-        for _ in range(len(arrows)):
-            acting, driven = (
-                acting | (arrows[acting].any(axis=0)),
-                driven | (arrows[:, driven].any(axis=1)),
-            )
+        before = -1
+        while (reached := int(acting.sum() + driven.sum())) > before:
+            before = reached
+            acting = acting | arrows[acting].any(axis=0)
+            driven = driven | arrows[:, driven].any(axis=1)
         return acting & driven
 
 

@@ -32,13 +32,14 @@ from ffsm_drake.common.memo import content_of
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.control_design.stability.linear_settings import without_limits
 from ffsm_drake.control_design.stability.loop_state import Memory, PlantState, difference
+from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import MassProperties, Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.systems.actuation.drives import FRICTION
 from ffsm_drake.systems.actuation.mean import make_mean_actuation
-from ffsm_drake.systems.controllers.law import ControlLaw
+from ffsm_drake.systems.controllers.law import ControlLaw, is_wide
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.reference import make_motion, timed, without_target
 from ffsm_drake.systems.registry import Factory
@@ -145,6 +146,7 @@ class Linearizer:
             self._context,
             sample_time=period,
             leave_out=lambda system, group: system is controller and group in held,
+            together=controller if self.law is not None and is_wide(self.law) else None,
         )
         # of the plant's part of x
         self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.split.names))
@@ -154,6 +156,11 @@ class Linearizer:
             for name, group in groups.items()
             if (part := self._memory.part_of(controller, group)) is not None
         }
+
+    @functools.cached_property
+    def planned(self) -> PlannedDynamics:
+        """The scenario's dynamics along its planned motion; errors as for PlannedDynamics."""
+        return PlannedDynamics(self.given)
 
     def __enter__(self) -> Self:
         return self
@@ -366,11 +373,11 @@ class Linearizer:
         """Derivative of the memory after a control sample's update by the plant's state before."""
         state = self._plant.read()
 
-        def update(change: np.ndarray) -> np.ndarray:
+        def write(change: np.ndarray) -> None:
             self._plant.write(self._plant.moved(state, change))
-            return self._memory.after(index)
 
         steps = np.full(self._width, _STEP)
+        update = functools.partial(self._memory.after_each, index, write=write)
         found = _jacobian(update, [slice(0, self._width)], steps)
         self._plant.write(state)
         return found
@@ -394,8 +401,8 @@ class Linearizer:
         owner = np.repeat(np.arange(len(groups)), [group.stop - group.start for group in groups])
         written = np.zeros(steps.size)
 
-        def update(x: np.ndarray) -> np.ndarray:
-            """The memory after the sample's update; x is followed by the noise.
+        def write(x: np.ndarray) -> None:
+            """Set the context to a small change of x, followed by the noise.
 
             Only changed groups are written, so that Drake computes only their consequences.
             """
@@ -407,10 +414,10 @@ class Linearizer:
                 else:
                     self._noise.write_part(k - 1 - len(self._memory.parts), x[groups[k]])
             written[:] = x
-            return self._memory.after(index)
 
+        update = functools.partial(self._memory.after_each, index, write=write)
         jacobian = _jacobian(update, groups, steps)
-        update(np.zeros(steps.size))
+        write(np.zeros(steps.size))
         self._memory.update(index)
         kept = [group for group in groups if group.stop <= size]
         return _Update(
@@ -424,10 +431,12 @@ class Linearizer:
     def _map(self, update: "_Update", truth: MassProperties | None) -> SampleMap:
         """The map of a control sample: its update and the motion up to the next."""
         nv, width, size = len(self.loop.coordinates.names), self._width, update.steps.size
-        self._context.SetTimeStateAndParametersFrom(update.after)
+        after = update.after
+        self._context.SetTimeStateAndParametersFrom(after)
         if truth is not None:
             self.loop.set_payload(self._context, truth)
-        after, state, updated = self._context.Clone(), self._plant.read(), self._memory.read()
+            after = self._context.Clone()
+        state, updated = self._plant.read(), self._memory.read()
 
         def move(x: np.ndarray) -> np.ndarray:
             """The plant's state at the next sample, and the controller's force until then."""
@@ -448,7 +457,9 @@ class Linearizer:
             reached = move(x)
             return np.concatenate([difference(reached[:-nv], base[:-nv]), reached[-nv:]])
 
-        motion = _jacobian(change, update.groups, update.steps)
+        motion = _jacobian(
+            lambda rows: np.array([change(x) for x in rows]), update.groups, update.steps
+        )
         # From [x; w] to [x+; u], by way of the memory after the update.
         whole = motion[:, width:] @ update.jacobian
         whole[:, :width] += motion[:, :width]
@@ -476,20 +487,20 @@ class _Update:
 def _jacobian(
     function: Callable[[np.ndarray], np.ndarray], groups: Sequence[slice], steps: np.ndarray
 ) -> np.ndarray:
-    """Finite differences of a function at zero by ``steps``; groups of its argument without effect
-    are skipped.
+    """Finite differences at zero by ``steps`` of a function of many arguments (n, k) at once;
+    groups of its argument without effect are skipped.
     """
-    center = function(np.zeros(steps.size))
-    jacobian = np.zeros((center.size, steps.size))
-    for group in groups:
-        trial = np.zeros(steps.size)
+    trials = np.zeros((1 + len(groups), steps.size))
+    for trial, group in zip(trials[1:], groups, strict=True):
         trial[group] = steps[group] * np.linspace(1.0, 2.0, group.stop - group.start)
-        if np.array_equal(function(trial), center):
-            continue
-        for i in range(group.start, group.stop):
-            x = np.zeros(steps.size)
-            x[i] = steps[i]
-            jacobian[:, i] = (function(x) - center) / steps[i]
+    center, *tried = function(trials)
+    active = np.zeros(steps.size, dtype=bool)
+    for group, result in zip(groups, tried, strict=True):
+        active[group] = not np.array_equal(result, center)
+    jacobian = np.zeros((center.size, steps.size))
+    if active.any():
+        changed = function(np.diag(steps)[active])
+        jacobian[:, active] = ((changed - center) / steps[active, None]).T
     return jacobian
 
 

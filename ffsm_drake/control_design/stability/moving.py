@@ -104,7 +104,7 @@ def motion_stability(
 
     Args: the linearizer; held memory, as for ``Linearizer.at``, which raises the same errors.
     """
-    planned = PlannedDynamics(linearizer.given)
+    planned = linearizer.planned
     span, found = linearizer.end - linearizer.begin, dict[float, LinearLoop]()
 
     def add(time: float) -> None:

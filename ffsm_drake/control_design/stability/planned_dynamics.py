@@ -70,22 +70,24 @@ class PlannedDynamics:
         Returns: both (n, nv), rad/s^2 or m/s^2, and N m or N.
         """
         scenario, coordinates = self.scenario, self.coordinates
-        disturbance = make_disturbance([scenario.disturbance], coordinates)
-        port = disturbance.GetOutputPort("generalized_force")
-        context = disturbance.CreateDefaultContext()
-        drives = None
+        nq, nv = len(coordinates.position_names), len(coordinates.names)
+        q, v, a = np.split(self.motion.rows(times), [nq, nq + nv], axis=1)
+        force = self.locked.calc_inverse_dynamics(q, v, a) - self._disturbances(times)
         if friction and scenario.drives is not None:
             drives = DriveSet(scenario.drives, scenario.actuation.limit, coordinates)
-        lumped, force = np.empty((2, times.size, len(coordinates.names)))
-        for k, time in enumerate(times.tolist()):
-            q, v, a = self.motion.evaluate(time)
+            force[:, NUM_BASE_VELOCITIES:] -= drives.friction(v[:, NUM_BASE_VELOCITIES:])
+        nominal = self.nominal.calc_mass_matrix(q)
+        return np.linalg.solve(nominal, force[..., None])[..., 0] - a, force
+
+    def _disturbances(self, times: np.ndarray) -> np.ndarray:
+        """The disturbance (n, nv) at times (n,), N m or N."""
+        disturbance = make_disturbance([self.scenario.disturbance], self.coordinates)
+        port = disturbance.GetOutputPort("generalized_force")
+        context, forces = disturbance.CreateDefaultContext(), []
+        for time in times.tolist():
             context.SetTime(time)
-            tau = self.locked.calc_mass_matrix(q) @ a + self.locked.calc_bias(q, v)
-            tau -= port.Eval(context)
-            if drives is not None:
-                tau[NUM_BASE_VELOCITIES:] -= drives.friction(v[NUM_BASE_VELOCITIES:])
-            lumped[k], force[k] = np.linalg.solve(self.nominal.calc_mass_matrix(q), tau) - a, tau
-        return lumped, force
+            forces.append(port.Eval(context))
+        return np.array(forces)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

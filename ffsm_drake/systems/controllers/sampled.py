@@ -212,6 +212,29 @@ class SampledController(LeafSystem):
             else self._desired_frame.Eval(context),
         )
 
+    def copied_inputs(self, context: Context) -> tuple[np.ndarray | None, ...]:
+        """Copies of what the law reads of one spacecraft, and of its memory, in a row."""
+        value = context.get_discrete_state().value
+        inputs = (*self._sample(context), *map(value, self._memory.values()))
+        return tuple(None if each is None else np.array(each) for each in inputs)
+
+    def after_each(self, inputs: Sequence[tuple[np.ndarray | None, ...]]) -> dict[int, np.ndarray]:
+        """Discrete groups (n, size) after the update from each of n ``copied_inputs``, in one step
+        of the law, which must take several runs at once.
+        """
+        stacked: list[Any] = [
+            None if each[0] is None else np.stack(each) for each in zip(*inputs, strict=True)
+        ]
+        sample = Sample(*stacked[: len(Sample._fields)])._replace(is_first=False)
+        memory = dict(zip(self._memory, stacked[len(Sample._fields) :], strict=True))
+        force, after = self.law.step(sample, memory)
+        if self._undriven is not None:
+            force = np.array(force)
+            force[:, self._undriven] = 0.0
+        return {int(self._force): force} | {
+            group: after[name] for name, group in self.memory_groups().items()
+        }
+
     def _wide_sample(self, context: Context) -> Sample:
         """As ``_sample``, of several copies: a row for each in all arrays."""
         copies, split = self._copies, self._num_positions
@@ -266,7 +289,7 @@ class SampledController(LeafSystem):
                 f"{self.get_name()}: step {what} at t = {context.get_time():.2f} s; raise an "
                 "exception"
             ) from error
-        if is_first:
+        if sample.is_first:
             self._check(returned)
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
         force, memory = returned
