@@ -369,7 +369,8 @@ class _Search:
 
     def _evaluate(self, kind: str, candidate: Scenario) -> DesignPoint:
         self._check_time()
-        point = self._judge(candidate)
+        known = (point for _, point in self._tried if point.scenario == candidate)
+        point = next(known, None) or self._judge(candidate)
         self._tried.append((kind, point))
         return point
 
