@@ -57,6 +57,7 @@ from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 from ffsm_drake.systems.limits import actuation_limit
 
+_GRACE = 1.0  # s beyond what confirming a choice is expected to take
 _TRANSIENT = 5.0  # s, at the start, which is not counted as the motion
 # Seeds of the noise under which a design must not diverge with its base actuators.
 _SEEDS = 2
@@ -243,8 +244,8 @@ class _Search:
         return not diverges and math.isfinite(prediction.isv) and prediction.spectral_radius < 1.0
 
     def run(self, end: float) -> None:
-        """Search and choose, up to an end by ``time.monotonic``, s; a search without an end that is
-        interrupted still takes the time to confirm its choice.
+        """Search and choose, up to an end by ``time.monotonic``, s; also after an interrupt the choice
+        is confirmed.
         """
         reserve = 0.0
         try:
@@ -260,10 +261,10 @@ class _Search:
             self.ended_by = "the time limit"
         except KeyboardInterrupt:
             self.ended_by = INTERRUPT
-            end = min(end, time.monotonic() + 2.0 * reserve)
+            end = 0.0
         self._search_end = math.inf
         try:
-            with _until(end):
+            with _until(max(end, time.monotonic() + reserve + _GRACE)):
                 self.chosen = self._confirmed()
         except TimeLimit:
             self.ended_by = self.ended_by or "the time limit"
