@@ -19,8 +19,10 @@ from ffsm_drake.cli.common import (
     scenario_options,
     search_progress,
 )
+from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:
+    from ffsm_drake.preflight.verdict import Verdict
     from ffsm_drake.scenario import Scenario
 
 
@@ -167,16 +169,15 @@ def design(
       ffsm run out/mine/design.yaml
     """
     from ffsm_drake.common.files import check_writable, write_text
-    from ffsm_drake.common.interrupts import exit_code
     from ffsm_drake.control_design.gains import INTERRUPT
     from ffsm_drake.control_design.gains import design as design_gains
-    from ffsm_drake.preflight.verdict import Verdict, verdict
+    from ffsm_drake.preflight.verdict import verdict
     from ffsm_drake.scenario import scenario_to_yaml
     from ffsm_drake.show.figures.design import plot_design
     from ffsm_drake.show.tables import design_data, design_table
 
     check_writable(out)
-    missions = list[tuple["Scenario", Verdict]]()
+    missions = list[tuple["Scenario", "Verdict"]]()
 
     def foresee(candidate: "Scenario") -> str:
         mission = verdict(candidate)
@@ -194,18 +195,21 @@ def design(
     )
     chosen = found.chosen.scenario
     mission = next((each for looked_at, each in missions if looked_at is chosen), None)
-    told = ["no time was left to look at its mission: see 'ffsm stability'"]
-    if mission is not None:
-        told = [*mission.lines, mission.conclusion]
     print_result(
         as_json,
-        design_data(found) | {"mission": None if mission is None else mission.as_data()},
-        "\n".join([design_table(found), "", *told]),
+        design_data(found) | {"mission": mission and mission.as_data()},
+        f"{design_table(found)}\n\n{_told(mission)}",
     )
     write_text(out / "design.yaml", scenario_to_yaml(chosen))
     save_figure(plot_design(found), out / "design.png")
     click.echo(f"\nWritten to {out}: design.yaml, design.png", err=as_json)
     if found.ended_by == INTERRUPT:
         sys.exit(exit_code())
-    stable = max(found.chosen.radius_by_mass.values()) < 1.0
-    sys.exit(0 if stable else EXIT_UNSTABLE)
+    sys.exit(0 if max(found.chosen.radius_by_mass.values()) < 1.0 else EXIT_UNSTABLE)
+
+
+def _told(mission: "Verdict | None") -> str:
+    """What is expected of a mission; None: it was not looked at."""
+    if mission is None:
+        return "no time was left to look at its mission: see 'ffsm stability'"
+    return "\n".join([*mission.lines, mission.conclusion])

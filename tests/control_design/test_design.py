@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
-from ffsm_drake.control_design.gains import design
+from ffsm_drake.control_design.gains import INTERRUPT, design
 from ffsm_drake.control_design.gains.requirement import ROOM, Baseline, DesignPoint, Requirement
 from ffsm_drake.control_design.stability.boundaries import Boundaries
 from ffsm_drake.control_design.stability.prediction import Prediction
@@ -145,7 +145,26 @@ def test_what_is_foreseen_of_the_given_gains_frees_the_choice():
     assert "it misses" in never.remarks[0]
 
 
-@pytest.mark.parametrize("limit", [0.0, 3.0, 6.0])
+@settings(max_examples=4, deadline=None)
+@given(after=st.integers(0, 12))
+def test_an_interrupt_at_any_candidate_gives_the_best_before_it(after):
+    scenario = load_scenario("flight_sensors", ["controller=computed_torque", *SHORT])
+    tried = 0
+
+    def interrupt(count, _):
+        nonlocal tried
+        tried = count
+        if count >= after:
+            raise KeyboardInterrupt
+
+    found = design(scenario, progress=interrupt)
+    assert (found.ended_by, tried) == (INTERRUPT, after)
+    assert any("cut by an interrupt" in remark for remark in found.remarks)
+    for name, (error, was) in found.requirement.baseline.errors(found.chosen).items():
+        assert error <= 1.02 * was, name
+
+
+@pytest.mark.parametrize("limit", [0.0, pytest.param(3.0, marks=pytest.mark.slow), 6.0])
 def test_the_limit_bounds_all_of_a_design(limit):
     """Within a candidate, too: each of a heavy mission takes seconds."""
     scenario = load_scenario("thrusters_and_wheels", HEAVY)
@@ -160,7 +179,7 @@ def test_the_limit_bounds_all_of_a_design(limit):
 
 
 def test_the_table_shows_margins_before_and_after(tmp_path):
-    arguments = ["design", "flight_sensors", "-c", "pd_plus", "--time", "20"]
+    arguments = ["design", "flight_sensors", "-c", "computed_torque", "--time", "30"]
     for each in SHORT:
         arguments += ["--set", each]
     result = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path)])

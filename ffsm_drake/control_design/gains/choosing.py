@@ -57,7 +57,8 @@ from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 from ffsm_drake.systems.limits import actuation_limit
 
-_GRACE = 1.0  # s beyond what confirming a choice is expected to take
+# Confirming a choice takes at least so many evaluations, and s more than is expected.
+_CONFIRMING, _GRACE = 4.0, 1.0
 _TRANSIENT = 5.0  # s, at the start, which is not counted as the motion
 # Seeds of the noise under which a design must not diverge with its base actuators.
 _SEEDS = 2
@@ -211,6 +212,7 @@ class _Search:
         foresee: Callable[[Scenario], str],
         progress: Callable[[int, str], None] | None,
     ) -> None:
+        begin = time.monotonic()
         self._asked, self._foresee, self._progress = budget, foresee, progress
         self._demand, self._masses = make_demand(scenario), _masses(scenario, payload_range)
         limit = self._demand.coordinates.vector(
@@ -227,7 +229,7 @@ class _Search:
             room=_room(scenario, self._demand),
         )
         self.given = self.chosen = self._judge(scenario, whole=True)
-        self._trade = trade
+        self._evaluation_time, self._trade = time.monotonic() - begin, trade
         # unless asked, as much effort as it was may be spent, and no more
         if budget is None and self._is_usable:
             isv = TOLERANCE * self.given.prediction.isv
@@ -244,16 +246,17 @@ class _Search:
         return not diverges and math.isfinite(prediction.isv) and prediction.spectral_radius < 1.0
 
     def run(self, end: float) -> None:
-        """Search and choose, up to an end by ``time.monotonic``, s; also after an interrupt the choice
-        is confirmed.
+        """Search and choose, up to an end by ``time.monotonic``, s; an interrupt leaves time
+        to confirm the choice.
         """
-        reserve = 0.0
+        # what diverges is soon looked at
+        reserve = _CONFIRMING * self._evaluation_time
         try:
             with interruptible(), _until(end):
                 begin = time.monotonic()
                 self._look_at_the_given()
                 # so that as much can be said of the choice
-                reserve = time.monotonic() - begin
+                reserve = max(reserve, time.monotonic() - begin)
             self._search_end = end - reserve
             with interruptible(), _until(self._search_end):
                 self._search()
