@@ -180,8 +180,7 @@ def test_the_limit_bounds_all_of_a_design(limit):
 
 def test_the_table_shows_margins_before_and_after(tmp_path):
     arguments = ["design", "flight_sensors", "-c", "computed_torque", "--time", "30"]
-    for each in SHORT:
-        arguments += ["--set", each]
+    arguments += ["--set", "duration=8"]
     result = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
     assert re.search(
