@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.control_design.gains import INTERRUPT, design
-from ffsm_drake.control_design.gains.requirement import ROOM, Baseline, DesignPoint, Requirement
+from ffsm_drake.control_design.gains.requirement import Baseline, DesignPoint, Requirement
 from ffsm_drake.control_design.stability.boundaries import Boundaries
 from ffsm_drake.control_design.stability.prediction import Prediction
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -107,21 +107,6 @@ def test_a_mission_that_will_not_go_as_planned_ranks_last(coordinates):
     alarmed = point_of(coordinates, errors=0.1, alarm="it diverges")
     assert requirement.violated(alarmed) == "it diverges"
     assert requirement.rank(alarmed) > requirement.rank(point_of(coordinates, errors=9.0))
-
-
-@pytest.mark.slow
-def test_the_score_lowers_a_bandwidth_that_the_wheels_have_no_room_for():
-    """Errors hardly change, and the noise's torque comes near what the wheels leave."""
-    scenario = load_scenario("thrusters_and_wheels", HEAVY)
-    found = design(scenario, time_limit=200.0)
-    limits = found.requirement
-    before, after = (limits.crowding(each.prediction).max() for each in (found.given, found.chosen))
-    assert before > 1.2
-    assert not found.kept
-    assert after < 0.95 * before
-    for name, (error, was) in limits.baseline.errors(found.chosen).items():
-        assert error <= 1.02 * was, name
-    assert any(f"{ROOM:g} standard deviations" in remark for remark in found.remarks)
 
 
 def test_what_is_foreseen_of_the_given_gains_frees_the_choice():
