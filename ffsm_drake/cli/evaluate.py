@@ -19,8 +19,10 @@ from ffsm_drake.cli.common import (
     scenario_options,
     search_progress,
 )
+from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:
+    from ffsm_drake.preflight.verdict import Verdict
     from ffsm_drake.scenario import Scenario
 
 
@@ -140,7 +142,7 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     type=FiniteFloat(),
     default=60.0,
     show_default=True,
-    help="Seconds of search; the best so far counts then, as on Ctrl-C.",
+    help="Seconds for the whole command; then the best so far counts, as on Ctrl-C.",
 )
 @out_option(default=Path("out/design"), show_default=True)
 @json_option
@@ -167,6 +169,7 @@ def design(
       ffsm run out/mine/design.yaml
     """
     from ffsm_drake.common.files import check_writable, write_text
+    from ffsm_drake.control_design.gains import INTERRUPT
     from ffsm_drake.control_design.gains import design as design_gains
     from ffsm_drake.preflight.verdict import verdict
     from ffsm_drake.scenario import scenario_to_yaml
@@ -174,22 +177,39 @@ def design(
     from ffsm_drake.show.tables import design_data, design_table
 
     check_writable(out)
+    missions = list[tuple["Scenario", "Verdict"]]()
+
+    def foresee(candidate: "Scenario") -> str:
+        mission = verdict(candidate)
+        missions.append((candidate, mission))
+        return mission.warnings[0] if mission.is_alarm else ""
+
     found = design_gains(
         scenario,
         budget=budget,
         payload_range=payload_range,
         trade=trade,
         time_limit=time_limit,
+        foresee=foresee,
         progress=search_progress(),
     )
-    mission = verdict(found.chosen.scenario)
+    chosen = found.chosen.scenario
+    mission = next((each for looked_at, each in missions if looked_at is chosen), None)
     print_result(
         as_json,
-        design_data(found) | {"mission": mission.as_data()},
-        "\n".join([design_table(found), "", *mission.lines, mission.conclusion]),
+        design_data(found) | {"mission": mission and mission.as_data()},
+        f"{design_table(found)}\n\n{_told(mission)}",
     )
-    write_text(out / "design.yaml", scenario_to_yaml(found.chosen.scenario))
+    write_text(out / "design.yaml", scenario_to_yaml(chosen))
     save_figure(plot_design(found), out / "design.png")
     click.echo(f"\nWritten to {out}: design.yaml, design.png", err=as_json)
-    stable = max(found.chosen.radius_by_mass.values()) < 1.0
-    sys.exit(0 if stable else EXIT_UNSTABLE)
+    if found.ended_by == INTERRUPT:
+        sys.exit(exit_code())
+    sys.exit(0 if max(found.chosen.radius_by_mass.values()) < 1.0 else EXIT_UNSTABLE)
+
+
+def _told(mission: "Verdict | None") -> str:
+    """What is expected of a mission; None: it was not looked at."""
+    if mission is None:
+        return "no time was left to look at its mission: see 'ffsm stability'"
+    return "\n".join([*mission.lines, mission.conclusion])
