@@ -58,8 +58,7 @@ def expected_gains(linearizer: Linearizer, loop: LinearLoop | None = None) -> di
     if law is None or gain is None or not gain.changes:
         return {}
     loop = linearizer.at(0.0) if loop is None else loop
-    planned = PlannedDynamics(linearizer.given)
-    _, k_s = forecast_reaching_gain(law, planned, loop, points=51)
+    _, k_s = forecast_reaching_gain(law, linearizer.planned, loop, points=51)
     return {"reaching_gain": k_s.max(axis=0)}
 
 

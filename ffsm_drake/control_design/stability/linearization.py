@@ -32,6 +32,7 @@ from ffsm_drake.common.memo import content_of
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.control_design.stability.linear_settings import without_limits
 from ffsm_drake.control_design.stability.loop_state import Memory, PlantState, difference
+from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import MassProperties, Scenario, from_grasp
@@ -96,6 +97,7 @@ class Linearizer:
         self._find_law()
         self._find_memory(leaves)
         self._updates = dict[Hashable, tuple[_Update, ...]]()
+        self._loops = dict[Hashable, LinearLoop]()
         self._own_period: int | None = None  # of user-supplied systems, once it is known
 
     def _new_simulator(self, context: Context | None = None) -> Simulator:
@@ -170,9 +172,9 @@ class Linearizer:
     ) -> LinearLoop:
         """The loop near an instant of the planned motion, with the plant on it.
 
-        The update at the sample is kept: the same instant with another true payload costs only its
-        motion, which starts from the state of the scenario's own payload. At rest that changes a
-        spectral radius by about 1e-5.
+        It is kept: the same arguments give the same object. So is the update at the sample: the
+        same instant with another true payload costs only its motion, which starts from the state of
+        the scenario's own payload. At rest that changes a spectral radius by about 1e-5.
 
         Args:
           time: s; a control sample is taken.
@@ -181,11 +183,21 @@ class Linearizer:
 
         Raises NotLinear: a block fails, or changes between two control samples.
         """
-        period, first = self.scenario.sample_time, round(time / self.scenario.sample_time)
-        index = first + _WARM_UP
+        first = round(time / self.scenario.sample_time)
+        if truth is not None:
+            return self._linearized(first, held or {}, truth)
+        key = content_of((first, held or {}))
+        if key not in self._loops:
+            self._loops[key] = self._linearized(first, held or {}, None)
+        return self._loops[key]
+
+    def _linearized(
+        self, first: int, held: Mapping[str, np.ndarray], truth: MassProperties | None
+    ) -> LinearLoop:
+        """The loop after a warm-up that begins on the plan at a control sample."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                updates = self._updates_from(first, held or {})
+                updates = self._updates_from(first, held)
                 maps = {update: self._map(update, truth) for update in dict.fromkeys(updates)}
                 samples = tuple(maps[update] for update in updates)
         except FfsmError:
@@ -201,8 +213,8 @@ class Linearizer:
             samples = (SampleMap(a=unknown, b=unknown, c=unknown, d=unknown),)
         return LinearLoop(
             coordinates=self.loop.coordinates,
-            time=index * period,
-            sample_time=period,
+            time=(first + _WARM_UP) * self.scenario.sample_time,
+            sample_time=self.scenario.sample_time,
             samples=samples,
             hidden=self.loop.split.names,
             tracks_frame=self.loop.tracks_frame,
@@ -323,6 +335,16 @@ class Linearizer:
         self._memory.update(index)
         self._move(index)
         self._quiet(held)
+
+    @functools.cached_property
+    def planned(self) -> PlannedDynamics:
+        """The dynamics along its planned motion."""
+        return PlannedDynamics(self.given)
+
+    @functools.cached_property
+    def lightest(self) -> list[float]:
+        """The times, s, of its motion at which a driven coordinate is lightest."""
+        return self.planned.lightest(self.begin, self.end)
 
     @functools.cached_property
     def user_supplied(self) -> list[System]:
