@@ -416,8 +416,11 @@ class Linearizer:
         owner = np.repeat(np.arange(len(groups)), [group.stop - group.start for group in groups])
         written = np.zeros(steps.size)
 
+        law = self._law_of_many(index)
+
         def update(x: np.ndarray) -> np.ndarray:
-            """The memory after the sample's update; x is followed by the noise.
+            """The memory after the sample's update, the controller's as ``law`` reads it; x is
+            followed by the noise.
 
             Only changed groups are written, so that Drake computes only their consequences.
             """
@@ -429,9 +432,9 @@ class Linearizer:
                 else:
                     self._noise.write_part(k - 1 - len(self._memory.parts), x[groups[k]])
             written[:] = x
-            return self._memory.after(index)
+            return self._memory.after(index) if law is None else law.read()
 
-        jacobian = _jacobian(update, groups, steps)
+        jacobian = _jacobian(update, groups, steps, law)
         update(np.zeros(steps.size))
         self._memory.update(index)
         kept = [group for group in groups if group.stop <= size]
@@ -441,6 +444,15 @@ class Linearizer:
             groups=kept,
             steps=steps[:size],
             jacobian=jacobian,
+        )
+
+    def _law_of_many(self, index: int) -> "_LawOfMany | None":
+        """The controller's update at a control sample for many states at once, of a shipped law."""
+        controller = self.loop.blocks["controller"]
+        if not isinstance(controller, SampledController) or not _is_shipped(controller.law):
+            return None
+        return _LawOfMany(
+            controller, self._controller_context, self._memory, index=index, width=self._width
         )
 
     def _map(self, update: "_Update", truth: MassProperties | None) -> SampleMap:
@@ -495,23 +507,101 @@ class _Update:
     jacobian: np.ndarray  # of the memory after it by [x; w]
 
 
-def _jacobian(
-    function: Callable[[np.ndarray], np.ndarray], groups: Sequence[slice], steps: np.ndarray
-) -> np.ndarray:
-    """Finite differences of a function at zero by ``steps``; groups of its argument without effect
-    are skipped.
+class _LawOfMany:
+    """The update at a control sample in two steps: what every block but the controller makes of the
+    state, and what the controller reads of it; then the control law, for many states at once, which
+    is faster than one by one.
     """
-    center = function(np.zeros(steps.size))
-    jacobian = np.zeros((center.size, steps.size))
+
+    def __init__(
+        self,
+        controller: SampledController,
+        context: Context,
+        memory: Memory,
+        *,
+        index: int,
+        width: int,
+    ) -> None:
+        """Args: the controller and its context; all memory; the control sample; the size of the
+        plant's part of x.
+        """
+        self._controller, self._context = controller, context
+        self._memory, self._index = memory, index
+        self._inputs, self._own = dict[str, slice](), dict[str, slice]()
+        end = memory.size
+        for values, slots in zip(controller.read(context), (self._inputs, self._own), strict=True):
+            for name, value in values.items():
+                slots[name], end = slice(end, end + value.size), end + value.size
+        groups = {None: controller.force_group, **controller.memory_groups()}
+        self._parts = {
+            name: part
+            for name, group in groups.items()
+            if (part := memory.part_of(controller, group)) is not None
+        }
+        self._slots = {
+            width + part.start: self._own[name] for name, part in self._parts.items() if name
+        }
+
+    def read(self) -> np.ndarray:
+        """The memory after the update, without the controller's, and what the controller reads."""
+        inputs, own = self._controller.read(self._context)
+        others = self._memory.after(self._index, without=self._controller)
+        return np.concatenate([others, *inputs.values(), *own.values()])
+
+    def slot(self, group: slice, x: np.ndarray, *, change: np.ndarray) -> slice | None:
+        """Where ``read`` has a group of x that only the law reads; None of any other group.
+
+        Args: the group; a trial of x, and the change of ``read`` by it.
+        """
+        slot = self._slots.get(group.start)
+        if slot is None:
+            return None
+        expected = np.zeros_like(change)
+        expected[slot] = x[group]
+        return slot if np.array_equal(expected != 0.0, change != 0.0) else None
+
+    def step(self, read: np.ndarray) -> np.ndarray:
+        """The memory after the update, from rows of ``read``."""
+        found = read[:, : self._memory.size].copy()
+        inputs, own = (
+            {name: read[:, slot] for name, slot in slots.items()}
+            for slots in (self._inputs, self._own)
+        )
+        force, after = self._controller.step(inputs, own)
+        for name, part in self._parts.items():
+            found[:, part] = force if name is None else after[name]
+        return found
+
+
+def _jacobian(
+    function: Callable[[np.ndarray], np.ndarray],
+    groups: Sequence[slice],
+    steps: np.ndarray,
+    law: "_LawOfMany | None" = None,
+) -> np.ndarray:
+    """Finite differences of a function at zero by ``steps``, followed by a law's step; groups of
+    its argument without effect are skipped.
+    """
+    rows, columns = [function(np.zeros(steps.size))], list[int]()
     for group in groups:
         trial = np.zeros(steps.size)
         trial[group] = steps[group] * np.linspace(1.0, 2.0, group.stop - group.start)
-        if np.array_equal(function(trial), center):
+        found = function(trial)
+        if np.array_equal(found, rows[0]):
             continue
-        for i in range(group.start, group.stop):
-            x = np.zeros(steps.size)
-            x[i] = steps[i]
-            jacobian[:, i] = (function(x) - center) / steps[i]
+        changes = np.zeros((group.stop - group.start, steps.size))
+        changes[:, group] = np.diag(steps[group])
+        columns += range(group.start, group.stop)
+        slot = None if law is None else law.slot(group, trial, change=found - rows[0])
+        if slot is None:
+            rows += map(function, changes)
+        else:  # nothing else reads it
+            passed_on = np.tile(rows[0], (len(changes), 1))
+            passed_on[:, slot] += changes[:, group]
+            rows += list(passed_on)
+    values = np.array(rows) if law is None else law.step(np.array(rows))
+    jacobian = np.zeros((values.shape[1], steps.size))
+    jacobian[:, columns] = ((values[1:] - values[0]) / steps[columns, None]).T
     return jacobian
 
 
@@ -521,8 +611,13 @@ def _approach(scenario: Scenario) -> Scenario:
 
 
 def _is_shipped(system: object) -> bool:
-    """Whether the class of a system or a law is Drake's or this package's."""
-    return type(system).__module__.split(".")[0] in ("pydrake", "ffsm_drake")
+    """Whether the class of a system or a law, and of the steps that a law consists of, is Drake's
+    or this package's.
+    """
+    parts = vars(system).values() if dataclasses.is_dataclass(system) else ()
+    return type(system).__module__.split(".")[0] in ("pydrake", "ffsm_drake") and all(
+        _is_shipped(part) for part in parts if hasattr(part, "step")
+    )
 
 
 def _silence(sources: Sequence[RandomSource], diagram: Diagram, context: Context) -> bool:

@@ -9,7 +9,7 @@ from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 
 # Memory of a law that becomes an output and is recorded: (nv) each, and one number.
@@ -128,6 +128,11 @@ class SampledController(LeafSystem):
         """The discrete group of each piece of the law's memory, by name."""
         return {name: int(index) for name, index in self._memory.items()}
 
+    @property
+    def force_group(self) -> int:
+        """The discrete group of the force."""
+        return int(self._force)
+
     def held_groups(self) -> Mapping[str, tuple[int, float | None]]:
         """Discrete groups that a linearisation holds, name -> (group, value), see
         ``ControlLaw.held``.
@@ -135,12 +140,62 @@ class SampledController(LeafSystem):
         held = {name: (int(self._memory[name]), value) for name, value in self.law.held().items()}
         return {"has_previous": (int(self._has_previous), 1.0), **held}
 
-    def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
-        estimated = self._estimated_state.Eval(context)
-        desired = self._desired_state.Eval(context)
-        split = self._num_positions
-        # coordinates.position_error and error_rate, in one step.
-        difference = desired - estimated
+    def read(self, context: Context) -> tuple[State, State]:
+        """All that an update reads, by name: inputs that are connected, and the law's memory."""
+        value = context.get_discrete_state().value
+        inputs = {
+            "estimated_state": self._estimated_state.Eval(context),
+            "desired_state": self._desired_state.Eval(context),
+            "desired_acceleration": self._desired_acceleration.Eval(context),
+            "applied_force": self._applied_force.Eval(context)
+            if self._applied_force.HasValue(context)
+            else value(self._force),
+        }
+        if self._is_new.HasValue(context):
+            inputs["measurement_is_new"] = self._is_new.Eval(context)
+        if self._desired_frame is not None and self._desired_frame.HasValue(context):
+            inputs["desired_frame"] = self._desired_frame.Eval(context)
+        return inputs, dict(zip(self._memory, map(value, self._memory.values()), strict=False))
+
+    def step(
+        self, inputs: State, memory: State, *, is_first: bool = False
+    ) -> tuple[np.ndarray, State]:
+        """The force, and the law's memory after it, from what ``read`` gives: of one update, or of
+        several at once, (m, ...) each.
+        """
+        split, estimated, desired = (
+            self._num_positions, inputs["estimated_state"], inputs["desired_state"],
+        )  # fmt: skip
+        is_new = inputs.get("measurement_is_new")
+        sample = Sample(
+            estimated[..., :split],
+            estimated[..., split:],
+            desired[..., :split],
+            desired[..., split:],
+            inputs["desired_acceleration"],
+            *self._errors(estimated, desired),
+            inputs["applied_force"],
+            is_first,
+            # The quaternion has one entry more than the rotation vector.
+            None if is_new is None else is_new[..., 1:] != 0.0,
+            inputs.get("desired_frame"),
+        )
+        returned = self.law.step(sample, memory)
+        if is_first:
+            self._check(returned)
+        force, memory = returned
+        if self._undriven is not None:
+            force = np.array(force)
+            force[..., self._undriven] = 0.0
+        return force, memory
+
+    def _errors(self, estimated: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """coordinates.position_error and error_rate, in one step."""
+        if estimated.ndim > 1:
+            pairs = [self._errors(*each) for each in zip(estimated, desired, strict=True)]
+            e, e_dot = np.swapaxes(pairs, 0, 1)
+            return e, e_dot
+        split, difference = self._num_positions, desired - estimated
         e, e_dot = difference[1:split], difference[split:]
         e[:3] = rotation = rotation_error(desired[:4], estimated[:4])
         e_dot[:3] = rotation_error_rate(
@@ -148,32 +203,16 @@ class SampledController(LeafSystem):
         )
         if self._undriven is not None:
             e[self._undriven] = e_dot[self._undriven] = 0.0
-        value = context.get_discrete_state().value
-        is_first = not value(self._has_previous).item()
-        sample = Sample(
-            estimated[:split],
-            estimated[split:],
-            desired[:split],
-            desired[split:],
-            self._desired_acceleration.Eval(context),
-            e,
-            e_dot,
-            self._applied_force.Eval(context)
-            if self._applied_force.HasValue(context)
-            else value(self._force),
-            is_first,
-            # The quaternion has one entry more than the rotation vector.
-            self._is_new.Eval(context)[1:] != 0.0 if self._is_new.HasValue(context) else None,
-            None
-            if self._desired_frame is None or not self._desired_frame.HasValue(context)
-            else self._desired_frame.Eval(context),
-        )
-        state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
+        return e, e_dot
+
+    def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
+        inputs, memory = self.read(context)
+        is_first = not context.get_discrete_state().value(self._has_previous).item()
         if is_first:
-            for values in state.values():
+            for values in memory.values():
                 values.setflags(write=False)  # a law that writes into them fails once
         try:
-            returned = self.law.step(sample, state)
+            force, memory = self.step(inputs, memory, is_first=is_first)
         except (SystemExit, GeneratorExit) as error:  # would end the process without an error
             what = "called sys.exit" if isinstance(error, SystemExit) else "raised GeneratorExit"
             raise BlockError(
@@ -181,12 +220,7 @@ class SampledController(LeafSystem):
                 "exception"
             ) from error
         if is_first:
-            self._check(returned)
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
-        force, memory = returned
-        if self._undriven is not None:
-            force = np.array(force)
-            force[self._undriven] = 0.0
         discrete_values.set_value(self._force, force)
         for name, index in self._memory.items():
             discrete_values.set_value(index, memory[name])
