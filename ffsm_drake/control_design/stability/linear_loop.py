@@ -215,7 +215,9 @@ class LinearLoop:
         is_driven = self.coordinates.is_driven
         plant[: 2 * is_driven.size] = np.concatenate([is_driven | self.tracks_frame, is_driven])
         acting, driven = plant, driven | plant
-        for _ in range(len(arrows)):
+        reached = -1
+        while (count := int(acting.sum() + driven.sum())) > reached:
+            reached = count
             acting, driven = (
                 acting | (arrows[acting].any(axis=0)),
                 driven | (arrows[:, driven].any(axis=1)),

@@ -7,6 +7,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.lifetime import untie, weak_callback
+from ffsm_drake.common.memo import each_once
 from ffsm_drake.common.so3 import rotation_error, rotation_error_rate
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
@@ -192,8 +193,7 @@ class SampledController(LeafSystem):
     def _errors(self, estimated: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """coordinates.position_error and error_rate, in one step."""
         if estimated.ndim > 1:
-            pairs = [self._errors(*each) for each in zip(estimated, desired, strict=True)]
-            e, e_dot = np.swapaxes(pairs, 0, 1)
+            e, e_dot = np.swapaxes(each_once(self._errors, estimated, desired), 0, 1)
             return e, e_dot
         split, difference = self._num_positions, desired - estimated
         e, e_dot = difference[1:split], difference[split:]
