@@ -27,7 +27,9 @@ PROGRAMS = {
 }
 
 
-def processor_time(arguments: Sequence[str], package: Path, *, codes: Sequence[int] = (0,)) -> float:
+def processor_time(
+    arguments: Sequence[str], package: Path, *, codes: Sequence[int] = (0,)
+) -> float:
     """Of a fresh interpreter that ends with one of some exit codes, s."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     # The folder that Python is started in comes before all others that it looks for modules in.

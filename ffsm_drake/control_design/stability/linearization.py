@@ -532,14 +532,16 @@ class _LawOfMany:
         for values, slots in zip(controller.read(context), (self._inputs, self._own), strict=True):
             for name, value in values.items():
                 slots[name], end = slice(end, end + value.size), end + value.size
-        groups = {None: controller.force_group, **controller.memory_groups()}
+        groups = {"generalized_force": controller.force_group, **controller.memory_groups()}
         self._parts = {
             name: part
             for name, group in groups.items()
             if (part := memory.part_of(controller, group)) is not None
         }
         self._slots = {
-            width + part.start: self._own[name] for name, part in self._parts.items() if name
+            width + part.start: self._own[name]
+            for name, part in self._parts.items()
+            if name in self._own
         }
 
     def read(self) -> np.ndarray:
@@ -569,7 +571,7 @@ class _LawOfMany:
         )
         force, after = self._controller.step(inputs, own)
         for name, part in self._parts.items():
-            found[:, part] = force if name is None else after[name]
+            found[:, part] = {"generalized_force": force, **after}[name]
         return found
 
 

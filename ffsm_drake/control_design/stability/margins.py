@@ -15,7 +15,11 @@ from ffsm_drake.control_design.stability.adaptation import (
 )
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
-from ffsm_drake.control_design.stability.moving import GROWN, MotionStability
+from ffsm_drake.control_design.stability.moving import (
+    GROWN,
+    MotionStability,
+    motion_stability,
+)
 from ffsm_drake.control_design.stability.one_axis import (
     axis_loop,
     largest_sample_time,
@@ -81,6 +85,7 @@ class Margins:
     eta: np.ndarray
     loops: tuple[LinearLoop, ...]  # the wired loop at POSTURES, at the starting gains
     loops_expected: tuple[LinearLoop, ...]  # the same with every K_s at its largest expected value
+    motion: MotionStability | None  # of a tracked frame, at chosen instants
     # spectral radius at the worst of these with every K_s at its bound; NaN without bounds
     radius_at_bounds: float
     hidden_modes: tuple[VibrationMode, ...]  # at the start of the motion
@@ -103,13 +108,12 @@ class Margins:
 
     @property
     def growth(self) -> float:
-        """Growth of small errors while a tracked frame moves, from POSTURES alone; 1 without a
-        tracked frame.
+        """Growth of small errors while a tracked frame moves; 1 without a tracked frame.
 
         Near a singular posture the loop may be unstable as the frame passes, although it is stable
         wherever it rests.
         """
-        return MotionStability(loops=self.loops).growth if self.loops[0].tracks_frame else 1.0
+        return 1.0 if self.motion is None else self.motion.growth
 
     @property
     def edge_time(self) -> float:
@@ -169,11 +173,8 @@ class Margins:
     def _with_actuators(self) -> str:
         """The verdict on a loop that is stable without saturation."""
         found = self.rehearsal
-        if found is None and self.growth > GROWN:
-            return (
-                "stable at rest; while the frame moves, small errors grow by up to "
-                f"{self.growth:.2g} times"
-            )
+        if found is None and self.motion is not None and self.growth > GROWN:
+            return f"stable at rest; while the frame moves, small errors {self.motion.growing}"
         if found is None:
             return "stable"
         if found.share_diverged > 0.0:
@@ -250,6 +251,7 @@ def stability(
         eta=eta,
         loops=loops,
         loops_expected=expected,
+        motion=motion_stability(linearizer) if loops[0].tracks_frame else None,
         radius_at_bounds=at_bounds,
         hidden_modes=tuple(true.modes(motion.evaluate(motion.begin)[0])),
         hidden=true.split.names,

@@ -190,5 +190,5 @@ def _told(found: MotionStability, leg: Leg, status: Status, start: float) -> str
         return f"stable, {radius}"
     if _resting_radius(found, leg) >= 1.0:
         return f"unstable at rest, {radius}{where}"
-    grow = f"small errors grow {found.growth:.2g} times, {radius}{where}"
+    grow = f"small errors {found.growing}, {radius}{where}"
     return f"unstable, {grow}" if status == "unstable" else grow

@@ -62,6 +62,12 @@ class MotionStability:
         )
 
     @property
+    def growing(self) -> str:
+        """The growth in words, with its bound where that says more."""
+        most = f" (at most {self.growth_bound:.2g})" if self.growth_bound < LARGE_GROWTH else ""
+        return f"grow {self.growth:.2g} times{most}"
+
+    @property
     def times(self) -> np.ndarray:
         """The instants (n), s."""
         return np.array([loop.time for loop in self.loops])
