@@ -61,8 +61,9 @@ def test_a_run_that_ends_before_its_motion_is_not_expected_to_settle():
     assert not found.is_alarm
 
 
-@pytest.mark.parametrize("name", ["Rare", "Irregular"])
-@pytest.mark.parametrize("controller", ["tdc", "pd_plus"])
+@pytest.mark.parametrize(
+    ("name", "controller"), [("Rare", "tdc"), ("Irregular", "tdc"), ("Irregular", "pd_plus")]
+)
 def test_margins_of_a_loop_that_cannot_be_linearised_cannot_be_said(name, controller):
     given = [f'blocks.sensing={{tracker: "slow_tracker:{name}"}}', f"controller={controller}"]
     scenario = load_scenario("flight_sensors", given)
