@@ -12,7 +12,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.systems.framework import Context
 
-from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.memo import each_once, memoized
 from ffsm_drake.scenario import MassProperties, Model, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of
 from ffsm_drake.spacecraft.flexible import (
@@ -42,8 +42,8 @@ def stacked(calc: Calc) -> Calc:
         if q.ndim == 1:
             return calc(model, q, *rest)
         velocities = [item for item in rest if isinstance(item, np.ndarray)]
-        states, frame = zip(q, *velocities, strict=True), rest[len(velocities) :]
-        return np.stack([calc_each(model, *state, *frame) for state in states])
+        frame = rest[len(velocities) :]
+        return np.stack(each_once(lambda *state: calc_each(model, *state, *frame), q, *velocities))
 
     return cast("Calc", calc_each)
 

@@ -39,7 +39,7 @@ from ffsm_drake.scenario import MassProperties, Scenario, from_grasp
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.systems.actuation.drives import FRICTION
 from ffsm_drake.systems.actuation.mean import make_mean_actuation
-from ffsm_drake.systems.controllers.law import ControlLaw, is_wide
+from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.reference import make_motion, timed, without_target
 from ffsm_drake.systems.registry import Factory
@@ -97,6 +97,7 @@ class Linearizer:
         self._find_law()
         self._find_memory(leaves)
         self._updates = dict[Hashable, tuple[_Update, ...]]()
+        self._loops = dict[Hashable, LinearLoop]()
         self._own_period: int | None = None  # of user-supplied systems, once it is known
 
     def _new_simulator(self, context: Context | None = None) -> Simulator:
@@ -146,7 +147,6 @@ class Linearizer:
             self._context,
             sample_time=period,
             leave_out=lambda system, group: system is controller and group in held,
-            together=controller if self.law is not None and is_wide(self.law) else None,
         )
         # of the plant's part of x
         self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.split.names))
@@ -156,11 +156,6 @@ class Linearizer:
             for name, group in groups.items()
             if (part := self._memory.part_of(controller, group)) is not None
         }
-
-    @functools.cached_property
-    def planned(self) -> PlannedDynamics:
-        """The scenario's dynamics along its planned motion; errors as for PlannedDynamics."""
-        return PlannedDynamics(self.given)
 
     def __enter__(self) -> Self:
         return self
@@ -177,9 +172,9 @@ class Linearizer:
     ) -> LinearLoop:
         """The loop near an instant of the planned motion, with the plant on it.
 
-        The update at the sample is kept: the same instant with another true payload costs only its
-        motion, which starts from the state of the scenario's own payload. At rest that changes a
-        spectral radius by about 1e-5.
+        It is kept: the same arguments give the same object. So is the update at the sample: the
+        same instant with another true payload costs only its motion, which starts from the state of
+        the scenario's own payload. At rest that changes a spectral radius by about 1e-5.
 
         Args:
           time: s; a control sample is taken.
@@ -188,11 +183,21 @@ class Linearizer:
 
         Raises NotLinear: a block fails, or changes between two control samples.
         """
-        period, first = self.scenario.sample_time, round(time / self.scenario.sample_time)
-        index = first + _WARM_UP
+        first = round(time / self.scenario.sample_time)
+        if truth is not None:
+            return self._linearized(first, held or {}, truth)
+        key = content_of((first, held or {}))
+        if key not in self._loops:
+            self._loops[key] = self._linearized(first, held or {}, None)
+        return self._loops[key]
+
+    def _linearized(
+        self, first: int, held: Mapping[str, np.ndarray], truth: MassProperties | None
+    ) -> LinearLoop:
+        """The loop after a warm-up that begins on the plan at a control sample."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                updates = self._updates_from(first, held or {})
+                updates = self._updates_from(first, held)
                 maps = {update: self._map(update, truth) for update in dict.fromkeys(updates)}
                 samples = tuple(maps[update] for update in updates)
         except FfsmError:
@@ -208,8 +213,8 @@ class Linearizer:
             samples = (SampleMap(a=unknown, b=unknown, c=unknown, d=unknown),)
         return LinearLoop(
             coordinates=self.loop.coordinates,
-            time=index * period,
-            sample_time=period,
+            time=(first + _WARM_UP) * self.scenario.sample_time,
+            sample_time=self.scenario.sample_time,
             samples=samples,
             hidden=self.loop.split.names,
             tracks_frame=self.loop.tracks_frame,
@@ -332,6 +337,16 @@ class Linearizer:
         self._quiet(held)
 
     @functools.cached_property
+    def planned(self) -> PlannedDynamics:
+        """The scenario's dynamics along its planned motion; errors as for PlannedDynamics."""
+        return PlannedDynamics(self.given)
+
+    @functools.cached_property
+    def lightest(self) -> list[float]:
+        """The times, s, of its motion at which a driven coordinate is lightest."""
+        return self.planned.lightest(self.begin, self.end)
+
+    @functools.cached_property
     def user_supplied(self) -> list[System]:
         """The user-supplied systems with memory, and the controller with a user-supplied law."""
         controller = self.loop.blocks["controller"]
@@ -373,11 +388,11 @@ class Linearizer:
         """Derivative of the memory after a control sample's update by the plant's state before."""
         state = self._plant.read()
 
-        def write(change: np.ndarray) -> None:
+        def update(change: np.ndarray) -> np.ndarray:
             self._plant.write(self._plant.moved(state, change))
+            return self._memory.after(index)
 
         steps = np.full(self._width, _STEP)
-        update = functools.partial(self._memory.after_each, index, write=write)
         found = _jacobian(update, [slice(0, self._width)], steps)
         self._plant.write(state)
         return found
@@ -401,8 +416,11 @@ class Linearizer:
         owner = np.repeat(np.arange(len(groups)), [group.stop - group.start for group in groups])
         written = np.zeros(steps.size)
 
-        def write(x: np.ndarray) -> None:
-            """Set the context to a small change of x, followed by the noise.
+        law = self._law_of_many(index)
+
+        def update(x: np.ndarray) -> np.ndarray:
+            """The memory after the sample's update, the controller's as ``law`` reads it; x is
+            followed by the noise.
 
             Only changed groups are written, so that Drake computes only their consequences.
             """
@@ -414,10 +432,10 @@ class Linearizer:
                 else:
                     self._noise.write_part(k - 1 - len(self._memory.parts), x[groups[k]])
             written[:] = x
+            return self._memory.after(index) if law is None else law.read()
 
-        update = functools.partial(self._memory.after_each, index, write=write)
-        jacobian = _jacobian(update, groups, steps)
-        write(np.zeros(steps.size))
+        jacobian = _jacobian(update, groups, steps, law)
+        update(np.zeros(steps.size))
         self._memory.update(index)
         kept = [group for group in groups if group.stop <= size]
         return _Update(
@@ -426,6 +444,15 @@ class Linearizer:
             groups=kept,
             steps=steps[:size],
             jacobian=jacobian,
+        )
+
+    def _law_of_many(self, index: int) -> "_LawOfMany | None":
+        """The controller's update at a control sample for many states at once, of a shipped law."""
+        controller = self.loop.blocks["controller"]
+        if not isinstance(controller, SampledController) or not _is_shipped(controller.law):
+            return None
+        return _LawOfMany(
+            controller, self._controller_context, self._memory, index=index, width=self._width
         )
 
     def _map(self, update: "_Update", truth: MassProperties | None) -> SampleMap:
@@ -457,9 +484,7 @@ class Linearizer:
             reached = move(x)
             return np.concatenate([difference(reached[:-nv], base[:-nv]), reached[-nv:]])
 
-        motion = _jacobian(
-            lambda rows: np.array([change(x) for x in rows]), update.groups, update.steps
-        )
+        motion = _jacobian(change, update.groups, update.steps)
         # From [x; w] to [x+; u], by way of the memory after the update.
         whole = motion[:, width:] @ update.jacobian
         whole[:, :width] += motion[:, :width]
@@ -484,23 +509,103 @@ class _Update:
     jacobian: np.ndarray  # of the memory after it by [x; w]
 
 
-def _jacobian(
-    function: Callable[[np.ndarray], np.ndarray], groups: Sequence[slice], steps: np.ndarray
-) -> np.ndarray:
-    """Finite differences at zero by ``steps`` of a function of many arguments (n, k) at once;
-    groups of its argument without effect are skipped.
+class _LawOfMany:
+    """The update at a control sample in two steps: what every block but the controller makes of the
+    state, and what the controller reads of it; then the control law, for many states at once, which
+    is faster than one by one.
     """
-    trials = np.zeros((1 + len(groups), steps.size))
-    for trial, group in zip(trials[1:], groups, strict=True):
+
+    def __init__(
+        self,
+        controller: SampledController,
+        context: Context,
+        memory: Memory,
+        *,
+        index: int,
+        width: int,
+    ) -> None:
+        """Args: the controller and its context; all memory; the control sample; the size of the
+        plant's part of x.
+        """
+        self._controller, self._context = controller, context
+        self._memory, self._index = memory, index
+        self._inputs, self._own = dict[str, slice](), dict[str, slice]()
+        end = memory.size
+        for values, slots in zip(controller.read(context), (self._inputs, self._own), strict=True):
+            for name, value in values.items():
+                slots[name], end = slice(end, end + value.size), end + value.size
+        groups = {"generalized_force": controller.force_group, **controller.memory_groups()}
+        self._parts = {
+            name: part
+            for name, group in groups.items()
+            if (part := memory.part_of(controller, group)) is not None
+        }
+        self._slots = {
+            width + part.start: self._own[name]
+            for name, part in self._parts.items()
+            if name in self._own
+        }
+
+    def read(self) -> np.ndarray:
+        """The memory after the update, without the controller's, and what the controller reads."""
+        inputs, own = self._controller.read(self._context)
+        others = self._memory.after(self._index, without=self._controller)
+        return np.concatenate([others, *inputs.values(), *own.values()])
+
+    def slot(self, group: slice, x: np.ndarray, *, change: np.ndarray) -> slice | None:
+        """Where ``read`` has a group of x that only the law reads; None of any other group.
+
+        Args: the group; a trial of x, and the change of ``read`` by it.
+        """
+        slot = self._slots.get(group.start)
+        if slot is None:
+            return None
+        expected = np.zeros_like(change)
+        expected[slot] = x[group]
+        return slot if np.array_equal(expected != 0.0, change != 0.0) else None
+
+    def step(self, read: np.ndarray) -> np.ndarray:
+        """The memory after the update, from rows of ``read``."""
+        found = read[:, : self._memory.size].copy()
+        inputs, own = (
+            {name: read[:, slot] for name, slot in slots.items()}
+            for slots in (self._inputs, self._own)
+        )
+        force, after = self._controller.step(inputs, own)
+        for name, part in self._parts.items():
+            found[:, part] = {"generalized_force": force, **after}[name]
+        return found
+
+
+def _jacobian(
+    function: Callable[[np.ndarray], np.ndarray],
+    groups: Sequence[slice],
+    steps: np.ndarray,
+    law: "_LawOfMany | None" = None,
+) -> np.ndarray:
+    """Finite differences of a function at zero by ``steps``, followed by a law's step; groups of
+    its argument without effect are skipped.
+    """
+    rows, columns = [function(np.zeros(steps.size))], list[int]()
+    for group in groups:
+        trial = np.zeros(steps.size)
         trial[group] = steps[group] * np.linspace(1.0, 2.0, group.stop - group.start)
-    center, *tried = function(trials)
-    active = np.zeros(steps.size, dtype=bool)
-    for group, result in zip(groups, tried, strict=True):
-        active[group] = not np.array_equal(result, center)
-    jacobian = np.zeros((center.size, steps.size))
-    if active.any():
-        changed = function(np.diag(steps)[active])
-        jacobian[:, active] = ((changed - center) / steps[active, None]).T
+        found = function(trial)
+        if np.array_equal(found, rows[0]):
+            continue
+        changes = np.zeros((group.stop - group.start, steps.size))
+        changes[:, group] = np.diag(steps[group])
+        columns += range(group.start, group.stop)
+        slot = None if law is None else law.slot(group, trial, change=found - rows[0])
+        if slot is None:
+            rows += map(function, changes)
+        else:  # nothing else reads it
+            passed_on = np.tile(rows[0], (len(changes), 1))
+            passed_on[:, slot] += changes[:, group]
+            rows += list(passed_on)
+    values = np.array(rows) if law is None else law.step(np.array(rows))
+    jacobian = np.zeros((values.shape[1], steps.size))
+    jacobian[:, columns] = ((values[1:] - values[0]) / steps[columns, None]).T
     return jacobian
 
 
@@ -510,8 +615,13 @@ def _approach(scenario: Scenario) -> Scenario:
 
 
 def _is_shipped(system: object) -> bool:
-    """Whether the class of a system or a law is Drake's or this package's."""
-    return type(system).__module__.split(".")[0] in ("pydrake", "ffsm_drake")
+    """Whether the class of a system or a law, and of the steps that a law consists of, is Drake's
+    or this package's.
+    """
+    parts = vars(system).values() if dataclasses.is_dataclass(system) else ()
+    return type(system).__module__.split(".")[0] in ("pydrake", "ffsm_drake") and all(
+        _is_shipped(part) for part in parts if hasattr(part, "step")
+    )
 
 
 def _silence(sources: Sequence[RandomSource], diagram: Diagram, context: Context) -> bool:

@@ -10,7 +10,6 @@ from ffsm_drake.common.so3 import quaternion_rate, rotation_error
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.spacecraft.coordinates import BASE_ROTATION, NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.free_floating import FreeFloating
-from ffsm_drake.systems.controllers.sampled import SampledController
 
 
 class PlantState:
@@ -99,14 +98,7 @@ class Memory:
         *,
         sample_time: float,
         leave_out: Callable[[System, int], bool] = lambda system, group: False,
-        together: SampledController | None = None,
     ) -> None:
-        """Args: the systems, in a context of the whole; the control period, s; groups to leave out;
-        the controller, if its law takes several runs at once.
-        """
-        self._together = together
-        if together is not None:
-            self._context_of_controller = together.GetMyMutableContextFromRoot(root_context)
         self.systems, self.size, self.parts = systems, 0, list[slice]()
         self._groups: list[tuple[Context, int]] = []
         self._where = dict[tuple[System, int], slice]()
@@ -159,32 +151,18 @@ class Memory:
         """Perform the update of a control sample, every system from the state before it."""
         self.write(self.after(index))
 
-    def after(self, index: int) -> np.ndarray:
-        """The values after the update of a control sample, without performing it."""
-        return self._after(index, None)
-
-    def after_each(
-        self, index: int, changes: np.ndarray, write: Callable[[np.ndarray], None]
-    ) -> np.ndarray:
-        """``after`` for several changes (n, k), each made by ``write``: (n, size)."""
-        controller, results, inputs = self._together, np.empty((len(changes), self.size)), []
-        for change, result in zip(changes, results, strict=True):
-            write(change)
-            result[:] = self._after(index, controller)
-            if controller is not None:
-                inputs.append(controller.copied_inputs(self._context_of_controller))
-        if controller is not None:
-            for group, values in controller.after_each(inputs).items():
-                if (part := self.part_of(controller, group)) is not None:
-                    results[:, part] = values
-        return results
-
-    def _after(self, index: int, left_out: System | None) -> np.ndarray:
+    def after(self, index: int, *, without: System | None = None) -> np.ndarray:
+        """The values after the update of a control sample, without performing it; zeros in place of
+        those of one system.
+        """
         result = self.read()
         for (system, context, _, _), parts, due in zip(
             self._updated, self._parts_of, self.which(index), strict=True
         ):
-            if due and system is not left_out:
+            if system is without:
+                for _, part in parts:
+                    result[part] = 0.0
+            elif due:
                 values = system.EvalUniquePeriodicDiscreteUpdate(context)
                 for group, part in parts:
                     result[part] = values.value(group)

@@ -20,6 +20,8 @@ from ffsm_drake.systems.actuation.drives import DriveSet
 from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.reference import make_motion
 
+_POINTS = 101  # instants at which the lightest coordinates are sought
+
 
 def inertia_ratios(true_mass_matrix: np.ndarray, nominal_mass_matrix: np.ndarray) -> np.ndarray:
     """Eigenvalues eta of H^-1 Hhat, ascending (nv); above 1 the inertia is over-estimated.
@@ -59,6 +61,19 @@ class PlannedDynamics:
         """eta (na) of the driven coordinates at a time, s."""
         driven = np.ix_(self.coordinates.driven, self.coordinates.driven)
         return inertia_ratios(*(each[driven] for each in self.mass_matrices(time, locked=locked)))
+
+    def lightest(self, begin: float, end: float) -> list[float]:
+        """The times, s, between two at which a driven coordinate is lighter, the others free to
+        react, than shortly before and after.
+        """
+        times = np.linspace(begin, end, _POINTS)
+        mass_matrices = np.array([self.mass_matrices(time)[0] for time in times])
+        inverse = np.diagonal(np.linalg.inv(mass_matrices), axis1=1, axis2=2)
+        inverse = inverse[:, self.coordinates.driven]
+        rounding, change = 1e-6 * inverse[1:-1], np.diff(inverse, axis=0)
+        peaks = (change[:-1] > rounding) & (change[1:] < -rounding)
+        found: list[float] = times[1:-1][peaks.any(axis=1)].tolist()
+        return found
 
     def perfect_tracking(
         self, times: np.ndarray, *, friction: bool = False
