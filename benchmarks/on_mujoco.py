@@ -2,7 +2,7 @@
 itself, on MuJoCo.
 """
 
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -10,10 +10,11 @@ import numpy as np
 
 from ffsm_drake.common.so3 import rotation_error_rate
 from ffsm_drake.scenario import MassProperties, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, position_errors
 from ffsm_drake.systems.controllers import gain_vectors
 from ffsm_drake.systems.reference import make_motion
 
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 _AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 
 
@@ -142,6 +143,18 @@ class NumpyLaw:
         self.to_world = self.turn.reshape(3, 3)  # the base's rotation matrix at the last sample
         self.errors = np.empty((0, self.nominal.nv))  # (n, nv) at every sample
 
+    def known(self, num_samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Plan [q_d; v_d] (n, 2 nv + 1), its acceleration and the disturbance (n, nv), which are
+        known beforehand.
+
+        Forces are held over a step, so the disturbance is that of the step's middle.
+        """
+        times = self.period * np.arange(num_samples)
+        plan, acceleration = np.split(self.motion.rows(times), [2 * self.nominal.nv + 1], axis=1)
+        amplitude, frequency, phase, bias = self.harmonics
+        disturbance = amplitude * np.sin(frequency * (times[:, None] + 0.5 * self.period) + phase)
+        return plan, acceleration, disturbance + bias
+
     def samples(self, noise: np.ndarray) -> Generator[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Take (qpos, qvel) of every sample, give the force (nv) to hold until the next.
 
@@ -154,26 +167,12 @@ class NumpyLaw:
             self.turn,
             self.to_world,
         )
-        period, num_samples, nv = self.period, len(noise), noise.shape[1]
-        k_d, k_p, alpha, beta, phi = (
-            self.gains[name] for name in ("k_d", "k_p", "alpha", "beta", "phi")
-        )
-        k_s, g, k_s_max = self.gains["k_s_initial"], self.gains["g_initial"], self.gains["k_s_max"]
-        epsilon = self.gains["epsilon"]
-        # Plan and disturbance are known beforehand; forces are held over a step, so the disturbance
-        # is that of the step's middle.
-        times = period * np.arange(num_samples)
-        plan, plan_acceleration = np.split(self.motion.rows(times), [2 * nv + 1], axis=1)
-        amplitude, frequency, phase, bias = self.harmonics
-        disturbances = (
-            amplitude * np.sin(frequency * (times[:, None] + 0.5 * period) + phase) + bias
-        )
-        errors, forces, sliding, reaching, switching = (
-            np.empty((num_samples, nv)) for _ in range(5)
-        )
-        self.errors = errors
-        positions, velocities = np.empty((num_samples, nv + 1)), np.empty((num_samples, nv))
-        force, integral, previous = np.zeros(nv), np.zeros(nv), None
+        num_samples, nv = noise.shape
+        plan, plan_acceleration, disturbances = self.known(num_samples)
+        memory = Memory(self.gains, self.period, noise.shape)
+        self.errors = memory.errors
+        positions, velocities, forces = (np.empty((num_samples, nv + i)) for i in (1, 0, 0))
+        force = np.zeros(nv)
         inverse, difference, rotation = np.empty(4), np.empty(4), np.empty(3)
         change, product, v, e = np.empty(nv), np.empty(nv), np.empty(nv), np.empty(nv)
         qpos, qvel = yield np.zeros(nv)
@@ -190,22 +189,8 @@ class NumpyLaw:
             e_dot[:3] = rotation_error_rate(
                 tuple(rotation.tolist()), plan[k, nv + 1 : nv + 4], measured[:3]
             )
-            s = e_dot + k_d * e + k_p * integral
-            u = plan_acceleration[k] + k_d * e_dot + k_p * e + k_s * s + g * np.sign(s)
-            positions[k], velocities[k], errors[k] = qpos, v, e
-            sliding[k], reaching[k], switching[k] = s, k_s, g
-            magnitude = np.abs(s)
-            rate = np.where(
-                g > 0.0, np.sign(magnitude.max() - epsilon) * phi * magnitude, epsilon * phi
-            )
-            k_s = np.clip(
-                k_s + period * alpha * magnitude * np.sign(magnitude - k_s / beta), 0.0, k_s_max
-            )
-            g = np.maximum(g + period * rate, 0.0)
-            integral = integral + period * e
-            if previous is not None:
-                u = u - (measured - previous) / period
-            previous = measured
+            positions[k], velocities[k] = qpos, v
+            u = memory.step(k, e, e_dot, plan_acceleration[k], measured)
             # Hhat (u - a), with the rotation turned into body axes and back.
             nominal_data.qpos[:] = qpos
             mujoco.mj_kinematics(nominal, nominal_data)
@@ -218,6 +203,50 @@ class NumpyLaw:
             force[6:] += product[6:]
             forces[k] = force
             qpos, qvel = yield force + disturbances[k]
+
+
+class Memory:
+    """What TDE-AISMC remembers and records, of one run (n, nv), or of several at once (n, B,
+    nv).
+    """
+
+    def __init__(
+        self, gains: Mapping[str, np.ndarray | float], period: float, shape: tuple[int, ...]
+    ) -> None:
+        """Args: the gains, the control period (s), and the shape of what is recorded."""
+        self.gains, self.period = gains, period
+        self.k_s, self.g = gains["k_s_initial"], gains["g_initial"]
+        self.integral, self.previous = np.zeros(shape[1:]), None
+        self.errors, self.sliding, self.reaching, self.switching = (
+            np.empty(shape) for _ in range(4)
+        )
+
+    def step(
+        self, k: int, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, measured: np.ndarray
+    ) -> np.ndarray:
+        """The commanded acceleration of sample k minus the last one's (..., nv), for an error, its
+        rate, the plan's acceleration and the measured velocity.
+        """
+        k_d, k_p, alpha, beta, phi, epsilon, k_s_max = (
+            self.gains[name]
+            for name in ("k_d", "k_p", "alpha", "beta", "phi", "epsilon", "k_s_max")
+        )
+        k_s, g, period = self.k_s, self.g, self.period
+        s = e_dot + k_d * e + k_p * self.integral
+        u = a_d + k_d * e_dot + k_p * e + k_s * s + g * np.sign(s)
+        self.errors[k], self.sliding[k], self.reaching[k], self.switching[k] = e, s, k_s, g
+        magnitude = np.abs(s)
+        largest = magnitude.max(axis=-1, keepdims=True)
+        rate = np.where(g > 0.0, np.sign(largest - epsilon) * phi * magnitude, epsilon * phi)
+        self.k_s = np.clip(
+            k_s + period * alpha * magnitude * np.sign(magnitude - k_s / beta), 0.0, k_s_max
+        )
+        self.g = np.maximum(g + period * rate, 0.0)
+        self.integral = self.integral + period * e
+        if self.previous is not None:
+            u = u - (measured - self.previous) / period
+        self.previous = measured
+        return u
 
 
 class MujocoLoop:
@@ -244,3 +273,102 @@ class MujocoLoop:
             # Of a free joint the translation comes first, and the torque is in body axes.
             applied[:3], applied[3:6], applied[6:] = total[3:6], total[:3].dot(to_world), total[6:]
         return self.law.errors
+
+
+class MujocoBatch:
+    """Several runs of (c) at once, which differ in noise: an ``MjData`` each, the law on arrays (B,
+    nv).
+
+    The engine is still called for each run. What Python does between two of its steps is done once
+    for all runs.
+    """
+
+    def __init__(self, scenario: Scenario, coordinates: Coordinates, copies: int) -> None:
+        """Args: the scenario, its coordinates, and the number of runs B."""
+        self.loop = MujocoLoop(scenario, coordinates)
+        self.data, self.nominal_data = (
+            [mujoco.MjData(model) for _ in range(copies)]
+            for model in (self.loop.model, self.loop.law.nominal)
+        )
+
+    def run(self, noise: np.ndarray) -> np.ndarray:
+        """The errors (n, B, nv) at every sample; ``noise`` (n, B, nv) is added to velocities."""
+        model, nominal, law = self.loop.model, self.loop.law.nominal, self.loop.law
+        num_samples, copies, nv = noise.shape
+        plan, plan_acceleration, disturbances = law.known(num_samples)
+        memory = Memory(law.gains, law.period, noise.shape)
+        positions, forces = np.empty((num_samples, copies, nv + 1)), np.empty_like(noise)
+        velocities, force = np.empty_like(noise), np.zeros((copies, nv))
+        qvel, v = np.empty((copies, nv)), np.empty((copies, nv))
+        change, product, applied = (np.empty((copies, nv)) for _ in range(3))
+        to_world = np.empty((copies, 3, 3))
+        turn = to_world.reshape(copies, 9)
+        # views, because looking one up takes as long as the copy
+        every = [
+            (data, data.qpos, data.qvel, other, other.qpos, other.xmat[1])
+            for data, other in zip(self.data, self.nominal_data, strict=True)
+        ]
+        runs_applied = [data.qfrc_applied for data in self.data]
+        for data in self.data:
+            mujoco.mj_resetData(model, data)
+            data.qpos[:] = law.start
+        for k in range(num_samples):
+            qpos = positions[k]
+            for b, (data, own_qpos, own_qvel, other, other_qpos, matrix) in enumerate(every):
+                if k > 0:
+                    mujoco.mj_step(model, data)
+                qpos[b], qvel[b], other_qpos[:] = own_qpos, own_qvel, own_qpos
+                mujoco.mj_kinematics(nominal, other)
+                mujoco.mj_comPos(nominal, other)
+                mujoco.mj_makeM(nominal, other)
+                turn[b] = matrix
+            v[:, :3], v[:, 3:6], v[:, 6:] = (
+                _turned(to_world, qvel[:, 3:6]),
+                qvel[:, :3],
+                qvel[:, 6:],
+            )
+            q = np.hstack([qpos[:, 3:7], qpos[:, :3], qpos[:, 7:]])
+            e = position_errors(plan[k : k + 1, : nv + 1], q)
+            measured = v + noise[k]
+            e_dot = plan[k, nv + 1 :] - measured
+            e_dot[:, :3] = _rotation_error_rates(
+                e[:, :3], plan[k, nv + 1 : nv + 4], measured[:, :3]
+            )
+            velocities[k] = v
+            u = memory.step(k, e, e_dot, plan_acceleration[k], measured)
+            change[:, :3], change[:, 6:] = u[:, 3:6], u[:, 6:]
+            change[:, 3:6] = _turned(to_world.swapaxes(1, 2), u[:, :3])
+            for other, row, result in zip(self.nominal_data, change, product, strict=True):
+                mujoco.mj_mulM(nominal, other, result, row)
+            force[:, :3] += _turned(to_world, product[:, 3:6])
+            force[:, 3:6] += product[:, :3]
+            force[:, 6:] += product[:, 6:]
+            forces[k] = force
+            total = force + disturbances[k]
+            applied[:, :3], applied[:, 6:] = total[:, 3:6], total[:, 6:]
+            applied[:, 3:6] = _turned(to_world.swapaxes(1, 2), total[:, :3])
+            for row, own in zip(applied, runs_applied, strict=True):
+                own[:] = row
+        return memory.errors
+
+
+def _turned(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Products of matrices (B, 3, 3) and vectors (B, 3)."""
+    products: np.ndarray = np.matmul(matrices, vectors[:, :, None])[:, :, 0]
+    return products
+
+
+def _rotation_error_rates(e: np.ndarray, w_d: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """``rotation_error_rate`` for errors (B, 3), one w_d (3) and velocities w (B, 3)."""
+    square = (e * e).sum(axis=1, keepdims=True)
+    half = 0.5 * np.sqrt(np.maximum(square, 1e-2))
+    series = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
+    c = np.where(square < 1e-2, series, 0.25 * (1.0 - half / np.tan(half)) / (half * half))
+    difference = w_d - w
+    return difference + _cross(e, c * _cross(e, difference) - 0.5 * (w_d + w))
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products (B, 3), faster than NumPy's."""
+    products: np.ndarray = a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT]
+    return products

@@ -15,6 +15,8 @@ of a
     second model with the nominal payload;
 (d) the same on Basilisk, where it is installed (pip install bsk): its simulation of a MuJoCo model,
     the law of (c) as a module in Python, and a recorder of the state; ExecuteSimulation only;
+(e) 16 runs of (c) at once, which differ in their seed: an ``MjData`` each, the law on arrays. Its
+    time is that of all, divided by 16.
 (w) our closed loop of 16 runs side by side, each with a seed of its own, per run.
 
 Then ``thrusters_and_wheels`` with its actuators, with its wheels alone, and with the thrusters of
@@ -33,7 +35,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from on_mujoco import Arm, MujocoLoop
+from on_mujoco import Arm, MujocoBatch, MujocoLoop
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from ffsm_drake.preflight.simulate import simulate
@@ -49,7 +51,7 @@ except ImportError as error:
     on_basilisk, WITHOUT_BASILISK = None, str(error)
 
 JOINTS = (5, 7, 14)
-SIDE_BY_SIDE = 16
+AT_ONCE = 16  # runs
 ACTUATORS = {
     "ideal wrench": ("actuation.thrusters=null", "actuation.wheels=null"),
     "four wheels": ("actuation.thrusters=null",),
@@ -167,12 +169,42 @@ def contest(scenario: Scenario) -> Contest:
     return Contest(rollout, contestants, differences)
 
 
-def side_by_side_time(rollout: Rollout) -> float:
-    """Wall time per run of several side by side, s."""
-    logs = rollout.run_all()
-    if None in logs:
+class AtOnce(NamedTuple):
+    """Several runs at once of one scenario, which differ in their seed."""
+
+    contestants: dict[str, Callable[[], float]]  # seconds per run
+    differences: dict[str, float]  # largest between their errors and those of (b), seed by seed
+
+
+def at_once(rollout: Rollout, runs: int) -> AtOnce:
+    """Every loop that takes several runs at once is a contestant here."""
+    scenario = rollout.loop.scenario
+    seeds = [dataclasses.replace(scenario, random_seed=seed) for seed in range(runs)]
+    logs = [rollout.run(seed) for seed in seeds]
+    noise, errors = (
+        np.stack(each, axis=1)
+        for each in ([sensor_noise(log) for log in logs], [log.error for log in logs])
+    )
+    batch, ours = MujocoBatch(scenario, logs[0].coordinates, runs), Rollout(seeds)
+    found = np.stack([log.error for log in logs_of(ours)], axis=1)
+    return AtOnce(
+        contestants={
+            "e": lambda: timed(lambda: batch.run(noise)) / runs,
+            "w": lambda: logs_of(ours)[0].wall_time["advance_to"] / runs,
+        },
+        differences={
+            "e": float(np.abs(errors - batch.run(noise)).max()),
+            "w": float(np.abs(errors - found).max()),
+        },
+    )
+
+
+def logs_of(rollout: Rollout) -> list[RunLog]:
+    """The logs of runs side by side."""
+    logs = [log for log in rollout.run_all() if log is not None]
+    if len(logs) < len(rollout.loop.scenarios):
         raise SystemExit("a run side by side diverged")
-    return logs[0].wall_time["advance_to"] / len(logs)
+    return logs
 
 
 def variant_times(
@@ -208,11 +240,6 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
         f"  (b) - (a) per control sample: {(b.median - a.median) / samples * 1e6:.0f} us", end=" "
     )
     print(f"({(b.minimum - a.minimum) / samples * 1e6:.0f})")
-    side_by_side = times["w"]
-    against = "   ".join(
-        f"w/{name} {side_by_side.over(times[name])}" for name in contest.contestants
-    )
-    print(f"  (w) {SIDE_BY_SIDE} side by side   {side_by_side}   {against}")
     for name, difference in contest.differences.items():
         print(
             f"  final error, largest difference (b) - ({name}): {np.abs(difference[-1]).max():.1e}"
@@ -224,6 +251,14 @@ def print_contest(times: Mapping[str, Timing], contest: Contest, samples: int) -
         ("simulate", "simulate()"),
     ):
         print(f"  {label:22s} {times[name]}   {times[name].over(b)} of (b)")
+
+
+def print_at_once(times: Mapping[str, Timing], together: AtOnce) -> None:
+    for name, difference in together.differences.items():
+        own, others = times[name], [other for other in "abcde" if other in times and other != name]
+        against = "   ".join(f"{name}/{other} {own.over(times[other])}" for other in others)
+        print(f"  ({name}) {AT_ONCE} at once, each   {own}   {against}")
+        print(f"  error of all runs, largest difference (b) - ({name}): {difference:.1e}")
 
 
 def print_variants(times: Mapping[str, Timing], samples: int) -> None:
@@ -274,13 +309,11 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     scenario = load_scenario("postcapture", [duration])
     shipped = contest(scenario)
-    many = Rollout(
-        [dataclasses.replace(scenario, random_seed=seed) for seed in range(SIDE_BY_SIDE)]
-    )
+    together = at_once(shipped.rollout, AT_ONCE)
     times = interleaved(
         shipped.contestants
+        | together.contestants
         | {
-            "w": lambda: side_by_side_time(many),
             "build": lambda: timed(lambda: Rollout(scenario)),
             "run": lambda: timed(lambda: shipped.rollout.run().metrics),
             "simulate": lambda: timed(lambda: simulate(scenario, check_stability=False).dataset),
@@ -292,6 +325,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         "repeats (minima)"
     )
     print_contest(times, shipped, scenario.num_control_periods)
+    print_at_once(times, together)
 
     for name, variants in (("thrusters_and_wheels", ACTUATORS), ("flexible_panels", PANELS)):
         print(f"{name}, medians of {fewer} (minima), and per control sample what is added")

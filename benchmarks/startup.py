@@ -4,7 +4,8 @@
 
 Processor time of whole processes, which take turns, because a machine's speed changes from minute
 to minute: minima of the repeats, and medians in brackets. ``--against`` measures the package in
-another folder, such as an earlier checkout, beside this one, and prints the ratios to it.
+another folder, such as an earlier checkout, beside this one, and prints the ratios to it. All
+modules are compiled beforehand, as those of an installed package are.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import resource
 import statistics
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,13 +29,20 @@ PROGRAMS = {
 }
 
 
-def processor_time(arguments: Sequence[str], package: Path) -> float:
-    """Of a fresh interpreter, s."""
+def processor_time(
+    arguments: Sequence[str], package: Path, compiled: str, *, codes: Sequence[int] = (0,)
+) -> float:
+    """Of a fresh interpreter that ends with one of some exit codes, s; ``compiled`` is the folder
+    for compiled modules.
+    """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     # The folder that Python is started in comes before all others that it looks for modules in.
-    environment = os.environ | {"PYTHONPATH": str(package)}
+    environment = os.environ | {"PYTHONPATH": str(package), "PYTHONPYCACHEPREFIX": compiled}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = [sys.executable, *arguments]
-    subprocess.run(command, check=True, capture_output=True, env=environment, cwd=package)
+    done = subprocess.run(command, capture_output=True, env=environment, cwd=package)
+    if done.returncode not in codes:
+        done.check_returncode()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
@@ -48,11 +57,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         (name, package): program for name, program in PROGRAMS.items() for package in packages
     }
     times: dict[tuple[str, Path], list[float]] = {key: [] for key in contestants}
-    for turn in range(arguments.repeats + 1):  # the first warms up
-        for key, program in contestants.items():
-            seconds = processor_time(program, key[1])
-            if turn > 0:
-                times[key].append(seconds)
+    with tempfile.TemporaryDirectory() as compiled:
+        for turn in range(arguments.repeats + 1):  # the first warms up and compiles
+            for key, program in contestants.items():
+                seconds = processor_time(program, key[1], compiled)
+                if turn > 0:
+                    times[key].append(seconds)
 
     def ratio(one: tuple[str, Path], other: tuple[str, Path]) -> str:
         a, b = times[one], times[other]

@@ -17,6 +17,13 @@ def test_rollout(monkeypatch, capsys):
     assert printed.startswith("postcapture, tde_aismc, 0.2 s")
     ratio = r"\d+\.\d\d \(\d+\.\d\d\)"
     others = ["a", "c", *(["d"] if ON_BASILISK else [])]
+    # several runs at once are runs
+    differences = dict(
+        re.findall(r"of all runs, largest difference \(b\) - \((.)\): (\S+)", printed)
+    )
+    assert float(differences["w"]) == 0.0  # ours have the same bits
+    assert 0.0 < float(differences["e"]) < 1e-7
+    assert all(len(re.findall(rf"{name}/a {ratio}", printed)) == 1 for name in "we")
     for other in others:
         # the shipped arm and three others
         assert len(re.findall(rf"b/{other} {ratio}", printed)) == 4, other

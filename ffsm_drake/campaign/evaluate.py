@@ -1,6 +1,8 @@
 """One case and controller -> one row. This runs in the workers."""
 
 import contextlib
+import dataclasses
+import itertools
 import math
 import os
 import resource
@@ -8,7 +10,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of, section_parts
+from ffsm_drake.runs.batches import batches_of, run_many
 from ffsm_drake.runs.capture import CaptureRollout, make_rollout
 from ffsm_drake.runs.ending import GROWING
 from ffsm_drake.runs.limits import CLEARANCE, limits_left
@@ -90,19 +93,46 @@ CIRCUMSTANCES = ("wall_time", "worker", "rss_mib", "software")
 
 Row = dict[str, Any]
 
+
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """Cases that a worker runs together, with one controller."""
+
+    cases: tuple[Case, ...]
+    controller: str
+
+    @property
+    def parts(self) -> "tuple[Batch, ...]":
+        """One batch for each case."""
+        return tuple(dataclasses.replace(self, cases=(case,)) for case in self.cases)
+
+
+def batches(
+    tasks: Iterator[tuple[Case, str]], *, size: int, controllers: Sequence[str]
+) -> Iterator[Batch]:
+    """Tasks (case, controller) as batches of at most ``size`` cases, nearly in order; as many tasks
+    are held as ``size`` cases have.
+    """
+    while some := list(itertools.islice(tasks, size * len(controllers))):
+        for name in controllers:
+            cases = tuple(case for case, controller in some if controller == name)
+            for first in range(0, len(cases), size):
+                yield Batch(cases[first : first + size], name)
+
+
 # A cluster's worker may have several threads; a simulator and the building of one serve one.
 _ONE_AT_A_TIME = threading.Lock()
 
 
-def evaluate(campaign: str, case: Case, controller: str) -> Row:
-    """Run one case with one controller; errors become part of the row.
+def evaluate(campaign: str, batch: Batch) -> list[Row]:
+    """Run cases with one controller; errors become part of the rows, one row for each case.
 
-    Takes ``Spec.to_json()``, which a process reads once. Returns the columns ``outcome``,
+    Takes ``Spec.to_json()``, which a process reads once. A row has the columns ``outcome``,
     ``outcome_time``, ``message``, those of ``metrics_of`` and ``predictions_of``, CIRCUMSTANCES;
-    with a capture FIRST_LIMIT.
+    with a capture FIRST_LIMIT. It does not depend on the others in the batch.
     """
     with _ONE_AT_A_TIME:
-        return _evaluator(campaign).evaluate(case, controller)
+        return _evaluator(campaign).evaluate_batch(batch)
 
 
 @memoized(maxsize=1)
@@ -111,7 +141,7 @@ def _evaluator(campaign: str) -> "Evaluator":
 
 
 class Evaluator:
-    """Evaluates the cases of one campaign, one at a time, keeping what it built for the next."""
+    """Evaluates the cases of one campaign, keeping what it built for the next."""
 
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
@@ -121,17 +151,45 @@ class Evaluator:
             f"{name} {version}" for name, version in software_versions().items()
         )
 
-    def evaluate(self, case: Case, controller: str) -> Row:
-        """One row, as the function of the same name returns it."""
+    def evaluate_batch(self, batch: Batch) -> list[Row]:
+        """The rows of a batch, as the function ``evaluate`` returns them."""
+        start = time.perf_counter()
+        logs = self._side_by_side(batch)
+        share = (time.perf_counter() - start) / max(len(logs), 1)
+        rows = []
+        for case in batch.cases:
+            rows.append(self.evaluate(case, batch.controller, log=logs.get(case.index)))
+            rows[-1]["wall_time"] += share if case.index in logs else 0.0
+        return rows
+
+    def _side_by_side(self, batch: Batch) -> dict[int, RunLog]:
+        """The logs of those cases that can run side by side, by their number."""
+        scenarios: dict[int, Scenario] = {}
+        for case in batch.cases if len(batch.cases) > 1 else ():
+            with contextlib.suppress(Exception):  # its row tells
+                scenarios[case.index] = timed(scenario_of(self._spec, case, batch.controller))
+        numbers = list(scenarios)
+        groups = batches_of(list(scenarios.values()), len(numbers))
+        chosen = [numbers[place] for group in groups if len(group) > 1 for place in group]
+        limit, logs = self._spec.time_limit * max(len(chosen), 1), dict[int, RunLog]()
+        with contextlib.suppress(TimeLimit), time_limit(limit):  # alone each has its own
+            for place, result in run_many([scenarios[number] for number in chosen]):
+                if isinstance(result, RunLog):
+                    logs[chosen[place]] = result
+        return logs
+
+    def evaluate(self, case: Case, controller: str, *, log: RunLog | None = None) -> Row:
+        """The row of one case; ``log`` is that of its run, if it has run."""
         start = time.perf_counter()
         row: Row = dict.fromkeys((*self._metrics, *self._predictions))
         try:
             with guarded, time_limit(self._spec.time_limit):
-                scenario = timed(scenario_of(self._spec, case, controller))
-                row |= evaluate_run(self._spec, self._run(scenario))
+                if log is None:
+                    log = self._run(timed(scenario_of(self._spec, case, controller)))
+                row |= evaluate_run(self._spec, log)
                 # a user-supplied block that cannot be linearised: no prediction
                 with contextlib.suppress(BlockError):
-                    row |= dict(zip(self._predictions, predict(scenario), strict=False))
+                    row |= dict(zip(self._predictions, predict(log.scenario), strict=False))
         except LimitError as error:  # no motion keeps the limits
             refused = {"outcome": "refused", FIRST_LIMIT: error.limit}
             row = dict.fromkeys(row) | error_row(str(error)) | refused

@@ -40,8 +40,8 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
     linearised.
     """
     scenario = from_grasp(scenario)
-    time = _most_overestimated(scenario)
     with Linearizer(scenario) as linearizer:
+        time = _most_overestimated(linearizer.planned)
         loop = linearizer.at(time)
         starting = expected = loop.spectral_radius
         if starting < 1.0 and (held := expected_gains(linearizer, loop)):
@@ -55,9 +55,8 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
         return tuple(found)
 
 
-def _most_overestimated(scenario: Scenario) -> float:
+def _most_overestimated(planned: PlannedDynamics) -> float:
     """Time (s) of the posture with the largest inertia ratio, of equal ones the earliest."""
-    planned = PlannedDynamics(scenario)
     times = [planned.motion.part(share) for share in POSTURES]
     # beyond nine digits: rounding
     return max(times, key=lambda time: round(planned.ratios(time)[-1], 9))

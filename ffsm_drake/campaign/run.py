@@ -13,6 +13,7 @@ from ffsm_drake.campaign.evaluate import (
     CIRCUMSTANCES,
     UNSETTLED,
     Row,
+    batches,
     described,
     differing_columns,
     error_row,
@@ -26,6 +27,7 @@ from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
 from ffsm_drake.preflight.simulate import make_record
+from ffsm_drake.runs.batches import usual_batch
 from ffsm_drake.runs.capture import make_rollout
 from ffsm_drake.runs.record import RunRecord
 
@@ -33,6 +35,7 @@ from ffsm_drake.runs.record import RunRecord
 # 4 MiB for each closed loop that is built.
 MEMORY_LIMIT = 700.0  # MiB
 _TRIED = 20
+_BATCHES_EACH = 4  # least number for each task in flight
 _LOST = {
     **dict.fromkeys(CIRCUMSTANCES),
     **error_row(
@@ -116,6 +119,7 @@ def run_campaign(
     database: str | Path,
     *,
     workers: int | None = None,
+    batch: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Path:
     """Run a campaign on this machine into a new database.
@@ -124,6 +128,8 @@ def run_campaign(
       spec: a shipped name, a file, or a specification from ``load_spec``.
       database: the new file.
       workers: processes; default: one per processor.
+      batch: most cases that a worker runs side by side, default ``usual_batch``; no result
+        depends on it.
       progress: called after every batch of results.
 
     Returns: the database, for ``open_store`` and ``ffsm campaign report``.
@@ -134,7 +140,7 @@ def run_campaign(
     """
     loaded = spec if isinstance(spec, Spec) else load_spec(spec)
     with local_workers(workers or os.cpu_count() or 1) as crew:
-        start_campaign(loaded, Path(database), workers=crew, progress=progress)
+        start_campaign(loaded, Path(database), workers=crew, batch=batch, progress=progress)
     return Path(database)
 
 
@@ -144,10 +150,11 @@ def start_campaign(
     *,
     workers: Workers,
     stop: Stop | None = None,
+    batch: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
     """Run a campaign into a new database; ``stop`` ends it early, ``progress`` is called after
-    every result.
+    every batch of results; ``batch`` as for ``run_campaign``.
 
     Raises:
       CampaignError, RecordError: a value cannot be used, or the database cannot be made.
@@ -156,7 +163,7 @@ def start_campaign(
     """
     check_cases(spec)
     with create_store(path, spec, make_cases(spec)) as store:
-        _drive(store, workers, stop, progress)
+        _drive(store, workers, stop, batch, progress)
 
 
 def resume_campaign(
@@ -164,15 +171,20 @@ def resume_campaign(
     *,
     workers: Workers,
     stop: Stop | None = None,
+    batch: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
     """Run the remaining cases of a database; arguments and errors as for ``start_campaign``."""
     with open_store(path, writing=True) as store:
-        _drive(store, workers, stop, progress)
+        _drive(store, workers, stop, batch, progress)
 
 
 def _drive(
-    store: Store, workers: Workers, stop: Stop | None, progress: Callable[[Progress], None] | None
+    store: Store,
+    workers: Workers,
+    stop: Stop | None,
+    batch: int | None,
+    progress: Callable[[Progress], None] | None,
 ) -> None:
     campaign, start, total = store.spec.to_json(), time.perf_counter(), store.spec.runs
     before = store.num_results()
@@ -186,21 +198,26 @@ def _drive(
             )
 
     report()
+    # so small that the workers end at about the same time
+    share = (total - before) // (_BATCHES_EACH * workers.in_flight())
+    most = max(1, min(batch or usual_batch(), share))
     results = run_tasks(
         evaluate,
-        store.pending(),
-        arguments=lambda task: (campaign, *task),
+        batches(store.pending(), size=most, controllers=store.spec.controllers),
+        arguments=lambda some: (campaign, some),
         workers=workers,
         stop=Stop() if stop is None else stop,  # a stop that is not set counts as false
-        should_renew=lambda row: row["rss_mib"] > MEMORY_LIMIT,
+        should_renew=lambda rows: any(row["rss_mib"] > MEMORY_LIMIT for row in rows),
+        split=lambda some: some.parts,
     )
     with contextlib.closing(results):
-        for (case, controller), result in results:
-            row = _LOST if isinstance(result, WorkerLost) else result
-            store.add(case, controller, row)
-            counted["session"] += 1
-            counted["failed"] += row["outcome"] == "error"
-            counted["unsettled"] += row["outcome"] in UNSETTLED
+        for some, result in results:
+            rows = [_LOST] * len(some.cases) if isinstance(result, WorkerLost) else result
+            store.add(some, rows)
+            outcomes = [row["outcome"] for row in rows]
+            counted["session"] += len(outcomes)
+            counted["failed"] += outcomes.count("error")
+            counted["unsettled"] += sum(map(outcomes.count, UNSETTLED))
             report()
     if before + counted["session"] < total:
         raise InterruptedCampaign(before + counted["session"], total)

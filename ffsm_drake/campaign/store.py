@@ -20,7 +20,14 @@ from pathlib import Path
 from typing import Any
 
 from ffsm_drake.campaign.cases import Case
-from ffsm_drake.campaign.evaluate import FIRST_LIMIT, OUTCOMES, Row, metrics_of, predictions_of
+from ffsm_drake.campaign.evaluate import (
+    FIRST_LIMIT,
+    OUTCOMES,
+    Batch,
+    Row,
+    metrics_of,
+    predictions_of,
+)
 from ffsm_drake.campaign.spec import Spec, spec_from_json
 from ffsm_drake.common.errors import CampaignError, FfsmError, one_line
 from ffsm_drake.common.files import written_whole
@@ -138,17 +145,18 @@ class Store:
             row[0] for row in self.query(f"SELECT {_quoted(name)} FROM cases ORDER BY case_index")
         ]
 
-    def add(self, case: Case, controller: str, row: Row) -> None:
-        """Store one result."""
-        cells = (case.index, controller, *map(row.get, self._results))
-        values = f"{_places(cells)}, (SELECT id FROM software WHERE versions = ?)"
+    def add(self, batch: Batch, rows: Sequence[Row]) -> None:
+        """Store the results of a batch, all or none."""
         with _one_line_errors(self.path), self._connection:
-            self._connection.execute(
-                "INSERT OR IGNORE INTO software (versions) VALUES (?)", (row["software"],)
-            )
-            self._connection.execute(
-                f"INSERT INTO results VALUES ({values})", (*cells, row["software"])
-            )
+            for case, row in zip(batch.cases, rows, strict=True):
+                cells = (case.index, batch.controller, *map(row.get, self._results))
+                values = f"{_places(cells)}, (SELECT id FROM software WHERE versions = ?)"
+                self._connection.execute(
+                    "INSERT OR IGNORE INTO software (versions) VALUES (?)", (row["software"],)
+                )
+                self._connection.execute(
+                    f"INSERT INTO results VALUES ({values})", (*cells, row["software"])
+                )
 
     def result(self, case: int, controller: str) -> dict[str, Any]:
         """The stored row of one run, by column of the view ``runs``. Raises CampaignError when it

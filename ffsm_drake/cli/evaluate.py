@@ -2,8 +2,9 @@
 
 import dataclasses
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,14 +20,23 @@ from ffsm_drake.cli.common import (
     scenario_options,
     search_progress,
 )
+from ffsm_drake.common.interrupts import exit_code
 
 if TYPE_CHECKING:
+    from ffsm_drake.control_design.stability import Margins
+    from ffsm_drake.preflight.verdict import Verdict
     from ffsm_drake.scenario import Scenario
 
 
 @click.command()
 @scenario_options
 @rehearsal_option
+@click.option(
+    "--limits",
+    is_flag=True,
+    help="Also how far gains, nominal payload, period, delay and flexible masses may change, each "
+    "alone; the time of five to thirty runs.",
+)
 @click.option(
     "--disk",
     is_flag=True,
@@ -35,54 +45,67 @@ if TYPE_CHECKING:
 @out_option(help="Write stability.png here.")
 @json_option
 def stability(
-    scenario: "Scenario", rehearsal: bool, disk: bool, out: Path | None, as_json: bool
+    scenario: "Scenario",
+    rehearsal: bool,
+    limits: bool,
+    disk: bool,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
     """Margins of the sampled loop, and the verdict on the whole mission.
 
     SCENARIO is a shipped name or a YAML file (default: postcapture). Margins are those from the
-    grasp on, one parameter at a time, without limits. The verdict covers every leg: linear, moving
+    grasp on, without limits of actuators. The verdict covers every leg: linear, moving
     as planned; and rehearsed, a run with limits and noise. Exits with 3 when the mission is not
     expected to go as planned, or the linear loop of a leg is unstable.
 
     \b
     Examples:
-      ffsm stability
+      ffsm stability --limits
       ffsm stability paper --set simulator_config.integration_scheme=runge_kutta3
       ffsm stability --set payload.nominal.mass=125 --out out/stability
     """
     from ffsm_drake.common.files import check_writable
-    from ffsm_drake.control_design.stability.boundaries import find_boundaries
-    from ffsm_drake.control_design.stability.disk import disk_margins
     from ffsm_drake.preflight.verdict import verdict
-    from ffsm_drake.show.tables import boundaries_table, disk_table, margins_data, margins_table
+    from ffsm_drake.show.tables import margins_data, margins_table
 
     if out is not None:
         check_writable(out)
     found = verdict(scenario, rehearsal=rehearsal, margins=True)
-    margins = found.margins
-    assert margins is not None
-    boundaries = find_boundaries(scenario, time=margins.edge_time)
-    margins_at_input = disk_margins(scenario) if disk else None
-    tables = (
-        margins_table(margins),
-        boundaries_table(boundaries, scenario),
-        *([] if margins_at_input is None else [disk_table(margins_at_input) + "\n"]),
-        *found.lines,
-        found.conclusion,
-    )
-    data = margins_data(margins) | {
-        "boundaries": dataclasses.asdict(boundaries),
-        "mission": found.as_data(),
-        **({} if margins_at_input is None else {"disk": margins_at_input.as_data()}),
-    }
-    print_result(as_json, data, "\n\n".join(tables[:2]) + "\n\n" + "\n".join(tables[2:]))
-    if out is not None:
+    margins, tables, data = found.margins, list[str](), dict[str, Any]()
+    if margins is not None:
+        tables, data = [margins_table(margins)], margins_data(margins)
+        for table, more in _further_margins(scenario, margins, limits=limits, disk=disk):
+            tables.append(table)
+            data |= more
+    tables.append("\n".join([*found.lines, found.conclusion]))
+    print_result(as_json, data | {"mission": found.as_data()}, "\n\n".join(tables))
+    if out is not None and margins is not None:
         from ffsm_drake.show.figures.stability import plot_margins
 
         path = out / "stability.png"
         save_figure(plot_margins(margins), path)
         click.echo(f"Written to {path}", err=as_json)
     sys.exit(EXIT_UNSTABLE if found.is_alarm or found.is_linearly_unstable else 0)
+
+
+def _further_margins(
+    scenario: "Scenario", margins: "Margins", *, limits: bool, disk: bool
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The margins that are found on request, as tables and plain data."""
+    from ffsm_drake.control_design.stability.boundaries import find_boundaries
+    from ffsm_drake.control_design.stability.disk import disk_margins
+    from ffsm_drake.show.tables import boundaries_table, disk_table
+
+    if limits:
+        boundaries = find_boundaries(scenario, time=margins.edge_time)
+        table = boundaries_table(boundaries, scenario)
+        yield table, {"boundaries": dataclasses.asdict(boundaries)}
+    else:
+        yield "stability limits, one parameter at a time: --limits", {}
+    if disk:
+        found = disk_margins(scenario)
+        yield disk_table(found), {"disk": found.as_data()}
 
 
 @click.command()
@@ -140,7 +163,7 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     type=FiniteFloat(),
     default=60.0,
     show_default=True,
-    help="Seconds of search; the best so far counts then, as on Ctrl-C.",
+    help="Seconds for the whole command; then the best so far counts, as on Ctrl-C.",
 )
 @out_option(default=Path("out/design"), show_default=True)
 @json_option
@@ -167,6 +190,7 @@ def design(
       ffsm run out/mine/design.yaml
     """
     from ffsm_drake.common.files import check_writable, write_text
+    from ffsm_drake.control_design.gains import INTERRUPT
     from ffsm_drake.control_design.gains import design as design_gains
     from ffsm_drake.preflight.verdict import verdict
     from ffsm_drake.scenario import scenario_to_yaml
@@ -174,22 +198,39 @@ def design(
     from ffsm_drake.show.tables import design_data, design_table
 
     check_writable(out)
+    missions = list[tuple["Scenario", "Verdict"]]()
+
+    def foresee(candidate: "Scenario") -> str:
+        mission = verdict(candidate)
+        missions.append((candidate, mission))
+        return mission.warnings[0] if mission.is_alarm else ""
+
     found = design_gains(
         scenario,
         budget=budget,
         payload_range=payload_range,
         trade=trade,
         time_limit=time_limit,
+        foresee=foresee,
         progress=search_progress(),
     )
-    mission = verdict(found.chosen.scenario)
+    chosen = found.chosen.scenario
+    mission = next((each for looked_at, each in missions if looked_at is chosen), None)
     print_result(
         as_json,
-        design_data(found) | {"mission": mission.as_data()},
-        "\n".join([design_table(found), "", *mission.lines, mission.conclusion]),
+        design_data(found) | {"mission": mission and mission.as_data()},
+        f"{design_table(found)}\n\n{_told(mission)}",
     )
-    write_text(out / "design.yaml", scenario_to_yaml(found.chosen.scenario))
+    write_text(out / "design.yaml", scenario_to_yaml(chosen))
     save_figure(plot_design(found), out / "design.png")
     click.echo(f"\nWritten to {out}: design.yaml, design.png", err=as_json)
-    stable = max(found.chosen.radius_by_mass.values()) < 1.0
-    sys.exit(0 if stable else EXIT_UNSTABLE)
+    if found.ended_by == INTERRUPT:
+        sys.exit(exit_code())
+    sys.exit(0 if max(found.chosen.radius_by_mass.values()) < 1.0 else EXIT_UNSTABLE)
+
+
+def _told(mission: "Verdict | None") -> str:
+    """What is expected of a mission; None: it was not looked at."""
+    if mission is None:
+        return "no time was left to look at its mission: see 'ffsm stability'"
+    return "\n".join([*mission.lines, mission.conclusion])

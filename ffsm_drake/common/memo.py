@@ -52,6 +52,14 @@ class _Call:
     kwargs: Mapping[str, Any] = dataclasses.field(compare=False)
 
 
+def each_once(function: Callable[..., R], *arrays: np.ndarray) -> list[R]:
+    """A function of corresponding items of arrays (n, ...), once for those that are equal."""
+    keys = [b"".join(item.tobytes() for item in items) for items in zip(*arrays, strict=True)]
+    items = dict(zip(keys, zip(*arrays, strict=True), strict=True))
+    found = {key: function(*each) for key, each in items.items()}
+    return [found[key] for key in keys]
+
+
 def content_of(value: Any) -> Hashable:
     """A key that is equal for values of equal type and content only.
 

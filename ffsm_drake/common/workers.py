@@ -5,8 +5,9 @@ and tasks repeated.
 a Dask cluster.
 
 A process that dies breaks its local pool: every task in flight is lost, and the culprit is not
-known. So the lost tasks are repeated one at a time. A task whose worker dies ``ATTEMPTS`` times
-while it runs alone is given up as WorkerLost.
+known. So the lost tasks are repeated one at a time. A task whose worker dies while it runs alone is
+split into its parts, if it has any; one whose worker dies ``ATTEMPTS`` times is given up as
+WorkerLost.
 """
 
 import contextlib
@@ -208,6 +209,7 @@ def run_tasks(
     workers: Workers,
     stop: Stop,
     should_renew: Callable[[Result], bool] = lambda result: False,
+    split: Callable[[Task], Sequence[Task]] = lambda task: (task,),
 ) -> Generator[tuple[Task, Result | WorkerLost], None, None]:
     """Run ``function(*arguments(task))`` for every task; yield (task, result) as they come, in any
     order.
@@ -218,12 +220,14 @@ def run_tasks(
     Args:
       function: importable by its name in the workers; only its FfsmErrors are passed on unchanged.
       should_renew: predicate on a result: True if its process should be replaced.
+      split: the parts of a task, which replace one whose worker died while it ran alone.
 
     Raises:
       FfsmError: what ``function`` raised.
       WorkersError: the workers do not work: every task is lost, or a task cannot be given to them.
     """
-    yield from _Runner(function, iter(tasks), arguments, workers, stop, should_renew).run()
+    runner = _Runner(function, iter(tasks), arguments, workers, stop, should_renew, split)
+    yield from runner.run()
 
 
 def map_tasks(
@@ -285,6 +289,7 @@ class _Runner(Generic[Task, Result]):
     workers: Workers
     stop: Stop
     should_renew: Callable[[Result], bool]
+    split: Callable[[Task], Sequence[Task]]
     flying: dict[Future[Result], _Flight[Task]] = dataclasses.field(default_factory=dict)
     # with their strikes
     suspects: deque[tuple[Task, int]] = dataclasses.field(default_factory=deque)
@@ -363,13 +368,10 @@ class _Runner(Generic[Task, Result]):
             elif isinstance(error, BrokenExecutor):
                 broken = True
                 strikes = flight.strikes + (1 if alone else 0)
-                if strikes < ATTEMPTS:
-                    self.suspects.append((flight.task, strikes))
-                else:
-                    yield self._give_up(flight.task)
+                yield from self._strike(flight.task, strikes)
             elif type(error).__name__ == "KilledWorker":
                 # an error of Dask, which may not be installed; Dask counts the attempts
-                yield self._give_up(flight.task)
+                yield from self._strike(flight.task, ATTEMPTS)
             elif isinstance(error, FfsmError):
                 raise error
             else:
@@ -379,11 +381,20 @@ class _Runner(Generic[Task, Result]):
         if broken or (should_renew and self.workers.renewable):
             self._renew()
 
-    def _give_up(self, task: Task) -> tuple[Task, WorkerLost]:
-        self.lost += 1
-        if not self.succeeded and self.lost >= ATTEMPTS:
-            raise WorkersError("every worker dies with its first task; run one alone to see why")
-        return task, WorkerLost()
+    def _strike(self, task: Task, strikes: int) -> Iterator[tuple[Task, WorkerLost]]:
+        """Repeat a task, or its parts, or give it up, after so many workers died with it alone."""
+        parts = self.split(task)
+        if strikes and len(parts) > 1:
+            self.suspects += ((part, 0) for part in parts)
+        elif strikes < ATTEMPTS:
+            self.suspects.append((task, strikes))
+        else:
+            self.lost += 1
+            if not self.succeeded and self.lost >= ATTEMPTS:
+                raise WorkersError(
+                    "every worker dies with its first task; run one alone to see why"
+                )
+            yield task, WorkerLost()
 
     def _renew(self) -> None:
         # The old processes finish their tasks and end.

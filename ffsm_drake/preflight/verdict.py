@@ -11,10 +11,12 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.control_design.stability import Margins, adaptation_remark, stability
-from ffsm_drake.control_design.stability.linearization import Linearizer
+from ffsm_drake.control_design.stability.linearization import Linearizer, NotLinear
 from ffsm_drake.control_design.stability.load import predicted_load
 from ffsm_drake.control_design.stability.mission import LinearVerdict, linear_verdict
 from ffsm_drake.control_design.stability.rehearsal import SEEDS, Rehearsal, rehearse
@@ -62,6 +64,7 @@ class Verdict:
     noises: Rehearsal | None  # the linearised loop under actuators that saturate, several noises
     run: RehearsedRun | None
     margins: Margins | None = None
+    not_margins: str = ""  # why there are no margins; empty where there are, or none were asked for
     adaptation: str = ""  # ``adaptation_remark``
 
     @property
@@ -105,6 +108,8 @@ class Verdict:
             saturates = ": it saturates" if self._overloaded else ""
             share = f"{100.0 * self.load:.3g} %"
             yield f"load after the grasp (no noise): {share} of the force's limit{saturates}"
+        if self.not_margins:
+            yield f"margins: cannot say: {self.not_margins}"
         if self.margins is not None:
             yield f"margins (from the grasp on): {self.margins.verdict}"
         elif self.noises is not None:
@@ -185,37 +190,39 @@ def verdict(scenario: Scenario, *, rehearsal: bool = True, margins: bool = False
     Args:
       scenario: the mission.
       rehearsal: run it, in the time of a run; otherwise only what is found without a run.
-      margins: find those from the grasp on, too.
+      margins: find those from the grasp on, too; a loop without them says why.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: with ``rehearsal``, a user-supplied block fails.
     """
-    linear, reason, load, noises, adaptation = None, "", None, None, ""
-    found = stability(scenario) if margins else None
+    found: dict[str, Any] = dict.fromkeys(("linear", "load", "noises"))
     try:
-        linear = linear_verdict(scenario)
-        adaptation = "" if linear.is_alarm else adaptation_remark(scenario)
-        held = from_grasp(scenario)
-        if scenario.capture is not None:
-            with Linearizer(held) as linearizer:
-                load = predicted_load(linearizer)
-        if found is not None:
-            noises = found.rehearsal
-        elif is_rehearsed(held) and not linear.is_alarm:
-            noises = rehearse(held, seeds=SEEDS)
-    except BlockError as error:
-        reason = one_line(error)
+        with Linearizer(scenario) as linearizer:
+            _without_a_run(found, scenario, linearizer, margins=margins)
+    except (BlockError, np.linalg.LinAlgError) as error:
+        found["not_linear"] = one_line(error)
+        if margins and found.get("margins") is None:
+            found["not_margins"] = found["not_linear"]
+        if isinstance(error, NotLinear) and found["linear"] is None:
+            found["linear"] = linear_verdict(scenario)  # which says so of its leg
     run = _rehearsed(scenario) if rehearsal else None
-    return Verdict(
-        linear=linear,
-        not_linear=reason,
-        load=load,
-        noises=noises,
-        run=run,
-        margins=found,
-        adaptation=adaptation,
-    )
+    return Verdict(run=run, **{"not_linear": "", **found})
+
+
+def _without_a_run(
+    found: dict[str, Any], scenario: Scenario, linearizer: Linearizer, *, margins: bool
+) -> None:
+    """Fill the parts of a verdict one after another; what was found before a BlockError stays."""
+    found["linear"] = linear = linear_verdict(scenario, linearizer)
+    found["adaptation"] = "" if linear.is_alarm else adaptation_remark(linearizer)
+    if scenario.capture is not None:
+        found["load"] = predicted_load(linearizer)
+    if margins:
+        found["margins"] = stability(scenario, linearizer=linearizer)
+        found["noises"] = found["margins"].rehearsal
+    elif is_rehearsed(from_grasp(scenario)) and not linear.is_alarm:
+        found["noises"] = rehearse(scenario, seeds=SEEDS)
 
 
 def _rehearsed(scenario: Scenario) -> RehearsedRun:

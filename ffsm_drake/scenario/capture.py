@@ -67,9 +67,10 @@ class Compliance:
 class Envelope:
     """The largest miss with which the gripper still holds the target at the end of an approach.
 
-    Position and angle by default, and the velocity, are what a docking mechanism takes at first
-    contact (International Docking System Standard, interface definition document, revision E,
-    initial contact conditions; there 0.2 deg/s of relative rate too).
+    The defaults of position, angle and velocity are the largest misalignment, angle and closing
+    rate in the initial contact conditions that the International Docking System Standard recommends
+    (interface definition document, revision E, table 3.3.1.1-2). They are those of docking ports,
+    not of a gripper; see docs/capture.md.
     """
 
     position: float | None = setting(

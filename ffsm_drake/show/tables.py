@@ -435,6 +435,9 @@ def design_table(found: "Design") -> str:
     if scenario.estimator.kind != "one_sample" and scenario.controller in PAPER_LAWS:
         rows.append(["walk q_N", *(_gain_cell(scenario.estimator.walk, name) for name in names)])
     estimate = f", estimator {scenario.estimator.kind}" if scenario.controller in PAPER_LAWS else ""
+    margins = [["margin", "chosen", "as it was"]]
+    for name, (was, now) in found.margins.items():
+        margins.append([name, f"{now:.4g}", f"{was:.4g}"])
     masses = [["true payload", "spectral radius", ""]]
     for mass, radius in chosen.radius_by_mass.items():
         masses.append([f"{mass:.0f} kg", f"{radius:.5f}", "" if radius < 1.0 else "unstable"])
@@ -448,6 +451,8 @@ def design_table(found: "Design") -> str:
             "tracking "
             f"{found.ideal_isv:.1f}; as it was {given.prediction.isv:.4g})",
             *aligned(masses),
+            "",
+            *(aligned(margins) if found.margins else ["margins: not looked at"]),
             "",
             *found.remarks,
         ]
@@ -487,12 +492,17 @@ def design_data(found: "Design") -> dict[str, Any]:
         "estimator": scenario.estimator.kind,
         "gains": complete_gains(scenario).controllers.get(controller_key(scenario.controller), {}),
         "kept": found.kept,
+        "ended_by": found.ended_by,
         "active_constraint": found.active_constraint,
         "distance_to_lqg": found.limit.distance,
         "budget": found.requirement.budget,
         "ideal_isv": found.ideal_isv,
         "chosen": figures(found.chosen),
         "before": figures(found.given),
+        "margins": {
+            name: {"before": before, "chosen": after}
+            for name, (before, after) in found.margins.items()
+        },
         "found": {kind: figures(point) for kind, point in found.found.items()},
     }
 

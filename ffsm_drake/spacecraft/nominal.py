@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -11,7 +12,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.systems.framework import Context
 
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.common.memo import each_once, memoized
+from ffsm_drake.scenario import MassProperties, Model, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of
 from ffsm_drake.spacecraft.flexible import (
     VibrationMode,
@@ -21,7 +23,13 @@ from ffsm_drake.spacecraft.flexible import (
     take_masses,
 )
 from ffsm_drake.spacecraft.mass_properties import set_masses, set_payload
-from ffsm_drake.spacecraft.plant import coordinates_of, find_frame, make_plant, split_of
+from ffsm_drake.spacecraft.plant import (
+    coordinates_of,
+    find_frame,
+    make_plant,
+    model_files,
+    split_of,
+)
 
 Calc = TypeVar("Calc", bound=Callable[..., np.ndarray])
 
@@ -34,8 +42,8 @@ def stacked(calc: Calc) -> Calc:
         if q.ndim == 1:
             return calc(model, q, *rest)
         velocities = [item for item in rest if isinstance(item, np.ndarray)]
-        states, frame = zip(q, *velocities, strict=True), rest[len(velocities) :]
-        return np.stack([calc_each(model, *state, *frame) for state in states])
+        frame = rest[len(velocities) :]
+        return np.stack(each_once(lambda *state: calc_each(model, *state, *frame), q, *velocities))
 
     return cast("Calc", calc_each)
 
@@ -184,11 +192,17 @@ def make_flexible_plant(scenario: Scenario) -> PlantModel:
 def _make(
     scenario: Scenario, payload: MassProperties, *, nominal: bool = False, flexible: bool = False
 ) -> PlantModel:
-    plant = make_plant(scenario.model, flexible=flexible)
+    plant = _parsed(scenario.model, model_files(scenario.model), flexible=flexible)
     context = plant.CreateDefaultContext()
     set_masses(plant, context, scenario, payload, nominal=nominal)
     coordinates = coordinates_of(plant, undriven=scenario.undriven)
     return PlantModel(plant=plant, context=context, coordinates=coordinates, split=split_of(plant))
+
+
+@memoized(maxsize=8)  # parsing takes four times as long as a context with its masses
+def _parsed(model: Model, files: tuple[Path, ...], *, flexible: bool) -> MultibodyPlant:
+    """``make_plant``, shared by models with a context each; parsed again once ``files`` change."""
+    return make_plant(model, flexible=flexible)
 
 
 def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario) -> None:

@@ -523,7 +523,8 @@ def test_stopping_before_the_start_leaves_all_to_resume(spec, database, tmp_path
             "INSERT INTO results SELECT * FROM other.results WHERE case_index NOT IN (3, 7)"
         )
     seen = []
-    resume_campaign(tmp_path / "x.db", workers=HERE, stop=Stop(), progress=seen.append)
+    path = tmp_path / "x.db"
+    resume_campaign(path, workers=HERE, stop=Stop(), batch=1, progress=seen.append)
     assert [progress.done for progress in seen] == list(range(28, 33))
     assert seen[-1].remaining == 0.0
     assert table(tmp_path / "x.db") == table(database)

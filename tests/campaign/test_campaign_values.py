@@ -4,7 +4,7 @@ import pytest
 from campaign_tools import write_spec
 
 from ffsm_drake.campaign.cases import Case, scenario_of
-from ffsm_drake.campaign.evaluate import METRICS, Evaluator, differing_columns, evaluate
+from ffsm_drake.campaign.evaluate import METRICS, Batch, Evaluator, differing_columns, evaluate
 from ffsm_drake.campaign.spec import load_spec
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.preflight.simulate import simulate
@@ -99,6 +99,11 @@ def test_initial_velocity_is_the_state_at_the_start(spec):
     assert not log.series["desired_state"][0][-len(wanted) :].any()
 
 
+def evaluate_alone(spec, case):
+    (row,) = evaluate(spec.to_json(), Batch((case,), "tdc"))
+    return row
+
+
 def test_a_reused_build_has_the_bits_of_a_fresh_one(tmp_path):
     mass = {"distribution": "uniform", "low": 20, "high": 300}
     spec = load_spec(
@@ -117,14 +122,12 @@ def test_a_reused_build_has_the_bits_of_a_fresh_one(tmp_path):
             assert reused[f"peak_error_{group}"] == fresh["peak_error"][group]
             assert reused[f"final_error_{group}"] == fresh["final_error"][group]
             assert reused[f"peak_effort_{group}"] == fresh["peak_effort"][group]
-        assert not differing_columns(reused, evaluate(spec.to_json(), case, "tdc"))
+        assert not differing_columns(reused, evaluate_alone(spec, case))
 
 
 @pytest.mark.smoke
 def test_a_run_that_cannot_be_is_a_row(spec):
-    row = evaluate(
-        spec.to_json(), Case(index=0, seed=1, values={"payload.truth.mass": -5.0}), "tdc"
-    )
+    row = evaluate_alone(spec, Case(index=0, seed=1, values={"payload.truth.mass": -5.0}))
     assert row["outcome"] == "error"
     assert row["message"] == "ScenarioError: payload.truth.mass: must be > 0 kg, not -5"
     assert all(row[name] is None for name in METRICS)
@@ -133,7 +136,7 @@ def test_a_run_that_cannot_be_is_a_row(spec):
 @pytest.mark.smoke
 def test_a_diverging_run_says_when(spec):
     case = Case(index=0, seed=1, values={"controllers.tdc.k_d": 400.0})
-    row = evaluate(spec.to_json(), case, "tdc")
+    row = evaluate_alone(spec, case)
     assert row["outcome"] == "diverged"
     assert 0.0 < row["outcome_time"] < 0.3
     assert "diverged at t =" in row["message"]

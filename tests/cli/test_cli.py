@@ -130,8 +130,11 @@ def test_stability(tmp_path, monkeypatch):
         gains=1.25, nominal_payload=float("inf"), sample_time=1.25, flexible_mass={}, delay=3.0
     )
     monkeypatch.setattr(boundaries, "find_boundaries", lambda scenario, *, time: found)
-    other = ffsm("stability", "-c", "pd_plus", "--out", tmp_path / "other")
+    other = ffsm("stability", "-c", "pd_plus", "--limits", "--out", tmp_path / "other")
     assert other.exit_code == 0
+    assert "nominal payload" in other.stdout
+    without = ffsm("stability", "-c", "pd_plus", "--no-rehearsal")
+    assert "stability limits, one parameter at a time: --limits" in without.stdout
     assert "worst posture: 0.9996" in other.stdout
     assert (tmp_path / "other" / "stability.png").is_file()
 

@@ -66,6 +66,20 @@ def test_a_task_that_kills_its_worker_is_given_up():
     assert results == {task: 10 * task for task in (0, 1, 2, 4, 5)}
 
 
+def test_of_a_task_with_parts_only_the_part_that_kills_its_worker_is_given_up():
+    tasks = [(0, 1, 2), (3, 4, 5), (6,)]
+    results = dict(
+        run(
+            sum,
+            tasks,
+            fragile_workers({(3, 4, 5), (4,)}),
+            split=lambda task: [(each,) for each in task],
+        )
+    )
+    assert isinstance(results.pop((4,)), WorkerLost)
+    assert results == {(0, 1, 2): 3, (6,): 6, (3,): 3, (5,): 5}
+
+
 def test_workers_that_all_die_end_the_work():
     with pytest.raises(WorkersError, match="every worker dies"):
         run(abs, range(9), fragile_workers(set(range(9))))

@@ -12,10 +12,8 @@ from ffsm_drake.cli import main
 from ffsm_drake.control_design.stability import (
     StabilityWarning,
     adaptation_remark,
-    boundaries,
     stability,
 )
-from ffsm_drake.control_design.stability.boundaries import Boundaries
 from ffsm_drake.control_design.stability.linearization import Linearizer
 from ffsm_drake.control_design.stability.one_axis import (
     axis_loop,
@@ -325,10 +323,11 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
         scenario = load_scenario("postcapture", quiet)
         assert verdict(scenario, rehearsal=False).warnings == []
     bounded = "controllers.tde_aismc.k_s_max="
-    assert "may grow to 120 1/s" in adaptation_remark(
-        load_scenario("postcapture", [f"{bounded}120"])
-    )
-    assert adaptation_remark(load_scenario("postcapture", [f"{bounded}95"])) == ""
+    for bound, words in ((120, "may grow to 120 1/s"), (95, "")):
+        with Linearizer(load_scenario("postcapture", [f"{bounded}{bound}"])) as linearizer:
+            told = adaptation_remark(linearizer)
+        assert words in told
+        assert bool(told) is bool(words)
 
 
 @pytest.mark.parametrize(
@@ -355,13 +354,7 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
         (["stability", "--controller", "pid"], 2, "controller: 'pid' is unknown"),
     ],
 )
-def test_command_line(arguments, code, words, monkeypatch):
-    """The boundaries of a stable loop: ``test_table_and_picture``."""
-    if code == 0:
-        found = Boundaries(
-            gains=1.25, nominal_payload=float("inf"), sample_time=1.25, flexible_mass={}, delay=3.0
-        )
-        monkeypatch.setattr(boundaries, "find_boundaries", lambda scenario, *, time: found)
+def test_command_line(arguments, code, words):
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == code, result.output
     assert words in " ".join(result.output.split())
@@ -372,8 +365,9 @@ def test_command_line(arguments, code, words, monkeypatch):
 def test_table_and_picture(tmp_path):
     from matplotlib import image
 
-    result = CliRunner().invoke(main, ["stability", "--out", str(tmp_path / "new")])
+    result = CliRunner().invoke(main, ["stability", "--limits", "--out", str(tmp_path / "new")])
     assert result.exit_code == 0, result.output
+    assert "further sensor delay" in result.output
     assert "base_rotation_x 60 70 70 100 1.43 12.50" in " ".join(result.output.split())
     pixels = image.imread(tmp_path / "new" / "stability.png")
     assert pixels.shape[1] > 1000

@@ -61,6 +61,26 @@ def test_a_run_that_ends_before_its_motion_is_not_expected_to_settle():
     assert not found.is_alarm
 
 
+@pytest.mark.parametrize(
+    ("name", "controller"), [("Rare", "tdc"), ("Irregular", "tdc"), ("Irregular", "pd_plus")]
+)
+def test_margins_of_a_loop_that_cannot_be_linearised_cannot_be_said(name, controller):
+    given = [f'blocks.sensing={{tracker: "slow_tracker:{name}"}}', f"controller={controller}"]
+    scenario = load_scenario("flight_sensors", given)
+    found = verdict(scenario, rehearsal=False, margins=True)
+    assert found.linear.status == "cannot say"
+    assert (found.margins is None) is bool(found.not_margins)
+    told = [line for line in found.lines if line.startswith("margins")]
+    assert len(told) == 1
+    if found.margins is None:
+        assert told[0].startswith("margins: cannot say: ")
+        assert "tracker" in told[0]
+    given = ["--set", given[0], "--set", given[1], "--no-rehearsal", "--limits"]
+    result = CliRunner().invoke(main, ["stability", "flight_sensors", *given])
+    assert not result.exception or isinstance(result.exception, SystemExit), result.output
+    assert "cannot say" in result.output
+
+
 @pytest.mark.parametrize("command", ["validate", "stability"])
 def test_the_commands_give_it_as_data(command):
     overrides = ["--set", "duration=3", "--set", "controller=tdc"]

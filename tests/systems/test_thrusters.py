@@ -161,8 +161,9 @@ class Failing(ControlLaw):
 
 
 @pytest.mark.parametrize("modulator", ["sigma_delta", "pulse_width", "pwpf"])
-@pytest.mark.parametrize("torque", [np.nan, np.inf])
+@pytest.mark.parametrize("torque", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("name", ["thrusters_only", "thrusters_and_wheels"])
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_a_wrench_that_is_not_finite_is_a_run_that_diverged(name, torque, modulator):
     overrides = ["duration=1", f"actuation.thrusters.modulator={modulator}"]
     scenario = load_scenario(name, overrides)

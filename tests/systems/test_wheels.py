@@ -5,6 +5,8 @@ unloading.
 import flight_settings
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
@@ -18,7 +20,9 @@ from ffsm_drake.scenario import Wheel, Wheels
 from ffsm_drake.show.report.part_panels import part_tables
 from ffsm_drake.show.results import results_of
 from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import models_dir
+from ffsm_drake.systems.actuation import make_base_actuators
 from ffsm_drake.systems.actuation.wheels import WheelSet
 
 SHORT = (*flight_settings.FLIGHT, *flight_settings.NO_NOISE, "duration=2")
@@ -218,6 +222,36 @@ def test_wheels_stay_within_their_limits():
     assert more.motor == pytest.approx(np.zeros(4), abs=1e-12)
     less = wheel_set.give(np.array([0.0, 0.0, 1.0]), full, w)
     assert less.on_base == pytest.approx([0, 0, 1])
+
+
+@given(
+    torque=st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=3, max_size=3),
+    size=st.sampled_from([1e-9, 1.0, 1e-150, 1.0 / 3e7]),
+)
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_any_torque_is_given_within_the_limits_or_is_none(torque, size):
+    """From tiny to near the largest number, and infinite: nothing overflows."""
+    scenario = load_scenario("thrusters_and_wheels", ["actuation.thrusters=null"])
+    base = make_base_actuators(
+        scenario.actuation, make_nominal_plant(scenario).coordinates, sample_time=0.01
+    )
+    commanded = np.zeros(11)
+    commanded[:3] = size * np.array(torque) / 4.0
+    found = base.give(
+        commanded,
+        base.initial_memory,
+        rotation=np.eye(3),
+        turning=np.zeros(6),
+        begins=True,
+    )
+    parts = dict(
+        zip(base.sizes, np.split(found, np.cumsum([*base.sizes.values()])[:-1]), strict=True)
+    )
+    limit = max(unit.torque_limit for unit in scenario.wheels.units.values())
+    if np.isfinite(commanded).all():
+        assert np.abs(parts["wheel_torque"]).max() <= limit
+    else:
+        assert not np.isfinite(parts["applied_force"]).all()
 
 
 def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():

@@ -1,6 +1,6 @@
 """Choosing gains; see ``choosing``."""
 
-from ffsm_drake.control_design.gains.choosing import Design, design
+from ffsm_drake.control_design.gains.choosing import INTERRUPT, Design, design
 from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
 
-__all__ = ["Design", "DesignPoint", "Requirement", "design"]
+__all__ = ["INTERRUPT", "Design", "DesignPoint", "Requirement", "design"]

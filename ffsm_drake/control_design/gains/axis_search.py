@@ -34,6 +34,8 @@ LARGEST_RADIUS = 0.9995
 # only differentiate otherwise.
 _POSITION_NOISE_TIME = 0.1
 _KEPT = 10_000  # remembered costs and designs of a group
+# Price of log(force) beyond what the actuators leave.
+_BEYOND = 5.0
 # Factor by which the range of inertia ratios is widened.
 _WIDER = 1.05
 
@@ -57,6 +59,7 @@ class AxisSearch:
         kind: str,
         etas: np.ndarray,
         *,
+        room: np.ndarray,
         on_price: Callable[[], None],
     ) -> None:
         self._scenario, self._demand, self._kind = scenario, demand, kind
@@ -66,7 +69,17 @@ class AxisSearch:
         nominal = planned.mass_matrices(planned.motion.part(0.5))[1]
         weight = (nominal[coordinates.driven] ** 2).sum(axis=0)
         self._axes = {
-            group: _Axis(scenario, law, demand, group, kind, etas, float(weight[part].sum()))
+            group: _Axis(
+                scenario,
+                law,
+                demand,
+                group,
+                kind,
+                etas,
+                float(weight[part].sum()),
+                nominal[part, part],
+                room[part],
+            )
             for group, part in coordinates.groups.items()
             if part.stop > part.start
         }
@@ -188,6 +201,8 @@ class _Axis:
         kind: str,
         etas: np.ndarray,
         weight: float,
+        mass: np.ndarray,
+        room: np.ndarray,
     ) -> None:
         part, sensing = demand.coordinates.groups[group], smooth_sensing(scenario)
         self.kalman, self.period = kind == "kalman", scenario.sample_time
@@ -198,6 +213,8 @@ class _Axis:
         self.spectrum = np.fft.rfft(demand.lumped[:, part].T, 2 * demand.times.size)
         # at the end of each sample
         self.late = demand.times + self.period > min(5.0, 0.25 * self.duration)
+        # The largest effort of the noise for which the actuators have room.
+        self.most = self.duration * weight * float((room**2 / (mass**2).sum(axis=1)).min())
         # The largest noise within the group.
         position, velocity = self.noise = tuple(
             float(demand.coordinates.vector(noise, key="sensing", default=0.0)[part].max())
@@ -260,7 +277,10 @@ class _Axis:
 
         def objective(x: np.ndarray) -> float:
             square, effort = self.cost(x)
-            return 0.5 * np.log(square) + price * effort if np.isfinite(square) else 1e3
+            if not np.isfinite(square):
+                return 1e3
+            beyond = 0.5 * np.log(max(1.0, effort / self.most))
+            return 0.5 * np.log(square) + price * effort + _BEYOND * beyond
 
         simplex = np.vstack([start, *(start + step for step in 0.5 * np.eye(start.size))])
         found: np.ndarray = fmin(

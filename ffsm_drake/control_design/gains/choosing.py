@@ -20,12 +20,14 @@ import dataclasses
 import functools
 import math
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.guard import guarded
+from ffsm_drake.common.interrupts import current, interruptible
+from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.control_design.gains.axis_search import (
     LARGEST_RADIUS,
     AxisSearch,
@@ -35,6 +37,7 @@ from ffsm_drake.control_design.gains.axis_search import (
     with_true_mass,
 )
 from ffsm_drake.control_design.gains.requirement import (
+    ROOM,
     TOLERANCE,
     Baseline,
     DesignPoint,
@@ -45,7 +48,7 @@ from ffsm_drake.control_design.limit import Limit, find_limit
 from ffsm_drake.control_design.stability.adaptation import axis_law, expected_gains
 from ffsm_drake.control_design.stability.boundaries import Boundaries, find_boundaries
 from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
-from ffsm_drake.control_design.stability.planned_dynamics import make_demand
+from ffsm_drake.control_design.stability.planned_dynamics import Demand, make_demand
 from ffsm_drake.control_design.stability.prediction import Prediction, predict, predict_noise
 from ffsm_drake.control_design.stability.rehearsal import rehearse
 from ffsm_drake.loop.blocks import is_rehearsed
@@ -53,11 +56,16 @@ from ffsm_drake.scenario import Estimator, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
+from ffsm_drake.systems.limits import actuation_limit
 
+# Confirming a choice takes at least so many evaluations, and s more than is expected.
+_CONFIRMING, _GRACE = 4.0, 1.0
+_TRANSIENT = 5.0  # s, at the start, which is not counted as the motion
 # Seeds of the noise under which a design must not diverge with its base actuators.
 _SEEDS = 2
 # Least improvement of log(rms error) for which gains are changed.
 _NEGLIGIBLE = 0.005
+INTERRUPT = "an interrupt"
 _KINDS = {
     "kalman": "Kalman estimate",
     "coupled": "Coupled Kalman estimate",
@@ -79,6 +87,8 @@ class Design:
     limit: Limit  # of the chosen gains
     ideal_isv: float
     requirement: Requirement
+    # by what each is of: with the given and with the chosen gains; empty: not looked at
+    margins: Mapping[str, tuple[float, float]]
     ended_by: str = ""  # what ended the search before its end
 
     @functools.cached_property
@@ -113,11 +123,19 @@ class Design:
             if factor < 1.0:
                 remarks.append(f"Apart from that they are {1.0 / factor:.3g} times as accurate.")
         else:
+            falls = "falls" if factor >= 1.0 else "grows"
             remarks = [
-                f"The rms error falls by a factor of {factor:.3g} (geometric mean over the groups)."
+                f"The rms error {falls} by a factor of {max(factor, 1.0 / factor):.3g} (geometric "
+                "mean over the groups)."
             ]
+        was, now = (self.requirement.crowding(each).max() for each in (before, after))
+        if max(was, now) > 1.0:
+            remarks.append(
+                f"{ROOM:g} standard deviations of the noise's force take {now:.3g} times what the "
+                f"actuators leave beside the motion, as it was {was:.3g} times (1: at most all)."
+            )
         if self.ended_by:
-            remarks.append(f"The search was ended by {self.ended_by}: this is the best so far.")
+            remarks.append(f"The search was cut by {self.ended_by}: this is the best so far.")
         for kind, point in self.found.items():
             error = np.exp(point.prediction.mean_log_error)
             verdict = self.requirement.violated(point) or f"ISV {point.prediction.isv:.1f}"
@@ -139,9 +157,12 @@ def design(
     payload_range: tuple[float, float] | None = None,
     trade: Collection[str] = (),
     time_limit: float | None = None,
+    foresee: Callable[[Scenario], str] = lambda scenario: "",
     progress: Callable[[int, str], None] | None = None,
 ) -> Design:
     """Design the gains of the scenario's controller and, for a law with one, its estimator.
+
+    Ctrl-C ends the search as the time limit does, a second one the process.
 
     Args:
       budget: largest predicted ISV; default: what the given gains take, with ``trade`` of
@@ -151,7 +172,11 @@ def design(
         must be stable for; default: 0.6 to 2.5 times the nominal one.
       trade: what may get worse than with the given gains by more than 2 %, of ``TRADES``: any
         group's rms error, the effort, the margins.
-      time_limit: s; the best so far counts when it is over, as on Ctrl-C; None: none.
+      time_limit: s of wall time, within which the best so far is chosen and confirmed; the given
+        gains are evaluated in any case. None: no limit. Outside of the main thread a candidate is
+        finished first.
+      foresee: what is in the way of a mission, one line, empty for one that is expected to go as
+        planned; asked of the given gains and of those to be chosen.
       progress: called with the number of candidates tried, and what they are.
 
     Raises:
@@ -159,19 +184,22 @@ def design(
       BlockError: a user-supplied block cannot be loaded, built, wired or linearised; the controller
         tracks a frame.
     """
-    search = _Search(complete_gains(scenario), budget, payload_range, tuple(trade), progress)
-    search.until = math.inf if time_limit is None else time.monotonic() + time_limit
-    try:
-        search.go()
-    except _TimeUp:
-        search.ended_by = "the time limit"
-    except KeyboardInterrupt:
-        search.ended_by = "an interrupt"
+    end = math.inf if time_limit is None else time.monotonic() + time_limit
+    search = _Search(
+        complete_gains(scenario), budget, payload_range, tuple(trade), foresee, progress
+    )
+    search.run(end)
     return search.result()
 
 
-class _TimeUp(Exception):
-    """The search has had its time."""
+@contextlib.contextmanager
+def _until(end: float) -> Iterator[None]:
+    """Raise TimeLimit in the block at an end by ``time.monotonic``, s."""
+    left = end - time.monotonic()
+    if left <= 0.0:
+        raise TimeLimit
+    with contextlib.nullcontext() if math.isinf(left) else time_limit(left):
+        yield
 
 
 class _Search:
@@ -183,50 +211,103 @@ class _Search:
         budget: float | None,
         payload_range: tuple[float, float] | None,
         trade: Sequence[str],
+        foresee: Callable[[Scenario], str],
         progress: Callable[[int, str], None] | None,
     ) -> None:
-        self._asked, self._progress = budget, progress
+        begin = time.monotonic()
+        self._asked, self._foresee, self._progress = budget, foresee, progress
         self._demand, self._masses = make_demand(scenario), _masses(scenario, payload_range)
         limit = self._demand.coordinates.vector(
             scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
         )
-        self.until, self.ended_by = math.inf, ""
-        self._confirmed = dict[int, str]()  # by id of a point: the margin it loses
+        self._search_end, self.ended_by = math.inf, ""
+        self._margins = dict[int, Boundaries]()  # by id of a confirmed point
+        self._objections = dict[int, str]()  # likewise: what stands against it
         self._tried, self._searches = list[tuple[str, DesignPoint]](), dict[str, AxisSearch]()
         ideal = 1.1 * self._demand.ideal_isv
-        self.requirement = Requirement(budget=ideal if budget is None else budget, limit=limit)
-        self.given = self._judge(scenario, whole=True)
-        prediction, rehearsal = self.given.prediction, self.given.rehearsal
-        diverges = rehearsal is not None and rehearsal.share_diverged > 0.0
-        if diverges or not (np.isfinite(prediction.isv) and prediction.spectral_radius < 1.0):
-            return
+        self.requirement = Requirement(
+            budget=ideal if budget is None else budget,
+            limit=limit,
+            room=_room(scenario, self._demand),
+        )
+        self.given = self.chosen = self._judge(scenario, whole=True)
+        self._evaluation_time, self._trade = time.monotonic() - begin, trade
         # unless asked, as much effort as it was may be spent, and no more
-        isv = TOLERANCE * self.given.prediction.isv
-        if budget is None:
+        if budget is None and self._is_usable:
+            isv = TOLERANCE * self.given.prediction.isv
             self._loosen(max(ideal, isv) if "effort" in trade else isv)
-        boundaries, time_of_edge = _boundaries(self.given.scenario)
-        if math.isnan(boundaries.gains):  # without margins there are none to lose
-            trade = [*trade, "margins"]
-        baseline = Baseline(point=self.given, boundaries=boundaries, time=time_of_edge, trade=trade)
-        self.requirement = dataclasses.replace(self.requirement, baseline=baseline)
 
     def _loosen(self, budget: float) -> None:
         self.requirement = dataclasses.replace(self.requirement, budget=budget)
 
-    def go(self) -> None:
-        """Try candidates. Raises _TimeUp."""
+    @property
+    def _is_usable(self) -> bool:
+        """Whether the given gains are stable, as predicted."""
+        prediction, rehearsal = self.given.prediction, self.given.rehearsal
+        diverges = rehearsal is not None and rehearsal.share_diverged > 0.0
+        return not diverges and math.isfinite(prediction.isv) and prediction.spectral_radius < 1.0
+
+    def run(self, end: float) -> None:
+        """Search and choose, up to an end by ``time.monotonic``, s; an interrupt leaves time
+        to confirm the choice.
+        """
+        # what diverges is soon looked at
+        reserve = _CONFIRMING * self._evaluation_time
+        try:
+            with interruptible(), _until(end):
+                begin = time.monotonic()
+                self._look_at_the_given()
+                # so that as much can be said of the choice
+                reserve = max(reserve, time.monotonic() - begin)
+            self._search_end = end - reserve
+            with interruptible(), _until(self._search_end):
+                self._search()
+        except TimeLimit:
+            self.ended_by = "the time limit"
+        except KeyboardInterrupt:
+            self.ended_by = INTERRUPT
+            end = 0.0
+        self._search_end = math.inf
+        try:
+            with _until(max(end, time.monotonic() + reserve + _GRACE)):
+                self.chosen = self._confirmed()
+        except TimeLimit:
+            self.ended_by = self.ended_by or "the time limit"
+
+    def _look_at_the_given(self) -> None:
+        """What is foreseen of the given gains, and their margins."""
+        alarm = self._foreseen(self.given.scenario)
+        self.given = self.chosen = dataclasses.replace(self.given, alarm=alarm)
+        if alarm or not self._is_usable:
+            return  # whatever goes as planned is better
+        boundaries, time_of_edge = _boundaries(self.given.scenario)
+        # without margins there are none to lose
+        trade = [*self._trade, *(["margins"] if math.isnan(boundaries.gains) else [])]
+        baseline = Baseline(point=self.given, boundaries=boundaries, time=time_of_edge, trade=trade)
+        self.requirement = dataclasses.replace(self.requirement, baseline=baseline)
+
+    def _search(self) -> None:
+        """Try candidates. Raises TimeLimit."""
         law = one_sample_law(self.given.scenario)
         if law is not None:
             self._by_axis(law)
-        best = self.best()
-        if not self.given.is_by_axis or best is self.given:
-            self._vary(best)
+        better = self._better_ones()
+        if not self.given.is_by_axis or not better:
+            self._vary(better[0] if better else self.given)
 
     def _by_axis(self, law: TimeDelayControl) -> None:
         scenario = self.given.scenario
         etas = eta_range(scenario, self._masses)
         for kind in ("kalman", "one_sample"):
-            search = AxisSearch(scenario, law, self._demand, kind, etas, on_price=self._check_time)
+            search = AxisSearch(
+                scenario,
+                law,
+                self._demand,
+                kind,
+                etas,
+                room=self.requirement.room,
+                on_price=self._check_time,
+            )
             self._searches[kind] = search
             search.at_budget(self.requirement, functools.partial(self._evaluate, kind))
             if kind == "kalman":
@@ -240,48 +321,69 @@ class _Search:
         vary(
             start,
             functools.partial(self._evaluate, "varied"),
-            baseline=self.requirement.baseline,
+            requirement=self.requirement,
             on_price=self._check_time,
         )
 
-    def best(self) -> DesignPoint:
-        """The best so far: the given gains unless others are better by more than a trifle."""
-        rank = self.requirement.rank
-        for point in sorted((point for _, point in self._tried), key=rank):
-            if self.requirement.worse(point):
-                continue
-            least, error = rank(point)
-            if rank(self.given) <= (least, error + _NEGLIGIBLE):
-                return self.given
-            if least > 0 or not self._loses_a_margin(point):
-                return point
-        return self.given
+    def _better_ones(self) -> list[DesignPoint]:
+        """The points that are better than the given gains by more than a trifle, the best first."""
+        rank, given = self.requirement.rank, self.given
 
-    def _loses_a_margin(self, point: DesignPoint) -> str:
-        """The first margin, at the posture of its own, that is worse than it was, one line."""
-        baseline = self.requirement.baseline
-        if baseline is None or "margins" in baseline.trade:
-            return ""
-        if id(point) not in self._confirmed:
-            self._confirmed[id(point)] = baseline.worse_margin(_boundaries(point.scenario)[0])
-        return self._confirmed[id(point)]
+        def is_better(point: DesignPoint) -> bool:
+            least, error = rank(point)
+            may_be = point.is_run and not self.requirement.worse(point)
+            return may_be and (least, error + _NEGLIGIBLE) < rank(given)
+
+        return sorted((point for _, point in self._tried if is_better(point)), key=rank)
+
+    def _confirmed(self) -> DesignPoint:
+        """The best point without an objection; the given gains where there is none."""
+        better = self._better_ones()
+        if self._asked is None and better and self.requirement.violated(better[0])[:3] == "ISV":
+            # in a slow motion most of the effort is due to noise
+            self._loosen(1.1 * better[0].prediction.isv)
+            better = self._better_ones()
+        return next((point for point in better if not self._objection(point)), self.given)
+
+    def _objection(self, point: DesignPoint) -> str:
+        """What else is against a point, one line: a margin at the posture of its own that is worse
+        than it was, or what is foreseen of its mission.
+        """
+        if id(point) not in self._objections:
+            worse, baseline = "", self.requirement.baseline
+            if baseline is not None:
+                self._margins[id(point)], _ = _boundaries(point.scenario)
+                worse = baseline.worse_margin(self._margins[id(point)])
+            self._objections[id(point)] = worse or self._foreseen(point.scenario)
+        return self._objections[id(point)]
+
+    def _foreseen(self, scenario: Scenario) -> str:
+        """What is in the way of a mission. Raises KeyboardInterrupt, which its run would keep."""
+        alarm, signals = self._foresee(scenario), current()
+        if signals is not None and signals.number and not self.ended_by:
+            raise KeyboardInterrupt
+        return alarm
 
     def _check_time(self) -> None:
-        if time.monotonic() > self.until:
-            raise _TimeUp
+        if (
+            time.monotonic() > self._search_end
+        ):  # the alarm of ``_until`` is heard in the main thread
+            raise TimeLimit
         if self._progress is not None:
             better = sum(not self.requirement.violated(point) for _, point in self._tried)
             self._progress(len(self._tried), f"candidates, {better} of them meet all")
 
     def _evaluate(self, kind: str, candidate: Scenario) -> DesignPoint:
         self._check_time()
-        point = self._judge(candidate)
+        known = (point for _, point in self._tried if point.scenario == candidate)
+        point = next(known, None) or self._judge(candidate)
         self._tried.append((kind, point))
         return point
 
     def _judge(self, candidate: Scenario, *, whole: bool = False) -> DesignPoint:
-        """A candidate's prediction. What rejects it soonest comes first, its run last; ``whole``:
-        it is run in any case.
+        """A candidate's prediction. What takes least time comes first: its radii with other
+        payloads, its noise, the margins that it must keep, its actuators, and its run last.
+        ``whole``: it is run in any case.
         """
         period, force, requirement = candidate.sample_time, self._demand.force, self.requirement
         with Linearizer(candidate) as linearizer:
@@ -305,18 +407,17 @@ class _Search:
                 is_by_axis=axis_law(linearizer) is not None,
                 is_run=False,
             )
+            if not whole and not self._is_rejected(point) and requirement.baseline is not None:
+                lost = requirement.baseline.margin_lost_by(candidate)
+                point = dataclasses.replace(point, lost_margin=lost)
             if is_rehearsed(candidate) and (whole or not self._is_rejected(point)):
                 rehearsal = rehearse(candidate, seeds=_SEEDS)
                 noise = dataclasses.replace(noise, noise_error=rehearsal.rms_error)
                 point = dataclasses.replace(point, rehearsal=rehearsal)
-            if self._is_rejected(point) and not whole:
+            if not whole and self._is_rejected(point):
                 return point
             prediction = noise.with_mean(*linearizer.follow(held=held), period=period)
-            point = dataclasses.replace(point, prediction=prediction, is_run=True)
-        baseline = requirement.baseline
-        if baseline is None or whole or requirement.violated(point):
-            return point
-        return dataclasses.replace(point, lost_margin=baseline.margin_lost_by(candidate))
+            return dataclasses.replace(point, prediction=prediction, is_run=True)
 
     def _is_rejected(self, point: DesignPoint) -> bool:
         """Whether a point fails before it is run, by what noise and the motion alone ask."""
@@ -325,19 +426,16 @@ class _Search:
         if requirement.failed(point):
             return True
         return baseline is not None and bool(
-            baseline.worse_error(point)
+            point.lost_margin
+            or baseline.worse_error(point)
             or point.prediction.isv > max(requirement.budget, baseline.point.prediction.isv)
         )
 
     def result(self) -> Design:
         """The choice among what was tried. Raises ScenarioError: nothing meets the budget."""
-        chosen = self.best()
-        if self.requirement.violated(chosen).startswith("ISV"):
-            if self._asked is not None:
-                raise self._too_little(chosen)
-            # in a slow motion most of the effort is due to noise
-            self._loosen(1.1 * chosen.prediction.isv)
-            chosen = self.best()
+        chosen, baseline = self.chosen, self.requirement.baseline
+        if self._asked is not None and self.requirement.violated(chosen).startswith("ISV"):
+            raise self._too_little(chosen)
         with Linearizer(chosen.scenario) as linearizer:
             radius_by_mass = _radius_by_mass(linearizer, self._masses)
         kinds = dict.fromkeys(kind for kind, _ in self._tried)
@@ -358,6 +456,7 @@ class _Search:
             limit=find_limit(chosen.scenario, self._demand),
             ideal_isv=self._demand.ideal_isv,
             requirement=self.requirement,
+            margins={} if baseline is None else baseline.margins(self._margins.get(id(chosen))),
             ended_by=self.ended_by,
         )
 
@@ -380,6 +479,15 @@ def _boundaries(scenario: Scenario) -> tuple[Boundaries, float]:
         share = max(shares, key=lambda each: shares[each].spectral_radius)
         edge = linearizer.part(share)
     return find_boundaries(scenario, time=edge), edge
+
+
+def _room(scenario: Scenario, demand: Demand) -> np.ndarray:
+    """``Requirement.room``; a motion that takes more than half of a limit counts as half."""
+    if not is_rehearsed(scenario):
+        return np.full(len(demand.coordinates.names), np.inf)
+    limit = actuation_limit(scenario, demand.coordinates).upper
+    motion = np.abs(demand.force[demand.times > _TRANSIENT]).max(axis=0, initial=0.0)
+    return np.maximum(limit - motion, 0.5 * limit) / ROOM
 
 
 def _diverged(coordinates: Coordinates) -> Prediction:

@@ -27,6 +27,8 @@ from ffsm_drake.systems.controllers import complete_gains
 TRADES = ("accuracy", "effort", "margins")
 # Factor by which a figure may be worse than it was.
 TOLERANCE = 1.02
+# Standard deviations of the noise's force that limited actuators shall give beside the motion's.
+ROOM = 3.0
 _MARGINS = {
     "gains": "factor on the gains",
     "nominal_payload": "factor on the nominal payload",
@@ -48,6 +50,7 @@ class DesignPoint:
     # whether its run without noise was made; else the prediction is that of perfect tracking
     is_run: bool = True
     lost_margin: str = ""  # the margin that is worse than it was, one line
+    alarm: str = ""  # what is foreseen to be in the way of its mission, one line
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -75,11 +78,18 @@ class Baseline:
 
     def worse_margin(self, boundaries: Boundaries) -> str:
         """The first margin that is smaller than it was, one line; empty where there is none."""
-        after, before = (dict(margins_of(each)) for each in (boundaries, self.boundaries))
-        for name, value in after.items() if "margins" not in self.trade else ():
-            if not value * TOLERANCE >= before[name]:
-                return f"less margin: {name} up to {value:.3g}, as it was {before[name]:.3g}"
+        found = {} if "margins" in self.trade else self.margins(boundaries)
+        for name, (before, after) in found.items():
+            if not after * TOLERANCE >= before:
+                return f"less margin: {name} up to {after:.3g}, as it was {before:.3g}"
         return ""
+
+    def margins(self, boundaries: Boundaries | None) -> dict[str, tuple[float, float]]:
+        """The margins as they were and those of other boundaries (None: the same), by what each is
+        of.
+        """
+        after = dict(_margins_of(boundaries or self.boundaries))
+        return {name: (before, after[name]) for name, before in _margins_of(self.boundaries)}
 
     def margin_lost_by(self, scenario: Scenario) -> str:
         """The first margin that another scenario does not keep, one line; empty where it keeps all.
@@ -121,7 +131,7 @@ class Baseline:
             return True
 
 
-def margins_of(boundaries: Boundaries) -> Iterator[tuple[str, float]]:
+def _margins_of(boundaries: Boundaries) -> Iterator[tuple[str, float]]:
     """What each margin is of, and the margin."""
     for name, label in _MARGINS.items():
         yield label, getattr(boundaries, name)
@@ -135,7 +145,10 @@ class Requirement:
 
     budget: float  # largest ISV
     limit: np.ndarray  # (nv,) of the actuators, N m or N; infinite: none
-    # None: the given gains are unstable; whatever is found is better
+    # (nv) largest standard deviation of the noise's force for which limited base actuators have
+    # room beside the motion, N m or N; infinite: they are not limited
+    room: np.ndarray
+    # None: the given gains are no good; whatever is found is better
     baseline: Baseline | None = None
 
     def violated(self, point: DesignPoint) -> str:
@@ -159,7 +172,7 @@ class Requirement:
             return f"{name} needs {peak:.3g}, more than its actuation.limit of {limit:g}"
         if point.rehearsal is not None and point.rehearsal.share_diverged > 0.0:
             return f"with its actuators it diverges: {point.rehearsal}"
-        return ""
+        return point.alarm
 
     def _over_budget(self, point: DesignPoint) -> str:
         if point.prediction.isv > self.budget:
@@ -172,12 +185,26 @@ class Requirement:
             return ""
         return self.baseline.worse_error(point) or point.lost_margin
 
+    def crowding(self, prediction: Prediction) -> np.ndarray:
+        """(nv) the noise's force by the actuators' room for it, 1 where that suffices.
+
+        Beyond it they saturate so often that a disturbance or a grasp may be too much for an
+        integral, which no linear error shows.
+        """
+        return np.maximum(1.0, prediction.noise_force / self.room)
+
+    def score(self, point: DesignPoint) -> float:
+        """Accuracy, worse by what the actuators have no room for; smaller is better."""
+        return point.prediction.mean_log_error + float(
+            np.log(self.crowding(point.prediction).max())
+        )
+
     def rank(self, point: DesignPoint) -> tuple[int, float]:
-        """Smaller is better: requirements first, then error, or effort over budget."""
+        """Smaller is better: requirements first, then the score, or effort over budget."""
         if self.failed(point):
             return 3, float(max(point.radius_by_mass.values()))
         if self.worse(point):
-            return 2, point.prediction.mean_log_error
+            return 2, self.score(point)
         if self._over_budget(point):
             return 1, point.prediction.isv
-        return 0, point.prediction.mean_log_error
+        return 0, self.score(point)

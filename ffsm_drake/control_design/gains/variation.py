@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.control_design.gains.requirement import Baseline, DesignPoint
+from ffsm_drake.control_design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.control_design.rounding import rounded_by_group
 from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -21,7 +21,7 @@ def vary(
     start: DesignPoint,
     evaluate: Callable[[Scenario], DesignPoint],
     *,
-    baseline: Baseline | None,
+    requirement: Requirement,
     on_price: Callable[[], None],
 ) -> None:
     """Vary the declared gains by group; a step is kept for the groups whose cost it lowers."""
@@ -33,8 +33,8 @@ def vary(
                     point = evaluate(
                         _scaled(best.scenario, name, dict.fromkeys(_groups(best), step))
                     )
-                    before = _group_costs(best, price, baseline)
-                    after = _group_costs(point, price, baseline)
+                    before = _group_costs(best, price, requirement)
+                    after = _group_costs(point, price, requirement)
                     better = {
                         group: step for group in before if after[group] < before[group] - 1e-3
                     }
@@ -45,23 +45,29 @@ def vary(
                         if len(better) == len(before)
                         else evaluate(_scaled(best.scenario, name, better))
                     )
-                    if sum(_group_costs(joined, price, baseline).values()) < sum(before.values()):
+                    if sum(_group_costs(joined, price, requirement).values()) < sum(
+                        before.values()
+                    ):
                         best = joined
                         break
         on_price()
 
 
-def _group_costs(point: DesignPoint, price: float, baseline: Baseline | None) -> dict[str, float]:
-    """log(rms error) + price * effort by group, and a penalty where it is less accurate than it
-    was; infinite where the point is unstable for some payload, not run, or loses a margin.
+def _group_costs(point: DesignPoint, price: float, requirement: Requirement) -> dict[str, float]:
+    """log(rms error * crowding) + price * effort by group, and a penalty where it is less accurate
+    than it was; infinite where the point is unstable for some payload, not run, or loses a margin.
     """
+    baseline, crowding = requirement.baseline, requirement.crowding(point.prediction)
     prediction, groups = point.prediction, _groups(point)
     refused = point.lost_margin or not point.is_run or not np.isfinite(prediction.isv)
     if refused or max(point.radius_by_mass.values()) >= 1.0:
         return dict.fromkeys(groups, np.inf)
     errors = prediction.by_group()
     costs = {
-        name: float(np.log(errors[name]) + price * prediction.isv_by_coordinate[part].sum())
+        name: float(
+            np.log(errors[name] * crowding[part].max())
+            + price * prediction.isv_by_coordinate[part].sum()
+        )
         for name, part in groups.items()
     }
     if baseline is not None and "accuracy" not in baseline.trade:

@@ -3,6 +3,7 @@ variable.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -58,8 +59,7 @@ def expected_gains(linearizer: Linearizer, loop: LinearLoop | None = None) -> di
     if law is None or gain is None or not gain.changes:
         return {}
     loop = linearizer.at(0.0) if loop is None else loop
-    planned = PlannedDynamics(linearizer.given)
-    _, k_s = forecast_reaching_gain(law, planned, loop, points=51)
+    _, k_s = forecast_reaching_gain(law, linearizer.planned, loop, points=51)
     return {"reaching_gain": k_s.max(axis=0)}
 
 
@@ -84,38 +84,48 @@ def forecast_reaching_gain(
     switching = law.initial_state().get("switching_gain", np.zeros(size))
     drift = np.gradient(planned.perfect_tracking(times)[0], times, axis=0)
     grid = np.linspace(1.0, 2.0 / scenario.sample_time, 20)
-    deviation, drift_gain, sign_amplitude = _sliding_response(law, planned, loop, grid)
+    response = _interpolated(grid, np.stack(_sliding_response(law, planned, loop, grid)))
     k_s = np.empty((points, size))
     k_s[0] = gain.start
     for j in range(points - 1):
         now, step = k_s[j], times[j + 1] - times[j]
-        sigma, per_drift, per_sign = (
-            np.array([np.interp(now[i], grid, of[:, i]) for i in range(size)])
-            for of in (deviation, drift_gain, sign_amplitude)
-        )
+        sigma, per_drift, per_sign = response(now)
         mean = np.hypot(drift[j] * per_drift, switching * per_sign)
-        seen = map(
-            _mean_signed_magnitude, *(each.tolist() for each in (mean, sigma, gain.rest(now)))
-        )
-        after = np.maximum(now + gain.rate * np.array(list(seen)) * step, 0.0)
+        seen = _mean_signed_magnitude(mean, sigma, gain.rest(now))
+        after = np.maximum(now + gain.rate * seen * step, 0.0)
         k_s[j + 1] = np.minimum(np.minimum(after, gain.largest), grid[-1])
     return times, np.where(k_s < grid[-1], k_s, np.minimum(gain.largest, _RUN_AWAY * grid[-1]))
 
 
-def _mean_signed_magnitude(mean: float, sigma: float, threshold: float) -> float:
-    """E[|s| sgn(|s| - threshold)] for a Gaussian s."""
-    if sigma <= 0.0:
-        return abs(mean) * math.copysign(1.0, abs(mean) - threshold)
+def _interpolated(grid: np.ndarray, curves: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Linear interpolation of curves (m, k, n) over a grid (k,), constant beyond it: x (n) -> (m,
+    n), the i-th number for the i-th curves.
+    """
+    slopes = np.diff(curves, axis=1) / np.diff(grid)[:, None]
+    each = np.arange(curves.shape[2])
 
-    def partial(a: float, b: float) -> float:
-        """Integral of s times the density from a to b."""
-        za, zb = (a - mean) / (sigma * math.sqrt(2.0)), (b - mean) / (sigma * math.sqrt(2.0))
-        density = sigma / math.sqrt(2.0 * math.pi) * (math.exp(-za * za) - math.exp(-zb * zb))
-        return density + 0.5 * mean * (math.erf(zb) - math.erf(za))
+    def at(x: np.ndarray) -> np.ndarray:
+        inside = np.clip(x, grid[0], grid[-1])
+        left = np.minimum(np.searchsorted(grid, inside, side="right") - 1, grid.size - 2)
+        values: np.ndarray = curves[:, left, each] + slopes[:, left, each] * (inside - grid[left])
+        return values
 
-    inside = partial(0.0, threshold) - partial(-threshold, 0.0)
-    outside = partial(threshold, math.inf) - partial(-math.inf, -threshold)
-    return outside - inside
+    return at
+
+
+def _mean_signed_magnitude(
+    mean: np.ndarray, sigma: np.ndarray, threshold: np.ndarray
+) -> np.ndarray:
+    """E[|s| sgn(|s| - threshold)] for Gaussian s; arrays (n)."""
+    spread = np.where(sigma > 0.0, sigma, 1.0)
+    z = (np.stack([-threshold, 0.0 * threshold, threshold]) - mean) / (spread * math.sqrt(2.0))
+    error_function = np.array([math.erf(each) for each in z.ravel().tolist()]).reshape(z.shape)
+    # integral of s times its density, up to a constant
+    below, zero, above = 0.5 * mean * error_function - spread / math.sqrt(2.0 * math.pi) * np.exp(
+        -z * z
+    )
+    fixed = np.abs(mean) * np.copysign(1.0, np.abs(mean) - threshold)
+    return np.where(sigma > 0.0, 2.0 * (zero - below - above), fixed)
 
 
 def _sliding_response(

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Mapping
 from typing import Self
@@ -60,10 +61,12 @@ class LinearLoop:
 
     @functools.cached_property
     def a(self) -> np.ndarray:
-        """The map of x over the common period."""
-        return functools.reduce(
-            lambda product, sample: sample.a @ product, self.samples[1:], self.samples[0].a
+        """The map of x over the common period; of equal samples in a row a power."""
+        powers = (
+            np.linalg.matrix_power(sample.a, len(list(row)))
+            for sample, row in itertools.groupby(self.samples)
         )
+        return functools.reduce(lambda product, power: power @ product, powers)
 
     @property
     def _plant_size(self) -> int:
@@ -135,7 +138,8 @@ class LinearLoop:
     def _variances(self, samples: int) -> dict[str, np.ndarray]:
         """The squares of ``noise_response``; not finite where the loop overflows."""
         nv = len(self.coordinates.names)
-        keep = self._matters(sum(np.abs(sample.b).sum(axis=1) for sample in self.samples) > 0.0)
+        noisy = sum(np.abs(sample.b).sum(axis=1) for sample in set(self.samples)) > 0.0
+        keep = self._matters(noisy)
         keep[: self._plant_size] = True  # undriven coordinates too, which drift
         maps = [
             (sample.a[np.ix_(keep, keep)], sample.b[keep], sample.c[:, keep], sample.d)
@@ -206,16 +210,16 @@ class LinearLoop:
         """Mask of the entries of x that act on the plant and are acted on by it or by ``driven``
         (mask).
         """
-        arrows = sum(np.abs(sample.a) for sample in self.samples) > 0.0
+        arrows = sum(np.abs(sample.a) for sample in set(self.samples)) > 0.0
         plant = np.arange(len(arrows)) < self._plant_size
         is_driven = self.coordinates.is_driven
         plant[: 2 * is_driven.size] = np.concatenate([is_driven | self.tracks_frame, is_driven])
         acting, driven = plant, driven | plant
-        for _ in range(len(arrows)):
-            acting, driven = (
-                acting | (arrows[acting].any(axis=0)),
-                driven | (arrows[:, driven].any(axis=1)),
-            )
+        before = -1
+        while (reached := int(acting.sum() + driven.sum())) > before:
+            before = reached
+            acting = acting | arrows[acting].any(axis=0)
+            driven = driven | arrows[:, driven].any(axis=1)
         return acting & driven
 
 

@@ -27,12 +27,13 @@ from pydrake.systems.framework import Context, Diagram, System
 from pydrake.systems.primitives import RandomSource
 
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
-from ffsm_drake.common.guard import guarded, is_user_supplied
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop, SampleMap
 from ffsm_drake.control_design.stability.linear_settings import without_limits
 from ffsm_drake.control_design.stability.loop_state import Memory, PlantState, difference
+from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.loop.blocks import block_choices, is_rehearsed, parts_of
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import MassProperties, Scenario, from_grasp
@@ -99,6 +100,7 @@ class Linearizer:
         self._find_law()
         self._find_memory(leaves)
         self._updates = dict[Hashable, tuple[_Update, ...]]()
+        self._loops = dict[Hashable, LinearLoop]()
         self._own_period: int | None = None  # of user-supplied systems, once it is known
 
     def _new_simulator(self, context: Context | None = None) -> Simulator:
@@ -173,9 +175,9 @@ class Linearizer:
     ) -> LinearLoop:
         """The loop near an instant of the planned motion, with the plant on it.
 
-        The update at the sample is kept: the same instant with another true payload costs only its
-        motion, which starts from the state of the scenario's own payload. At rest that changes a
-        spectral radius by about 1e-5.
+        It is kept: the same arguments give the same object. So is the update at the sample: the
+        same instant with another true payload costs only its motion, which starts from the state of
+        the scenario's own payload. At rest that changes a spectral radius by about 1e-5.
 
         Args:
           time: s; a control sample is taken.
@@ -184,11 +186,21 @@ class Linearizer:
 
         Raises NotLinear: a block fails, or changes between two control samples.
         """
-        period, first = self.scenario.sample_time, round(time / self.scenario.sample_time)
-        index = first + _WARM_UP
+        first = round(time / self.scenario.sample_time)
+        if truth is not None:
+            return self._linearized(first, held or {}, truth)
+        key = content_of((first, held or {}))
+        if key not in self._loops:
+            self._loops[key] = self._linearized(first, held or {}, None)
+        return self._loops[key]
+
+    def _linearized(
+        self, first: int, held: Mapping[str, np.ndarray], truth: MassProperties | None
+    ) -> LinearLoop:
+        """The loop after a warm-up that begins on the plan at a control sample."""
         try:
             with guarded, np.errstate(over="ignore", invalid="ignore"):
-                updates = self._updates_from(first, held or {})
+                updates = self._updates_from(first, held)
                 maps = {update: self._map(update, truth) for update in dict.fromkeys(updates)}
                 samples = tuple(maps[update] for update in updates)
         except FfsmError as error:
@@ -206,8 +218,8 @@ class Linearizer:
             samples = self._unknown()
         return LinearLoop(
             coordinates=self.loop.coordinates,
-            time=index * period,
-            sample_time=period,
+            time=(first + _WARM_UP) * self.scenario.sample_time,
+            sample_time=self.scenario.sample_time,
             samples=samples,
             hidden=self.loop.split.names,
             tracks_frame=self.loop.tracks_frame,
@@ -345,13 +357,23 @@ class Linearizer:
         self._quiet(held)
 
     @functools.cached_property
+    def planned(self) -> PlannedDynamics:
+        """The scenario's dynamics along its planned motion; errors as for PlannedDynamics."""
+        return PlannedDynamics(self.given)
+
+    @functools.cached_property
+    def lightest(self) -> list[float]:
+        """The times, s, of its motion at which a driven coordinate is lightest."""
+        return self.planned.lightest(self.begin, self.end)
+
+    @functools.cached_property
     def user_supplied(self) -> list[System]:
         """The user-supplied systems with memory, and the controller with a user-supplied law."""
         controller = self.loop.blocks["controller"]
         return [
             system
             for system in self._memory.systems
-            if is_user_supplied(type(self.law if system is controller and self.law else system))
+            if not _is_shipped(self.law if system is controller and self.law else system)
             and system.GetMyContextFromRoot(self._context).num_discrete_state_groups()
         ]
 
@@ -414,8 +436,11 @@ class Linearizer:
         owner = np.repeat(np.arange(len(groups)), [group.stop - group.start for group in groups])
         written = np.zeros(steps.size)
 
+        law = self._law_of_many(index)
+
         def update(x: np.ndarray) -> np.ndarray:
-            """The memory after the sample's update; x is followed by the noise.
+            """The memory after the sample's update, the controller's as ``law`` reads it; x is
+            followed by the noise.
 
             Only changed groups are written, so that Drake computes only their consequences.
             """
@@ -427,9 +452,9 @@ class Linearizer:
                 else:
                     self._noise.write_part(k - 1 - len(self._memory.parts), x[groups[k]])
             written[:] = x
-            return self._memory.after(index)
+            return self._memory.after(index) if law is None else law.read()
 
-        jacobian = _jacobian(update, groups, steps)
+        jacobian = _jacobian(update, groups, steps, law)
         update(np.zeros(steps.size))
         self._memory.update(index)
         kept = [group for group in groups if group.stop <= size]
@@ -441,13 +466,24 @@ class Linearizer:
             jacobian=jacobian,
         )
 
+    def _law_of_many(self, index: int) -> "_LawOfMany | None":
+        """The controller's update at a control sample for many states at once, of a shipped law."""
+        controller = self.loop.blocks["controller"]
+        if not isinstance(controller, SampledController) or not _is_shipped(controller.law):
+            return None
+        return _LawOfMany(
+            controller, self._controller_context, self._memory, index=index, width=self._width
+        )
+
     def _map(self, update: "_Update", truth: MassProperties | None) -> SampleMap:
         """The map of a control sample: its update and the motion up to the next."""
         nv, width, size = len(self.loop.coordinates.names), self._width, update.steps.size
-        self._context.SetTimeStateAndParametersFrom(update.after)
+        after = update.after
+        self._context.SetTimeStateAndParametersFrom(after)
         if truth is not None:
             self.loop.set_payload(self._context, truth)
-        after, state, updated = self._context.Clone(), self._plant.read(), self._memory.read()
+            after = self._context.Clone()
+        state, updated = self._plant.read(), self._memory.read()
 
         def move(x: np.ndarray) -> np.ndarray:
             """The plant's state at the next sample, and the controller's force until then."""
@@ -493,29 +529,119 @@ class _Update:
     jacobian: np.ndarray  # of the memory after it by [x; w]
 
 
-def _jacobian(
-    function: Callable[[np.ndarray], np.ndarray], groups: Sequence[slice], steps: np.ndarray
-) -> np.ndarray:
-    """Finite differences of a function at zero by ``steps``; groups of its argument without effect
-    are skipped.
+class _LawOfMany:
+    """The update at a control sample in two steps: what every block but the controller makes of the
+    state, and what the controller reads of it; then the control law, for many states at once, which
+    is faster than one by one.
     """
-    center = function(np.zeros(steps.size))
-    jacobian = np.zeros((center.size, steps.size))
+
+    def __init__(
+        self,
+        controller: SampledController,
+        context: Context,
+        memory: Memory,
+        *,
+        index: int,
+        width: int,
+    ) -> None:
+        """Args: the controller and its context; all memory; the control sample; the size of the
+        plant's part of x.
+        """
+        self._controller, self._context = controller, context
+        self._memory, self._index = memory, index
+        self._inputs, self._own = dict[str, slice](), dict[str, slice]()
+        end = memory.size
+        for values, slots in zip(controller.read(context), (self._inputs, self._own), strict=True):
+            for name, value in values.items():
+                slots[name], end = slice(end, end + value.size), end + value.size
+        groups = {"generalized_force": controller.force_group, **controller.memory_groups()}
+        self._parts = {
+            name: part
+            for name, group in groups.items()
+            if (part := memory.part_of(controller, group)) is not None
+        }
+        self._slots = {
+            width + part.start: self._own[name]
+            for name, part in self._parts.items()
+            if name in self._own
+        }
+
+    def read(self) -> np.ndarray:
+        """The memory after the update, without the controller's, and what the controller reads."""
+        inputs, own = self._controller.read(self._context)
+        others = self._memory.after(self._index, without=self._controller)
+        return np.concatenate([others, *inputs.values(), *own.values()])
+
+    def slot(self, group: slice, x: np.ndarray, *, change: np.ndarray) -> slice | None:
+        """Where ``read`` has a group of x that only the law reads; None of any other group.
+
+        Args: the group; a trial of x, and the change of ``read`` by it.
+        """
+        slot = self._slots.get(group.start)
+        if slot is None:
+            return None
+        expected = np.zeros_like(change)
+        expected[slot] = x[group]
+        return slot if np.array_equal(expected != 0.0, change != 0.0) else None
+
+    def step(self, read: np.ndarray) -> np.ndarray:
+        """The memory after the update, from rows of ``read``."""
+        found = read[:, : self._memory.size].copy()
+        inputs, own = (
+            {name: read[:, slot] for name, slot in slots.items()}
+            for slots in (self._inputs, self._own)
+        )
+        force, after = self._controller.step(inputs, own)
+        for name, part in self._parts.items():
+            found[:, part] = {"generalized_force": force, **after}[name]
+        return found
+
+
+def _jacobian(
+    function: Callable[[np.ndarray], np.ndarray],
+    groups: Sequence[slice],
+    steps: np.ndarray,
+    law: "_LawOfMany | None" = None,
+) -> np.ndarray:
+    """Finite differences of a function at zero by ``steps``, followed by a law's step; groups of
+    its argument without effect are skipped.
+    """
+    rows, columns = [function(np.zeros(steps.size))], list[int]()
     for group in groups:
         trial = np.zeros(steps.size)
         trial[group] = steps[group] * np.linspace(1.0, 2.0, group.stop - group.start)
-        if np.array_equal(function(trial), center):
+        found = function(trial)
+        if np.array_equal(found, rows[0]):
             continue
-        for i in range(group.start, group.stop):
-            x = np.zeros(steps.size)
-            x[i] = steps[i]
-            jacobian[:, i] = (function(x) - center) / steps[i]
+        changes = np.zeros((group.stop - group.start, steps.size))
+        changes[:, group] = np.diag(steps[group])
+        columns += range(group.start, group.stop)
+        slot = None if law is None else law.slot(group, trial, change=found - rows[0])
+        if slot is None:
+            rows += map(function, changes)
+        else:  # nothing else reads it
+            passed_on = np.tile(rows[0], (len(changes), 1))
+            passed_on[:, slot] += changes[:, group]
+            rows += list(passed_on)
+    values = np.array(rows) if law is None else law.step(np.array(rows))
+    jacobian = np.zeros((values.shape[1], steps.size))
+    jacobian[:, columns] = ((values[1:] - values[0]) / steps[columns, None]).T
     return jacobian
 
 
 def _approach(scenario: Scenario) -> Scenario:
     """The scenario up to its grasp."""
     return dataclasses.replace(without_target(scenario), duration=scenario.grasp_time)
+
+
+def _is_shipped(system: object) -> bool:
+    """Whether the class of a system or a law, and of the steps that a law consists of, is Drake's
+    or this package's.
+    """
+    parts = vars(system).values() if dataclasses.is_dataclass(system) else ()
+    return type(system).__module__.split(".")[0] in ("pydrake", "ffsm_drake") and all(
+        _is_shipped(part) for part in parts if hasattr(part, "step")
+    )
 
 
 def _silence(sources: Sequence[RandomSource], diagram: Diagram, context: Context) -> bool:

@@ -3,7 +3,6 @@
 import numpy as np
 
 from ffsm_drake.control_design.stability.linearization import Linearizer
-from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.spacecraft.limits import FORCE, tightest
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.limits import limits_of
@@ -24,7 +23,7 @@ def predicted_load(linearizer: Linearizer) -> float:
     _, force = linearizer.follow(samples=answer)
     begin = answer * scenario.sample_time
     times = np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
-    _, ideal = PlannedDynamics(scenario).perfect_tracking(times)
+    _, ideal = linearizer.planned.perfect_tracking(times)
     limit = tightest(limits_of(scenario, make_true_plant(scenario).plant), FORCE)
     share = np.abs(np.concatenate([force, ideal])) / limit.upper
     return float(np.nan_to_num(share, nan=np.inf).max())

@@ -151,13 +151,18 @@ class Memory:
         """Perform the update of a control sample, every system from the state before it."""
         self.write(self.after(index))
 
-    def after(self, index: int) -> np.ndarray:
-        """The values after the update of a control sample, without performing it."""
+    def after(self, index: int, *, without: System | None = None) -> np.ndarray:
+        """The values after the update of a control sample, without performing it; zeros in place of
+        those of one system.
+        """
         result = self.read()
         for (system, context, _, _), parts, due in zip(
             self._updated, self._parts_of, self.which(index), strict=True
         ):
-            if due:
+            if system is without:
+                for _, part in parts:
+                    result[part] = 0.0
+            elif due:
                 values = system.EvalUniquePeriodicDiscreteUpdate(context)
                 for group, part in parts:
                     result[part] = values.value(group)

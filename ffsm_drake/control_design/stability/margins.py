@@ -16,7 +16,11 @@ from ffsm_drake.control_design.stability.adaptation import (
 )
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
-from ffsm_drake.control_design.stability.moving import GROWN, MotionStability
+from ffsm_drake.control_design.stability.moving import (
+    GROWN,
+    MotionStability,
+    motion_stability,
+)
 from ffsm_drake.control_design.stability.one_axis import (
     axis_loop,
     largest_sample_time,
@@ -82,6 +86,7 @@ class Margins:
     eta: np.ndarray
     loops: tuple[LinearLoop, ...]  # the wired loop at POSTURES, at the starting gains
     loops_expected: tuple[LinearLoop, ...]  # the same with every K_s at its largest expected value
+    motion: MotionStability | None  # of a tracked frame, at chosen instants
     # spectral radius at the worst of these with every K_s at its bound; NaN without bounds
     radius_at_bounds: float
     hidden_modes: tuple[VibrationMode, ...]  # at the start of the motion
@@ -104,13 +109,12 @@ class Margins:
 
     @property
     def growth(self) -> float:
-        """Growth of small errors while a tracked frame moves, from POSTURES alone; 1 without a
-        tracked frame.
+        """Growth of small errors while a tracked frame moves; 1 without a tracked frame.
 
         Near a singular posture the loop may be unstable as the frame passes, although it is stable
         wherever it rests.
         """
-        return MotionStability(loops=self.loops).growth if self.loops[0].tracks_frame else 1.0
+        return 1.0 if self.motion is None else self.motion.growth
 
     @property
     def edge_time(self) -> float:
@@ -170,11 +174,8 @@ class Margins:
     def _with_actuators(self) -> str:
         """The verdict on a loop that is stable without saturation."""
         found = self.rehearsal
-        if found is None and self.growth > GROWN:
-            return (
-                "stable at rest; while the frame moves, small errors grow by up to "
-                f"{self.growth:.2g} times"
-            )
+        if found is None and self.motion is not None and self.growth > GROWN:
+            return f"stable at rest; while the frame moves, small errors {self.motion.growing}"
         if found is None:
             return "stable"
         if found.share_diverged > 0.0:
@@ -207,41 +208,44 @@ class Margins:
 
 
 @guarded
-def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
+def stability(
+    scenario: Scenario, *, postures: int = 21, linearizer: Linearizer | None = None
+) -> Margins:
     """Stability of the sampled loop of a scenario, with any controller and blocks; takes about a
     second.
 
     Args:
       scenario: the scenario.
       postures: number of instants of the planned motion at which inertia ratios are computed.
+      linearizer: the scenario's, from the grasp on; default: a new one.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block cannot be loaded, built, wired or run.
     """
-    scenario = from_grasp(scenario)
-    planned = PlannedDynamics(scenario)
+    if linearizer is None:
+        with Linearizer(scenario) as own:
+            return stability(scenario, postures=postures, linearizer=own)
+    scenario, planned = from_grasp(scenario), linearizer.planned
     true, motion = planned.true, planned.motion
     times = np.linspace(motion.begin, motion.end, postures)
     eta = locked = np.array([planned.ratios(time) for time in times])
     if true.split.names:
         locked = np.array([planned.ratios(time, locked=True) for time in times])
-    with Linearizer(scenario) as linearizer:
-        held, loops = dict[str, np.ndarray](), linearizer.along(POSTURES)
-        expected, law, at_bounds, rehearsal = loops, axis_law(linearizer), math.nan, None
-        axes = None if law is None else _axis_margins(law, planned, eta, loops[0])
-        if axes is not None and axes.forecast_k_s.max() > axes.k_s.max():
-            held = {"reaching_gain": axes.forecast_k_s.max(axis=0)}
-            expected = linearizer.along(POSTURES, held=held)
-        gain = None if linearizer.law is None else linearizer.law.reaching_gain
-        if gain is not None and gain.is_adapted and np.isfinite(gain.largest).all():
-            worst = int(np.argmax([loop.spectral_radius for loop in expected]))
-            bounds = {"reaching_gain": gain.largest}
-            time = motion.part(POSTURES[worst])
-            at_bounds = linearizer.at(time, held=bounds).spectral_radius
-        radius = max(loop.spectral_radius for loop in (*loops, *expected))
-        if is_rehearsed(scenario) and radius < 1.0:
-            rehearsal = rehearse(scenario, held=held, mean=linearizer.follow(held=held))
+    held, loops = dict[str, np.ndarray](), linearizer.along(POSTURES)
+    expected, law, at_bounds, rehearsal = loops, axis_law(linearizer), math.nan, None
+    axes = None if law is None else _axis_margins(law, planned, eta, loops[0])
+    if axes is not None and axes.forecast_k_s.max() > axes.k_s.max():
+        held = {"reaching_gain": axes.forecast_k_s.max(axis=0)}
+        expected = linearizer.along(POSTURES, held=held)
+    gain = None if linearizer.law is None else linearizer.law.reaching_gain
+    if gain is not None and gain.is_adapted and np.isfinite(gain.largest).all():
+        worst = int(np.argmax([loop.spectral_radius for loop in expected]))
+        bounds = {"reaching_gain": gain.largest}
+        at_bounds = linearizer.at(motion.part(POSTURES[worst]), held=bounds).spectral_radius
+    radius = max(loop.spectral_radius for loop in (*loops, *expected))
+    if is_rehearsed(scenario) and radius < 1.0:
+        rehearsal = rehearse(scenario, held=held, mean=linearizer.follow(held=held))
     return Margins(
         scenario=scenario,
         coordinates=planned.coordinates,
@@ -249,6 +253,7 @@ def stability(scenario: Scenario, *, postures: int = 21) -> Margins:
         eta=eta,
         loops=loops,
         loops_expected=expected,
+        motion=motion_stability(linearizer) if loops[0].tracks_frame else None,
         radius_at_bounds=at_bounds,
         hidden_modes=tuple(true.modes(motion.evaluate(motion.begin)[0])),
         hidden=true.split.names,
@@ -288,24 +293,20 @@ def _axis_margins(
 
 
 @guarded
-def adaptation_remark(scenario: Scenario) -> str:
-    """One line where nothing stops K_s before the limit of the sampled loop; else empty.
-
-    The loop is linearised at the start of the motion from the grasp on.
+def adaptation_remark(linearizer: Linearizer) -> str:
+    """One line where nothing stops K_s before the limit of the sampled loop at the start of a
+    linearizer's motion; else empty.
     """
-    scenario = from_grasp(scenario)
-    with Linearizer(scenario) as linearizer:
-        law = axis_law(linearizer)
-        gain = None if law is None else law.reaching_gain
-        if law is None or gain is None or not gain.changes:
-            return ""
-        if linearizer.at(0.0).spectral_radius >= 1.0:
-            return ""  # unstable as it starts, which is not adaptation's fault
-        largest = float(gain.largest.max())
-        held = {"reaching_gain": gain.largest}
-        if math.isfinite(largest) and linearizer.at(0.0, held=held).spectral_radius < 1.0:
-            return ""
-    eta = PlannedDynamics(scenario).ratios(0.0)[-1:]
+    scenario, law = linearizer.given, axis_law(linearizer)
+    gain = None if law is None else law.reaching_gain
+    if law is None or gain is None or not gain.changes:
+        return ""
+    if linearizer.at(0.0).spectral_radius >= 1.0:
+        return ""  # unstable as it starts, which is not adaptation's fault
+    largest, held = float(gain.largest.max()), {"reaching_gain": gain.largest}
+    if math.isfinite(largest) and linearizer.at(0.0, held=held).spectral_radius < 1.0:
+        return ""
+    eta = linearizer.planned.ratios(0.0)[-1:]
     axis, euler = int(np.argmax(gain.largest)), is_euler(scenario)
     limit = float(largest_stable_k_s(law, axis, eta=eta, euler=euler)[0])
     bound = f"may grow to {largest:g} 1/s" if math.isfinite(largest) else "is not bounded"

@@ -72,24 +72,28 @@ class LinearVerdict:
         return self.status == "unstable"
 
 
-def linear_verdict(scenario: Scenario) -> LinearVerdict:
-    """The linear verdict on all legs of a mission; a second, or two for an undriven base.
+def linear_verdict(scenario: Scenario, linearizer: Linearizer | None = None) -> LinearVerdict:
+    """The linear verdict on all legs of a mission; a fraction of a second to a second.
+
+    Args: the mission; its linearizer from the grasp on, default: a new one.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block cannot be loaded, built or wired.
     """
     if scenario.capture is None:
-        return LinearVerdict(legs=(_leg(scenario, "motion"),))
-    approach = (_leg(scenario, "approach"),) if scenario.grasp_time > 0.0 else ()
-    return LinearVerdict(legs=(*approach, _leg(scenario, "stop")))
+        return LinearVerdict(legs=(_leg(scenario, "motion", linearizer),))
+    approach = (_leg(scenario, "approach", None),) if scenario.grasp_time > 0.0 else ()
+    return LinearVerdict(legs=(*approach, _leg(scenario, "stop", linearizer)))
 
 
-def _leg(scenario: Scenario, leg: Leg) -> LegVerdict:
+def _leg(scenario: Scenario, leg: Leg, linearizer: Linearizer | None) -> LegVerdict:
     start = scenario.grasp_time if leg == "stop" else 0.0
     try:
-        with Linearizer(scenario, approach=leg == "approach") as linearizer:
+        if linearizer is not None:
             return _verdict(linearizer, leg, start)
+        with Linearizer(scenario, approach=leg == "approach") as own:
+            return _verdict(own, leg, start)
     except NotLinear as error:
         return LegVerdict(
             leg=leg,
@@ -186,5 +190,5 @@ def _told(found: MotionStability, leg: Leg, status: Status, start: float) -> str
         return f"stable, {radius}"
     if _resting_radius(found, leg) >= 1.0:
         return f"unstable at rest, {radius}{where}"
-    grow = f"small errors grow {found.growth:.2g} times, {radius}{where}"
+    grow = f"small errors {found.growing}, {radius}{where}"
     return f"unstable, {grow}" if status == "unstable" else grow

@@ -18,11 +18,10 @@ import numpy as np
 
 from ffsm_drake.control_design.stability.linear_loop import LinearLoop
 from ffsm_drake.control_design.stability.linearization import POSTURES, Linearizer
-from ffsm_drake.control_design.stability.planned_dynamics import PlannedDynamics
 
 # Error growth from which on it is reported, and from which on a motion counts as unstable.
 GROWN, LARGE_GROWTH = 1.5, 100.0
-_POINTS = 101  # instants at which the lightest coordinates are sought
+_POINTS = 1010  # instants at which rates are interpolated
 # Fast radius, and its changes between two instants, above which they are bisected: above _FAST a
 # small change suffices.
 _FAST, _SMALL_CHANGE, _CHANGE = 0.7, 0.02, 0.15
@@ -63,6 +62,12 @@ class MotionStability:
         )
 
     @property
+    def growing(self) -> str:
+        """The growth in words, with its bound where that says more."""
+        most = f" (at most {self.growth_bound:.2g})" if self.growth_bound < LARGE_GROWTH else ""
+        return f"grow {self.growth:.2g} times{most}"
+
+    @property
     def times(self) -> np.ndarray:
         """The instants (n), s."""
         return np.array([loop.time for loop in self.loops])
@@ -84,7 +89,7 @@ class MotionStability:
     def _growth(self, rate_at: Callable[[np.ndarray], np.ndarray]) -> float:
         if not np.isfinite(self.rates).all():
             return math.inf
-        grid = np.linspace(self.times[0], self.times[-1], 10 * _POINTS)
+        grid = np.linspace(self.times[0], self.times[-1], _POINTS)
         rate = rate_at(grid)
         total = np.r_[0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(grid))]
         exponent = float((total - np.minimum.accumulate(total)).max())
@@ -104,7 +109,6 @@ def motion_stability(
 
     Args: the linearizer; held memory, as for ``Linearizer.at``, which raises the same errors.
     """
-    planned = PlannedDynamics(linearizer.given)
     span, found = linearizer.end - linearizer.begin, dict[float, LinearLoop]()
 
     def add(time: float) -> None:
@@ -112,7 +116,7 @@ def motion_stability(
 
     for time in map(linearizer.part, POSTURES):
         add(time)
-    for time in _lightest(planned, np.linspace(linearizer.begin, linearizer.end, _POINTS)):
+    for time in linearizer.lightest:
         if all(abs(time - other) > _APART * span for other in found):
             add(time)
     pairs = list(itertools.pairwise(sorted(found)))
@@ -128,20 +132,6 @@ def motion_stability(
         if next_one is None:
             return motion
         add(next_one)
-
-
-def _lightest(planned: PlannedDynamics, times: np.ndarray) -> list[float]:
-    """Those of some times, s, at which a driven coordinate is lightest, the others free to react,
-    than shortly before and after.
-    """
-    driven = planned.coordinates.driven
-    inverse = np.array([
-        np.diagonal(np.linalg.inv(planned.mass_matrices(time)[0]))[driven] for time in times
-    ])  # fmt: skip
-    rounding = 1e-6 * inverse[1:-1]
-    peaks = (np.diff(inverse, axis=0)[:-1] > rounding) & (np.diff(inverse, axis=0)[1:] < -rounding)
-    found: list[float] = times[1:-1][peaks.any(axis=1)].tolist()
-    return found
 
 
 def _is_bisected(first: LinearLoop, second: LinearLoop, share: float) -> bool:

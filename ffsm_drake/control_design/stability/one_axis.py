@@ -26,7 +26,7 @@ from ffsm_drake.systems.controllers.law import Sample
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
 _STEPS = 400  # steps of a scan for a limit
-_HALVINGS = 30  # halvings of the step that contains the limit
+_HALVINGS = 20  # halvings of the step that contains the limit
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -20,6 +20,8 @@ from ffsm_drake.systems.actuation.drives import DriveSet
 from ffsm_drake.systems.disturbance import make_disturbance
 from ffsm_drake.systems.reference import make_motion
 
+_POINTS = 101  # instants at which the lightest coordinates are sought
+
 
 def inertia_ratios(true_mass_matrix: np.ndarray, nominal_mass_matrix: np.ndarray) -> np.ndarray:
     """Eigenvalues eta of H^-1 Hhat, ascending (nv); above 1 the inertia is over-estimated.
@@ -60,6 +62,19 @@ class PlannedDynamics:
         driven = np.ix_(self.coordinates.driven, self.coordinates.driven)
         return inertia_ratios(*(each[driven] for each in self.mass_matrices(time, locked=locked)))
 
+    def lightest(self, begin: float, end: float) -> list[float]:
+        """The times, s, between two at which a driven coordinate is lighter, the others free to
+        react, than shortly before and after.
+        """
+        times = np.linspace(begin, end, _POINTS)
+        mass_matrices = np.array([self.mass_matrices(time)[0] for time in times])
+        inverse = np.diagonal(np.linalg.inv(mass_matrices), axis1=1, axis2=2)
+        inverse = inverse[:, self.coordinates.driven]
+        rounding, change = 1e-6 * inverse[1:-1], np.diff(inverse, axis=0)
+        peaks = (change[:-1] > rounding) & (change[1:] < -rounding)
+        found: list[float] = times[1:-1][peaks.any(axis=1)].tolist()
+        return found
+
     def perfect_tracking(
         self, times: np.ndarray, *, friction: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -70,22 +85,24 @@ class PlannedDynamics:
         Returns: both (n, nv), rad/s^2 or m/s^2, and N m or N.
         """
         scenario, coordinates = self.scenario, self.coordinates
-        disturbance = make_disturbance([scenario.disturbance], coordinates)
-        port = disturbance.GetOutputPort("generalized_force")
-        context = disturbance.CreateDefaultContext()
-        drives = None
+        nq, nv = len(coordinates.position_names), len(coordinates.names)
+        q, v, a = np.split(self.motion.rows(times), [nq, nq + nv], axis=1)
+        force = self.locked.calc_inverse_dynamics(q, v, a) - self._disturbances(times)
         if friction and scenario.drives is not None:
             drives = DriveSet(scenario.drives, scenario.actuation.limit, coordinates)
-        lumped, force = np.empty((2, times.size, len(coordinates.names)))
-        for k, time in enumerate(times.tolist()):
-            q, v, a = self.motion.evaluate(time)
+            force[:, NUM_BASE_VELOCITIES:] -= drives.friction(v[:, NUM_BASE_VELOCITIES:])
+        nominal = self.nominal.calc_mass_matrix(q)
+        return np.linalg.solve(nominal, force[..., None])[..., 0] - a, force
+
+    def _disturbances(self, times: np.ndarray) -> np.ndarray:
+        """The disturbance (n, nv) at times (n,), N m or N."""
+        disturbance = make_disturbance([self.scenario.disturbance], self.coordinates)
+        port = disturbance.GetOutputPort("generalized_force")
+        context, forces = disturbance.CreateDefaultContext(), []
+        for time in times.tolist():
             context.SetTime(time)
-            tau = self.locked.calc_mass_matrix(q) @ a + self.locked.calc_bias(q, v)
-            tau -= port.Eval(context)
-            if drives is not None:
-                tau[NUM_BASE_VELOCITIES:] -= drives.friction(v[NUM_BASE_VELOCITIES:])
-            lumped[k], force[k] = np.linalg.solve(self.nominal.calc_mass_matrix(q), tau) - a, tau
-        return lumped, force
+            forces.append(port.Eval(context))
+        return np.array(forces)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

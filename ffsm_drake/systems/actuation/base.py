@@ -115,7 +115,10 @@ class BaseActuators(LeafSystem):
     ) -> np.ndarray:
         """The output ``sample``, as a pure function of the command (nv) and of what the discrete
         state holds.
+
+        An infinite command is none: what it gives is NaN, and such a run has diverged.
         """
+        commanded = np.where(np.isinf(commanded), np.nan, commanded)
         thrusters, wheels = self._thrusters, self.wheels
         wanted = commanded[:6].reshape(2, 3).dot(rotation)  # torque, force in the base's axes
         memories = iter([memory[part] for part in self._parts])

@@ -9,6 +9,7 @@ a).
 
 import dataclasses
 import functools
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -174,7 +175,7 @@ class WheelSet:
         control samples.
         """
         most = 2.0 * samples * self._sample_time * self._torque.min()
-        return impulse / max(1.0, float(np.linalg.norm(impulse)) / most)
+        return impulse / max(1.0, math.hypot(*impulse.tolist()) / most)  # does not overflow
 
     def unloads(self, was: bool, momentum: np.ndarray, angular_velocity: np.ndarray) -> bool:
         """Whether thrusters are to unload the wheels, with hysteresis; ``was``: whether they

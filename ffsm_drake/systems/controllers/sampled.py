@@ -1,6 +1,6 @@
 """The system around every control law: sampled, held, all memory in the context."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -176,6 +176,11 @@ class SampledController(LeafSystem):
         """The discrete group of each piece of the law's memory, by name."""
         return {name: int(index) for name, index in self._memory.items()}
 
+    @property
+    def force_group(self) -> int:
+        """The discrete group of the force."""
+        return int(self._force)
+
     def held_groups(self) -> Mapping[str, tuple[int, float | None]]:
         """Discrete groups that a linearisation holds, name -> (group, value), see
         ``ControlLaw.held``.
@@ -184,90 +189,87 @@ class SampledController(LeafSystem):
         groups = {name: (int(self._memory[name]), value) for name, value in held.items()}
         return {"has_previous": (int(self._has_previous), 1.0), **groups}
 
-    def _sample(self, context: Context) -> Sample:
-        """What the law reads of one spacecraft."""
-        estimated = self._estimated_state.Eval(context)
-        desired = self._desired_state.Eval(context)
-        split = self._num_positions
-        # coordinates.position_error and error_rate, in one step.
-        difference = desired - estimated
-        e, e_dot = difference[1:split], difference[split:]
-        e[:3] = rotation = rotation_error(desired[:4], estimated[:4])
-        e_dot[:3] = rotation_error_rate(
-            rotation, desired[split : split + 3], estimated[split : split + 3]
-        )
-        if self._undriven is not None:
-            e[self._undriven] = e_dot[self._undriven] = 0.0
+    def read(self, context: Context) -> tuple[State, State]:
+        """All that an update reads, by name: inputs that are connected, and the law's memory; a row
+        for each of several copies.
+        """
         value = context.get_discrete_state().value
-        return Sample(
-            estimated[:split],
-            estimated[split:],
-            desired[:split],
-            desired[split:],
-            self._desired_acceleration.Eval(context),
-            e,
-            e_dot,
-            self._applied_force.Eval(context)
+        inputs = {
+            "estimated_state": self._estimated_state.Eval(context),
+            "desired_state": self._desired_state.Eval(context),
+            "desired_acceleration": self._desired_acceleration.Eval(context),
+            "applied_force": self._applied_force.Eval(context)
             if self._applied_force.HasValue(context)
             else value(self._force),
-            not value(self._has_previous).item(),
+        }
+        if self._is_new.HasValue(context):
+            inputs["measurement_is_new"] = self._is_new.Eval(context)
+        if self._desired_frame is not None and self._desired_frame.HasValue(context):
+            inputs["desired_frame"] = self._desired_frame.Eval(context)
+        memory = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
+        if self._copies > 1:
+            inputs = {name: each.reshape(self._copies, -1) for name, each in inputs.items()}
+            memory = {name: each.reshape(self._shapes[name]) for name, each in memory.items()}
+        return inputs, memory
+
+    def step(
+        self,
+        inputs: State,
+        memory: State,
+        *,
+        is_first: bool = False,
+        time: Callable[[], float] = float,
+    ) -> tuple[np.ndarray, State]:
+        """The force, and the law's memory after it, from what ``read`` gives: of one update, or of
+        several at once, (m, ...) each; ``time`` gives its time (s), for errors.
+        """
+        split, estimated, desired = (
+            self._num_positions, inputs["estimated_state"], inputs["desired_state"],
+        )  # fmt: skip
+        is_new = inputs.get("measurement_is_new")
+        sample = Sample(
+            estimated[..., :split],
+            estimated[..., split:],
+            desired[..., :split],
+            desired[..., split:],
+            inputs["desired_acceleration"],
+            *self._errors(estimated, desired),
+            inputs["applied_force"],
+            is_first,
             # The quaternion has one entry more than the rotation vector.
-            self._is_new.Eval(context)[1:] != 0.0 if self._is_new.HasValue(context) else None,
-            None
-            if self._desired_frame is None or not self._desired_frame.HasValue(context)
-            else self._desired_frame.Eval(context),
+            None if is_new is None else is_new[..., 1:] != 0.0,
+            inputs.get("desired_frame"),
         )
-
-    def _wide_sample(self, context: Context) -> Sample:
-        """As ``_sample``, of several copies: a row for each in all arrays."""
-        copies, split = self._copies, self._num_positions
-        estimated = self._estimated_state.Eval(context).reshape(copies, -1)
-        desired = self._desired_state.Eval(context).reshape(copies, -1)
-        q, v = estimated[:, :split], estimated[:, split:]
-        q_d, v_d = desired[:, :split], desired[:, split:]
-        difference = desired - estimated
-        e, e_dot = difference[:, 1:split], difference[:, split:]
-        rotation = rotation_errors(q_d[:, :4].T, q[:, :4].T)
-        e[:, :3] = rotation.T
-        e_dot[:, :3] = rotation_error_rates(rotation, v_d[:, :3].T, v[:, :3].T).T
-        if self._undriven is not None:
-            e[:, self._undriven] = e_dot[:, self._undriven] = 0.0
-        value = context.get_discrete_state().value
-        applied, is_new, frame = self._applied_force, self._is_new, self._desired_frame
-        return Sample(
-            q,
-            v,
-            q_d,
-            v_d,
-            self._desired_acceleration.Eval(context).reshape(copies, -1),
-            e,
-            e_dot,
-            (applied.Eval(context) if applied.HasValue(context) else value(self._force)).reshape(
-                copies, -1
-            ),
-            not value(self._has_previous).item(),
-            is_new.Eval(context).reshape(copies, -1)[:, 1:] != 0.0
-            if is_new.HasValue(context)
-            else None,
-            None
-            if frame is None or not frame.HasValue(context)
-            else frame.Eval(context).reshape(copies, -1),
-        )
-
-    def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
-        wide = self._copies > 1
-        sample = self._wide_sample(context) if wide else self._sample(context)
-        is_first, value = sample.is_first, context.get_discrete_state().value
-        state = dict(zip(self._memory, map(value, self._memory.values()), strict=False))
-        if wide:
-            state = {name: state[name].reshape(self._shapes[name]) for name in state}
-        force, memory = self._step(sample, state, context.get_time)
-        if is_first:
-            discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
+        force, memory = self._step(sample, memory, time)
         if self._undriven is not None:
             force = np.array(force)
             force[..., self._undriven] = 0.0
-        discrete_values.set_value(self._force, force.ravel() if wide else force)
+        return force, memory
+
+    def _errors(self, estimated: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """coordinates.position_error and error_rate, in one step."""
+        split, difference = self._num_positions, desired - estimated
+        e, e_dot = difference[..., 1:split], difference[..., split:]
+        if estimated.ndim == 1:
+            e[:3] = rotation = rotation_error(desired[:4], estimated[:4])
+            e_dot[:3] = rotation_error_rate(
+                rotation, desired[split : split + 3], estimated[split : split + 3]
+            )
+        else:
+            rotations = rotation_errors(desired[:, :4].T, estimated[:, :4].T)
+            e[:, :3] = rotations.T
+            rates = desired[:, split : split + 3].T, estimated[:, split : split + 3].T
+            e_dot[:, :3] = rotation_error_rates(rotations, *rates).T
+        if self._undriven is not None:
+            e[..., self._undriven] = e_dot[..., self._undriven] = 0.0
+        return e, e_dot
+
+    def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
+        inputs, memory = self.read(context)
+        is_first = not context.get_discrete_state().value(self._has_previous).item()
+        force, memory = self.step(inputs, memory, is_first=is_first, time=context.get_time)
+        if is_first:
+            discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
+        discrete_values.set_value(self._force, force.ravel())
         for name, index in self._memory.items():
-            values = memory[name]
-            discrete_values.set_value(index, values.ravel() if wide else values)
+            discrete_values.set_value(index, np.ravel(memory[name]))

@@ -1,0 +1,125 @@
+"""Batches of cases: the same rows for any size, whoever is killed or stopped; the tasks in them."""
+
+import tempfile
+from pathlib import Path
+
+import pytest
+from campaign_tools import forked, run_here, table, write_spec
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ffsm_drake.campaign.cases import Case
+from ffsm_drake.campaign.evaluate import batches
+from ffsm_drake.campaign.run import resume_campaign, start_campaign
+from ffsm_drake.campaign.spec import load_spec
+from ffsm_drake.campaign.store import open_store
+from ffsm_drake.common.errors import InterruptedCampaign
+from ffsm_drake.common.workers import Stop
+
+CONTROLLERS = ("tdc", "asmc", "aismc")
+
+
+@given(
+    tasks=st.sets(st.tuples(st.integers(0, 20), st.sampled_from(CONTROLLERS))),
+    size=st.integers(1, 30),
+)
+def test_every_task_is_in_one_batch(tasks, size):
+    cases = [Case(index=index, seed=0, values={}) for index in range(21)]
+    given_tasks = [
+        (cases[i], name) for i, name in sorted(tasks, key=lambda t: (t[0], CONTROLLERS.index(t[1])))
+    ]
+    found = list(batches(iter(given_tasks), size=size, controllers=CONTROLLERS))
+    assert all(1 <= len(batch.cases) <= size for batch in found)
+    made = [(case.index, batch.controller) for batch in found for case in batch.cases]
+    assert sorted(made) == sorted(tasks)
+    for name in CONTROLLERS:  # in order
+        assert [i for i, own in made if own == name] == sorted(i for i, own in tasks if own == name)
+    assert [part.cases for batch in found for part in batch.parts] == [
+        (case,) for batch in found for case in batch.cases
+    ]
+
+
+@pytest.fixture(scope="module")
+def spec(tmp_path_factory):
+    """A refused value among its cases: the third is an error row."""
+    masses = {"distribution": "list", "values": [100.0, 60.0, -1.0, 80.0, 120.0]}
+    return write_spec(
+        tmp_path_factory.mktemp("spec") / "small.yaml",
+        overrides={"duration": 0.05},
+        parameters={
+            "payload.truth.mass": masses,
+            "sensing.velocity_noise": {"distribution": "log_uniform", "low": 1e-7, "high": 1e-5},
+        },
+        cases=5,
+    )
+
+
+@pytest.fixture(scope="module")
+def rows(spec, tmp_path_factory):
+    return table(run_here(spec, tmp_path_factory.mktemp("database") / "one.db"))
+
+
+@settings(max_examples=4, deadline=None)
+@given(
+    first=st.integers(1, 9),
+    then=st.integers(1, 9),
+    workers=st.integers(1, 2),
+    stopped_after=st.integers(1, 9),
+)
+def test_rows_depend_on_no_batch_size_and_no_stop(spec, rows, first, then, workers, stopped_after):
+    with tempfile.TemporaryDirectory() as folder:
+        path, stop = Path(folder) / "x.db", Stop()
+
+        def watch(progress):
+            if progress.session >= stopped_after:
+                stop.set()
+
+        crew = forked(workers, in_flight=1)
+        try:
+            start_campaign(
+                load_spec(spec), path, workers=crew, stop=stop, batch=first, progress=watch
+            )
+        except InterruptedCampaign:
+            resume_campaign(path, workers=crew, batch=then)
+        assert table(path) == rows
+    assert len(rows) == 10
+    assert sum(row[3] == "error" for row in rows) == 2
+
+
+KILLS_SOME = """
+import dataclasses, os, signal
+from ffsm_drake import ControlLaw
+from ffsm_drake.systems.controllers.law import gain
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class KillsSome(ControlLaw):
+    deadly: float = gain(0.0, "", "ends the process if positive", scalar=True)
+
+    def step(self, sample, state):
+        if self.deadly > 0.0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return 0.0 * sample.v, state
+"""
+
+
+def test_only_the_case_that_kills_its_worker_is_lost(tmp_path):
+    (tmp_path / "kills_some.py").write_text(KILLS_SOME)
+    law = "kills_some:KillsSome"
+    deadly = {"distribution": "list", "values": [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]}
+    spec = load_spec(
+        write_spec(
+            tmp_path / "s.yaml",
+            overrides={"python_path": [str(tmp_path)], "duration": 0.05},
+            controllers=["tdc", law],
+            parameters={"controllers.KillsSome.deadly": deadly},
+            factors={},
+            derive={},
+            cases=8,
+        )
+    )
+    start_campaign(spec, tmp_path / "x.db", workers=forked(1, in_flight=1), batch=4)
+    with open_store(tmp_path / "x.db") as store:
+        messages = [store.result(index, law)["message"] for index in range(8)]
+        assert store.num_results() == 16
+    assert "the worker process died each time" in messages[2]
+    assert not any("died" in message for k, message in enumerate(messages) if k != 2)
