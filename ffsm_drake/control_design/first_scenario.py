@@ -241,7 +241,7 @@ def _check_arguments(
         if not folder.is_dir():
             raise ScenarioError(f"--package {name}", f"no such folder: {folder}")
     if payload_mass is not None and not (np.isfinite(payload_mass) and payload_mass > 0.0):
-        raise ScenarioError("--payload-mass", f"must be > 0 kg, not {payload_mass:g}")
+        raise ScenarioError("--target", f"must be > 0 kg, not {payload_mass:g}")
 
 
 def _make(
