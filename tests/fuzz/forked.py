@@ -7,6 +7,7 @@ import os
 import resource
 import signal
 import warnings
+from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
@@ -24,7 +25,11 @@ def drawn(strategy, count, *, start=0):
         max_examples=count, deadline=None, database=None, phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )  # fmt: skip
-    seed(start)(limits(given(strategy)(inputs.append)))()
+
+    def take(drawn_input):
+        inputs.append(drawn_input)
+
+    seed(start)(limits(given(strategy)(take)))()
     return inputs
 
 
@@ -52,7 +57,7 @@ def unclean(inputs, check):
 
 def _try_each(inputs, indices, check, writer):
     """Tell each index as it begins, and what is unclean; ends the process."""
-    taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (taken + MOST_MEMORY, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGALRM, signal.SIG_DFL)

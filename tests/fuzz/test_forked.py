@@ -4,8 +4,8 @@ import collections
 
 import pytest
 import yaml
-from forked import drawn, unclean
-from fuzz_inputs import mutated_bytes, mutated_data, mutated_urdf
+from fuzz.forked import drawn, unclean
+from fuzz.fuzz_inputs import mutated_bytes, mutated_data, mutated_urdf
 from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario, make_closed_loop

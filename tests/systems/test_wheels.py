@@ -280,7 +280,7 @@ def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():
         (("actuation.wheels.units={}",), "actuation.wheels.units: give wheels by name"),
         (
             ("actuation.wheels.units={z: {}}",),
-            "units: give no torque about some axis; add wheels, or actuation.thrust",
+            "units: give no torque about the axis [-1, 0, 0] of the base; add wheels",
         ),
         (
             ("actuation.wheels.units={z: {axis: [0, 0, 0]}}",),
