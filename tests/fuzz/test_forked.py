@@ -92,6 +92,7 @@ def test_hostile_inputs_end_cleanly(area, count, tmp_path, monkeypatch):
     assert not found, f"{len(found)} of {len(inputs)}: {counts}; such as {examples}"
 
 
+@pytest.mark.smoke
 def test_what_is_unclean_is_seen():
     """An abort, a traceback, too much memory and a text of no line, each with its input."""
 
