@@ -51,6 +51,8 @@ POSTURES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _STEP = 1e-7
 # Control samples on the plan before the map is taken, in which every memory fills.
 _WARM_UP = 5
+# Beyond these, a look at one instant takes more than seconds, or much memory.
+_MOST_STATES, _MOST_SAMPLES, _MOST_EVALUATIONS = 600, 5000, 8000
 # Longest period, in control samples, that is found of user-supplied systems which do not declare
 # it, and the change of their map, relative to its rows, that tells one sample from another.
 _LONGEST_PERIOD, _DIFFERENT = 12, 0.3
@@ -153,12 +155,28 @@ class Linearizer:
         )
         # of the plant's part of x
         self._width = 2 * (len(self.loop.coordinates.names) + len(self.loop.split.names))
+        self._check_cost()
         groups: Mapping[str, int] = getattr(controller, "memory_groups", dict)()
         self._parts_of_memory = {
             name: slice(self._width + part.start, self._width + part.stop)
             for name, group in groups.items()
             if (part := self._memory.part_of(controller, group)) is not None
         }
+
+    def _check_cost(self) -> None:
+        """Raise NotLinear for a loop that would take minutes, or fill the memory."""
+        states, period = self._width + self._memory.size, self._memory.common_period
+        short = range(min(period, _MOST_SAMPLES + 1))
+        updates = len({self._memory.kind(index) for index in short})
+        work = updates * (states + self._noise.size)
+        if states > _MOST_STATES or period > _MOST_SAMPLES or work > _MOST_EVALUATIONS:
+            raise NotLinear(
+                f"{self.scenario.controller}: the linear loop is too large to analyse: {states} "
+                f"states (at most {_MOST_STATES}; {8e-9 * states**2:.2g} GB for each matrix), a "
+                f"common period of {period} control samples (at most {_MOST_SAMPLES}), {work} "
+                f"evaluations for one instant (at most {_MOST_EVALUATIONS}); shorten delays, "
+                "frames and sample periods of actuation and sensing"
+            )
 
     def __enter__(self) -> Self:
         return self
