@@ -34,7 +34,7 @@ from ffsm_drake.analysis import analyze
 from ffsm_drake.cli import main
 from ffsm_drake.common import files
 from ffsm_drake.preflight.verdict import Verdict
-from ffsm_drake.runs.record import StaleReportWarning
+from ffsm_drake.runs.reading import StaleReportWarning
 from ffsm_drake.scenario.strict_yaml import read_yaml
 from ffsm_drake.show.figures import run as run_figures
 from ffsm_drake.show.figures.analysis import plot_analysis
