@@ -26,6 +26,7 @@ class Interrupts:
         self.raises = self.waits = False
         self.waiting = 0  # the pending signal
         self.unfinished: set[Path] = set()  # files and folders to remove
+        self.unused: list[Path] = []  # folders to remove where they are empty, innermost first
 
     def __call__(self, number: int, frame: "FrameType | None") -> None:
         first, self.number = not self.number, self.number or number
@@ -36,6 +37,7 @@ class Interrupts:
         else:
             for path in list(self.unfinished):
                 _remove(path)
+            _remove_empty(self.unused)
             os._exit(128 + number)
 
 
@@ -104,6 +106,24 @@ def unfinished(path: "Path") -> "Iterator[None]":
     finally:
         _remove(path)
         interrupts.unfinished.discard(path)
+
+
+@contextlib.contextmanager
+def unused(folders: "list[Path]") -> "Iterator[None]":
+    """Remove those of the folders, innermost first, that are there and empty after the block."""
+    interrupts = current() or Interrupts()
+    before, interrupts.unused = interrupts.unused, [*folders, *interrupts.unused]
+    try:
+        yield
+    finally:
+        _remove_empty(folders)
+        interrupts.unused = before
+
+
+def _remove_empty(folders: "list[Path]") -> None:
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
 
 
 def _remove(path: "Path") -> None:

@@ -13,6 +13,7 @@ WorkerLost.
 import contextlib
 import dataclasses
 import importlib
+import logging
 import os
 import re
 import signal
@@ -107,13 +108,15 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
         raise WorkersError(
             "a Dask cluster needs the extra 'cluster': pip install 'ffsm-drake[cluster]'"
         ) from None
-    try:
-        client = distributed.Client(address, timeout=patience, set_as_default=False)
-    except Exception as error:
-        raise WorkersError(
-            f"{address}: no Dask scheduler answers there: {one_line(error)}"
-        ) from error
-    with client:
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_quiet_dask())
+        try:
+            client = distributed.Client(address, timeout=patience, set_as_default=False)
+        except Exception as error:
+            raise WorkersError(
+                f"{address}: no Dask scheduler answers there: {one_line(error)}"
+            ) from error
+        stack.enter_context(client)
         try:
             client.wait_for_workers(1, timeout=patience)
         except TimeoutError:
@@ -126,6 +129,22 @@ def cluster_workers(address: str, *, patience: float = 60.0) -> Iterator[Workers
             in_flight=lambda: 2 * max(len(client.nthreads()), 1),
             renewable=False,
         )
+
+
+@contextlib.contextmanager
+def _quiet_dask() -> Iterator[None]:
+    """Keep Dask's tracebacks off standard error: what they mean is raised as one line."""
+    loggers = [
+        logging.getLogger(f"distributed{part}") for part in ("", ".client", ".core", ".comm")
+    ]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
 
 
 def _check_address(address: str) -> None:

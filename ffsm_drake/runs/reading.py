@@ -139,10 +139,14 @@ def _read_manifest(path: Path) -> tuple[str | None, dict[str, Any]]:
 def _fields_of(manifest: dict[str, Any], path: Path) -> dict[str, Any]:
     """The fields of a record that its manifest holds. Raises what wrong contents lead to."""
     scenario = scenario_from_dict(manifest["scenario"], source=str(path))
-    sources = _fitting(manifest["blocks"], dict[str, dict[str, str]], "blocks")
-    for source in sources.values():
-        if "file" in source:
-            source["file"] = str((path.parent / source["file"]).resolve())
+    blocks = _fitting(manifest["blocks"], dict[str, dict[str, str]], "blocks")
+    sources = {
+        name: {
+            key: str((path.parent / text).resolve()) if key == "file" else text
+            for key, text in source.items()
+        }
+        for name, source in blocks.items()
+    }
     parts = manifest.get("parts", [])
     times = manifest["wall_time"]
     wall_time = {name: times[name] for name in ("build", "advance_to", "total")}
@@ -195,9 +199,9 @@ def _problems(dataset: "xr.Dataset", fields: dict[str, Any]) -> Iterator[str]:
     """What is wrong with a dataset; what a line takes for granted, the lines before it yield."""
     scenario, outcome = fields["scenario"], fields["outcome"]
     yield from _of_columns(dataset)
+    yield from _of_times(dataset, scenario, outcome)
     coordinates, split = _coordinates_of(dataset, scenario)
     yield from _of_names(dataset, coordinates, split)
-    yield from _of_times(dataset, scenario, outcome)
     yield from _of_phases(dataset)
     yield from _of_numbers(dataset, outcome)
     yield from _of_parts(dataset, scenario, fields["parts"])

@@ -541,6 +541,7 @@ TABLE = [
         "manifest-gain-missing",
         lambda data: data["scenario"]["controllers"]["tde_aismc"].update(alpha=None),
         "controllers.tde_aismc.alpha",
+        fits=True,
     ),
     manifest(
         "manifest-scenario-list",
