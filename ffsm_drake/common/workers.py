@@ -33,7 +33,7 @@ from multiprocessing import get_context, parent_process
 from typing import Any, Generic, TypeVar
 
 from ffsm_drake.common.errors import FfsmError, WorkersError, one_line
-from ffsm_drake.common.interrupts import Interrupts, current
+from ffsm_drake.common.interrupts import SIGNALS, Interrupts, current
 
 ATTEMPTS = 3
 # Library threads per process: the workers fill the machine, and a manipulator's matrices are too
@@ -197,7 +197,7 @@ class Stop(threading.Event):
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """Make Ctrl-C and SIGTERM request a stop; a second one interrupts at once.
+    """Make Ctrl-C, SIGTERM and SIGHUP request a stop; a second one interrupts at once.
 
     Outside the main thread this changes nothing.
     """
@@ -212,7 +212,8 @@ def stop_on_signals() -> Iterator[Stop]:
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    heard = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, handle) for number in heard}
     try:
         yield stop
     finally:
@@ -351,7 +352,8 @@ class _Runner(Generic[Task, Result]):
 
     def _submit(self, task: Task, strikes: int) -> None:
         try:
-            # A process started here ignores Ctrl-C: only the main process decides when to stop.
+            # A process started here ignores Ctrl-C and the terminal's end: only the main process
+            # decides when to stop.
             with _interrupts_blocked():
                 future = self.executor.submit(self.function, *self.arguments(task))
         except BrokenExecutor:  # a worker died while idle
@@ -423,7 +425,7 @@ class _Runner(Generic[Task, Result]):
 
 @contextlib.contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:
