@@ -42,6 +42,12 @@ COMMANDS = (
 )
 
 
+def heard():
+    """In a child: no signal is ignored, as a shell and nohup have it for what runs behind."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
+
+
 def in_session(session):
     """The processes of a session that are alive."""
     found = []
@@ -94,6 +100,7 @@ def disturb(old, draw):
     process = subprocess.Popen(
         [sys.executable, "-m", "ffsm_drake", *words],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=heard,
     )  # fmt: skip
     try:
         try:
@@ -134,5 +141,5 @@ def test_signals_at_any_instant(tmp_path, monkeypatch, run):
             end = "unclean"
             unclean.append(f"{type(error).__name__}: {error}")
         ends[end] = ends.get(end, 0) + 1
-        print(ends, flush=True)
+        print(ends, *unclean[len(unclean) - (end == "unclean") :], flush=True)
     assert not unclean, "\n".join(unclean)

@@ -343,9 +343,9 @@ def fuzz(good, count):
                 shown = f"{base}, {kind}, checksums {'fit' if fits else 'as they were'}"
                 unclean.append(f"{command}: {shown}: {detail!r:.600}\n{problem[-1500:]}")
             inputs = inputs[last + 1 :]
+        print(f"{tried} inputs, {len(unclean)} unclean ends", flush=True)
 
     batch()
-    print(f"{tried} inputs, {len(unclean)} unclean ends")
     assert not unclean, f"{len(unclean)} of {tried}:\n" + "\n\n".join(unclean[:10])
     assert tried >= count
 
