@@ -342,6 +342,7 @@ def fuzz(good, count):
                 base, kind, detail, fits, command = inputs[last]
                 shown = f"{base}, {kind}, checksums {'fit' if fits else 'as they were'}"
                 unclean.append(f"{command}: {shown}: {detail!r:.600}\n{problem[-1500:]}")
+                print(unclean[-1], flush=True)
             inputs = inputs[last + 1 :]
         print(f"{tried} inputs, {len(unclean)} unclean ends", flush=True)
 
