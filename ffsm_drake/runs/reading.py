@@ -346,7 +346,9 @@ def _of_numbers(dataset: "xr.Dataset", outcome: Outcome) -> Iterator[str]:
     for name in ("position", "desired_position", "target_quaternion"):
         if name in dataset:
             norm = np.linalg.norm(dataset[name].values[:, :4], axis=1)
-            off = np.isfinite(norm) & ~(np.abs(norm - 1.0) < _NORM_TOLERANCE)
+            # a run that diverges ends in any norm but zero
+            off = np.abs(norm - 1.0) >= _NORM_TOLERANCE if whole else norm < 1.0 - _NORM_TOLERANCE
+            off &= np.isfinite(norm)
             if off.any():
                 first = int(np.argmax(off))
                 yield f"{name} must hold unit quaternions, but sample {first} has {norm[first]:g}"
