@@ -22,7 +22,12 @@ from ffsm_drake.campaign.evaluate import (
 )
 from ffsm_drake.campaign.spec import Spec, load_spec
 from ffsm_drake.campaign.store import Store, check_columns, create_store, open_store
-from ffsm_drake.common.errors import CampaignError, FfsmError, InterruptedCampaign
+from ffsm_drake.common.errors import (
+    CampaignError,
+    FfsmError,
+    InterruptedCampaign,
+    WorkersError,
+)
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
@@ -210,17 +215,34 @@ def _drive(
         should_renew=lambda rows: any(row["rss_mib"] > MEMORY_LIMIT for row in rows),
         split=lambda some: some.parts,
     )
-    with contextlib.closing(results):
-        for some, result in results:
-            rows = [_LOST] * len(some.cases) if isinstance(result, WorkerLost) else result
-            store.add(some, rows)
-            outcomes = [row["outcome"] for row in rows]
-            counted["session"] += len(outcomes)
-            counted["failed"] += outcomes.count("error")
-            counted["unsettled"] += sum(map(outcomes.count, UNSETTLED))
-            report()
+    try:
+        with contextlib.closing(results):
+            for some, result in results:
+                rows = [_LOST] * len(some.cases) if isinstance(result, WorkerLost) else result
+                store.add(some, rows)
+                outcomes = [row["outcome"] for row in rows]
+                counted["session"] += len(outcomes)
+                counted["failed"] += outcomes.count("error")
+                counted["unsettled"] += sum(map(outcomes.count, UNSETTLED))
+                report()
+    except (CampaignError, WorkersError) as error:
+        if done := before + counted["session"]:
+            raise type(error)(f"{error}; {_stored(done, store)}") from error
+        raise
     if before + counted["session"] < total:
         raise InterruptedCampaign(before + counted["session"], total)
+    if (done := store.num_results()) < total:
+        raise CampaignError(
+            f"{store.path}: another program removed results while it ran; {_stored(done, store)}"
+        )
+
+
+def _stored(done: int, store: Store) -> str:
+    """What is left of a campaign that cannot go on."""
+    return (
+        f"{done} of {store.spec.runs} runs are stored, 'ffsm campaign resume {store.path}' runs "
+        "the others"
+    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

@@ -85,9 +85,11 @@ def run(
       ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
     """
     from ffsm_drake.common.files import check_writable
+    from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.spacecraft.plant import check_pictures
 
     repeated = repeated_run()
+    first = RunRecord.load(repeated) if repeated else None
     directory = out or Path("out") / (
         f"{scenario_stem()}_again" if repeated else _stem_of(scenario)
     )
@@ -109,10 +111,8 @@ def run(
             record = _simulate(scenario)
     record.save(directory)
     code = _finish([record], directory, as_json=as_json, report=report, require=require)
-    if repeated is not None:
-        from ffsm_drake.runs.record import RunRecord
-
-        same = RunRecord.load(repeated).dataset.identical(record.dataset)
+    if first is not None:
+        same = first.dataset.identical(record.dataset)
         remark = "same record, bit for bit" if same else "different record"
         click.echo(f"{remark}: {repeated}", err=as_json)
     sys.exit(code)
@@ -303,7 +303,7 @@ def _finish(
     """Write the report, print the table and set the exit code of finished runs."""
     from ffsm_drake.common.errors import ModelError
     from ffsm_drake.runs.limits import run_clearance, run_remarks
-    from ffsm_drake.runs.record import REPORT_FILE
+    from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
     from ffsm_drake.show.tables import results_data, results_table
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, ModelError, RecordError, ScenarioError, one_line
-from ffsm_drake.common.files import check_writable, write_text
-from ffsm_drake.common.interrupts import undisturbed, unfinished
+from ffsm_drake.common.files import check_writable, published, write_text
+from ffsm_drake.common.interrupts import unfinished
 from ffsm_drake.control_design.first_motion import (
     OMEGA,
     Motion,
@@ -218,8 +218,8 @@ def new_scenario(
             folder = Path(temporary) / directory.name
             folder.mkdir()
             made = _make(servicer, folder, target=held, mass=mass, packages=folders)
-            with undisturbed():
-                shutil.copytree(folder, directory, dirs_exist_ok=True)
+            with published(directory) as new:
+                shutil.copytree(folder, new, dirs_exist_ok=True)
     except OSError as error:
         raise RecordError(f"{directory}: cannot be written: {one_line(error)}") from error
     return dataclasses.replace(made, scenario_file=directory / made.scenario_file.name)

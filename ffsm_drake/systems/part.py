@@ -224,7 +224,7 @@ class PartRecord:
     section: str  # of the report
     about: str  # that section's text; "": the sentences of its parts
     sentence: str
-    table: tuple[tuple[str | float, ...], ...]
+    table: tuple[tuple[str | float | None, ...], ...]  # None: not a finite number
     figures: tuple[Figure, ...]
     drawings: tuple[Drawing, ...]
 

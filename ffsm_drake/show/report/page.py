@@ -24,7 +24,8 @@ from ffsm_drake.runs.ending import (
     SETTLED,
     SETTLED_OVER,
 )
-from ffsm_drake.runs.record import IDENTIFIER, RunRecord
+from ffsm_drake.runs.reading import IDENTIFIER
+from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.show.page import embedded, render
 from ffsm_drake.show.panels import Thinning
