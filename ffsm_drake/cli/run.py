@@ -257,7 +257,7 @@ def _run_with_controls(scenario: "Scenario", directory: Path) -> list["RunRecord
 def _kept(directory: Path) -> Iterator[None]:
     """Save the record of a run in which a user-supplied block fails, up to then."""
     from ffsm_drake.common.errors import BlockError
-    from ffsm_drake.runs.record import REPORT_FILE
+    from ffsm_drake.runs.reading import REPORT_FILE
 
     try:
         yield
