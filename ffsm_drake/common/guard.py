@@ -23,13 +23,14 @@ _OURS = ("ffsm_drake", "pydrake")
 
 
 def passes(error: BaseException) -> bool:
-    """True for an exception that the guard lets through: Ctrl-C, a time limit, the caller's own, an
-    error that says already what is wrong.
+    """True for an exception that the guard lets through: Ctrl-C, as from the keyboard or from this
+    package's panel, a time limit, the caller's own, an error that says already what is wrong.
     """
     return (
         isinstance(error, (FfsmError, TimeLimit))
         or getattr(error, _CALLERS, False) is True
         or from_keyboard(error)
+        or (isinstance(error, KeyboardInterrupt) and _is_ours(error))
     )
 
 
@@ -129,6 +130,12 @@ def _last_frame(error: BaseException) -> tuple[FrameType, int] | None:
     while place is not None and place.tb_next is not None:
         place = place.tb_next
     return None if place is None else (place.tb_frame, place.tb_lineno)
+
+
+def _is_ours(error: BaseException) -> bool:
+    """True if this package's own code raised an exception."""
+    found = _last_frame(error)
+    return found is not None and str(found[0].f_globals.get("__name__")).startswith("ffsm_drake.")
 
 
 def _suspect(error: BaseException) -> str | None:

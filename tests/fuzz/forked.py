@@ -3,6 +3,7 @@
 An input ends cleanly with a result or with an ``FfsmError`` of one line.
 """
 
+import faulthandler
 import os
 import resource
 import signal
@@ -62,6 +63,7 @@ def _try_each(inputs, indices, check, writer):
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     warnings.simplefilter("ignore")
+    faulthandler.disable()
     for index in indices:
         os.write(writer, f"{index} \n".encode())
         signal.alarm(LONGEST)
