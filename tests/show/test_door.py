@@ -71,10 +71,18 @@ def test_only_clicks_and_finite_values_come_through(frame):
         assert abs(read.get("value", 0.0)) < float("inf")
 
 
+def page_at(url, site):
+    """A page of a site; it reads the scene, else it would not see that it is closed."""
+    return connect(
+        url.replace("http", "ws"), origin=site, compression=None, max_size=None, max_queue=None,
+        close_timeout=1.0,
+    )  # fmt: skip
+
+
 def send_as(url, site, frame):
     """What becomes of a frame of a page of a site."""
     try:
-        with connect(url.replace("http", "ws"), origin=site, compression=None) as page:
+        with page_at(url, site) as page:
             page.send(frame)
             page.close()
     except (WebSocketException, ConnectionError):
@@ -155,7 +163,7 @@ def run_with_controls(tmp_path, count):
     ) as (process, told):
         url = told(ADDRESS)[1]
         code = told(r"type (\d{5}) beside")[1]
-        with connect(url.replace("http", "ws"), origin=url, max_size=None) as page:
+        with page_at(url, url) as page:
             page.send(msgpack.packb({"type": "slider", "name": CODE, "value": int(code)}))
             press(page, UNLOCK)
             told("are unlocked")
@@ -180,7 +188,7 @@ def replay_served(record, count):
             sent += hostile_frames(url, count)
         assert process.poll() in (None, 0)
         if process.poll() is None:
-            with connect(url.replace("http", "ws"), origin=url, max_size=None) as page:
+            with page_at(url, url) as page:
                 press(page, QUIT)
                 assert process.wait(60) == 0
     return sent
@@ -222,13 +230,18 @@ def test_other_names_of_this_machine_get_no_page(served, host):
         urllib.request.urlopen(request)
 
 
+def until_closed(page):
+    while True:
+        page.recv(timeout=10.0)
+
+
 def test_a_page_of_ours_is_served_shown_and_heard(served):
     meshcat, url = served
     with urllib.request.urlopen(url) as page:
         assert b"<!DOCTYPE html>" in page.read()
     meshcat.AddButton("pressed")
     meshcat.AddSlider("moved", 0.0, 1.0, 0.1, 0.0)
-    with connect(url.replace("http", "ws"), origin=url, max_size=None) as page:
+    with page_at(url, url) as page:
         assert isinstance(page.recv(timeout=10.0), bytes)
         press(page, "pressed")
         page.send(msgpack.packb({"type": "camera_pose", "camera_pose": []}))  # of no interest
@@ -240,5 +253,4 @@ def test_a_page_of_ours_is_served_shown_and_heard(served):
         assert meshcat.GetButtonClicks("pressed") == 1
         page.send(b"")
         with pytest.raises(ConnectionClosed, match="1008"):
-            while True:
-                page.recv(timeout=10.0)
+            until_closed(page)

@@ -9,13 +9,13 @@ import asyncio
 import ctypes
 import logging
 import math
+import re
 import sys
 import threading
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from http import HTTPStatus
-from urllib.parse import urlsplit
 
 import msgpack
 from pydrake.geometry import Meshcat
@@ -33,6 +33,7 @@ _MOST_PAGES = 16
 _PATIENCE = 5.0  # s for Drake's server to answer
 _IGNORED = ("camera_pose", "gamepad")  # what the page sends besides, and nobody here reads
 _REFUSED = 1008  # the websocket's code for a client that breaks the rules
+_LOOPBACK = re.compile(r"(localhost|127(\.\d{1,3}){3})(:\d+)?", re.ASCII)
 _DIRECT = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # whatever HTTP_PROXY says
 
 
@@ -94,7 +95,7 @@ class Door:
             with suppress(OSError):
                 self._server = await serve(
                     self._relay, _HOST, port, process_request=self._answer, max_size=_LARGEST,
-                    compression=None, logger=logger,
+                    compression=None, logger=logger, close_timeout=1.0,
                 )  # fmt: skip
                 return port
         return None
@@ -112,8 +113,7 @@ class Door:
         site another Origin; browsers send both truthfully.
         """
         host = request.headers.get("Host", "")
-        name = urlsplit(f"//{host}").hostname or ""
-        if name != "localhost" and not name.startswith("127."):
+        if not _LOOPBACK.fullmatch(host):
             return page.respond(HTTPStatus.FORBIDDEN, "this page is at another address\n")
         if request.headers.get("Upgrade", "").lower() != "websocket":
             return await asyncio.to_thread(self._file, page, request.path)
@@ -149,6 +149,7 @@ class Door:
                             await drake.send(event)
                 finally:
                     outward.cancel()
+                    drake.transport.abort()  # with a scene unread, a polite end would be waited for
         except BadFrame:
             await page.close(_REFUSED, "not an event of this page")
         except (OSError, ConnectionClosed, InvalidHandshake):
