@@ -1013,6 +1013,7 @@ def test_the_browser_view_passes_over_a_port_in_use():
     from ffsm_drake.show.meshcat.door import live_server
 
     with socket.socket() as taken:
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the door does
         try:
             taken.bind(("127.0.0.1", 7000))
             taken.listen()
